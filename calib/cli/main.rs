@@ -1,0 +1,2 @@
+//! The `wcal` program.
+fn main() {}

@@ -1,0 +1,19 @@
+//! Quantities, observations, residual records and the documents that wcal's programs exchange.
+//!
+//! No I/O and no native code. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
+//! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
+
+pub mod calibration;
+pub mod map_document;
+pub mod observation;
+pub mod provenance;
+pub mod residual;
+pub mod verify_document;
+
+pub use calibration::{CalibrationFile, VerificationStatus};
+pub use observation::{
+    AxisData, AxisRow, FbgSpec, MomentAxes, Role, SessionData, SessionKind, Trajectory, TransducerData,
+    TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow, WhiskerSpec,
+};
+pub use provenance::{InputFile, Provenance};
+pub use residual::ResidualRecord;

@@ -1,0 +1,54 @@
+//! `fit-gpr.json` (format `wcal-map/1`).
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Format tag of `fit-gpr.json`.
+pub const MAP_FORMAT: &str = "wcal-map/1";
+
+/// One candidate map with its cross-validated errors, one entry a moment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapCandidate {
+    /// `thin-plate`, `affine`, `quadratic`, `matern52`, `released`.
+    pub name: String,
+    /// Leave-one-out error, N mm.
+    pub loo_rmse_nmm: [f64; 2],
+    /// Leave-one-trajectory-out error, N mm; absent with fewer than three trajectories.
+    pub loto_rmse_nmm: Option<[f64; 2]>,
+    /// Leave-one-out coverage of the stated 95 % intervals.
+    pub coverage95: [f64; 2],
+    /// Leave-one-out mean negative log predictive density.
+    pub nll: [f64; 2],
+    /// Log evidence, summed over the moments; absent where it is not defined.
+    pub log_evidence: Option<f64>,
+}
+
+/// How well the readings determine the moments.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Identifiability {
+    /// Condition number of the wavelength-from-moment matrix.
+    pub condition: f64,
+    /// Plain sentences: which moment is barely determined, and why.
+    pub warnings: Vec<String>,
+}
+
+/// `fit-gpr.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapDocument {
+    /// Always [`MAP_FORMAT`].
+    pub format: String,
+    /// Calibration poses used (rest rows not counted).
+    pub points: usize,
+    /// Where the moment labels came from: `rod`, `twin.csv`, `twin.csv repaired by rod`.
+    pub labels: String,
+    /// Name of the chosen candidate.
+    pub chosen: String,
+    /// Every candidate.
+    pub candidates: Vec<MapCandidate>,
+    /// Conditioning and warnings.
+    pub identifiability: Identifiability,
+    /// `kind` = "hull" or "distance" and its numbers.
+    pub valid_region: serde_json::Value,
+    /// Hyperparameters of the chosen map.
+    pub hyperparameters: BTreeMap<String, serde_json::Value>,
+}

@@ -1,0 +1,324 @@
+//! What a session holds once it has been read and checked: plain data, no files.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// The three kinds of session (FORMATS.md).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SessionKind {
+    /// Whisker pressed by a V-groove; wavelengths against base moments.
+    Whisker,
+    /// One stimulus, one response.
+    Transducer,
+    /// Commanded against measured position.
+    Axis,
+}
+
+/// What a reading may be used for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// No load.
+    Rest,
+    /// One of the calibration poses; the map is fitted to these and to rest.
+    Calibration,
+    /// Extra readings for diagnosis; `verify` may fit them.
+    Verification,
+    /// Never used in any fit.
+    Holdout,
+}
+
+/// Nominal properties of the wire.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhiskerSpec {
+    /// Wire diameter, mm.
+    pub diameter_mm: f64,
+    /// Young's modulus, GPa.
+    pub youngs_gpa: f64,
+    /// Shear modulus, GPa.
+    pub shear_gpa: f64,
+    /// Density, kg/m^3.
+    pub density_kg_m3: Option<f64>,
+    /// Stress-free shape.
+    pub rest_shape: RestShape,
+    /// Unit vector of gravity in the base frame, where known.
+    pub gravity_direction: Option<Vector3<f64>>,
+}
+
+/// Stress-free centre line, root first, base frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RestShape {
+    /// Straight along +x, then an arc that bends toward -z.
+    StraightArc {
+        /// Length of the straight part, mm.
+        straight_mm: f64,
+        /// Arc radius, mm.
+        arc_radius_mm: f64,
+        /// Total length, mm.
+        length_mm: f64,
+    },
+    /// Polyline of points, mm.
+    Polyline(Vec<Vector3<f64>>),
+}
+
+/// The two base-moment components that the calibration predicts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MomentAxes {
+    /// Unit vectors in the base frame.
+    pub axes: [Vector3<f64>; 2],
+    /// +1: moment = r x F acting on the base; -1: its reaction.
+    pub sign: f64,
+}
+
+impl Default for MomentAxes {
+    fn default() -> Self {
+        Self { axes: [Vector3::y(), Vector3::z()], sign: 1.0 }
+    }
+}
+
+impl MomentAxes {
+    /// Components (N mm) of a base moment vector r x F (N mm, base frame).
+    #[must_use]
+    pub fn components_nmm(&self, moment_nmm: &Vector3<f64>) -> [f64; 2] {
+        [self.sign * self.axes[0].dot(moment_nmm), self.sign * self.axes[1].dot(moment_nmm)]
+    }
+}
+
+/// Gratings: nominal wavelengths and temperature coefficients.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct FbgSpec {
+    /// Nominal wavelengths of the two sensing gratings, nm; absent when the table holds shifts.
+    pub nominal_nm: Option<[f64; 2]>,
+    /// Nominal wavelength of the strain-isolated grating, nm.
+    pub reference_nominal_nm: Option<f64>,
+    /// Temperature coefficients of the sensing gratings, pm per degree.
+    pub temperature_pm_per_degc: Option<[f64; 2]>,
+    /// Temperature coefficient of the reference grating, pm per degree.
+    pub reference_temperature_pm_per_degc: Option<f64>,
+    /// The readings are already compensated.
+    pub temperature_compensated: bool,
+}
+
+/// One straight path of the groove.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trajectory {
+    /// Identifier used by the rows.
+    pub id: u32,
+    /// Groove centre at stage position 0, mm, base frame.
+    pub origin_mm: Vector3<f64>,
+    /// Unit vector of travel; the groove pushes along it.
+    pub direction: Vector3<f64>,
+    /// Arc length of the nominal first contact, mm.
+    pub nominal_arclength_mm: Option<f64>,
+}
+
+/// One reading of a whisker session: a settled window or an on-the-fly sample.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhiskerRow {
+    /// File the row came from (as named in the session).
+    pub source: String,
+    /// Line in that file, header = 1.
+    pub line: usize,
+    /// Point number, unique in its file.
+    pub point: i64,
+    /// Use of the reading.
+    pub role: Role,
+    /// Trajectory identifier; absent at rest.
+    pub trajectory: Option<u32>,
+    /// Repetition of the same pose.
+    pub replicate: Option<u32>,
+    /// End of the averaging window (centre while moving), s.
+    pub t_s: Option<f64>,
+    /// Stage position along the trajectory, mm.
+    pub stage_mm: Option<f64>,
+    /// +1 loading, -1 unloading.
+    pub direction: Option<f64>,
+    /// Speed, mm/s; 0 when settled.
+    pub speed_mm_s: Option<f64>,
+    /// Time since arrival, s.
+    pub dwell_s: Option<f64>,
+    /// Centre of the wire when it sits in the vertex, mm, base frame.
+    pub groove_mm: Option<Vector3<f64>>,
+    /// Temperature from its own sensor, deg C.
+    pub temperature_degc: Option<f64>,
+    /// Raw shifts of the two sensing gratings from nominal, pm; not temperature compensated.
+    pub shift_pm: [f64; 2],
+    /// Shift of the strain-isolated grating from nominal, pm.
+    pub reference_shift_pm: Option<f64>,
+    /// Standard deviation of single samples, pm.
+    pub shift_sd_pm: Option<[f64; 2]>,
+    /// Samples averaged.
+    pub samples: Option<u32>,
+}
+
+impl WhiskerRow {
+    /// Temperature-compensated shifts, pm: `shift - k_T (T - T0)` with `T - T0` from the strain-isolated grating.
+    /// Uncompensated where the session has no reference grating or says that it is compensated already.
+    #[must_use]
+    pub fn compensated_pm(&self, fbg: &FbgSpec) -> [f64; 2] {
+        if fbg.temperature_compensated {
+            return self.shift_pm;
+        }
+        match (self.reference_shift_pm, fbg.reference_temperature_pm_per_degc, fbg.temperature_pm_per_degc) {
+            (Some(shift), Some(k_ref), Some(k)) if k_ref != 0.0 => {
+                let rise_degc = shift / k_ref;
+                [self.shift_pm[0] - k[0] * rise_degc, self.shift_pm[1] - k[1] * rise_degc]
+            }
+            _ => self.shift_pm,
+        }
+    }
+}
+
+/// Base moments from an outside simulator, N mm.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TwinLabel {
+    /// Point number in the points table.
+    pub point: i64,
+    /// The two moment components, N mm.
+    pub moment_nmm: [f64; 2],
+}
+
+/// A whisker session in memory.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhiskerData {
+    /// Wire.
+    pub whisker: WhiskerSpec,
+    /// Moment components.
+    pub moments: MomentAxes,
+    /// Gratings.
+    pub fbg: FbgSpec,
+    /// Surrounding medium, e.g. "air" or "water".
+    pub medium: String,
+    /// Paths of the groove.
+    pub trajectories: Vec<Trajectory>,
+    /// Rows of the points table, in file order.
+    pub rows: Vec<WhiskerRow>,
+    /// Rows of the sealed holdout table; empty when there is none.
+    pub holdout: Vec<WhiskerRow>,
+    /// Labels of an outside twin; empty when there are none.
+    pub twin: Vec<TwinLabel>,
+}
+
+impl WhiskerData {
+    /// The trajectory with this identifier.
+    #[must_use]
+    pub fn trajectory(&self, id: u32) -> Option<&Trajectory> {
+        self.trajectories.iter().find(|t| t.id == id)
+    }
+}
+
+/// Declared model of a transducer session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TransducerModel {
+    /// response = b0
+    Constant,
+    /// response = b0 + b1 stimulus
+    Linear,
+    /// response = b0 + b1 stimulus + b2 stimulus^2
+    Quadratic,
+}
+
+/// One reading of a transducer session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TransducerRow {
+    /// File the row came from.
+    pub source: String,
+    /// Line in that file, header = 1.
+    pub line: usize,
+    /// Point number, unique in its file.
+    pub point: i64,
+    /// Use of the reading.
+    pub role: Role,
+    /// Stimulus in `stimulus_unit`.
+    pub stimulus: f64,
+    /// Response in `response_unit`.
+    pub response: f64,
+    /// Time, s.
+    pub t_s: Option<f64>,
+    /// Temperature, deg C.
+    pub temperature_degc: Option<f64>,
+    /// +1 increasing, -1 decreasing.
+    pub direction: Option<f64>,
+    /// Repetition.
+    pub replicate: Option<u32>,
+    /// Further covariates, in the order of `TransducerData::covariates`.
+    pub covariates: Vec<f64>,
+}
+
+/// A transducer session in memory.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TransducerData {
+    /// Unit of the stimulus.
+    pub stimulus_unit: String,
+    /// Unit of the response.
+    pub response_unit: String,
+    /// Declared model.
+    pub model: TransducerModel,
+    /// Names of further covariate columns.
+    pub covariates: Vec<String>,
+    /// Rows in file order.
+    pub rows: Vec<TransducerRow>,
+    /// Sealed rows.
+    pub holdout: Vec<TransducerRow>,
+}
+
+/// One reading of an axis session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AxisRow {
+    /// File the row came from.
+    pub source: String,
+    /// Line in that file, header = 1.
+    pub line: usize,
+    /// Point number, unique in its file.
+    pub point: i64,
+    /// Use of the reading.
+    pub role: Role,
+    /// Commanded position, mm.
+    pub commanded_mm: f64,
+    /// Measured position, mm.
+    pub measured_mm: f64,
+    /// Time, s.
+    pub t_s: Option<f64>,
+    /// +1 or -1.
+    pub direction: Option<f64>,
+    /// Stroke or cycle number.
+    pub cycle: Option<u32>,
+    /// Temperature, deg C.
+    pub temperature_degc: Option<f64>,
+}
+
+/// An axis session in memory; the declared model is measured = commanded + constant.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AxisData {
+    /// Rows in file order.
+    pub rows: Vec<AxisRow>,
+    /// Sealed rows.
+    pub holdout: Vec<AxisRow>,
+}
+
+/// Data of any kind of session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+pub enum SessionData {
+    /// Whisker session.
+    Whisker(WhiskerData),
+    /// Transducer session.
+    Transducer(TransducerData),
+    /// Axis session.
+    Axis(AxisData),
+}
+
+impl SessionData {
+    /// Kind of the session.
+    #[must_use]
+    pub fn kind(&self) -> SessionKind {
+        match self {
+            Self::Whisker(_) => SessionKind::Whisker,
+            Self::Transducer(_) => SessionKind::Transducer,
+            Self::Axis(_) => SessionKind::Axis,
+        }
+    }
+}

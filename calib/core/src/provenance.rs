@@ -1,0 +1,44 @@
+//! Where a result came from: files by hash, program, command, seed.
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// A file that was read, by content hash.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InputFile {
+    /// Path as given, relative to the session where it belongs to one.
+    pub path: String,
+    /// SHA-256 of the content, lower-case hex.
+    pub sha256: String,
+}
+
+/// Program and command that made an artefact.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Program and version, e.g. `wcal 0.1.0`.
+    pub program: String,
+    /// Command line.
+    pub command: Vec<String>,
+    /// Creation time, RFC 3339, UTC.
+    pub created: String,
+    /// Seed of every random draw.
+    pub seed: u64,
+    /// Files read.
+    pub inputs: Vec<InputFile>,
+}
+
+/// SHA-256 of `bytes`, lower-case hex.
+#[must_use]
+pub fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sha256_hex;
+
+    #[test]
+    fn hash_of_abc_is_the_one_of_fips_180() {
+        assert_eq!(sha256_hex(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    }
+}

@@ -1,0 +1,208 @@
+//! `verify.json` (format `wcal-verify/1`, FORMATS.md).
+
+use crate::provenance::InputFile;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Format tag of `verify.json`.
+pub const VERIFY_FORMAT: &str = "wcal-verify/1";
+
+/// What the residual loop concluded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Nothing beyond noise is left.
+    Adequate,
+    /// One class of effects explains what was left.
+    Effect,
+    /// Explanations of more than one class survive.
+    Ambiguous,
+    /// Something is left that nothing in the catalogue explains.
+    UnknownEffect,
+    /// The twin's labels were faulty; repaired, nothing else is found.
+    TwinFault,
+    /// The data cannot be used.
+    Refused,
+}
+
+/// A group of labels that the twin got wrong.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TwinFault {
+    /// Point numbers.
+    pub points: Vec<i64>,
+    /// `branch`, `contact-lost`, `discretisation`, `not-settled`, `unit`.
+    pub kind: String,
+    /// Plain sentence.
+    pub detail: String,
+}
+
+/// Result of stage 0.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TwinCheck {
+    /// Faults found.
+    pub faults: Vec<TwinFault>,
+}
+
+/// A fitted parameter of an effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EffectParameter {
+    /// Name, e.g. `friction_coefficient`.
+    pub name: String,
+    /// Estimate.
+    pub value: f64,
+    /// Unit, `1` where dimensionless.
+    pub unit: String,
+    /// 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// An effect that the data asks for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedEffect {
+    /// Identifier of FORMATS.md.
+    pub id: String,
+    /// Effects that this data cannot tell apart from it, itself included.
+    pub class: Vec<String>,
+    /// p-value adjusted for the whole catalogue.
+    pub p_value: f64,
+    /// Fitted parameters.
+    pub parameters: Vec<EffectParameter>,
+    /// Plain sentence for the report.
+    #[serde(default)]
+    pub sentence: String,
+}
+
+/// What drives a residual that nothing explains.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnknownEffect {
+    /// Covariate.
+    pub driver: String,
+    /// `linear`, `quadratic`, `sinusoid`, `step`, `exponential`, `sign`, `dead-zone`, `irregular`.
+    pub shape: String,
+    /// All covariates, strongest first.
+    pub drivers_ranked: Vec<String>,
+    /// Period in the covariate's unit, for a sinusoid.
+    pub period: Option<f64>,
+}
+
+/// The noise floor and where it came from.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct NoiseFloor {
+    /// pm (kind whisker).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wavelength_pm: Option<f64>,
+    /// N mm (kind whisker).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_nmm: Option<f64>,
+    /// Response unit (kind transducer).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub response: Option<f64>,
+    /// um (kind axis).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error_um: Option<f64>,
+    /// `replicates`, `difference`, `declared`, `none`.
+    pub source: String,
+}
+
+/// Held-out errors of one model.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct HeldOutError {
+    /// `holdout`, `loto` or `loo`.
+    pub split: String,
+    /// Error by name: `wavelength_rmse_pm`, `moment_rmse_nmm`, `response_rmse`, `error_rmse_um`.
+    #[serde(flatten)]
+    pub rmse: BTreeMap<String, f64>,
+    /// The two moments apart (kind whisker).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_rmse_nmm_each: Option<[f64; 2]>,
+    /// 95 % intervals by the same names.
+    pub interval95: BTreeMap<String, [f64; 2]>,
+    /// Rows that counted.
+    pub points: usize,
+}
+
+/// A pose of the next measurement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NextPose {
+    /// Trajectory.
+    pub trajectory: u32,
+    /// Stage position, mm.
+    pub stage_mm: f64,
+    /// +1 loading, -1 unloading.
+    pub direction: f64,
+    /// Speed, mm/s; 0 settled.
+    pub speed_mm_s: f64,
+    /// Dwell before the reading, s.
+    #[serde(default)]
+    pub dwell_s: f64,
+}
+
+/// The measurement that would decide.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NextMeasurement {
+    /// Effects that it separates.
+    pub separates: Vec<String>,
+    /// Plain instruction.
+    pub instruction: String,
+    /// Poses in order.
+    pub poses: Vec<NextPose>,
+    /// Probability that the measurement decides.
+    pub expected_power: f64,
+}
+
+/// What this data could have shown of one effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Detectable {
+    /// Effect identifier.
+    pub id: String,
+    /// Smallest size found with 90 % probability; absent where not testable.
+    pub smallest: Option<f64>,
+    /// Unit of `smallest`.
+    pub unit: String,
+    /// `testable`, `absorbed`, `not-observable`.
+    pub status: String,
+    /// Reason.
+    pub why: String,
+}
+
+/// `verify.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VerifyDocument {
+    /// Always [`VERIFY_FORMAT`].
+    pub format: String,
+    /// Session identifier.
+    pub session: String,
+    /// `whisker`, `transducer` or `axis`.
+    pub kind: String,
+    /// Conclusion.
+    pub verdict: Verdict,
+    /// One plain sentence.
+    pub reason: String,
+    /// Stage 0.
+    pub twin: TwinCheck,
+    /// The best explanation's effects.
+    pub effects: Vec<NamedEffect>,
+    /// Every surviving explanation, best first, the best included.
+    pub alternatives: Vec<Vec<String>>,
+    /// Present with the verdict "unknown-effect".
+    pub unknown: Option<UnknownEffect>,
+    /// Noise floor.
+    pub noise_floor: NoiseFloor,
+    /// Held-out error of the declared model.
+    pub before: Option<HeldOutError>,
+    /// Held-out error of the accepted model.
+    pub after: Option<HeldOutError>,
+    /// Held-out coverage of the stated 95 % intervals.
+    pub coverage95: Option<f64>,
+    /// What to measure next.
+    pub next_measurement: Option<NextMeasurement>,
+    /// Smallest detectable sizes.
+    pub detectable: Vec<Detectable>,
+    /// Seed.
+    pub seed: u64,
+    /// Files read.
+    pub inputs: Vec<InputFile>,
+    /// Remarks: what was absent, what was marked and kept.
+    #[serde(default)]
+    pub notes: Vec<String>,
+}

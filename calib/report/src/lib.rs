@@ -1,0 +1,1 @@
+//! wcal-report

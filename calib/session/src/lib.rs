@@ -7,15 +7,23 @@
 mod axis;
 mod document;
 mod error;
+mod findings;
+mod holdout;
 mod row;
 mod session;
 mod table;
+mod text_table;
 mod transducer;
 mod units;
 mod whisker;
 mod whisker_checks;
 mod whisker_meta;
+mod write;
 
 pub use error::{Defect, DefectFields, SessionError};
+pub use findings::{Finding, Severity, duplicated_readings, examine};
+pub use holdout::attach_holdout;
 pub use session::{CLOCK_PROBLEM, LoadedSession, SESSION_FORMAT, load};
+pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
 pub use whisker::{ReadingTable, load_table};
+pub use write::{SessionFiles, write_atomic, write_session};

@@ -177,7 +177,7 @@ pub struct Bench {
 }
 
 /// Room past the last reading for effects that shift the stage, mm.
-const MARGIN_MM: f64 = 0.4;
+const MARGIN_MM: f64 = 0.6;
 
 impl Bench {
     /// Bench of a whisker and the lines that its readings use.

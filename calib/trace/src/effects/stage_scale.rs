@@ -13,7 +13,7 @@ impl Candidate for StageScale {
         "stage-scale"
     }
     fn laws(&self) -> Vec<Law> {
-        vec![law("linear").amplitude("relative_scale", "1", [-0.05, 0.05], 0.01)]
+        vec![law("linear").amplitude("relative_scale", "1", [-0.03, 0.03], 0.01)]
     }
     fn sentence(&self) -> &'static str {
         "The stage travels a constant factor more or less than commanded."

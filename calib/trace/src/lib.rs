@@ -3,6 +3,10 @@
 pub mod candidate;
 pub mod effects;
 pub mod engine;
+mod error;
 pub mod mechanics;
 pub mod path;
+pub mod verify;
 pub mod whisker;
+
+pub use error::TraceError;

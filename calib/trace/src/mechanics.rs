@@ -7,7 +7,7 @@ use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::{Guess, Line, Outcome, Rod, Softening, Tangential};
 
 /// Mechanical deviations from the nominal whisker and bench.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mechanics {
     /// Constant offset of the groove, mm.
     pub offset_mm: [f64; 3],
@@ -21,6 +21,22 @@ pub struct Mechanics {
     pub weight: f64,
     /// Friction coefficient along the wire; independent of the tables.
     pub friction: f64,
+    /// Friction while the groove moves over friction at rest.
+    pub moving_share: f64,
+}
+
+impl Default for Mechanics {
+    fn default() -> Self {
+        Self {
+            offset_mm: [0.0; 3],
+            compliance_rad_per_nmm: [0.0; 2],
+            softening: None,
+            taper: 0.0,
+            weight: 0.0,
+            friction: 0.0,
+            moving_share: 1.0,
+        }
+    }
 }
 
 impl Mechanics {
@@ -389,12 +405,13 @@ impl Bench {
                 Some((line, s, from)) if line == l => (s, from),
                 _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
             };
+            let friction = mechanics.friction * if node.moving { mechanics.moving_share } else { 1.0 };
             let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
             for k in 1..=pieces {
-                slip.advance(from + (x - from) * k as f64 / pieces as f64, mechanics.friction, &mut s);
+                slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
             }
             contact = Some((l, s, x));
-            let ratio = slip.ratio_at(x, s, mechanics.friction);
+            let ratio = slip.ratio_at(x, s, friction);
             let (with, without) = (slip.moment(x, ratio), slip.moment(x, 0.0));
             // The fine table carries the size, the coarse one only the difference that friction makes.
             out.push([frictionless[0] + with[0] - without[0], frictionless[1] + with[1] - without[1]]);

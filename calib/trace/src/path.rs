@@ -21,7 +21,7 @@ pub struct Reading {
     pub t_s: f64,
     /// Time since arrival, s.
     pub dwell_s: f64,
-    /// Temperature less its first value, deg C.
+    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant.
     pub rise_degc: f64,
     /// Compensated shifts, pm.
     pub shift_pm: [f64; 2],
@@ -46,6 +46,8 @@ pub struct Node {
     pub x_mm: f64,
     /// The wire is free here.
     pub rest: bool,
+    /// The groove moves here.
+    pub moving: bool,
     /// Reading taken here.
     pub reading: Option<usize>,
 }
@@ -115,7 +117,6 @@ impl WhiskerPath {
         if time {
             order.sort_by(|&a, &b| rows[a].t_s.unwrap_or(0.0).total_cmp(&rows[b].t_s.unwrap_or(0.0)));
         }
-        let first_temperature = order.first().and_then(|&i| temperature_of(rows[i])).unwrap_or(0.0);
         let line_of = |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
         let readings: Vec<Reading> = order
             .iter()
@@ -134,7 +135,7 @@ impl WhiskerPath {
                     velocity_mm_s: r.speed_mm_s.unwrap_or(0.0) * if direction < 0.0 { -1.0 } else { 1.0 },
                     t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
                     dwell_s: r.dwell_s.unwrap_or(0.0),
-                    rise_degc: temperature_of(r).map_or(0.0, |t| t - first_temperature),
+                    rise_degc: temperature_of(r).unwrap_or(0.0),
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
                     group: r.trajectory.unwrap_or(0),
@@ -170,9 +171,23 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
             let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
             let arrival = (r.t_s - r.dwell_s).max(earliest);
-            nodes.push(Node { t_s: arrival, line: r.line, x_mm: r.x_mm, rest: r.rest, reading: None });
+            nodes.push(Node {
+                t_s: arrival,
+                line: r.line,
+                x_mm: r.x_mm,
+                rest: r.rest,
+                moving: false,
+                reading: None,
+            });
         }
-        nodes.push(Node { t_s: r.t_s, line: r.line, x_mm: r.x_mm, rest: r.rest, reading: Some(i) });
+        nodes.push(Node {
+            t_s: r.t_s,
+            line: r.line,
+            x_mm: r.x_mm,
+            rest: r.rest,
+            moving: r.velocity_mm_s != 0.0,
+            reading: Some(i),
+        });
     }
     nodes
 }

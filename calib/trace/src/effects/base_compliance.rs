@@ -14,8 +14,8 @@ impl Candidate for BaseCompliance {
     }
     fn laws(&self) -> Vec<Law> {
         vec![
-            law("isotropic").amplitude("compliance_rad_per_nmm", "rad/(N mm)", [0.0, 0.2], 0.01),
-            law("two-axis").amplitude("compliance_y_rad_per_nmm", "rad/(N mm)", [0.0, 0.2], 0.01).amplitude(
+            law("isotropic").amplitude("compliance_rad_per_nmm", "rad/(N mm)", [0.0, 0.2], 0.005),
+            law("two-axis").amplitude("compliance_y_rad_per_nmm", "rad/(N mm)", [0.0, 0.2], 0.005).amplitude(
                 "compliance_z_rad_per_nmm",
                 "rad/(N mm)",
                 [0.0, 0.2],

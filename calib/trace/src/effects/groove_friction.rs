@@ -13,7 +13,15 @@ impl Candidate for GrooveFriction {
         "groove-friction"
     }
     fn laws(&self) -> Vec<Law> {
-        vec![law("coulomb").amplitude("friction_coefficient", "1", [0.0, 0.7], 0.15)]
+        vec![
+            law("coulomb").amplitude("friction_coefficient", "1", [0.0, 0.7], 0.15),
+            law("coulomb-two-speed").amplitude("friction_coefficient", "1", [0.0, 0.7], 0.15).shape(
+                "moving_share",
+                "1",
+                [0.2, 1.5],
+                &[0.75],
+            ),
+        ]
     }
     fn sentence(&self) -> &'static str {
         "The wire drags in the V-groove: the contact force has a part along the wire until it slips."
@@ -24,7 +32,10 @@ impl Candidate for GrooveFriction {
 }
 
 impl WhiskerEffect for GrooveFriction {
-    fn mechanics(&self, _law: usize, values: &[f64], mechanics: &mut Mechanics) {
+    fn mechanics(&self, law: usize, values: &[f64], mechanics: &mut Mechanics) {
         mechanics.friction += values[0];
+        if law == 1 {
+            mechanics.moving_share = values[1];
+        }
     }
 }

@@ -14,19 +14,19 @@ impl Candidate for Hysteresis {
     }
     fn laws(&self) -> Vec<Law> {
         vec![
-            law("bouc-wen").amplitude("loop_nmm", "N mm", [0.0, 0.3], 0.01).shape(
+            law("bouc-wen").amplitude("loop_nmm", "N mm", [-0.3, 0.3], 0.01).shape(
                 "width_nmm",
                 "N mm",
                 [0.01, 2.0],
                 &[0.05, 0.15, 0.5],
             ),
-            law("play").amplitude("loop_nmm", "N mm", [0.0, 0.3], 0.01).shape(
+            law("play").amplitude("loop_nmm", "N mm", [-0.3, 0.3], 0.01).shape(
                 "width_nmm",
                 "N mm",
                 [0.01, 1.0],
                 &[0.03, 0.1, 0.3],
             ),
-            law("bouc-wen-vector").amplitude("loop_nmm", "N mm", [0.0, 0.3], 0.01).shape(
+            law("bouc-wen-vector").amplitude("loop_nmm", "N mm", [-0.3, 0.3], 0.01).shape(
                 "width_nmm",
                 "N mm",
                 [0.01, 2.0],

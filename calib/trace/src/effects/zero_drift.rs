@@ -36,7 +36,6 @@ impl WhiskerEffect for ZeroDrift {
         _moments_nmm: &[[f64; 2]],
         out: &mut Vec<Vec<f64>>,
     ) {
-        let start = path.readings.first().map_or(0.0, |r| r.t_s);
-        out.push(path.readings.iter().map(|r| (r.t_s - start) / 60.0).collect());
+        out.push(path.readings.iter().map(|r| r.t_s / 60.0).collect());
     }
 }

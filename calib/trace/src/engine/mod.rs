@@ -4,6 +4,7 @@ pub mod atoms;
 pub mod drivers;
 pub mod fit;
 pub mod gate;
+pub mod inference;
 pub mod linear;
 pub mod null;
 pub mod outliers;

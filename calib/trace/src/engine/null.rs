@@ -80,6 +80,13 @@ impl NullFamily {
         Self { minima }
     }
 
+    /// Single p-value that the family's smallest undercuts with probability `level` under the null.
+    #[must_use]
+    pub fn critical(&self, level: f64) -> f64 {
+        let k = ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
+        self.minima.get(k).copied().unwrap_or(level).min(level)
+    }
+
     /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective number of tests.
     #[must_use]
     pub fn adjusted(&self, p: f64) -> f64 {

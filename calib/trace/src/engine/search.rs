@@ -1,5 +1,6 @@
 //! From a rejected gate to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the gate first.
 
+use super::atoms::{Atom, nuisance, of_catalogue};
 use super::fit::{Fit, Status, Weights, fit};
 use super::gate::{CATALOGUE_LEVEL, Gate, gate};
 use super::linear::stack;
@@ -37,6 +38,8 @@ pub struct Hypothesis {
     pub flagged: Vec<usize>,
 }
 
+/// One-sided amplitudes below this share of their usual size are no explanation.
+const LEAST_SHARE: f64 = 0.2;
 /// Price of one flagged reading: it must stand out among all readings, in every channel.
 const PRICE_A_FLAG: f64 = 2.0;
 
@@ -82,7 +85,12 @@ impl Hypothesis {
                 slot += 1;
                 // A share of one is complete, not out of range.
                 let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
-                if at_bound && !complete {
+                // Far below the usual size the effect is a correction to something else, not an explanation.
+                let negligible = match p.role {
+                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < LEAST_SHARE * probe,
+                    Role::Shape { .. } => false,
+                };
+                if (at_bound && !complete) || negligible {
                     return false;
                 }
             }
@@ -120,6 +128,8 @@ pub struct Found {
     pub survivors: Vec<Hypothesis>,
     /// Every explanation of the final size that was refitted.
     pub evidence: Vec<Evidence>,
+    /// The same as hypotheses, best first.
+    pub refitted: Vec<Hypothesis>,
     /// A generic driver explains more than the catalogue does.
     pub driver_beats_catalogue: bool,
 }
@@ -147,7 +157,10 @@ fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option
         let next = Hypothesis { fit, weights: from.weights.clone(), flagged: from.flagged.clone() };
         let better = best.as_ref().is_none_or(|b| {
             let (was, is) = (b.physical(system), next.physical(system));
-            (is && !was) || (is == was && next.fit.ssr < b.fit.ssr)
+            // A law with more parameters must earn them.
+            let price = 2.0 * next.fit.variance();
+            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
+            (is && !was) || (is == was && cost(&next) < cost(b))
         });
         if better {
             best = Some(next);
@@ -157,15 +170,13 @@ fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option
 }
 
 /// Explanations with one effect more than `from`: the best laws of each candidate refitted, and outliers removed.
-fn extend(system: &dyn System, from: &Hypothesis, gate: &Gate) -> Vec<Hypothesis> {
+fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothesis> {
     let residual = stack(&from.fit.residual);
-    let gains: Vec<f64> = gate.atoms.iter().map(|a| a.gain(&residual)).collect();
+    let gains: Vec<f64> = atoms.iter().map(|a| a.gain(&residual)).collect();
     let mut ranked: Vec<(f64, usize)> = (0..system.catalogue().len())
         .filter_map(|e| {
-            let best = (0..gains.len())
-                .filter(|&i| gate.atoms[i].term.effect == e)
-                .map(|i| gains[i])
-                .fold(0.0, f64::max);
+            let best =
+                (0..gains.len()).filter(|&i| atoms[i].term.effect == e).map(|i| gains[i]).fold(0.0, f64::max);
             (best > 4.0 * from.fit.variance().min(1.0e300)).then_some((best, e))
         })
         .collect();
@@ -179,11 +190,11 @@ fn extend(system: &dyn System, from: &Hypothesis, gate: &Gate) -> Vec<Hypothesis
             let starts: Vec<Vec<Term>> = (0..laws.len())
                 .filter_map(|l| {
                     let best = (0..gains.len())
-                        .filter(|&i| gate.atoms[i].term.effect == e && gate.atoms[i].term.law == l)
+                        .filter(|&i| atoms[i].term.effect == e && atoms[i].term.law == l)
                         .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
                     (gains[best] > 0.5 * top).then(|| {
                         let mut terms = from.fit.terms.clone();
-                        terms.push(gate.atoms[best].start(&residual, &laws[l]));
+                        terms.push(atoms[best].start(&residual, &laws[l]));
                         terms
                     })
                 })
@@ -249,12 +260,12 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
         let mut next: Vec<Hypothesis> = Vec::new();
         let variance = best.fit.variance();
         for (k, h) in level.iter().take(if size == 1 { 1 } else { 4 }).enumerate() {
-            if k == 0 {
-                merge(&mut next, extend(system, h, &level_gate), outliers, &base.fit, variance);
+            let more = if k == 0 {
+                extend(system, h, &level_gate.atoms)
             } else {
-                let gate = gate_atoms(system, h, options);
-                merge(&mut next, extend(system, h, &gate), outliers, &base.fit, variance);
-            }
+                extend(system, h, &of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
+            };
+            merge(&mut next, more, outliers, &base.fit, variance);
         }
         let mut physical: Vec<Hypothesis> =
             next.into_iter().filter(|h| h.physical(system) && h.effects(outliers).len() == size).collect();
@@ -293,7 +304,16 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
         })
         .collect();
     let driver_beats_catalogue = driver_wins(&base, &first_gate, &best, variance);
-    Some(Found { base, first_gate, best, last_gate: level_gate, survivors, evidence, driver_beats_catalogue })
+    Some(Found {
+        base,
+        first_gate,
+        best,
+        last_gate: level_gate,
+        survivors,
+        evidence,
+        refitted: final_level,
+        driver_beats_catalogue,
+    })
 }
 
 /// One generic driver alone explains the residual better than the accepted effects do.
@@ -315,9 +335,4 @@ fn single_readings(system: &dyn System, h: &Hypothesis) -> bool {
 
 fn gate_again(system: &dyn System, h: &Hypothesis, options: &Options, round: u64) -> Gate {
     gate(system, &h.fit, &h.weights, options.seed.wrapping_add(round.wrapping_mul(0x9e37)), options.draws)
-}
-
-/// Signatures only, for extending a runner-up.
-fn gate_atoms(system: &dyn System, h: &Hypothesis, options: &Options) -> Gate {
-    gate(system, &h.fit, &h.weights, options.seed, 50)
 }

@@ -13,14 +13,6 @@ use wcal_core::FbgSpec;
 /// Version of [`MapArtefact`] that this program writes.
 pub const ARTEFACT_VERSION: u32 = 1;
 
-/// What `calibration.json` may hold in `model`, told apart by `kind`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
-pub enum CalibrationModel {
-    /// A wavelength-to-moment map.
-    Map(MapArtefact),
-}
-
 /// A wavelength-to-moment map that can be evaluated without a refit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MapArtefact {

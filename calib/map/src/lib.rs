@@ -27,7 +27,7 @@ mod student;
 mod training;
 mod trend;
 
-pub use artefact::{ARTEFACT_VERSION, CalibrationModel, MapArtefact, OutputMap};
+pub use artefact::{ARTEFACT_VERSION, MapArtefact, OutputMap};
 pub use candidate::{Candidate, CandidateFit, LeftOutSummary, Scaled};
 pub use choose::{Choice, choose};
 pub use document::document;

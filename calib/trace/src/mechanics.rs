@@ -192,6 +192,8 @@ pub struct Bench {
     slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
 }
 
+/// Grid of the tables, mm: interpolation is right to 1e-4 of the moment there (tests).
+const GRID_MM: f64 = 0.8;
 /// Room past the last reading for effects that shift the stage, mm.
 const MARGIN_MM: f64 = 0.6;
 
@@ -276,7 +278,7 @@ impl Bench {
             };
         }
         let touch = rod.first_touch(&line, MARGIN_MM - start, reach);
-        let count = ((reach - touch.x_mm) / 0.4).ceil().clamp(16.0, 96.0) as usize;
+        let count = ((reach - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
         let step_mm = (reach + MARGIN_MM - touch.x_mm) / count as f64;
         let xs: Vec<f64> = (0..=count).map(|k| touch.x_mm + step_mm * k as f64).collect();
         let mut table = LineTable {

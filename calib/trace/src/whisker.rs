@@ -39,7 +39,7 @@ pub struct WhiskerSystem {
     /// The readings on their path.
     pub path: WhiskerPath,
     /// The rod's tables.
-    pub bench: Bench,
+    pub bench: Arc<Bench>,
     effects: Vec<Arc<dyn WhiskerEffect>>,
     catalogue: Vec<Arc<dyn Candidate>>,
     measured: DMatrix<f64>,
@@ -61,18 +61,27 @@ impl WhiskerSystem {
     /// # Errors
     /// Where the rest shape cannot be used.
     pub fn new(data: &WhiskerData, rows: &[&WhiskerRow]) -> Result<Self, wcal_rod::RodError> {
-        let path = WhiskerPath::new(
-            rows,
-            &data.trajectories,
-            &data.moments,
-            &data.fbg,
-            data.whisker.gravity_direction,
-        );
+        let path = Self::path(data, rows);
         let bench = Bench::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
+        Ok(Self::assemble(data, path, Arc::new(bench)))
+    }
+
+    /// The same bench with other rows, none deeper than those that it was made for.
+    #[must_use]
+    pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
+        Self::assemble(&self.data, Self::path(&self.data, rows), self.bench.clone())
+    }
+
+    fn path(data: &WhiskerData, rows: &[&WhiskerRow]) -> WhiskerPath {
+        let gravity = data.whisker.gravity_direction;
+        WhiskerPath::new(rows, &data.trajectories, &data.moments, &data.fbg, gravity)
+    }
+
+    fn assemble(data: &WhiskerData, path: WhiskerPath, bench: Arc<Bench>) -> Self {
         let effects = effects::whisker_catalogue();
         let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Candidate>).collect();
         let n = path.readings.len();
-        Ok(Self {
+        Self {
             measured: DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]),
             known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
@@ -81,7 +90,7 @@ impl WhiskerSystem {
             bench,
             effects,
             catalogue,
-        })
+        }
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.

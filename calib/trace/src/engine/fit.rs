@@ -198,7 +198,7 @@ pub fn fit(system: &dyn System, terms: &[Term], weights: &Weights, iterations: u
             }
             if let Some(next) = evaluate(system, &moved, weights, &y).filter(|e| e.ssr < here.ssr) {
                 let gain = here.ssr - next.ssr;
-                let small = gain < 1e-6 * next.ssr.max(1e-300);
+                let small = gain < 1e-5 * next.ssr.max(1e-300);
                 terms = moved;
                 here = next;
                 damping = (damping * 0.2).max(1e-9);

@@ -110,6 +110,8 @@ pub struct Evidence {
     pub gain: f64,
     /// Criterion less the best's.
     pub behind: f64,
+    /// Parameters that it spends.
+    pub parameters: usize,
     /// Physical ranges kept.
     pub physical: bool,
 }
@@ -139,7 +141,7 @@ pub struct Found {
 pub const BEHIND_LIMIT: f64 = 5.0;
 
 /// Refits tried at each size.
-const REFITS: usize = 9;
+const REFITS: usize = 7;
 
 fn outlier_index(system: &dyn System) -> Option<usize> {
     system
@@ -153,7 +155,7 @@ fn outlier_index(system: &dyn System) -> Option<usize> {
 fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option<Hypothesis> {
     let mut best: Option<Hypothesis> = None;
     for terms in starts {
-        let Some(fit) = fit(system, terms, &from.weights, 15) else { continue };
+        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
         let next = Hypothesis { fit, weights: from.weights.clone(), flagged: from.flagged.clone() };
         let better = best.as_ref().is_none_or(|b| {
             let (was, is) = (b.physical(system), next.physical(system));
@@ -259,7 +261,7 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
         // Extend the few best explanations of the last size; the true set need not contain the best single effect.
         let mut next: Vec<Hypothesis> = Vec::new();
         let variance = best.fit.variance();
-        for (k, h) in level.iter().take(if size == 1 { 1 } else { 4 }).enumerate() {
+        for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
             let more = if k == 0 {
                 extend(system, h, &level_gate.atoms)
             } else {
@@ -300,6 +302,7 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
                 .collect(),
             gain: (base.fit.ssr - h.fit.ssr) / variance,
             behind: h.criterion(&base.fit, variance) - top,
+            parameters: h.parameters(&base.fit) as usize,
             physical: h.physical(system),
         })
         .collect();

@@ -88,7 +88,7 @@ fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
 /// Design of `terms` at the reading of a proposal, taken after the whole session.
 fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[Term]) -> Option<DMatrix<f64>> {
     let rows: Vec<&WhiskerRow> = system.data.rows.iter().chain(&proposal.rows).collect();
-    let extended = WhiskerSystem::new(&system.data, &rows).ok()?;
+    let extended = system.with_rows(&rows);
     let design = extended.design(terms)?;
     let index = extended.path.rows.iter().position(|&r| r == system.data.rows.len() + proposal.reading)?;
     Some(design.rows(index, 1).into_owned())

@@ -129,7 +129,7 @@ impl PhysicalModel {
     /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
     /// poses are known (base less felt, N mm); without it the effects run over the readings' own history.
     ///
-    /// The memory and the nonlinear readout are small corrections, so plain fixed-point iteration converges.
+    /// Memory is a small correction, so plain fixed-point iteration undoes it.
     #[must_use]
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
         let terms = self.terms();
@@ -137,21 +137,7 @@ impl PhysicalModel {
         let Some(inverse) = self.sensitivity().try_inverse() else {
             return vec![Inferred { moment_nmm: [f64::NAN; 2], sd_nmm: [f64::NAN; 2], valid: false }; n];
         };
-        let solve = |dy: [f64; 2]| -> [f64; 2] { (inverse * Vector2::from(dy)).into() };
-        let mut felt = vec![[0.0; 2]; n];
-        for _ in 0..40 {
-            let predicted = self.readout(&terms, path, &felt);
-            let mut change: f64 = 0.0;
-            for (i, m) in felt.iter_mut().enumerate() {
-                let shift = path.readings[i].shift_pm;
-                let step = solve([shift[0] - predicted[(i, 0)], shift[1] - predicted[(i, 1)]]);
-                *m = [m[0] + step[0], m[1] + step[1]];
-                change = change.max(step[0].abs()).max(step[1].abs());
-            }
-            if change < 1e-10 {
-                break;
-            }
-        }
+        let felt = self.felt(&terms, path, &inverse);
         let sds: Vec<[f64; 2]> = felt.iter().map(|f| self.sd_nmm(&inverse, f)).collect();
         let base = match memory {
             Some(m) => felt.iter().zip(m).map(|(f, d)| [f[0] + d[0], f[1] + d[1]]).collect(),
@@ -165,6 +151,50 @@ impl PhysicalModel {
                 valid: m[0].hypot(m[1]) <= VALID_SHARE * self.largest_moment_nmm,
             })
             .collect()
+    }
+
+    /// Felt moments by Newton's method reading by reading; the slope is taken by differences because effects add columns of their own.
+    fn felt(
+        &self,
+        terms: &[(Arc<dyn WhiskerEffect>, Term)],
+        path: &WhiskerPath,
+        inverse: &Matrix2<f64>,
+    ) -> Vec<[f64; 2]> {
+        const STEP_NMM: f64 = 1e-5;
+        // A longer step would leave the branch of a quadratic readout that starts at rest.
+        const LONGEST_NMM: f64 = 0.5;
+        let mut felt = vec![[0.0; 2]; path.readings.len()];
+        for _ in 0..40 {
+            let here = self.readout(terms, path, &felt);
+            let moved = |c: usize| {
+                let shifted: Vec<[f64; 2]> = felt
+                    .iter()
+                    .map(|m| {
+                        let mut m = *m;
+                        m[c] += STEP_NMM;
+                        m
+                    })
+                    .collect();
+                (self.readout(terms, path, &shifted) - &here) / STEP_NMM
+            };
+            let slopes = [moved(0), moved(1)];
+            let mut change: f64 = 0.0;
+            for (i, m) in felt.iter_mut().enumerate() {
+                let slope = Matrix2::from_fn(|c, j| slopes[j][(i, c)]);
+                let back = slope.try_inverse().unwrap_or(*inverse);
+                let shift = path.readings[i].shift_pm;
+                let mut step = back * Vector2::new(shift[0] - here[(i, 0)], shift[1] - here[(i, 1)]);
+                if step.norm() > LONGEST_NMM {
+                    step *= LONGEST_NMM / step.norm();
+                }
+                *m = [m[0] + step[0], m[1] + step[1]];
+                change = change.max(step.norm());
+            }
+            if change < 1e-9 {
+                break;
+            }
+        }
+        felt
     }
 
     /// Noise and coefficient covariance through the inverse sensitivity.

@@ -64,12 +64,19 @@ struct Follower<'a> {
 
 impl Follower<'_> {
     fn to(&mut self, stage_mm: f64) -> Result<Equilibrium, PlantError> {
-        let count = ((stage_mm - self.stage_mm).abs() / self.step_mm).ceil().max(1.0) as usize;
-        let from = self.stage_mm;
-        for i in 1..=count {
-            let stage = from + (stage_mm - from) * i as f64 / count as f64;
-            self.last = self.wire.solve(&self.path.at(stage), self.drag, &self.last)?;
-            self.stage_mm = stage;
+        let mut halvings = 0;
+        while self.stage_mm != stage_mm {
+            let step = self.step_mm * 0.5f64.powi(halvings);
+            let next = self.stage_mm + (stage_mm - self.stage_mm).clamp(-step, step);
+            let mut guess = self.last;
+            if self.path.offset_mm == V3::zeros() && self.stage_mm > 0.0 {
+                guess.force_n *= next / self.stage_mm;
+            }
+            match self.wire.solve(&self.path.at(next), self.drag, &guess) {
+                Ok(found) => (self.last, self.stage_mm) = (found, next),
+                Err(_) if halvings < 6 => halvings += 1,
+                Err(error) => return Err(error),
+            }
         }
         Ok(self.last)
     }
@@ -88,8 +95,10 @@ impl Table {
             let push = path.offset_mm + path.direction * stage_mm;
             let mut last = wire.touch(path.arclength_mm, &push);
             // The drag is brought in gently: force and arc length change with it.
-            for share in [0.0, 0.5, 1.0] {
-                last = wire.solve(&path.at(stage_mm), drag * share, &last)?;
+            let count = (drag.abs() / 0.08).ceil() as usize;
+            last = wire.solve(&path.at(stage_mm), 0.0, &last)?;
+            for i in 1..=count {
+                last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last)?;
             }
             Ok(Follower { wire, path, drag, last, stage_mm, step_mm: 0.12 * stage_max_mm })
         };

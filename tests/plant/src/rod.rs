@@ -47,13 +47,18 @@ impl MomentLaw {
                 if want <= 1.0 {
                     return linear;
                 }
-                // Newton-safe bisection in c = onset / curvature; the moment falls monotonically with c.
-                let (mut low, mut high) = (1e-3, 1.0);
-                for _ in 0..60 {
-                    let mid = 0.5 * (low + high);
-                    if plateau_moment(mid) > want { low = mid } else { high = mid }
+                // Newton in curvature / onset; the slope is the share of EI that the elastic core keeps.
+                let limit = 16.0 / (3.0 * std::f64::consts::PI);
+                let mut bent = ((limit - 1.0) / (limit - want).max(1e-4)).sqrt();
+                for _ in 0..40 {
+                    let c = 1.0 / bent;
+                    let step = (want - plateau_moment(c)) / plateau_slope(c);
+                    bent = (bent + step).clamp(0.5 * (1.0 + bent), 3.0 * bent).min(1e3);
+                    if step.abs() < 1e-13 * bent {
+                        break;
+                    }
                 }
-                onset_per_mm / (0.5 * (low + high))
+                onset_per_mm * bent
             }
         }
     }
@@ -61,10 +66,16 @@ impl MomentLaw {
 
 /// Moment over onset moment of a round section with an elastic core of relative half height `c`.
 fn plateau_moment(c: f64) -> f64 {
-    let root = (1.0 - c * c).sqrt();
+    let root = (1.0 - c * c).max(0.0).sqrt();
     let core = (c.asin() - c * root * (1.0 - 2.0 * c * c)) / (2.0 * c);
     let flange = 4.0 / 3.0 * root.powi(3);
     (core + flange) / (std::f64::consts::PI / 4.0)
+}
+
+/// Share of EI that the elastic core of relative half height `c` keeps.
+fn plateau_slope(c: f64) -> f64 {
+    let root = (1.0 - c * c).max(0.0).sqrt();
+    2.0 / std::f64::consts::PI * (c.asin() - c * root * (1.0 - 2.0 * c * c))
 }
 
 /// A wire: straight part, then an arc that bends toward -z, clamped at the origin along x.

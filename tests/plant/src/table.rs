@@ -43,11 +43,11 @@ pub struct Table {
     ends: Vec<Vec<f64>>,
 }
 
-/// Drags of a table that serves friction coefficients up to 0.62 (Chebyshev points).
+/// Drags of a table that serves friction coefficients up to 0.48 (Chebyshev points).
 pub fn friction_drags() -> Vec<f64> {
-    let n = 9;
+    let n = 7;
     (0..n)
-        .map(|i| -0.66 * (std::f64::consts::PI * (i as f64 + 0.5) / n as f64).cos())
+        .map(|i| -0.5 * (std::f64::consts::PI * (i as f64 + 0.5) / n as f64).cos())
         .map(|d| if d.abs() < 1e-12 { 0.0 } else { d })
         .collect()
 }

@@ -3,7 +3,7 @@ fn main() {
     let n: usize = a[2].parse().unwrap();
     let dir = std::path::Path::new(&a[3]);
     let mut truth = serde_json::Map::new();
-    for (i, o) in wcal_plant::session::orders(&a[1], n, 11, a.get(4).map(|s| s.as_str())).iter().enumerate() {
+    for (i, o) in wcal_plant::session::orders(&a[1], n, 11, a.get(4).map(|s| s.as_str()), true).iter().enumerate() {
         let t0 = std::time::Instant::now();
         match wcal_plant::draw(o) {
             Ok(c) => { let name = format!("case-{:03}", i + 1); c.write(&dir.join(&name)).unwrap();

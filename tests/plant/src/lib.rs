@@ -7,8 +7,10 @@
 pub mod adversarial;
 pub mod bench;
 pub mod effects;
+pub mod exam;
 pub mod layout;
 pub mod memory;
+pub mod rivals;
 pub mod rod;
 pub mod session;
 pub mod simulate;

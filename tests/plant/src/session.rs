@@ -14,6 +14,7 @@ use crate::adversarial::{self, Trick};
 use crate::bench::{Bench, DIAMETER_MM, LENGTH_MM, PM_PER_DEGC, REFERENCE_DEGC};
 use crate::effects::{Effect, Kind};
 use crate::layout::{Design, Planned, plan};
+use crate::rivals::{Rival, nearest, oracle_error_nmm};
 use crate::simulate::{Clean, Plant};
 
 /// What a session shall contain.
@@ -38,6 +39,8 @@ pub struct Request {
     pub want: Want,
     /// Wanted size of each effect in noises.
     pub target_sigma: f64,
+    /// Whether to look for the nearest rival of a single effect (a second or two more).
+    pub rivals: bool,
 }
 
 /// One row as written.
@@ -101,6 +104,10 @@ pub struct Truth {
     pub shape: Option<String>,
     /// Verdicts that are right for a tampered session.
     pub expected: Vec<String>,
+    /// Held-out moment error of an oracle that knows the effect and fits K and the zero, N mm.
+    pub oracle_after_nmm: f64,
+    /// Nearest other effect of the catalogue, for a single effect.
+    pub nearest_rival: Option<Rival>,
     /// Seed.
     pub seed: u64,
 }
@@ -147,7 +154,11 @@ pub fn draw(request: &Request) -> Result<Case, PlantError> {
     let projected = plant.size(&clean, &without);
 
     let readings = measure(&plant, &clean, &mut rng);
-    let truth = truth(request, &plant, &effects, &clean, projected, each, target_reached);
+    let mut truth = truth(request, &plant, &effects, &clean, projected, each, target_reached);
+    truth.oracle_after_nmm = oracle_error_nmm(&plant, &clean, &readings);
+    if let ([one], true) = (effects.as_slice(), request.rivals) {
+        truth.nearest_rival = nearest(&mut plant, one.kind.name().0, &clean, &without)?;
+    }
     let mut case = Case { bench: plant.bench.clone(), readings, truth };
     if let Want::Adversarial(trick) = request.want {
         adversarial::tamper(&mut case, trick, &mut rng);
@@ -284,6 +295,8 @@ fn truth(
         driver: driver.map_or_else(Vec::new, |d| d.0.iter().map(|s| (*s).to_owned()).collect()),
         shape: driver.map(|d| d.1.to_owned()),
         expected,
+        oracle_after_nmm: f64::NAN,
+        nearest_rival: None,
         seed: request.seed,
     }
 }
@@ -370,7 +383,7 @@ impl Case {
 /// A varied order book: `mix` is one of `null`, `single`, `pair`, `unknown`, `paper`, `adversarial`, `all`.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
-pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>) -> Vec<Request> {
+pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Request> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed);
     let kinds: Vec<Kind> = crate::effects::ALL
         .into_iter()
@@ -406,7 +419,7 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>) -> Vec<Req
                 _ => Want::Null,
             };
             let target_sigma = targets[rng.random_range(0..targets.len())];
-            Request { seed: seed.wrapping_mul(1_000_003).wrapping_add(i as u64), design, want, target_sigma }
+            Request { seed: seed.wrapping_mul(1_000_003).wrapping_add(i as u64), design, want, target_sigma, rivals }
         })
         .collect()
 }

@@ -111,7 +111,10 @@ fn write_only(folder: &std::path::Path, orders: &[wcal_plant::Request]) -> anyho
         let name = format!("case-{:03}", i + 1);
         let case = wcal_plant::draw(order).with_context(|| format!("drawing {name}: {order:?}"))?;
         case.write(&folder.join(&name))?;
-        println!("{name} {:?} {} {:?} {:.1} sigma", order.design, case.truth.label, case.truth.laws, case.truth.projected_size_in_noises);
+        println!(
+            "{name} {:?} {} {:?} {:.1} sigma",
+            order.design, case.truth.label, case.truth.laws, case.truth.projected_size_in_noises
+        );
         truth.insert(name, serde_json::to_value(&case.truth)?);
     }
     std::fs::write(folder.join("truth.json"), serde_json::to_string_pretty(&truth)?)?;

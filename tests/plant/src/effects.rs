@@ -272,11 +272,7 @@ impl Effect {
             DriftLinear => unit(rng, 2),
             CreepProny1 => vec![log_uniform(rng, 3.0, 400.0)],
             CreepProny2 => {
-                vec![
-                    log_uniform(rng, 2.0, 20.0),
-                    log_uniform(rng, 40.0, 600.0),
-                    rng.random_range(0.3..0.7),
-                ]
+                vec![log_uniform(rng, 2.0, 20.0), log_uniform(rng, 40.0, 600.0), rng.random_range(0.3..0.7)]
             }
             HysteresisBoucWen => vec![rng.random_range(0.03..0.15), rng.random_range(0.3..0.8)],
             HysteresisPlay => vec![rng.random_range(0.05..0.1), rng.random_range(0.12..0.3)],
@@ -289,7 +285,9 @@ impl Effect {
                 // Share of the settled rows, then a private stream for which and how much.
                 vec![rng.random_range(0.01..0.03), f64::from(rng.random_range(0..1_000_000_u32))]
             }
-            UnknownSineTime => [unit(rng, 2), vec![rng.random_range(100.0..600.0), rng.random_range(0.0..tau)]].concat(),
+            UnknownSineTime => {
+                [unit(rng, 2), vec![rng.random_range(100.0..600.0), rng.random_range(0.0..tau)]].concat()
+            }
             UnknownStepTime => [unit(rng, 2), vec![end_s * rng.random_range(0.25..0.75)]].concat(),
             UnknownTrajectoryGain => {
                 let mut v: Vec<f64> = (0..15).map(|_| rng.random_range(-1.0..1.0)).collect();
@@ -357,7 +355,9 @@ impl Effect {
             SofteningBilinear => json!({"onset_per_m": 1e3 * self.onset_per_mm(), "tangent_ratio": s[0]}),
             SofteningPlateau => json!({"onset_per_m": 1e3 * self.onset_per_mm()}),
             // pm/(N mm)^2 at 80 pm/(N mm).
-            FbgThree | FbgFull | FbgChannel => json!(scaled(s).iter().map(|v| v * FBG_PM).collect::<Vec<_>>()),
+            FbgThree | FbgFull | FbgChannel => {
+                json!(scaled(s).iter().map(|v| v * FBG_PM).collect::<Vec<_>>())
+            }
             DeadZoneRadial | DeadZoneComponent => json!(a),
             TaperLinear | TaperCone => json!({"ei_change_at_tip": -a, "length_mm": LENGTH_MM}),
             SlipOutliers => json!({"share_of_rows": s[0], "size": a}),

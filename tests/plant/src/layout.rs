@@ -66,7 +66,13 @@ impl Planner {
     }
 
     fn push(
-        &mut self, to_mm: f64, direction: i32, speed_mm_s: f64, dwell_s: f64, replicate: usize, role: &'static str,
+        &mut self,
+        to_mm: f64,
+        direction: i32,
+        speed_mm_s: f64,
+        dwell_s: f64,
+        replicate: usize,
+        role: &'static str,
     ) {
         self.commanded_mm = to_mm;
         self.rows.push(Planned {
@@ -128,8 +134,7 @@ fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
         let jitter = if replicate == 2 { 0.02 } else { 0.0 };
         let up = shares.map(|s| (s + jitter * rng.random_range(-1.0..1.0)) * reach_mm);
         for (i, x) in up.iter().chain(up.iter().rev().skip(1)).enumerate() {
-            let role =
-                if replicate == 1 && [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
+            let role = if replicate == 1 && [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
             let dwell = [1.5, 4.0, 12.0][rng.random_range(0..3_usize)];
             p.settled(*x, dwell, replicate, role);
         }
@@ -204,13 +209,7 @@ pub fn motion(rows: &[Planned]) -> Vec<Instant> {
             });
         }
         if row.dwell_s > 0.0 {
-            out.push(Instant {
-                t_s: row.t_s,
-                commanded_mm: row.commanded_mm,
-                loaded,
-                row: Some(i),
-                ..base
-            });
+            out.push(Instant { t_s: row.t_s, commanded_mm: row.commanded_mm, loaded, row: Some(i), ..base });
         }
         last = Some(row);
     }

@@ -125,8 +125,7 @@ pub fn apply(effect: &Effect, motion: &[Instant], mut m: Vec<M>) -> Vec<M> {
         }
         Kind::CreepLog => {
             // A flat spectrum of time constants answers a step with the logarithm of time.
-            let spectrum: Vec<_> =
-                (0..8).map(|i| relaxed(motion, &m, 0.5 * 3f64.powi(i))).collect();
+            let spectrum: Vec<_> = (0..8).map(|i| relaxed(motion, &m, 0.5 * 3f64.powi(i))).collect();
             for z in &spectrum {
                 add(&mut m, z, a / 8.0);
             }

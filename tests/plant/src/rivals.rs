@@ -66,7 +66,10 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
     vec![
         (
             "groove-friction",
-            vec![vec![one(Kind::FrictionCoulomb, 0.15, &[])], vec![one(Kind::FrictionPresliding, 0.15, &[0.1])]],
+            vec![
+                vec![one(Kind::FrictionCoulomb, 0.15, &[])],
+                vec![one(Kind::FrictionPresliding, 0.15, &[0.1])],
+            ],
         ),
         (
             "stage-backlash",
@@ -118,7 +121,10 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
 /// # Errors
 /// [`PlantError::NoEquilibrium`] when a rival's rod does not settle.
 pub fn nearest(
-    plant: &mut Plant, own: &str, with: &[Clean], without: &[Clean],
+    plant: &mut Plant,
+    own: &str,
+    with: &[Clean],
+    without: &[Clean],
 ) -> Result<Option<Rival>, PlantError> {
     let rows: Vec<usize> = (0..plant.rows.len()).filter(|&i| !plant.rows[i].holdout).collect();
     let noise = plant.bench.noise_pm;

@@ -40,7 +40,11 @@ impl MomentLaw {
         match self {
             Self::Linear => linear,
             Self::Bilinear { onset_per_mm, ratio } => {
-                if linear <= onset_per_mm { linear } else { onset_per_mm + (linear - onset_per_mm) / ratio }
+                if linear <= onset_per_mm {
+                    linear
+                } else {
+                    onset_per_mm + (linear - onset_per_mm) / ratio
+                }
             }
             Self::Plateau { onset_per_mm } => {
                 let want = linear / onset_per_mm;
@@ -160,7 +164,12 @@ const GAUSS: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
 impl Wire {
     /// A uniform linear wire; lengths in mm, moduli in GPa.
     pub fn new(
-        diameter_mm: f64, length_mm: f64, straight_mm: f64, arc_radius_mm: f64, youngs_gpa: f64, shear_gpa: f64,
+        diameter_mm: f64,
+        length_mm: f64,
+        straight_mm: f64,
+        arc_radius_mm: f64,
+        youngs_gpa: f64,
+        shear_gpa: f64,
     ) -> Self {
         let quartic = std::f64::consts::PI * diameter_mm.powi(4);
         Self {
@@ -172,7 +181,7 @@ impl Wire {
             taper: Taper::None,
             law: MomentLaw::Linear,
             root_compliance: [0.0; 2],
-            elements: [14, 10],
+            elements: [9, 7],
         }
     }
 
@@ -218,7 +227,15 @@ impl Wire {
     /// Curvature of one element: fixed point of "elastic moment = mean applied moment".
     #[allow(clippy::too_many_arguments)]
     fn element(
-        &self, point: &V3, force: &V3, frame: &M3, r: &V3, guess: V3, rest: &V3, h: f64, factor: f64,
+        &self,
+        point: &V3,
+        force: &V3,
+        frame: &M3,
+        r: &V3,
+        guess: V3,
+        rest: &V3,
+        h: f64,
+        factor: f64,
     ) -> V3 {
         let mut u = guess;
         for _ in 0..12 {
@@ -246,28 +263,34 @@ impl Wire {
         u
     }
 
-    /// What must vanish: position mismatch in mm and the tangential share of the force less `drag`.
+    /// What must vanish: position mismatch in mm, and the tangential force less `drag` times the normal one.
     fn residual(&self, point: &V3, drag: f64, x: &Vector4<f64>, refine: usize) -> Vector4<f64> {
         let force = x.xyz();
         let (r, t) = self.march(point, &force, x.w, refine);
         let along = force.dot(&t);
-        let across = (force - t * along).norm().max(1e-300);
+        let across = (force - t * along).norm();
         let gap = r - point;
-        Vector4::new(gap.x, gap.y, gap.z, along / across - drag)
+        // Measured by the force of 1 mm of deflection, so that the row stays regular where the force vanishes.
+        Vector4::new(gap.x, gap.y, gap.z, (along - drag * across) / self.force_scale(point))
     }
 
     /// Equilibrium with the contact at `point` and tangential over normal force `drag` (0: frictionless).
     ///
-    /// `start` is a nearby equilibrium.
+    /// `start` is a nearby equilibrium; `slope` a Jacobian to try first, replaced by the last one used.
     ///
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when Newton's iteration does not settle.
-    pub fn solve(&self, point: &V3, drag: f64, start: &Equilibrium) -> Result<Equilibrium, PlantError> {
+    pub fn solve(
+        &self,
+        point: &V3,
+        drag: f64,
+        start: &Equilibrium,
+        slope: &mut Option<Matrix4<f64>>,
+    ) -> Result<Equilibrium, PlantError> {
         let mut x = Vector4::new(start.force_n.x, start.force_n.y, start.force_n.z, start.arclength_mm);
         let mut solutions = [Vector4::zeros(); 2];
-        let mut jacobian = None;
         for (slot, refine) in solutions.iter_mut().zip([1, 2]) {
-            x = self.newton(point, drag, x, refine, &mut jacobian)?;
+            x = self.newton(point, drag, x, refine, slope)?;
             *slot = x;
         }
         // Second-order scheme: the error falls fourfold from mesh to mesh.
@@ -277,8 +300,17 @@ impl Wire {
         Ok(Equilibrium { force_n, arclength_mm: best.w, tangent, moment_nmm: point.cross(&force_n) })
     }
 
+    fn force_scale(&self, point: &V3) -> f64 {
+        3.0 * self.ei_nmm2 / point.norm().powi(3)
+    }
+
     fn newton(
-        &self, point: &V3, drag: f64, start: Vector4<f64>, refine: usize, jacobian: &mut Option<Matrix4<f64>>,
+        &self,
+        point: &V3,
+        drag: f64,
+        start: Vector4<f64>,
+        refine: usize,
+        jacobian: &mut Option<Matrix4<f64>>,
     ) -> Result<Vector4<f64>, PlantError> {
         let mut x = start;
         let mut g = self.residual(point, drag, &x, refine);
@@ -325,10 +357,15 @@ impl Wire {
     }
 
     fn slope(
-        &self, point: &V3, drag: f64, x: &Vector4<f64>, g: &Vector4<f64>, refine: usize,
+        &self,
+        point: &V3,
+        drag: f64,
+        x: &Vector4<f64>,
+        g: &Vector4<f64>,
+        refine: usize,
     ) -> Matrix4<f64> {
         let mut j = Matrix4::zeros();
-        let force_step = 1e-6 * x.xyz().norm().max(1e-6);
+        let force_step = 1e-6 * x.xyz().norm().max(0.1 * self.force_scale(point));
         for k in 0..4 {
             let h = if k == 3 { 1e-6 } else { force_step };
             let mut y = *x;

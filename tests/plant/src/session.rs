@@ -247,8 +247,13 @@ fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
 }
 
 fn truth(
-    request: &Request, plant: &Plant, effects: &[Effect], clean: &[Clean], projected: f64,
-    sizes_each: Map<String, Value>, target_reached: bool,
+    request: &Request,
+    plant: &Plant,
+    effects: &[Effect],
+    clean: &[Clean],
+    projected: f64,
+    sizes_each: Map<String, Value>,
+    target_reached: bool,
 ) -> Truth {
     let unknown = effects.iter().find(|e| e.kind.is_unknown());
     let driver = unknown.and_then(|e| e.kind.driver());
@@ -396,8 +401,18 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
     (0..draws)
         .map(|i| {
             let part = match mix {
-                "all" => ["null", "single", "single", "pair", "single", "unknown", "null", "single", "paper", "adversarial"]
-                    [i % 10],
+                "all" => [
+                    "null",
+                    "single",
+                    "single",
+                    "pair",
+                    "single",
+                    "unknown",
+                    "null",
+                    "single",
+                    "paper",
+                    "adversarial",
+                ][i % 10],
                 one => one,
             };
             // Walk through the laws by turns (a stride prime to their number), so that few draws see many of them.
@@ -413,13 +428,23 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                 "paper" => {
                     design = Design::Paper;
                     let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
-                    if rng.random_bool(0.3) { Want::Null } else { turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k])) }
+                    if rng.random_bool(0.3) {
+                        Want::Null
+                    } else {
+                        turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k]))
+                    }
                 }
                 "adversarial" => Want::Adversarial(Trick::ALL[(i / 10 + i) % Trick::ALL.len()]),
                 _ => Want::Null,
             };
             let target_sigma = targets[rng.random_range(0..targets.len())];
-            Request { seed: seed.wrapping_mul(1_000_003).wrapping_add(i as u64), design, want, target_sigma, rivals }
+            Request {
+                seed: seed.wrapping_mul(1_000_003).wrapping_add(i as u64),
+                design,
+                want,
+                target_sigma,
+                rivals,
+            }
         })
         .collect()
 }

@@ -82,8 +82,7 @@ impl Plant {
     }
 
     fn geometry(&self, effects: &[Effect]) -> Geometry {
-        let mut g =
-            Geometry { wire: self.bench.wire(), offset_mm: Vector3::zeros(), friction: false };
+        let mut g = Geometry { wire: self.bench.wire(), offset_mm: Vector3::zeros(), friction: false };
         for e in effects {
             match e.kind {
                 Kind::OffsetGroove => g.offset_mm = Vector3::from_column_slice(&e.shape) * e.amplitude,
@@ -91,7 +90,9 @@ impl Plant {
                 Kind::ComplianceTwoAxes => {
                     g.wire.root_compliance = [e.amplitude * e.shape[0], e.amplitude * e.shape[1]];
                 }
-                Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck => g.friction = true,
+                Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck => {
+                    g.friction = true
+                }
                 _ => {}
             }
             if let Some(law) = e.moment_law() {
@@ -107,7 +108,7 @@ impl Plant {
     fn tables(&self, g: &Geometry) -> Result<Vec<Table>, PlantError> {
         let drags = if g.friction { friction_drags() } else { vec![0.0] };
         // A moment law with a corner needs more nodes.
-        let nodes = if g.wire.law == crate::rod::MomentLaw::Linear { 14 } else { 24 };
+        let nodes = if g.wire.law == crate::rod::MomentLaw::Linear { 11 } else { 20 };
         self.trajectories
             .iter()
             .map(|t| {
@@ -207,10 +208,9 @@ impl Plant {
             Kind::TemperatureLinear => both(warm),
             Kind::DriftLinear => both(t / 60.0),
             // Form read off the practice sessions: my^2 and my mz in channel 1, mz^2 in channel 2.
-            Kind::FbgThree => [
-                a * FBG_PM * (s[0] * m[0] * m[0] + s[1] * m[0] * m[1]),
-                a * FBG_PM * s[2] * m[1] * m[1],
-            ],
+            Kind::FbgThree => {
+                [a * FBG_PM * (s[0] * m[0] * m[0] + s[1] * m[0] * m[1]), a * FBG_PM * s[2] * m[1] * m[1]]
+            }
             Kind::FbgFull => {
                 let q = [m[0] * m[0], m[0] * m[1], m[1] * m[1]];
                 let dot = |c: &[f64]| a * FBG_PM * c.iter().zip(q).map(|(c, q)| c * q).sum::<f64>();
@@ -222,9 +222,9 @@ impl Plant {
             Kind::UnknownExponentialTime => both((-t / s[2]).exp()),
             Kind::UnknownQuadraticDrift => both((t / s[2] - s[3]).powi(2)),
             Kind::UnknownDirectionSign if r.role != "rest" => both(f64::from(r.direction)),
-            Kind::UnknownDepthKink if r.role != "rest" => {
-                both((r.commanded_mm / self.trajectories[r.trajectory].reach_mm - s[2]).max(0.0) / (1.0 - s[2]))
-            }
+            Kind::UnknownDepthKink if r.role != "rest" => both(
+                (r.commanded_mm / self.trajectories[r.trajectory].reach_mm - s[2]).max(0.0) / (1.0 - s[2]),
+            ),
             Kind::UnknownTrajectoryGain => k.map(|k| a * s[r.trajectory] * k),
             Kind::UnknownTemperatureGain => k.map(|k| a * warm * k),
             _ => [0.0; 2],
@@ -243,7 +243,8 @@ impl Plant {
             let (share, turn) = (rng.random_range(0.4..1.0), rng.random_range(-0.6..0.6));
             let m = out[row].moment_nmm;
             let lost = effect.amplitude * share;
-            let slipped = [m[0] * (1.0 - lost) - lost * turn * m[1], m[1] * (1.0 - lost) + lost * turn * m[0]];
+            let slipped =
+                [m[0] * (1.0 - lost) - lost * turn * m[1], m[1] * (1.0 - lost) + lost * turn * m[0]];
             let (from, to) = (self.bench.shift_pm(m), self.bench.shift_pm(slipped));
             out[row].moment_nmm = slipped;
             for c in 0..2 {
@@ -262,7 +263,8 @@ impl Plant {
         let svd = base.clone().svd(true, true);
         let mut total = 0.0;
         for c in 0..2 {
-            let d = DVector::from_fn(rows.len(), |i, _| with[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
+            let d =
+                DVector::from_fn(rows.len(), |i, _| with[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
             let Ok(x) = svd.solve(&d, 1e-12) else { return f64::NAN };
             total += (d - &base * x).norm_squared();
         }

@@ -3,7 +3,7 @@
 //! Chebyshev series in the stage position, Lagrange interpolation over the drags. Where the contact crosses from
 //! the straight part to the arc the moment has a kink, so the table is cut there (a different cut for every drag).
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix4, Vector3};
 
 use crate::PlantError;
 use crate::rod::{Equilibrium, Wire};
@@ -58,6 +58,8 @@ struct Follower<'a> {
     path: &'a Path,
     drag: f64,
     last: Equilibrium,
+    before: Option<(f64, Equilibrium)>,
+    slope: Option<Matrix4<f64>>,
     stage_mm: f64,
     step_mm: f64,
 }
@@ -68,17 +70,36 @@ impl Follower<'_> {
         while self.stage_mm != stage_mm {
             let step = self.step_mm * 0.5f64.powi(halvings);
             let next = self.stage_mm + (stage_mm - self.stage_mm).clamp(-step, step);
-            let mut guess = self.last;
-            if self.path.offset_mm == V3::zeros() && self.stage_mm > 0.0 {
-                guess.force_n *= next / self.stage_mm;
-            }
-            match self.wire.solve(&self.path.at(next), self.drag, &guess) {
-                Ok(found) => (self.last, self.stage_mm) = (found, next),
+            let guess = self.guess(next);
+            match self.wire.solve(&self.path.at(next), self.drag, &guess, &mut self.slope) {
+                Ok(found) => {
+                    self.before = Some((self.stage_mm, self.last));
+                    (self.last, self.stage_mm) = (found, next);
+                }
+                // A stale Jacobian is the first suspect, a long step the second.
+                Err(_) if self.slope.take().is_some() => {}
                 Err(_) if halvings < 6 => halvings += 1,
                 Err(error) => return Err(error),
             }
         }
         Ok(self.last)
+    }
+
+    /// Straight on from the last two solutions.
+    fn guess(&self, stage_mm: f64) -> Equilibrium {
+        let mut guess = self.last;
+        match self.before {
+            Some((x, e)) if (self.stage_mm - x).abs() > 1e-6 => {
+                let share = ((stage_mm - self.stage_mm) / (self.stage_mm - x)).clamp(-2.0, 2.0);
+                guess.force_n += (self.last.force_n - e.force_n) * share;
+                guess.arclength_mm += (self.last.arclength_mm - e.arclength_mm) * share;
+            }
+            _ if self.path.offset_mm == V3::zeros() && self.stage_mm > 0.0 => {
+                guess.force_n *= stage_mm / self.stage_mm;
+            }
+            _ => {}
+        }
+        guess
     }
 }
 
@@ -88,7 +109,11 @@ impl Table {
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when the rod does not settle somewhere on the path.
     pub fn build(
-        wire: &Wire, path: &Path, stage_max_mm: f64, drags: &[f64], nodes: usize,
+        wire: &Wire,
+        path: &Path,
+        stage_max_mm: f64,
+        drags: &[f64],
+        nodes: usize,
     ) -> Result<Self, PlantError> {
         let start = |drag: f64| -> Result<Follower<'_>, PlantError> {
             let stage_mm = 0.08 * stage_max_mm;
@@ -96,11 +121,21 @@ impl Table {
             let mut last = wire.touch(path.arclength_mm, &push);
             // The drag is brought in gently: force and arc length change with it.
             let count = (drag.abs() / 0.08).ceil() as usize;
-            last = wire.solve(&path.at(stage_mm), 0.0, &last)?;
+            let mut slope = None;
+            last = wire.solve(&path.at(stage_mm), 0.0, &last, &mut slope)?;
             for i in 1..=count {
-                last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last)?;
+                last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last, &mut slope)?;
             }
-            Ok(Follower { wire, path, drag, last, stage_mm, step_mm: 0.12 * stage_max_mm })
+            Ok(Follower {
+                wire,
+                path,
+                drag,
+                last,
+                before: None,
+                slope,
+                stage_mm,
+                step_mm: 0.12 * stage_max_mm,
+            })
         };
         let touch_mm = if path.offset_mm == V3::zeros() { 0.0 } else { touch(start(0.0)?, path)? };
         let reach = stage_max_mm - touch_mm;
@@ -173,7 +208,11 @@ fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, PlantError> {
     while value * here > 0.0 && count < 200 {
         let next = follower.stage_mm + step;
         value = push(&follower.to(next)?);
-        if here > 0.0 { (high, low) = (low, next) } else { (low, high) = (high, next) }
+        if here > 0.0 {
+            (high, low) = (low, next)
+        } else {
+            (low, high) = (high, next)
+        }
         count += 1;
     }
     if low > high {
@@ -188,9 +227,16 @@ fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, PlantError> {
 
 /// Stage position in `(from, to)` where the contact's arc length equals `target_mm`.
 fn crossing(
-    mut follower: Follower<'_>, target_mm: f64, from: f64, to: f64,
+    mut follower: Follower<'_>,
+    target_mm: f64,
+    from: f64,
+    to: f64,
 ) -> Result<Option<f64>, PlantError> {
     let first = follower.path.arclength_mm - target_mm;
+    // The contact slides by a few millimetres at most.
+    if first.abs() > 6.0 {
+        return Ok(None);
+    }
     let count = 12;
     let mut before = (from, first);
     for i in 1..=count {
@@ -223,7 +269,10 @@ fn crossing(
 
 /// Chebyshev coefficients of `f` on `(low, high)`, sampled in ascending order at `n` first-kind points.
 fn chebyshev(
-    low: f64, high: f64, n: usize, mut f: impl FnMut(f64) -> Result<Node, PlantError>,
+    low: f64,
+    high: f64,
+    n: usize,
+    mut f: impl FnMut(f64) -> Result<Node, PlantError>,
 ) -> Result<Vec<Node>, PlantError> {
     let angle = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) / n as f64;
     let mut values = vec![[0.0; 3]; n];
@@ -259,10 +308,7 @@ fn clenshaw(c: &[Node], x: f64) -> Node {
 fn lagrange(nodes: &[f64], x: f64) -> Vec<f64> {
     (0..nodes.len())
         .map(|i| {
-            (0..nodes.len())
-                .filter(|&j| j != i)
-                .map(|j| (x - nodes[j]) / (nodes[i] - nodes[j]))
-                .product()
+            (0..nodes.len()).filter(|&j| j != i).map(|j| (x - nodes[j]) / (nodes[i] - nodes[j])).product()
         })
         .collect()
 }
@@ -299,7 +345,8 @@ impl Grip {
             let drag = 0.5 * (low + high);
             (table.at(stage_mm, drag), drag)
         };
-        self.arclength_mm = Some(if (drag - mu).abs() < 1e-9 || (drag + mu).abs() < 1e-9 { at[2] } else { old });
+        self.arclength_mm =
+            Some(if (drag - mu).abs() < 1e-9 || (drag + mu).abs() < 1e-9 { at[2] } else { old });
         ([at[0], at[1]], drag)
     }
 }

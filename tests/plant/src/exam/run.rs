@@ -37,7 +37,9 @@ impl Examiner {
     ///
     /// Orders that the plant cannot draw come back as errors.
     pub fn examine(
-        &self, orders: &[Request], report: &(dyn Fn(&Outcome) + Sync),
+        &self,
+        orders: &[Request],
+        report: &(dyn Fn(&Outcome) + Sync),
     ) -> Vec<Result<Outcome, PlantError>> {
         let next = AtomicUsize::new(0);
         let done = Mutex::new(Vec::new());
@@ -85,7 +87,15 @@ pub fn answer(program: &Path, paper: &Paper, session: &Path, timeout_s: f64) -> 
     };
     let verify = match std::fs::read_to_string(out.join("verify.json")) {
         Ok(text) => serde_json::from_str(&text),
-        Err(e) => return crash(name, case, format!("reading verify.json: {e} (exit code {code:?})"), seconds, code),
+        Err(e) => {
+            return crash(
+                name,
+                case,
+                format!("reading verify.json: {e} (exit code {code:?})"),
+                seconds,
+                code,
+            );
+        }
     };
     match verify {
         Ok(verify) => {

@@ -91,12 +91,18 @@ fn strings(v: &Value) -> BTreeSet<String> {
 }
 
 /// Scores `verify.json` and `predictions.csv` (texts) of a case.
-pub fn score(name: &str, case: &Case, verify: &Value, predictions: &str, seconds: f64, code: Option<i32>) -> Outcome {
+pub fn score(
+    name: &str,
+    case: &Case,
+    verify: &Value,
+    predictions: &str,
+    seconds: f64,
+    code: Option<i32>,
+) -> Outcome {
     let t = &case.truth;
     let want: BTreeSet<String> = t.names.iter().cloned().collect();
     let effects = verify["effects"].as_array().cloned().unwrap_or_default();
-    let got: Vec<String> =
-        effects.iter().filter_map(|e| e["id"].as_str()).map(str::to_owned).collect();
+    let got: Vec<String> = effects.iter().filter_map(|e| e["id"].as_str()).map(str::to_owned).collect();
     let classes: Vec<BTreeSet<String>> = effects
         .iter()
         .zip(&got)
@@ -118,10 +124,17 @@ pub fn score(name: &str, case: &Case, verify: &Value, predictions: &str, seconds
         || (want.len() == 1 && alternatives.iter().any(|a| !want.is_disjoint(a)));
     let kind = match t.label.as_str() {
         "adversarial" => {
-            let said = if verdict == "effect" { format!("effect:{}", got.join(",")) } else { verdict.clone() };
+            let said =
+                if verdict == "effect" { format!("effect:{}", got.join(",")) } else { verdict.clone() };
             if t.expected.contains(&said) { Kind::Right } else { Kind::Wrong }
         }
-        "null" => if verdict == "adequate" { Kind::Right } else { Kind::False },
+        "null" => {
+            if verdict == "adequate" {
+                Kind::Right
+            } else {
+                Kind::False
+            }
+        }
         "unknown" => match verdict.as_str() {
             "unknown-effect" => Kind::Right,
             "adequate" => Kind::Missed,
@@ -172,12 +185,7 @@ fn blank(name: &str, case: &Case) -> Outcome {
         laws: t.laws.iter().map(|(id, law)| format!("{id}/{}", law.as_str().unwrap_or(""))).collect(),
         design: t.design,
         delta: t.projected_size_in_noises,
-        delta_each: t
-            .sizes_each
-            .values()
-            .filter_map(Value::as_f64)
-            .fold(f64::INFINITY, f64::min)
-            .min(1e9),
+        delta_each: t.sizes_each.values().filter_map(Value::as_f64).fold(f64::INFINITY, f64::min).min(1e9),
         rival_sigma: t.nearest_rival.as_ref().map(|r| r.sigma),
         verdict: "none".into(),
         got: Vec::new(),

@@ -72,7 +72,14 @@ fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f6
         values[i] + f * (values[(i + 1).min(values.len() - 1)] - values[i])
     };
     let met = (!values.is_empty() && most.is_finite()).then_some(value <= most);
-    Goal { score: score.into(), goal: goal.into(), value, bounds: None, counts: (values.len(), values.len()), met }
+    Goal {
+        score: score.into(),
+        goal: goal.into(),
+        value,
+        bounds: None,
+        counts: (values.len(), values.len()),
+        met,
+    }
 }
 
 /// The table of issue 3's goals for a set of outcomes.
@@ -94,38 +101,144 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     let unknown = pick(&|o| o.label == "unknown" && o.delta >= 0.97 * 8.0);
     let known = pick(&|o| !tampered(o) && o.label != "unknown");
     let paper = pick(&|o| !rich(o) && o.label != "null" && !tampered(o));
-    let ambiguous = pick(&|o| o.verdict == "ambiguous" && !tampered(o) && o.label != "unknown" && o.label != "null");
+    let ambiguous =
+        pick(&|o| o.verdict == "ambiguous" && !tampered(o) && o.label != "unknown" && o.label != "null");
     let covered: Vec<(usize, usize)> =
         outcomes.iter().filter(|o| !tampered(o) && o.label != "unknown").filter_map(|o| o.covered).collect();
     let (inside, values) = covered.iter().fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
-    let ratios = |f: &dyn Fn(&Outcome) -> Option<f64>, of: &[&Outcome]| of.iter().filter_map(|o| f(o)).collect::<Vec<_>>();
+    let ratios = |f: &dyn Fn(&Outcome) -> Option<f64>, of: &[&Outcome]| {
+        of.iter().filter_map(|o| f(o)).collect::<Vec<_>>()
+    };
     let after = |o: &Outcome| o.after_ratio;
     let sizeable = pick(&|o| known.iter().any(|k| k.name == o.name) && (o.label == "null" || o.delta >= 6.0));
-    let seconds = |d: Design| outcomes.iter().filter(|o| o.design == d).map(|o| o.seconds).collect::<Vec<_>>();
+    let seconds =
+        |d: Design| outcomes.iter().filter(|o| o.design == d).map(|o| o.seconds).collect::<Vec<_>>();
 
     vec![
-        share("false attribution on nulls", "upper bound <= 5 %", &nulls, |o| o.kind == Kind::False, Side::UpperAtMost(0.05)),
-        share("right class, rich single >= 8 sigma, no rival within 3", ">= 93 %", &clear, right, Side::AtLeast(0.93)),
-        share("right class, rich single >= 20 sigma, no rival within 3", ">= 98 %", &clear_big, right, Side::AtLeast(0.98)),
+        share(
+            "false attribution on nulls",
+            "upper bound <= 5 %",
+            &nulls,
+            |o| o.kind == Kind::False,
+            Side::UpperAtMost(0.05),
+        ),
+        share(
+            "right class, rich single >= 8 sigma, no rival within 3",
+            ">= 93 %",
+            &clear,
+            right,
+            Side::AtLeast(0.93),
+        ),
+        share(
+            "right class, rich single >= 20 sigma, no rival within 3",
+            ">= 98 %",
+            &clear_big,
+            right,
+            Side::AtLeast(0.98),
+        ),
         share("right class, every rich single >= 8 sigma", "-", &above(8.0), right, Side::None),
-        share("right or in the set, rich single >= 8 sigma", "-", &above(8.0), |o| o.kind == Kind::Right || o.kind == Kind::AmbiguousIn, Side::None),
-        share("confident wrong name, rich single >= 8 sigma", "-", &above(8.0), |o| matches!(o.kind, Kind::Wrong | Kind::Part), Side::None),
+        share(
+            "right or in the set, rich single >= 8 sigma",
+            "-",
+            &above(8.0),
+            |o| o.kind == Kind::Right || o.kind == Kind::AmbiguousIn,
+            Side::None,
+        ),
+        share(
+            "confident wrong name, rich single >= 8 sigma",
+            "-",
+            &above(8.0),
+            |o| matches!(o.kind, Kind::Wrong | Kind::Part),
+            Side::None,
+        ),
         share("exact set on pairs, each >= 8 sigma", ">= 80 %", &pairs, right, Side::AtLeast(0.80)),
         share("wrong extra effect on pairs", "<= 5 %", &pairs, |o| o.extra > 0, Side::AtMost(0.05)),
         share("truth inside the ambiguity set", ">= 95 %", &ambiguous, |o| o.in_set, Side::AtLeast(0.95)),
-        number("alternatives in an ambiguous answer, median", "-", ambiguous.iter().map(|o| o.set_size as f64).collect(), 0.5, f64::INFINITY),
+        number(
+            "alternatives in an ambiguous answer, median",
+            "-",
+            ambiguous.iter().map(|o| o.set_size as f64).collect(),
+            0.5,
+            f64::INFINITY,
+        ),
         number("held-out error after / floor, median", "<= 1.05", ratios(&after, &sizeable), 0.5, 1.05),
-        number("held-out error after / floor, 95th percentile", "<= 1.2", ratios(&after, &sizeable), 0.95, 1.2),
-        number("the same of the oracle, median", "-", sizeable.iter().map(|o| o.oracle_ratio).collect(), 0.5, f64::INFINITY),
-        number("the same of the oracle, 95th percentile", "-", sizeable.iter().map(|o| o.oracle_ratio).collect(), 0.95, f64::INFINITY),
-        number("held-out error before / floor, median", "-", ratios(&|o| o.before_ratio, &sizeable), 0.5, f64::INFINITY),
-        rate("stated 95 % intervals cover, pooled", "95 % within bounds", inside, values, Side::Contains(0.95)),
-        share("outside the catalogue, >= 8 sigma: unknown-effect", ">= 90 %", &unknown, right, Side::AtLeast(0.90)),
-        share("outside the catalogue: driver right", ">= 85 %", &unknown, |o| o.driver_right == Some(true), Side::AtLeast(0.85)),
-        share("false unknown on known effects and nulls", "<= 5 %", &known, |o| o.verdict == "unknown-effect", Side::AtMost(0.05)),
-        share("paper-like sessions: no confident wrong name", "-", &paper, |o| !matches!(o.kind, Kind::Wrong | Kind::Part | Kind::Crash), Side::None),
-        share("tampered sessions: no confident wrong name", "100 %", &pick(&tampered), right, Side::AtLeast(1.0)),
-        share("crashes", "0", &outcomes.iter().collect::<Vec<_>>(), |o| o.kind == Kind::Crash, Side::AtMost(0.0)),
+        number(
+            "held-out error after / floor, 95th percentile",
+            "<= 1.2",
+            ratios(&after, &sizeable),
+            0.95,
+            1.2,
+        ),
+        number(
+            "the same of the oracle, median",
+            "-",
+            sizeable.iter().map(|o| o.oracle_ratio).collect(),
+            0.5,
+            f64::INFINITY,
+        ),
+        number(
+            "the same of the oracle, 95th percentile",
+            "-",
+            sizeable.iter().map(|o| o.oracle_ratio).collect(),
+            0.95,
+            f64::INFINITY,
+        ),
+        number(
+            "held-out error before / floor, median",
+            "-",
+            ratios(&|o| o.before_ratio, &sizeable),
+            0.5,
+            f64::INFINITY,
+        ),
+        rate(
+            "stated 95 % intervals cover, pooled",
+            "95 % within bounds",
+            inside,
+            values,
+            Side::Contains(0.95),
+        ),
+        share(
+            "outside the catalogue, >= 8 sigma: unknown-effect",
+            ">= 90 %",
+            &unknown,
+            right,
+            Side::AtLeast(0.90),
+        ),
+        share(
+            "outside the catalogue: driver right",
+            ">= 85 %",
+            &unknown,
+            |o| o.driver_right == Some(true),
+            Side::AtLeast(0.85),
+        ),
+        share(
+            "false unknown on known effects and nulls",
+            "<= 5 %",
+            &known,
+            |o| o.verdict == "unknown-effect",
+            Side::AtMost(0.05),
+        ),
+        share(
+            "paper-like sessions: no confident wrong name",
+            "-",
+            &paper,
+            |o| !matches!(o.kind, Kind::Wrong | Kind::Part | Kind::Crash),
+            Side::None,
+        ),
+        share(
+            "tampered sessions: no confident wrong name",
+            "100 %",
+            &pick(&tampered),
+            right,
+            Side::AtLeast(1.0),
+        ),
+        share(
+            "crashes",
+            "0",
+            &outcomes.iter().collect::<Vec<_>>(),
+            |o| o.kind == Kind::Crash,
+            Side::AtMost(0.0),
+        ),
         number("slowest paper session, s", "<= 10", seconds(Design::Paper), 1.0, 10.0),
         number("slowest rich session, s", "<= 60", seconds(Design::Rich), 1.0, 60.0),
     ]

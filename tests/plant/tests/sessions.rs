@@ -92,7 +92,7 @@ fn every_law_draws_and_reaches_its_size_or_says_so() {
 #[test]
 fn size_grows_with_the_target() {
     let size = |target| {
-        let order = request(5, Design::Rich, Want::Effects(vec![Kind::BacklashApproach]), target);
+        let order = request(5, Design::Rich, Want::Effects(vec![Kind::TemperatureLinear]), target);
         draw(&order).unwrap().truth
     };
     let (small, large) = (size(8.0), size(20.0));

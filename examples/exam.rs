@@ -12,7 +12,7 @@ use std::sync::Mutex;
 
 use anyhow::{Context, bail};
 use wcal_plant::exam::{Examiner, Goal, Outcome, summarise};
-use wcal_plant::session::orders;
+use wcal_plant::orders;
 
 struct Options {
     draws: usize,

@@ -10,6 +10,7 @@ pub mod effects;
 pub mod exam;
 pub mod layout;
 pub mod memory;
+pub mod orders;
 pub mod rivals;
 pub mod rod;
 pub mod session;
@@ -18,6 +19,7 @@ pub mod table;
 
 pub use effects::{Effect, Kind};
 pub use layout::Design;
+pub use orders::orders;
 pub use session::{Case, Request, Truth, Want, draw};
 
 /// What can go wrong while drawing or writing a session.

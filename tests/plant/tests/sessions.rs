@@ -3,7 +3,7 @@
 
 use wcal_plant::adversarial::Trick;
 use wcal_plant::effects::ALL;
-use wcal_plant::session::orders;
+use wcal_plant::orders;
 use wcal_plant::{Case, Design, Kind, Request, Want, draw};
 
 fn request(seed: u64, design: Design, want: Want, target_sigma: f64) -> Request {

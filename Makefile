@@ -3,7 +3,7 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test setup check peers exam
+.PHONY: demo test setup check exam
 
 setup:
 	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -15,15 +15,11 @@ demo: setup
 
 test: setup check
 	cargo test --workspace --locked
-	./tests/numbers.sh --check
 
 check:
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 
-peers:
-	python3 tests/peers/run.py
-
 exam:
 	cargo build --release --locked --bin wcal --example exam
-	./target/release/examples/exam --draws 100 --mix all
+	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal

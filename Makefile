@@ -18,7 +18,7 @@ test: setup check
 
 check:
 	cargo fmt --all --check
-	cargo clippy --workspace --all-targets --locked -- -D warnings
+	cargo clippy --workspace --lib --bins --locked -- -D warnings
 
 exam:
 	cargo build --release --locked --bin wcal --example exam

@@ -89,7 +89,11 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     // Negative control: sealed rows that were in the fit.
     let folder = copy(&fixture("practice/case-008"));
     let points = std::fs::read_to_string(folder.path().join("points.csv")).expect("points");
-    let copied: Vec<String> = points.lines().take(20).map(|l| l.replace("verification", "holdout").replace("calibration", "holdout")).collect();
+    let copied: Vec<String> = points
+        .lines()
+        .take(20)
+        .map(|l| l.replace("verification", "holdout").replace("calibration", "holdout"))
+        .collect();
     std::fs::write(folder.path().join("holdout.csv"), copied.join("\n") + "\n").expect("written");
     let (code, v) = verify(folder.path());
     assert_eq!((code, v["verdict"].as_str()), (1, Some("refused")), "{}", v["reason"]);

@@ -335,7 +335,7 @@ impl Bench {
             return None;
         }
         let line = self.line(l, mechanics);
-        let count = table.moments_nmm.len().min(24).max(8);
+        let count = table.moments_nmm.len().clamp(8, 24);
         let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
         let ratios: Vec<f64> =
             (0..=2 * RATIO_STEPS).map(|k| LARGEST_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();

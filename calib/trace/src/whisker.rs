@@ -8,6 +8,9 @@ use nalgebra::DMatrix;
 use std::sync::Arc;
 use wcal_core::observation::{WhiskerData, WhiskerRow};
 
+/// Two moment components a reading, N mm.
+pub type Moments = Vec<[f64; 2]>;
+
 /// Where an effect of the whisker acts; every hook does nothing by default.
 pub trait WhiskerEffect: Candidate {
     /// Why the effect cannot be seen in this session; none where it can.
@@ -95,7 +98,7 @@ impl WhiskerSystem {
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
     #[must_use]
-    pub fn moments(&self, terms: &[Term]) -> Option<(Vec<[f64; 2]>, Vec<[f64; 2]>)> {
+    pub fn moments(&self, terms: &[Term]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
         let mut mechanics = Mechanics::default();

@@ -104,7 +104,7 @@ pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &[f64], nuisance: 
                 maker.add(name, "irregular", None, &gains);
             }
             "direction" => {
-                maker.add(name, "sign", None, &[values.clone()]);
+                maker.add(name, "sign", None, std::slice::from_ref(values));
                 maker.add(name, "sign", None, &gain(values));
             }
             "speed_mm_s" => {
@@ -143,7 +143,7 @@ pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &[f64], nuisance: 
                 let toward = &signal;
                 for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
                     let hinge = map(&|u| (u - q).max(0.0));
-                    maker.add(name, "dead-zone", None, &[hinge.clone()]);
+                    maker.add(name, "dead-zone", None, std::slice::from_ref(&hinge));
                     if !toward.is_empty() {
                         maker.add(name, "dead-zone", None, &gain(&hinge));
                     }

@@ -204,10 +204,9 @@ fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothe
             refit(system, &starts, from)
         })
         .collect();
-    if outlier_index(system).is_some() && from.flagged.is_empty() {
-        if let Some(c) = clean(system, &from.fit.terms, &from.fit, &from.weights) {
-            out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged });
-        }
+    let single = outlier_index(system).filter(|_| from.flagged.is_empty());
+    if let Some(c) = single.and_then(|_| clean(system, &from.fit.terms, &from.fit, &from.weights)) {
+        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged });
     }
     out
 }

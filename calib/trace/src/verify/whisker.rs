@@ -46,6 +46,9 @@ pub struct PredictionRow {
     pub thermal_pm: [f64; 2],
 }
 
+/// Trajectory, stage positions (mm) and moments (N mm) of the rod's branch.
+pub type Branch = (u32, Vec<f64>, Vec<[f64; 2]>);
+
 /// Everything that `verify` found.
 pub struct WhiskerVerification {
     /// verify.json.
@@ -63,7 +66,7 @@ pub struct WhiskerVerification {
     /// Held-out errors beside before and after: (name, error).
     pub further: Vec<(String, HeldOutError)>,
     /// Rod branch along each trajectory: (identifier, stage positions, moments).
-    pub branches: Vec<(u32, Vec<f64>, Vec<[f64; 2]>)>,
+    pub branches: Vec<Branch>,
     /// Names and matrix of cosines between explanations of one effect.
     pub isolability: (Vec<String>, Vec<Vec<f64>>),
 }
@@ -461,7 +464,7 @@ fn records(
     out
 }
 
-fn branches(system: &WhiskerSystem) -> Vec<(u32, Vec<f64>, Vec<[f64; 2]>)> {
+fn branches(system: &WhiskerSystem) -> Vec<Branch> {
     let Some(tables) = system.bench.tables(&crate::mechanics::Mechanics::default()) else {
         return Vec::new();
     };

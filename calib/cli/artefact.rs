@@ -9,6 +9,7 @@ use wcal_map::MapArtefact;
 use wcal_trace::verify::PhysicalModel;
 
 /// The model in a calibration, told apart by `kind`.
+#[allow(clippy::large_enum_variant, reason = "one a program run")]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum CalibrationModel {

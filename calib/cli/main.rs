@@ -23,6 +23,7 @@ struct Cli {
     command: Command,
 }
 
+#[allow(clippy::large_enum_variant, reason = "one a program run")]
 #[derive(Debug, Subcommand)]
 enum Command {
     /// The residual loop: find what the model lacks, add it, show the held-out error

@@ -15,20 +15,6 @@ fn affine_map_leaves_the_reference_errors() {
     let training = whiskerfbg();
     assert_eq!(training.len(), 28);
     let fit = fit_map(&training, &FitOptions::default()).unwrap();
-    for c in &fit.candidates {
-        println!(
-            "{:20} loo {:.4?} loto {:.4?} coverage {:.3?} inflation {:.3?} nll {:.3?} evidence {:?} {:?}",
-            c.name,
-            c.loo.each_ref().map(|s| s.rmse_nmm),
-            c.loto.as_ref().unwrap().each_ref().map(|s| s.rmse_nmm),
-            c.loo.each_ref().map(|s| s.coverage95),
-            c.inflation,
-            c.loo.each_ref().map(|s| s.nll),
-            c.log_evidence,
-            c.fits.each_ref().map(|f| (f.model.kernel, f.model.nugget)),
-        );
-    }
-    println!("{:?}\n{:#?}", fit.choice, fit.identifiability);
     // Computed apart from this code (numpy least squares and hat matrix): 0.497299, 0.242948 N mm.
     let affine = rmse(&fit, "affine");
     assert!((affine[0] - 0.497_299).abs() < 1e-6 && (affine[1] - 0.242_948).abs() < 1e-6, "{affine:?}");
@@ -57,16 +43,17 @@ fn released_preset_reproduces_the_released_map() {
     // condition number is 2e8, so six digits are what both sides can agree on.
     let loo = rmse(&fit, "released").map(|e| e / 7.0);
     assert!((loo[0] - 0.071_802).abs() < 2e-6 && (loo[1] - 0.034_524).abs() < 2e-6, "{loo:?}");
-    // It is an affine map in all but name: within 4 % of the moments' range of the affine least-squares fit at every reading.
+    // It is affine in all but name, with slopes shrunk by the kernel's prior: numpy finds 0.17037 and 0.07740 N mm as the
+    // largest departures from least squares.
     let affine = fit_map(&training, &FitOptions::default()).unwrap();
     let (released, affine) =
         (MapPredictor::new(&fit.artefact).unwrap(), MapPredictor::new(&affine.artefact).unwrap());
+    let mut largest = [0.0_f64; 2];
     for shift in &training.shifts_pm {
         let (a, b) = (released.mean_nmm(*shift), affine.mean_nmm(*shift));
-        for m in 0..2 {
-            assert!((a[m] - b[m]).abs() < 0.12, "{shift:?}: {a:?} {b:?}");
-        }
+        (0..2).for_each(|m| largest[m] = largest[m].max((a[m] - b[m]).abs()));
     }
+    assert!((largest[0] - 0.170_37).abs() < 1e-4 && (largest[1] - 0.077_40).abs() < 1e-4, "{largest:?}");
 }
 
 #[test]

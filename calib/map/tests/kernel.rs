@@ -35,16 +35,17 @@ proptest! {
 }
 
 #[test]
-fn a_circle_shows_that_a_small_radius_is_not_positive_definite() {
-    let circle: Vec<[f64; 2]> = (0..24)
-        .map(|i| {
-            let angle = std::f64::consts::TAU * f64::from(i) / 24.0;
-            [0.5 * angle.cos(), 0.5 * angle.sin()]
-        })
+fn a_filled_disk_shows_that_a_small_radius_is_not_positive_definite() {
+    // 29 grid points in a disk of diameter 1. numpy: smallest eigenvalue -0.0920 at R = 0.8, 6.45e-4 at R = 1.34.
+    let steps = || (-3..=3).map(|i| f64::from(i) / 6.0);
+    let disk: Vec<[f64; 2]> = steps()
+        .flat_map(|x| steps().map(move |y| [x, y]))
+        .filter(|p| p[0].hypot(p[1]) <= 0.5 + 1e-12)
         .collect();
-    assert!(smallest_eigenvalue(0.8, &circle) < -1e-3, "radius below the diameter");
-    assert!(smallest_eigenvalue(1.34, &circle) > 0.0);
-    let zero = vec![0.0; circle.len()];
+    assert_eq!(disk.len(), 29);
+    assert!((smallest_eigenvalue(0.8, &disk) + 0.0920).abs() < 1e-3);
+    assert!((smallest_eigenvalue(1.34, &disk) - 6.45e-4).abs() < 1e-5);
+    let zero = vec![0.0; disk.len()];
     let model = ProcessModel {
         trend: Trend::Zero,
         kernel: Kernel::ThinPlate { radius: 0.8 },
@@ -52,8 +53,8 @@ fn a_circle_shows_that_a_small_radius_is_not_positive_definite() {
         fixed_variance: Some(1.0),
     };
     assert_eq!(
-        Process::fit(model, &circle, &zero).unwrap_err(),
-        MapError::NotPositiveDefinite { readings: circle.len() }
+        Process::fit(model, &disk, &zero).unwrap_err(),
+        MapError::NotPositiveDefinite { readings: disk.len() }
     );
 }
 

@@ -5,4 +5,5 @@ pub mod effects;
 pub mod engine;
 pub mod mechanics;
 pub mod path;
+pub mod scalar;
 pub mod whisker;

@@ -77,12 +77,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
             write_atomic(&out.join("report.html"), wcal_report::render(&report).as_bytes())?;
         }
         print_text(&report.verify, &out);
-        entries.push(IndexEntry {
-            href: format!("{}/report.html", r.name),
-            title: report.title.clone(),
-            simulated: report.simulated.clone(),
-            verify: report.verify.clone(),
-        });
+        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
     let introduction = ["Every recording that comes with the project, through the whole residual loop."];
     let page = args.out.join("report.html");

@@ -70,6 +70,32 @@ impl ReportInput {
             versions: Vec::new(),
         }
     }
+
+    /// Title, or the session identifier where there is none.
+    #[must_use]
+    pub fn heading(&self) -> &str {
+        if self.title.is_empty() { &self.verify.session } else { &self.title }
+    }
+
+    /// Unit of the response as the residual records give it; empty for kinds that name their unit themselves.
+    pub(crate) fn response_unit(&self) -> &str {
+        let own = self.verify.kind == "transducer";
+        self.residuals.first().filter(|_| own).map_or("", |r| r.unit.as_str())
+    }
+}
+
+impl IndexEntry {
+    /// The line of a session whose report lies at `href`.
+    #[must_use]
+    pub fn of(input: &ReportInput, href: impl Into<String>) -> Self {
+        Self {
+            href: href.into(),
+            title: input.heading().to_owned(),
+            simulated: input.simulated.clone(),
+            response_unit: input.response_unit().to_owned(),
+            verify: input.verify.clone(),
+        }
+    }
 }
 
 /// A name and what is said of it.
@@ -212,6 +238,8 @@ pub struct IndexEntry {
     pub title: String,
     /// How the data was simulated; `None` for measured data.
     pub simulated: Option<String>,
+    /// Unit of the response (kind transducer); empty for the other kinds.
+    pub response_unit: String,
     /// The result.
     pub verify: VerifyDocument,
 }

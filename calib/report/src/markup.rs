@@ -44,8 +44,8 @@ pub enum Cell {
     Text(String),
     /// Right-aligned number, already formatted.
     Number(String),
-    /// Number with a smaller second line.
-    NumberWithNote(String, String),
+    /// Number with smaller lines below.
+    NumberWithNotes(String, Vec<String>),
     /// Identifier in a fixed-width face.
     Code(String),
     /// Pill with a class for its colour.
@@ -59,8 +59,9 @@ impl Cell {
         match self {
             Self::Text(text) => ("", escape(text)),
             Self::Number(text) => ("num", escape(text)),
-            Self::NumberWithNote(text, note) => {
-                ("num", format!("{}<small>{}</small>", escape(text), escape(note)))
+            Self::NumberWithNotes(text, notes) => {
+                let notes: String = notes.iter().map(|n| format!("<small>{}</small>", escape(n))).collect();
+                ("num", escape(text) + &notes)
             }
             Self::Code(text) => ("", format!("<code>{}</code>", escape(text))),
             Self::Badge(class, text) => ("", format!("<span class=\"pill {class}\">{}</span>", escape(text))),

@@ -31,17 +31,25 @@ pub fn significant(value: f64, digits: usize) -> String {
 #[must_use]
 pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
     let half = (interval[1] - interval[0]).abs() / 2.0;
-    let exponent = if half.is_finite() && half > 0.0 { half.log10().floor() as i32 } else { i32::MAX };
     let largest = value.abs().max(interval[0].abs()).max(interval[1].abs());
-    // Too small, too large or without a width: the plain form reads better.
-    if !(-6..4).contains(&exponent) || !(1e-3..1e6).contains(&largest) || !value.is_finite() {
-        return (number(value), bracket(&number(interval[0]), &number(interval[1])));
+    let plain = || (number(value), bracket(&number(interval[0]), &number(interval[1])));
+    // Without a finite width there is nothing to round to.
+    if !(half > 0.0 && half.is_finite() && largest.is_finite() && value.is_finite()) {
+        return plain();
     }
-    let decimals = (1 - exponent).max(0) as usize;
+    let power = match largest.log10().floor() as i32 {
+        -3..6 => 0,
+        power => power,
+    };
+    let decimals = 1 - half.log10().floor() as i32 + power;
+    if decimals > 9 {
+        return plain();
+    }
     let fixed = |v: f64| {
-        let text = format!("{v:.decimals$}");
+        let text = format!("{:.*}", decimals.max(0) as usize, v / 10f64.powi(power));
         let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
-        if is_zero { text.replace('-', "") } else { text.replace('-', "\u{2212}") }
+        let text = text.replace('-', if is_zero { "" } else { "\u{2212}" });
+        if power == 0 || is_zero { text } else { format!("{text}×10{}", superscript(power)) }
     };
     (fixed(value), bracket(&fixed(interval[0]), &fixed(interval[1])))
 }
@@ -171,7 +179,8 @@ mod tests {
         assert_eq!(with_interval(0.21, [0.18, 0.24]), ("0.210".into(), "[0.180, 0.240]".into()));
         assert_eq!(with_interval(134.07, [120.0, 150.0]), ("134".into(), "[120, 150]".into()));
         assert_eq!(with_interval(0.02, [-0.0001, 0.04]).1, "[0.000, 0.040]");
-        assert_eq!(with_interval(2.05e-4, [1.9e-4, 2.3e-4]).0, "2.05×10⁻⁴");
+        assert_eq!(with_interval(2.05e-4, [1.9e-4, 2.3e-4]).1, "[1.90×10⁻⁴, 2.30×10⁻⁴]");
+        assert_eq!(with_interval(1.0, [1.0, 1.0]), ("1".into(), "[1, 1]".into()));
     }
 
     #[test]

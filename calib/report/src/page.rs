@@ -10,19 +10,13 @@ const STYLE: &str = include_str!("style.css");
 /// The page of one session.
 #[must_use]
 pub fn render(input: &ReportInput) -> String {
-    let title = title_of(input);
-    document(title, input.simulated.is_some(), &session(input, "", "h1"))
+    document(input.heading(), input.simulated.is_some(), &session(input, "", "h1"))
 }
 
 /// Several sessions on one page: `title`, an introduction of plain paragraphs, an overview table, then each session.
 #[must_use]
 pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -> String {
-    let entry = |(k, input): (usize, &ReportInput)| IndexEntry {
-        href: format!("#s{}-top", k + 1),
-        title: title_of(input).to_owned(),
-        simulated: input.simulated.clone(),
-        verify: input.verify.clone(),
-    };
+    let entry = |(k, input): (usize, &ReportInput)| IndexEntry::of(input, format!("#s{}-top", k + 1));
     let entries: Vec<IndexEntry> = inputs.iter().enumerate().map(entry).collect();
     let mut body = overview(title, introduction, &entries);
     for (k, input) in inputs.iter().enumerate() {
@@ -36,10 +30,6 @@ pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -
 pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
     let simulated = entries.iter().any(|e| e.simulated.is_some());
     document(title, simulated, &overview(title, introduction, entries))
-}
-
-fn title_of(input: &ReportInput) -> &str {
-    if input.title.is_empty() { &input.verify.session } else { &input.title }
 }
 
 /// Every page is well-formed XML too, so that a strict parser can check it.
@@ -83,7 +73,7 @@ fn headline(input: &ReportInput, heading: &str) -> String {
         "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<{heading}>{}</{heading}>\n",
         escape(&verify.kind),
         escape(&verify.session),
-        escape(title_of(input))
+        escape(input.heading())
     );
     if let Some(how) = &input.simulated {
         out += &format!("<p class=\"simulated\">Simulated data, not a measurement: {}</p>\n", escape(how));
@@ -97,7 +87,7 @@ fn banner(input: &ReportInput) -> String {
         "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
         paragraph(&input.verify.reason)
     );
-    if let Some([name, before, after, floor]) = before_after::summary(&input.verify) {
+    if let Some([name, before, after, floor]) = before_after::summary(&input.verify, input.response_unit()) {
         let cell = |head: &str, value: &str| format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value));
         let _ = write!(
             out,
@@ -134,8 +124,8 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
     );
     for entry in entries {
         let (class, short, _) = verdict::words(entry.verify.verdict);
-        let [name, before, after, floor] =
-            before_after::summary(&entry.verify).unwrap_or_else(|| ["–"; 4].map(str::to_owned));
+        let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
+            .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
         let data = match entry.simulated {
             Some(_) => Cell::Badge("sim", "simulated".into()),
             None => Cell::Text("measured".into()),

@@ -100,7 +100,7 @@ impl Rod {
         let gap = |k: usize| sampled.get(k).map_or(f64::INFINITY, |t| t.gap_mm);
         let minima: Vec<Touch> = (0..samples)
             .filter(|&k| (k == 0 || gap(k) <= gap(k - 1)) && gap(k) < gap(k + 1))
-            .map(|k| polished(&at, sampled[k], grid_mm, self.shape.length_mm))
+            .map(|k| polished(at, sampled[k], grid_mm, self.shape.length_mm))
             .collect();
         let closest = minima.iter().map(|t| t.gap_mm).fold(f64::INFINITY, f64::min);
         minima

@@ -172,9 +172,8 @@ impl Rod {
             }
             let moment = frame.transpose() * moment;
             let factor = self.section.taper_factor(s / self.shape.length_mm);
-            let change = self
-                .section
-                .curvature_change(&[0, 1, 2].map(|i| Dual3::variable(moment[i], i)), factor);
+            let change =
+                self.section.curvature_change(&[0, 1, 2].map(|i| Dual3::variable(moment[i], i)), factor);
             let compliance = Matrix3::from_fn(|i, j| change[i].partial(j));
             let rest = |i: usize| piece.u_start[i] + piece.u_slope[i] * (s - piece.start_mm);
             Node {
@@ -202,7 +201,8 @@ impl Rod {
         energy: &mut DMatrix<f64>,
         constraints: &mut Vec<DVector<f64>>,
     ) {
-        let frame = elements.first().map_or_else(|| self.root_frame(&equilibrium.moment_nmm), |e| e.1[0].frame);
+        let frame =
+            elements.first().map_or_else(|| self.root_frame(&equilibrium.moment_nmm), |e| e.1[0].frame);
         for i in 0..3 {
             let axis = frame.row(i).transpose();
             let compliance = self.compliance_rad_per_nmm * self.compliance_axes[i];

@@ -6,6 +6,7 @@ pub mod engine;
 mod error;
 pub mod mechanics;
 pub mod path;
+pub mod scalar;
 pub mod verify;
 pub mod whisker;
 

@@ -15,13 +15,7 @@ fn main() -> io::Result<()> {
     for input in &sessions {
         let name = format!("{}.html", input.verify.session);
         fs::write(folder.join(&name), render(input))?;
-        let simulated = input.simulated.clone();
-        entries.push(IndexEntry {
-            href: name,
-            title: input.title.clone(),
-            simulated,
-            verify: input.verify.clone(),
-        });
+        entries.push(IndexEntry::of(input, name));
     }
     let introduction = ["Invented sessions that show what a report looks like."];
     fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;

@@ -49,9 +49,10 @@ impl Axis {
 
     /// Covers every positive finite value in equal ratios.
     pub fn log_covering(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
-        let (low, high) = extent(values.into_iter().filter(|v| *v > 0.0).map(f64::log10));
-        let margin = (0.06 * (high - low)).max(0.05);
-        let (low, high) = (10f64.powf(low - margin), 10f64.powf(high + margin));
+        let (low, high) = extent(values.into_iter().filter(|v| (1e-290..1e290).contains(v)).map(f64::log10));
+        // Less than a factor of three shows no round ticks.
+        let margin = (0.06 * (high - low)).max(0.25 - 0.5 * (high - low));
+        let (low, high) = (10f64.powf((low - margin).max(-300.0)), 10f64.powf((high + margin).min(300.0)));
         Self { scale: Scale::Log, ..Self::fixed(label, low, high) }
     }
 
@@ -101,7 +102,7 @@ impl Axis {
         let largest = self.low.abs().max(self.high.abs());
         let power = largest.log10().floor() as i32;
         let shift = if (-2..5).contains(&power) { 0 } else { power };
-        let decimals = (shift - step.log10().floor() as i32).clamp(0, 9) as usize;
+        let decimals = shift.saturating_sub(step.log10().floor() as i32).clamp(0, 9) as usize;
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
         // A span below the resolution of the numbers gives no sensible ticks.
@@ -134,19 +135,23 @@ impl Axis {
     }
 }
 
-/// Smallest and largest finite value; (0, 1) where there is none.
+/// Smallest and largest finite value; (0, 1) where there is none. Sizes near the end of the number range cannot be drawn.
 fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
-    let finite = values.into_iter().filter(|v| v.is_finite());
+    let finite = values.into_iter().filter(|v| v.abs() < 1e290);
     let (low, high) =
         finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
-/// The round number (1, 2 or 5 times a power of ten) at or above `raw`.
+/// The round number (1, 2 or 5 times a power of ten) nearest to `raw` as a ratio.
 fn nice_step(raw: f64) -> f64 {
     let power = 10f64.powf(raw.log10().floor());
-    let lead = raw / power;
-    let nice = [1.0, 2.0, 5.0].into_iter().find(|n| lead <= n * (1.0 + 1e-9)).unwrap_or(10.0);
+    let nice = match raw / power {
+        lead if lead < 1.5 => 1.0,
+        lead if lead < 3.2 => 2.0,
+        lead if lead < 7.0 => 5.0,
+        _ => 10.0,
+    };
     nice * power
 }
 
@@ -158,7 +163,7 @@ mod tests {
     fn ticks_are_round_and_inside() {
         let (ticks, label) = Axis::fixed("x (mm)", -0.13, 5.3).ticks(5);
         let texts: Vec<_> = ticks.iter().map(|t| t.1.as_str()).collect();
-        assert_eq!(texts, ["0", "2", "4"]);
+        assert_eq!(texts, ["0", "1", "2", "3", "4", "5"]);
         assert_eq!(label, "x (mm)");
     }
 
@@ -171,14 +176,23 @@ mod tests {
 
     #[test]
     fn axes_survive_empty_constant_and_broken_data() {
-        for values in [vec![], vec![3.0], vec![0.0], vec![f64::NAN, f64::INFINITY], vec![1e300, -1e300]] {
+        for values in [
+            vec![],
+            vec![3.0],
+            vec![0.0],
+            vec![f64::NAN, f64::INFINITY],
+            vec![1e289, -1e289],
+            vec![f64::MAX, 1.0],
+            vec![5e-324, 1e-323],
+        ] {
             for axis in [
                 Axis::covering("", values.clone()),
                 Axis::symmetric("", values.clone()),
                 Axis::log_covering("", values.clone()),
             ] {
                 assert!(axis.low < axis.high, "{values:?} {axis:?}");
-                assert!(axis.ticks(5).0.len() <= 60);
+                let ticks = axis.ticks(5).0;
+                assert!(ticks.len() <= 60 && ticks.iter().all(|t| t.0.is_finite()), "{values:?} {ticks:?}");
             }
         }
     }

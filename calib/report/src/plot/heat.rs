@@ -31,7 +31,10 @@ impl HeatMap<'_> {
         let head = 0.77 * margin + 8.0;
         let (width, height) = (margin + CELL * n + 0.65 * margin, head + CELL * n + 4.0);
         let mut out = open_svg("heat", width, height, &self.title, &self.description);
-        out.insert_str(4, &format!(" style=\"min-width:{:.0}px\"", 0.8 * width));
+        out.insert_str(
+            4,
+            &format!(" style=\"min-width:{:.0}px;max-width:{:.0}px\"", 0.85 * width, 1.1 * width),
+        );
         for (i, name) in self.names.iter().enumerate() {
             let at = CELL * i as f64 + CELL / 2.0;
             let _ = write!(
@@ -55,7 +58,7 @@ impl HeatMap<'_> {
 
     fn cell(&self, out: &mut String, i: usize, j: usize, value: f64, x: f64, y: f64) {
         let size = value.abs();
-        let (shade, ink, text) = match (value.is_finite(), size > 0.6) {
+        let (shade, ink, text) = match (value.is_finite(), size > 0.7) {
             (false, _) => (0.0, "value", "–".to_owned()),
             (true, strong) => {
                 let text = format!("{value:.2}").replace('-', "\u{2212}");

@@ -4,7 +4,7 @@ use crate::input::ReportInput;
 use crate::markup::{Cell, Table};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Mark, RowChart, RowItem};
-use wcal_core::verify_document::{HeldOutError, NoiseFloor};
+use wcal_core::verify_document::{HeldOutError, NoiseFloor, VerifyDocument};
 
 /// One column: an error and the floor that it is held against.
 struct Quantity {
@@ -52,7 +52,7 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
     let mut keys: Vec<&String> = errors.iter().flat_map(|e| e.rmse.keys()).collect();
     keys.sort_by_key(|key| (!key.starts_with("wavelength"), key.as_str()));
     keys.dedup();
-    let response_unit = input.residuals.first().map_or("", |r| r.unit.as_str());
+    let response_unit = input.response_unit();
     let mut out: Vec<Quantity> = keys
         .into_iter()
         .map(|key| {
@@ -147,7 +147,7 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
                 let (text, interval) = value_text(value, interval);
                 let mut notes: Vec<String> = interval.into_iter().collect();
                 notes.extend(ratio_text(value, quantity.floor));
-                Cell::NumberWithNote(text, notes.join(" · "))
+                Cell::NumberWithNotes(text, notes)
             }));
         }
         table.row(cells);
@@ -212,11 +212,11 @@ fn capitalised(name: &str) -> String {
 }
 
 /// One line for the overview: quantity, before, after and floor with their unit.
-pub(crate) fn summary(verify: &wcal_core::verify_document::VerifyDocument) -> Option<[String; 4]> {
+pub(crate) fn summary(verify: &VerifyDocument, response_unit: &str) -> Option<[String; 4]> {
     let before = verify.before.as_ref()?;
     let after = verify.after.as_ref()?;
     let key = before.rmse.keys().max_by_key(|key| key.starts_with("wavelength"))?;
-    let (name, unit, floor) = describe(key, &verify.noise_floor, "");
+    let (name, unit, floor) = describe(key, &verify.noise_floor, response_unit);
     let text = |error: &HeldOutError| error.rmse.get(key).map(|v| join_unit(&number(*v), &unit));
     let floor = floor.map_or("unknown".into(), |v| join_unit(&number(v), &unit));
     Some([name, text(before)?, text(after)?, floor])

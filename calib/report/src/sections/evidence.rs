@@ -75,7 +75,7 @@ fn candidates(rows: &[EvidenceRow]) -> String {
         };
         let parameters: Vec<String> = row.parameters.iter().map(parameter).collect();
         let gain = row.chi2_gain.map_or(Cell::Number("–".into()), |gain| {
-            Cell::NumberWithNote(number(gain), format!("for {}", row.degrees_of_freedom))
+            Cell::NumberWithNotes(number(gain), vec![format!("for {}", row.degrees_of_freedom)])
         });
         table.row(vec![
             Cell::Code(row.id.clone()),
@@ -119,7 +119,7 @@ fn ambiguity(input: &ReportInput) -> String {
         input,
         "forest",
         &chart.svg(),
-        "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; hatched outline: rejected.",
+        "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
     )
 }
 

@@ -7,7 +7,7 @@ use crate::number::{number, unit_text};
 /// The section.
 pub(super) fn body(input: &ReportInput) -> String {
     let floor = &input.verify.noise_floor;
-    let unit = input.residuals.first().map_or("", |r| r.unit.as_str());
+    let unit = input.response_unit();
     let rows = [
         ("wavelength", floor.wavelength_pm, "pm"),
         ("moment", floor.moment_nmm, "N mm"),

@@ -1,5 +1,6 @@
 //! Measured against predicted, before and after.
 
+use super::residuals::unchanged;
 use super::{absent, distinct, figure};
 use crate::input::ReportInput;
 use crate::number::{join_unit, number, unit_text};
@@ -23,6 +24,10 @@ pub(super) fn body(input: &ReportInput) -> String {
         let both = Axis::covering("", values);
         let before = |r: &ResidualRecord| r.predicted_before;
         let after = |r: &ResidualRecord| r.predicted_after;
+        if unchanged(input) {
+            charts += &chart(k, channel, "before and after", unit, &both, &records, before);
+            continue;
+        }
         charts += &chart(k, channel, "before", unit, &both, &records, before);
         charts += &chart(k, channel, "after", unit, &both, &records, after);
     }

@@ -24,6 +24,14 @@ const ORDER: [(&str, &str); 11] = [
 /// Points a series and chart; a larger session is thinned evenly.
 const MOST_POINTS: usize = 3000;
 
+/// Stands for `before` and `after` where nothing was added to the model.
+pub(super) const UNCHANGED: &str = "before and after alike: nothing was added";
+
+/// True where the accepted model predicts exactly what the declared one does.
+pub(super) fn unchanged(input: &ReportInput) -> bool {
+    input.residuals.iter().all(|r| r.predicted_before == r.predicted_after)
+}
+
 /// Readable name of a covariate with its unit.
 pub(super) fn label_of(column: &str) -> String {
     match ORDER.iter().find(|(name, _)| *name == column) {
@@ -152,11 +160,16 @@ impl<'a> View<'a> {
 
     fn figure(&self, input: &ReportInput, column: &str) -> String {
         let label = label_of(column);
-        let mut charts = self.chart(column, "before", &self.common, before);
-        charts += &self.chart(column, "after, same scale", &self.common, after);
-        if let Some(close) = &self.close {
-            charts += &self.chart(column, "after, enlarged", close, after);
-        }
+        let charts = if unchanged(input) {
+            self.chart(column, UNCHANGED, &self.common, before)
+        } else {
+            let mut charts = self.chart(column, "before", &self.common, before);
+            charts += &self.chart(column, "after, same scale", &self.common, after);
+            if let Some(close) = &self.close {
+                charts += &self.chart(column, "after, enlarged", close, after);
+            }
+            charts
+        };
         let class = if self.close.is_some() { "three" } else { "pair" };
         figure(input, class, &charts, &format!("Residuals against {label}."))
     }

@@ -50,8 +50,7 @@ fn loading_equals_unloading_without_friction() {
     let up = stations();
     let down: Vec<f64> = up.iter().rev().copied().collect();
     let loading = walk(&rod, &up, &first_guess(), |_| Tangential::Frictionless);
-    let unloading =
-        walk(&rod, &down, &Guess::from(loading.last().unwrap()), |_| Tangential::Frictionless);
+    let unloading = walk(&rod, &down, &Guess::from(loading.last().unwrap()), |_| Tangential::Frictionless);
     let worst = loading
         .iter()
         .zip(unloading.iter().rev())
@@ -82,12 +81,10 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     // A small way back the wire sticks: inside the cone, the contact where it was, the moment not the loading one.
     let top = loading.last().unwrap();
     let back_mm = up[up.len() - 1] - 0.05;
-    let stuck = rod
-        .solve(&line().point(back_mm), &Guess::from(top), Tangential::Stick(top.arclength_mm))
-        .unwrap();
-    let same_place = rod
-        .solve(&line().point(back_mm), &Guess::from(top), Tangential::Ratio(sign * MU))
-        .unwrap();
+    let stuck =
+        rod.solve(&line().point(back_mm), &Guess::from(top), Tangential::Stick(top.arclength_mm)).unwrap();
+    let same_place =
+        rod.solve(&line().point(back_mm), &Guess::from(top), Tangential::Ratio(sign * MU)).unwrap();
     assert_eq!(stuck.arclength_mm, top.arclength_mm);
     assert!(ratio(&stuck).abs() < MU, "stick left the cone: {}", ratio(&stuck));
     let split = (stuck.moment_nmm - same_place.moment_nmm).norm();
@@ -102,7 +99,8 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
             .sum()
     };
     let lost = work(&loading) + work(&unloading);
-    let kept = work(&free) + work(&walk(&rod, &down, &Guess::from(free.last().unwrap()), |_| Tangential::Frictionless));
+    let kept = work(&free)
+        + work(&walk(&rod, &down, &Guess::from(free.last().unwrap()), |_| Tangential::Frictionless));
     println!("work lost in the loop {lost:.3e} N mm with friction, {kept:.1e} without");
     assert!(lost > 1e-3 && kept.abs() < 1e-9);
 }

@@ -71,10 +71,8 @@ fn pure_moment_gives_a_circle_to_rounding() {
     let rod = straight(2.0);
     let curvature = 0.05;
     let circle_error = |moment_nmm: f64| {
-        let table = MomentTable {
-            step_mm: LENGTH_MM,
-            moments_nmm: vec![Vector3::new(0.0, 0.0, moment_nmm); 2],
-        };
+        let table =
+            MomentTable { step_mm: LENGTH_MM, moments_nmm: vec![Vector3::new(0.0, 0.0, moment_nmm); 2] };
         let load = Load { point: [0.0; 3], force: [0.0; 3], distributed: Some(&table) };
         let root = Pose { frame: rows_of(&rod.shape.root), position: [0.0; 3] };
         let mut worst: f64 = 0.0;

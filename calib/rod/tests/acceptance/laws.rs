@@ -109,11 +109,7 @@ fn softening_laws_match_fibre_sums_and_quadrature() {
         Softening::Bilinear { onset_per_m, ratio: 0.3 },
         deflection_mm(force, bilinear_curvature),
     );
-    check(
-        "section",
-        Softening::Section { onset_per_m, hardening },
-        deflection_mm(force, section_curvature),
-    );
+    check("section", Softening::Section { onset_per_m, hardening }, deflection_mm(force, section_curvature));
 }
 
 /// The free wire in the form that `loaded_shape` takes.
@@ -163,9 +159,9 @@ fn weight_and_contact_balance_at_the_base() {
         .map(|n| (n[0].1 + n[1].1).cross(&rod.weight_n_per_mm) * (0.5 * (n[1].0 - n[0].0)))
         .sum();
     let error = (held.moment_nmm - point.cross(&held.force_n) - weight).norm();
-    let contact = nodes.iter().min_by(|a, b| {
-        (a.0 - held.arclength_mm).abs().total_cmp(&(b.0 - held.arclength_mm).abs())
-    });
+    let contact = nodes
+        .iter()
+        .min_by(|a, b| (a.0 - held.arclength_mm).abs().total_cmp(&(b.0 - held.arclength_mm).abs()));
     let gap = (contact.unwrap().1 - point).norm();
     println!("weight with contact: balance {error:.1e} N mm, contact off by {gap:.1e} mm");
     assert!(error < 1e-5 && gap < 1e-8);

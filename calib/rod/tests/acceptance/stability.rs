@@ -23,7 +23,11 @@ fn critical_load(rod: &Rod) -> f64 {
     let (mut low, mut high) = (15.0, 25.0);
     for _ in 0..30 {
         let middle = 0.5 * (low + high);
-        if rod.smallest_eigenvalue_as(&strut(rod, middle), Hold::Held) > 0.0 { low = middle } else { high = middle }
+        if rod.smallest_eigenvalue_as(&strut(rod, middle), Hold::Held) > 0.0 {
+            low = middle
+        } else {
+            high = middle
+        }
     }
     0.5 * (low + high)
 }

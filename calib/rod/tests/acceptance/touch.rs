@@ -84,7 +84,11 @@ fn the_measured_paths_can_be_followed_from_first_touch() {
         let xs: Vec<f64> = (1..=30).map(f64::from).collect();
         let out = rod.follow(line, &xs);
         let held = out.iter().filter(|o| matches!(o, Outcome::Held(_))).count();
-        println!("path {}: {held} of 30 held, last {:?}", j + 1, out.last().map(|o| o.equilibrium().is_some()));
+        println!(
+            "path {}: {held} of 30 held, last {:?}",
+            j + 1,
+            out.last().map(|o| o.equilibrium().is_some())
+        );
         let arcs: Vec<f64> = out.iter().filter_map(|o| Some(o.equilibrium()?.arclength_mm)).collect();
         assert!(arcs.len() >= 8, "path {}: {out:?}", j + 1);
         assert!(arcs.windows(2).all(|w| (w[1] - w[0]).abs() < 6.0), "path {}: contact jumps {arcs:?}", j + 1);

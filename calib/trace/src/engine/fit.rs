@@ -130,8 +130,18 @@ fn step_size(system: &dyn System, term: &Term, k: usize) -> f64 {
     let p = system.catalogue()[term.effect].laws()[term.law].parameters[k];
     match p.role {
         Role::Amplitude { probe } => 0.02 * probe.abs().max(0.1 * term.values[k].abs()),
-        Role::Shape { .. } => 0.01 * term.values[k].abs().max(1e-3 * (p.range[1] - p.range[0])),
+        Role::Shape { grid } => {
+            let plain = 0.01 * term.values[k].abs().max(1e-3 * (p.range[1] - p.range[0]));
+            plain.min(0.02 * grid_gap(grid, term.values[k]))
+        }
     }
+}
+
+/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
+fn grid_gap(grid: &[f64], value: f64) -> f64 {
+    let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
+    let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
+    gaps.fold(f64::INFINITY, f64::min)
 }
 
 fn tangents(

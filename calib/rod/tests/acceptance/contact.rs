@@ -78,9 +78,9 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     println!("friction ratio off by at most {worst:.1e}");
     assert!(worst < 1e-9);
     assert!(ratio(&free[10]).abs() < 1e-10, "frictionless contact carried a tangential force");
-    // A small way back the wire sticks: inside the cone, the contact where it was, the moment not the loading one.
+    // The stick zone of this wire is about 0.01 mm of travel. A small way back the wire sticks: inside the cone, the contact where it was, the moment not the loading one.
     let top = loading.last().unwrap();
-    let back_mm = up[up.len() - 1] - 0.05;
+    let back_mm = up[up.len() - 1] - 0.005;
     let stuck =
         rod.solve(&line().point(back_mm), &Guess::from(top), Tangential::Stick(top.arclength_mm)).unwrap();
     let same_place =
@@ -88,8 +88,8 @@ fn friction_ratio_is_honoured_and_stick_remembers_the_path() {
     assert_eq!(stuck.arclength_mm, top.arclength_mm);
     assert!(ratio(&stuck).abs() < MU, "stick left the cone: {}", ratio(&stuck));
     let split = (stuck.moment_nmm - same_place.moment_nmm).norm();
-    println!("0.05 mm back from the top: stick and slip differ by {split:.1e} N mm");
-    assert!(split > 1e-4);
+    println!("0.005 mm back from the top: stick and slip differ by {split:.1e} N mm");
+    assert!(split > 1e-5);
     // Unloading with the friction reversed: the loop takes work, and none is taken without friction.
     let down: Vec<f64> = up.iter().rev().copied().collect();
     let unloading = walk(&rod, &down, &Guess::from(top), |_| Tangential::Ratio(-sign * MU));

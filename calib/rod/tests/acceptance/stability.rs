@@ -3,7 +3,7 @@
 use crate::{LENGTH_MM, bent, straight};
 use nalgebra::Vector3;
 use std::f64::consts::PI;
-use wcal_rod::{Equilibrium, Hold, Line, LossKind, Outcome, Rod};
+use wcal_rod::{Equilibrium, Hold, Line, Rod};
 
 /// Straight strut pressed along its axis with `load` EI/L^2 at a tip that cannot move.
 fn strut(rod: &Rod, load: f64) -> Equilibrium {

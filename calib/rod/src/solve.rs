@@ -198,7 +198,7 @@ impl Rod {
     }
 
     /// Residual (mm; the fourth scaled to mm), its derivatives by (force / scale, s), and the tangent at the contact.
-    fn equations(
+    pub(crate) fn equations(
         &self,
         point_mm: &Vector3<f64>,
         force: &Vector3<f64>,

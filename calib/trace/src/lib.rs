@@ -7,6 +7,7 @@ mod error;
 pub mod mechanics;
 pub mod path;
 pub mod scalar;
+pub mod tables;
 pub mod verify;
 pub mod whisker;
 

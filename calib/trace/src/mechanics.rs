@@ -1,10 +1,12 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
 
+use crate::tables::{LARGEST_RATIO, LineTable, RATIO_STEPS, SlipTable};
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_rod::{Guess, Line, Outcome, Rod, Softening, Tangential};
+use wcal_rod::{Anchor, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
 
 /// Mechanical deviations from the nominal whisker and bench.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,6 +42,27 @@ impl Default for Mechanics {
 }
 
 impl Mechanics {
+    /// Rough distance of two wires, 1 where a step from one to the other is worth trying.
+    fn distance(&self, other: &Self) -> f64 {
+        let softening = |m: &Self| match m.softening {
+            None => (0.0, 1.0, 0.0_f64),
+            Some(Softening::Bilinear { onset_per_m, ratio }) => (1.0 - ratio, onset_per_m, 1.0),
+            Some(Softening::Section { onset_per_m, hardening }) => (1.0 - hardening, onset_per_m, 2.0),
+        };
+        let ((a, a_onset, a_law), (b, b_onset, b_law)) = (softening(self), softening(other));
+        let mut sum: f64 = ((a - b) / 0.2).powi(2) + ((self.taper - other.taper) / 0.2).powi(2);
+        if a > 0.0 && b > 0.0 {
+            sum += ((a_onset - b_onset) / 10.0).powi(2) + (a_law - b_law).powi(2);
+        }
+        for k in 0..3 {
+            sum += ((self.offset_mm[k] - other.offset_mm[k]) / 0.5).powi(2);
+        }
+        for k in 0..2 {
+            sum += ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
+        }
+        sum.sqrt() + if self.weight == other.weight { 0.0 } else { f64::INFINITY }
+    }
+
     fn key(&self) -> Vec<u64> {
         let mut key: Vec<u64> = self.offset_mm.iter().map(|v| v.to_bits()).collect();
         key.extend(self.compliance_rad_per_nmm.iter().map(|v| v.to_bits()));
@@ -57,127 +80,19 @@ impl Mechanics {
     }
 }
 
-/// Values on a uniform grid of stage position.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LineTable {
-    /// First touch, mm; the moment is zero before it.
-    pub touch_mm: f64,
-    /// Grid spacing, mm.
-    pub step_mm: f64,
-    /// Moment components, N mm.
-    pub moments_nmm: Vec<[f64; 2]>,
-    /// Contact arc length, mm.
-    pub arclength_mm: Vec<f64>,
-    /// Last stage position of the branch, mm; beyond it the model has no answer.
-    pub end_mm: f64,
-}
-
-/// Four-point Lagrange weights for position `f` in [-1, 2] relative to the second of four nodes.
-fn lagrange(f: f64) -> [f64; 4] {
-    [
-        -f * (f - 1.0) * (f - 2.0) / 6.0,
-        (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
-        -(f + 1.0) * f * (f - 2.0) / 2.0,
-        (f + 1.0) * f * (f - 1.0) / 6.0,
-    ]
-}
-
-fn bracket(x: f64, len: usize) -> (usize, [f64; 4]) {
-    let j = (x.floor().max(0.0) as usize).clamp(1, len.saturating_sub(3).max(1));
-    (j - 1, lagrange(x - j as f64))
-}
-
-impl LineTable {
-    /// Moment components at stage position `x_mm`, N mm; none past the end of the branch.
-    #[must_use]
-    pub fn moment(&self, x_mm: f64) -> Option<[f64; 2]> {
-        if x_mm <= self.touch_mm {
-            return Some([0.0; 2]);
-        }
-        if x_mm > self.end_mm + 1e-9 {
-            return None;
-        }
-        let (j, w) = bracket((x_mm - self.touch_mm) / self.step_mm, self.moments_nmm.len());
-        let mut m = [0.0; 2];
-        for (k, weight) in w.iter().enumerate() {
-            for (c, component) in m.iter_mut().enumerate() {
-                *component += weight * self.moments_nmm[j + k][c];
-            }
-        }
-        Some(m)
-    }
-
-    /// Contact arc length at stage position `x_mm`, mm.
-    #[must_use]
-    pub fn arclength(&self, x_mm: f64) -> f64 {
-        let x = x_mm.clamp(self.touch_mm, self.end_mm);
-        let (j, w) = bracket((x - self.touch_mm) / self.step_mm, self.arclength_mm.len());
-        (0..4).map(|k| w[k] * self.arclength_mm[j + k]).sum()
-    }
-}
-
-/// Slip branches of one line: tables over (stage position, tangential over normal force).
-#[derive(Debug, Clone, PartialEq)]
-pub struct SlipTable {
-    touch_mm: f64,
-    step_mm: f64,
-    /// Ratios, ascending, symmetric about 0.
-    ratios: Vec<f64>,
-    /// Arc length, mm: grid position x ratio.
-    arclength_mm: Vec<Vec<f64>>,
-    /// Moments, N mm: grid position x ratio.
-    moments_nmm: Vec<Vec<[f64; 2]>>,
-}
-
-/// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with room to fit.
-const LARGEST_RATIO: f64 = 0.72;
-const RATIO_STEPS: usize = 4;
-
-impl SlipTable {
-    fn at<T>(&self, x_mm: f64, pick: impl Fn(usize, usize) -> T, ratio: f64, zero: T) -> T
-    where
-        T: std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T> + Copy,
-    {
-        let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
-        let (j, w) = bracket(x, self.moments_nmm.len());
-        let dr = self.ratios[1] - self.ratios[0];
-        let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
-        let mut sum = zero;
-        for (a, wa) in w.iter().enumerate() {
-            for (b, vb) in v.iter().enumerate() {
-                sum = sum + pick(j + a, k + b) * (wa * vb);
-            }
-        }
-        sum
-    }
-
-    fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
-        self.at(x_mm, |i, k| self.arclength_mm[i][k], ratio, 0.0)
-    }
-
-    fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
-        [0, 1].map(|c| self.at(x_mm, |i, k| self.moments_nmm[i][k][c], ratio, 0.0))
-    }
-
-    /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is monotone in the ratio.
-    fn ratio_at(&self, x_mm: f64, s_mm: f64, limit: f64) -> f64 {
-        let rising = self.arclength(x_mm, limit) >= self.arclength(x_mm, -limit);
-        let (mut lo, mut hi) = (-limit, limit);
-        for _ in 0..40 {
-            let mid = 0.5 * (lo + hi);
-            if (self.arclength(x_mm, mid) < s_mm) == rising { lo = mid } else { hi = mid }
-        }
-        0.5 * (lo + hi)
-    }
-
-    /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along it.
-    fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
-        let (a, b) = (self.arclength(x_mm, -friction), self.arclength(x_mm, friction));
-        *contact_mm = contact_mm.clamp(a.min(b), a.max(b));
-    }
-}
-
 type Key = Vec<u64>;
+
+/// Equilibria along one line of a wire that was walked from first touch, with their Jacobians.
+struct LineAnchors {
+    mechanics: Mechanics,
+    step_mm: f64,
+    nodes: Vec<Anchor>,
+}
+
+/// Walked wires kept a line.
+const ANCHORS: usize = 12;
+/// Wires further apart are walked; nearer ones are tried from the known one first.
+const NEAR: f64 = 1.0;
 
 /// The rod's answers along the lines of one session, kept by mechanical parameters.
 pub struct Bench {
@@ -188,10 +103,14 @@ pub struct Bench {
     reach_mm: Vec<f64>,
     axes: MomentAxes,
     step_mm: f64,
+    touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
+    anchors: Vec<Mutex<Vec<Arc<LineAnchors>>>>,
     tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
     slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
 }
 
+/// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod, tests/acceptance/order.rs).
+const MESH_MM: f64 = 4.0;
 /// Grid of the tables, mm: interpolation is right to 1e-4 of the moment there (tests).
 const GRID_MM: f64 = 0.8;
 /// Room past the last reading for effects that shift the stage, mm.
@@ -207,7 +126,7 @@ impl Bench {
         fluid_kg_m3: f64,
         path: &crate::path::WhiskerPath,
     ) -> Result<Self, wcal_rod::RodError> {
-        Rod::new(spec, wcal_rod::WORKING_STEP_MM)?;
+        Rod::new(spec, MESH_MM)?;
         Ok(Self {
             spec: spec.clone(),
             fluid_kg_m3,
@@ -215,7 +134,9 @@ impl Bench {
             start_mm: path.start_mm.clone(),
             reach_mm: path.reach_mm.clone(),
             axes: path.moments.clone(),
-            step_mm: wcal_rod::WORKING_STEP_MM,
+            step_mm: MESH_MM,
+            touches: Mutex::new(HashMap::new()),
+            anchors: path.lines.iter().map(|_| Mutex::new(Vec::new())).collect(),
             tables: Mutex::new(HashMap::new()),
             slips: Mutex::new(HashMap::new()),
         })
@@ -253,8 +174,12 @@ impl Bench {
             return Some(found.clone());
         }
         let rod = self.rod(mechanics)?;
-        let tables: Vec<LineTable> =
-            (0..self.lines.len()).map(|l| self.tabulate(&rod, l, mechanics)).collect();
+        let tables: Vec<LineTable> = (0..self.lines.len())
+            .into_par_iter()
+            .map(|l| {
+                self.tabulate_near(&rod, l, mechanics).unwrap_or_else(|| self.tabulate(&rod, l, mechanics))
+            })
+            .collect();
         let tables = Arc::new(tables);
         let mut kept = self.tables.lock().ok()?;
         // Refits visit hundreds of parameter values; only a short memory is of use.
@@ -277,7 +202,7 @@ impl Bench {
                 end_mm: f64::INFINITY,
             };
         }
-        let touch = rod.first_touch(&line, MARGIN_MM - start, reach);
+        let touch = self.touch(rod, l, mechanics);
         let count = ((reach - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
         let step_mm = (reach + MARGIN_MM - touch.x_mm) / count as f64;
         let xs: Vec<f64> = (0..=count).map(|k| touch.x_mm + step_mm * k as f64).collect();
@@ -289,7 +214,9 @@ impl Bench {
             end_mm: xs[count],
         };
         let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
-        for (k, outcome) in rod.follow(&line, &xs).iter().enumerate() {
+        let followed = rod.follow(&line, &xs);
+        self.keep_anchors(rod, l, mechanics, step_mm, &followed);
+        for (k, outcome) in followed.iter().enumerate() {
             let Some(e) = outcome.equilibrium() else {
                 table.end_mm = if k > 0 { xs[k - 1] } else { touch.x_mm };
                 break;
@@ -305,6 +232,59 @@ impl Bench {
         table
     }
 
+    /// First touch; it depends on the groove's offset alone.
+    fn touch(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Touch {
+        let find =
+            || rod.first_touch(&self.line(l, mechanics), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
+        let Ok(mut kept) = self.touches.lock() else { return find() };
+        if kept.len() > 4096 {
+            kept.clear();
+        }
+        *kept.entry((l, mechanics.offset_mm.map(f64::to_bits))).or_insert_with(find)
+    }
+
+    fn keep_anchors(&self, rod: &Rod, l: usize, mechanics: &Mechanics, step_mm: f64, followed: &[Outcome]) {
+        let nodes: Option<Vec<Anchor>> = followed.iter().map(|o| rod.anchor(o.equilibrium()?)).collect();
+        let (Some(nodes), Ok(mut kept)) = (nodes, self.anchors[l].lock()) else { return };
+        if kept.len() >= ANCHORS {
+            // The first is the nominal wire.
+            kept.remove(1);
+        }
+        kept.push(Arc::new(LineAnchors { mechanics: *mechanics, step_mm, nodes }));
+    }
+
+    /// Table of a line by small steps from the nearest wire already walked; none where that is not near enough.
+    fn tabulate_near(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Option<LineTable> {
+        let anchors = {
+            let kept = self.anchors[l].lock().ok()?;
+            let near = |a: &&Arc<LineAnchors>| mechanics.distance(&a.mechanics);
+            kept.iter().min_by(|a, b| near(a).total_cmp(&near(b)))?.clone()
+        };
+        if mechanics.weight != 0.0 || mechanics.distance(&anchors.mechanics) > NEAR {
+            return None;
+        }
+        let line = self.line(l, mechanics);
+        let touch = self.touch(rod, l, mechanics);
+        let count = anchors.nodes.len() - 1;
+        let step_mm = (self.reach_mm[l] + MARGIN_MM - touch.x_mm) / count as f64;
+        if (step_mm / anchors.step_mm - 1.0).abs() > 0.2 {
+            return None;
+        }
+        let mut table = LineTable {
+            touch_mm: touch.x_mm,
+            step_mm,
+            moments_nmm: Vec::with_capacity(count + 1),
+            arclength_mm: Vec::with_capacity(count + 1),
+            end_mm: touch.x_mm + step_mm * count as f64,
+        };
+        for (k, anchor) in anchors.nodes.iter().enumerate() {
+            let e = rod.solve_near(&line.point(touch.x_mm + step_mm * k as f64), anchor)?;
+            table.moments_nmm.push(self.axes.components_nmm(&e.moment_nmm));
+            table.arclength_mm.push(e.arclength_mm);
+        }
+        Some(table)
+    }
+
     fn slip_tables(&self, mechanics: &Mechanics) -> Option<Arc<Vec<Option<SlipTable>>>> {
         let key = mechanics.key();
         if let Some(found) = self.slips.lock().ok()?.get(&key) {
@@ -313,7 +293,7 @@ impl Bench {
         let rod = self.rod(mechanics)?;
         let tables = self.tables(mechanics)?;
         let slips: Vec<Option<SlipTable>> =
-            tables.iter().enumerate().map(|(l, t)| self.tabulate_slip(&rod, l, mechanics, t)).collect();
+            tables.par_iter().enumerate().map(|(l, t)| self.tabulate_slip(&rod, l, mechanics, t)).collect();
         let slips = Arc::new(slips);
         let mut kept = self.slips.lock().ok()?;
         if kept.len() > 8 {

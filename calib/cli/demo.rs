@@ -70,7 +70,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         // A demonstration starts afresh: its seal is that of the recording, not of an earlier run.
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
-        let mut report = verify_session(&session, &out, args.seed)?;
+        let mut report = verify_session(&session, &out, args.seed, &[])?;
         if let Some(how) = r.simulated {
             report.simulated = Some(how.to_owned());
             report.facts.insert(0, Fact::new("data", "SIMULATED"));

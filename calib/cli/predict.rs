@@ -107,7 +107,11 @@ fn by_model(
     for warning in &table.warnings {
         eprintln!("warning: {warning}");
     }
-    let rows: Vec<_> = table.rows.iter().collect();
+    // New readings belong to the last seating that the calibration saw.
+    let last = model.seatings.saturating_sub(1);
+    let table_rows: Vec<_> =
+        table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
+    let rows: Vec<_> = table_rows.iter().collect();
     let path = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None);
     for effect in &model.effects {
         let absent = match effect.id.as_str() {

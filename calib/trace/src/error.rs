@@ -13,4 +13,14 @@ pub enum TraceError {
         "following the wire along the session's trajectories: expected an equilibrium at every pose, found none on {0}"
     )]
     NoEquilibrium(String),
+    /// The explanation to be accepted is none that the data leave open.
+    #[error(
+        "accepting {asked}: expected one of the explanations that the data do not reject ({survivors}), found another"
+    )]
+    NotASurvivor {
+        /// What was asked for.
+        asked: String,
+        /// What is open.
+        survivors: String,
+    },
 }

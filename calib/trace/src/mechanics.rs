@@ -92,7 +92,7 @@ struct LineAnchors {
 /// Walked wires kept a line.
 const ANCHORS: usize = 12;
 /// Wires further apart are walked; nearer ones are tried from the known one first.
-const NEAR: f64 = 1.0;
+const NEAR: f64 = 2.0;
 
 /// The rod's answers along the lines of one session, kept by mechanical parameters.
 pub struct Bench {

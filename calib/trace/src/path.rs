@@ -33,6 +33,8 @@ pub struct Reading {
     pub replicate: u32,
     /// Belongs to the sealed table.
     pub holdout: bool,
+    /// Seating of the whisker: 0 in the first session.
+    pub seating: u32,
 }
 
 /// A moment on the path: a reading, or an arrival between readings.
@@ -88,6 +90,15 @@ pub struct WhiskerPath {
     pub columns: Columns,
 }
 
+impl WhiskerPath {
+    /// One column a seating after the first, 1 at its readings: the zero of each seating is its own.
+    #[must_use]
+    pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
+        let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
+        (1..seatings).map(of).collect()
+    }
+}
+
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
     match (row.stage_mm, row.groove_mm, trajectory) {
         (Some(x), _, _) => x,
@@ -141,6 +152,7 @@ impl WhiskerPath {
                     group: r.trajectory.unwrap_or(0),
                     replicate: r.replicate.unwrap_or(0),
                     holdout: r.role == Role::Holdout,
+                    seating: r.seating,
                 }
             })
             .collect();
@@ -168,6 +180,12 @@ impl WhiskerPath {
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
     for (i, r) in readings.iter().enumerate() {
+        // Between seatings the whisker was free.
+        if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
+            let free =
+                |t_s: f64| Node { t_s, line: None, x_mm: 0.0, rest: true, moving: false, reading: None };
+            nodes.extend([free(last.t_s + 1e-3), free(r.t_s - r.dwell_s - 1e-3)]);
+        }
         if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
             let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
             let arrival = (r.t_s - r.dwell_s).max(earliest);

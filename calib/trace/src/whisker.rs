@@ -48,6 +48,7 @@ pub struct WhiskerSystem {
     measured: DMatrix<f64>,
     known: DMatrix<f64>,
     groups: Vec<u32>,
+    seatings: u32,
 }
 
 /// Density of the medium, kg/m^3.
@@ -88,6 +89,7 @@ impl WhiskerSystem {
             measured: DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]),
             known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
+            seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
             data: data.clone(),
             path,
             bench,
@@ -117,6 +119,12 @@ impl WhiskerSystem {
         Some((pick(&felt), pick(&base)))
     }
 
+    /// Seatings in the points table.
+    #[must_use]
+    pub fn seatings(&self) -> u32 {
+        self.seatings
+    }
+
     /// The effects with their hooks.
     #[must_use]
     pub fn effects(&self) -> &[Arc<dyn WhiskerEffect>] {
@@ -136,6 +144,7 @@ impl System for WhiskerSystem {
             felt.iter().map(|m| m[0]).collect(),
             felt.iter().map(|m| m[1]).collect(),
         ];
+        columns.extend(self.path.seating_columns(self.seatings));
         for t in terms {
             self.effects[t.effect].columns(t.law, &t.values, &self.path, &felt, &mut columns);
         }

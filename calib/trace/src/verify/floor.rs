@@ -24,11 +24,12 @@ const LEAST_DOF: f64 = 10.0;
 pub fn noise_floor(path: &WhiskerPath, h: &Hypothesis) -> Option<Floor> {
     let residual = &h.fit.residual;
     let rows: Vec<usize> = (0..path.readings.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
-    let mut groups: BTreeMap<(u32, i64, i64, i64), Vec<usize>> = BTreeMap::new();
+    let mut groups: BTreeMap<(u32, u32, i64, i64, i64), Vec<usize>> = BTreeMap::new();
     for &i in &rows {
         let r = &path.readings[i];
         let direction = if r.rest { 0 } else { r.direction as i64 };
-        let key = (r.group, (r.x_mm * 1e4).round() as i64, direction, (r.velocity_mm_s * 10.0) as i64);
+        let key =
+            (r.seating, r.group, (r.x_mm * 1e4).round() as i64, direction, (r.velocity_mm_s * 10.0) as i64);
         groups.entry(key).or_default().push(i);
     }
     let (mut sum, mut dof) = (0.0, 0.0);

@@ -3,6 +3,7 @@
 pub mod detect;
 pub mod floor;
 pub mod heldout;
+pub mod holdout_check;
 pub mod next;
 pub mod physical;
 pub mod predictions;

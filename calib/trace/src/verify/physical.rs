@@ -27,7 +27,7 @@ pub struct AcceptedEffect {
 /// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PhysicalModel {
-    /// Coefficients, one row a design column (zero, the two moments, effect columns), one column a channel.
+    /// Coefficients, one row a design column (zero, the two moments, zeros of later seatings, effect columns), one column a channel.
     pub coefficients: Vec<[f64; 2]>,
     /// Covariance of the coefficients, channel by channel, and of the nonlinear values after them.
     pub covariance: Vec<Vec<f64>>,
@@ -35,10 +35,17 @@ pub struct PhysicalModel {
     pub noise_sd_pm: f64,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
+    /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
+    #[serde(default = "one")]
+    pub seatings: u32,
     /// Gratings.
     pub fbg: FbgSpec,
     /// Largest moment, N mm, that the fitted readings reach; beyond 1.1 times it the calibration is not valid.
     pub largest_moment_nmm: f64,
+}
+
+fn one() -> u32 {
+    1
 }
 
 /// Moments from wavelengths.
@@ -82,6 +89,7 @@ impl PhysicalModel {
             covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
             noise_sd_pm: sd_pm,
             effects,
+            seatings: system.seatings(),
             fbg: system.data.fbg.clone(),
             largest_moment_nmm: largest,
         }
@@ -118,6 +126,7 @@ impl PhysicalModel {
             felt.iter().map(|m| m[0]).collect(),
             felt.iter().map(|m| m[1]).collect(),
         ];
+        columns.extend(path.seating_columns(self.seatings));
         for (effect, t) in terms {
             effect.columns(t.law, &t.values, path, felt, &mut columns);
         }

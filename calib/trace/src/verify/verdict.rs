@@ -5,6 +5,7 @@ use crate::engine::gate::Gate;
 use crate::engine::inference::{in_class, parameters};
 use crate::engine::null::f_test;
 use crate::engine::search::{Found, Hypothesis};
+use crate::error::TraceError;
 use crate::whisker::WhiskerSystem;
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
@@ -25,6 +26,53 @@ pub struct Conclusion {
     pub accepted: Hypothesis,
     /// Readings marked as outliers.
     pub flagged: Vec<usize>,
+}
+
+impl Conclusion {
+    /// Takes the surviving explanation with exactly the effects `asked`.
+    ///
+    /// # Errors
+    /// Where no surviving explanation has these effects.
+    pub fn accept(
+        &mut self,
+        system: &WhiskerSystem,
+        found: &Found,
+        asked: &[String],
+    ) -> Result<(), TraceError> {
+        let mut wanted = asked.to_vec();
+        wanted.sort_unstable();
+        let same = |h: &&Hypothesis| {
+            let mut own = ids(system, h);
+            own.sort_unstable();
+            own == wanted
+        };
+        let Some(chosen) = found.survivors.iter().find(same) else {
+            let survivors: Vec<String> = self.alternatives.iter().map(|a| a.join(",")).collect();
+            return Err(TraceError::NotASurvivor {
+                asked: asked.join(","),
+                survivors: if survivors.is_empty() { "none".to_owned() } else { survivors.join("; ") },
+            });
+        };
+        self.effects = named(system, found, chosen, &[]);
+        self.accepted = chosen.clone();
+        self.flagged = chosen.flagged.clone();
+        self.reason = format!("Accepted by request: {}. {}", join(asked), self.reason);
+        Ok(())
+    }
+
+    /// The unsealed readings contradict the accepted model: nothing may be called adequate or explained then.
+    pub fn contradicted(&mut self, p: f64, found: &Found) {
+        if !matches!(self.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault) {
+            return;
+        }
+        self.verdict = Verdict::UnknownEffect;
+        self.unknown = unknown(&found.last_gate);
+        self.reason = format!(
+            "The held-out readings contradict what the calibration readings allow (p = {p:.1e}): something acts there that \
+             the calibration poses do not show. {}",
+            self.reason
+        );
+    }
 }
 
 fn outliers(system: &WhiskerSystem) -> Option<usize> {

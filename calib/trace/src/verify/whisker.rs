@@ -2,6 +2,7 @@
 
 use super::floor::{Floor, noise_floor};
 use super::heldout::{HeldOut, coverage95, summarise};
+use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use super::physical::PhysicalModel;
 use super::predictions::{Predicted, held_out, of_reading, predict};
 use super::twin_check::{LabelReport, check_labels, labelled_moments};
@@ -23,10 +24,12 @@ use wcal_core::verify_document::{
 use wcal_core::{InputFile, ResidualRecord};
 
 /// Settings of `verify`.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct VerifyOptions {
     /// Settings of the search.
     pub search: Options,
+    /// Effects of a surviving explanation to be accepted; empty leaves the choice to the verdict.
+    pub accept: Vec<String>,
 }
 
 /// A reading with both predictions, for predictions.csv.
@@ -73,29 +76,6 @@ pub struct WhiskerVerification {
 
 /// Fewest loaded readings that carry K, the zero and a residual.
 const FEWEST_LOADED: usize = 9;
-
-fn refused(session: &str, reason: String, seed: u64, inputs: &[InputFile]) -> VerifyDocument {
-    VerifyDocument {
-        format: VERIFY_FORMAT.to_owned(),
-        session: session.to_owned(),
-        kind: "whisker".to_owned(),
-        verdict: Verdict::Refused,
-        reason,
-        twin: TwinCheck::default(),
-        effects: Vec::new(),
-        alternatives: Vec::new(),
-        unknown: None,
-        noise_floor: NoiseFloor { source: "none".into(), ..NoiseFloor::default() },
-        before: None,
-        after: None,
-        coverage95: None,
-        next_measurement: None,
-        detectable: Vec::new(),
-        seed,
-        inputs: inputs.to_vec(),
-        notes: Vec::new(),
-    }
-}
 
 /// Why the readings cannot be used at all.
 fn unusable(data: &WhiskerData) -> Option<String> {
@@ -150,7 +130,9 @@ pub fn verify_whisker(
 ) -> Result<Result<WhiskerVerification, VerifyDocument>, TraceError> {
     let seed = options.search.seed;
     if let Some(reason) = unusable(data) {
-        return Ok(Err(refused(session, reason, seed, inputs)));
+        let mut document = VerifyDocument::refused(session, "whisker", reason, seed);
+        document.inputs = inputs.to_vec();
+        return Ok(Err(document));
     }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let system = WhiskerSystem::new(data, &rows)?;
@@ -161,7 +143,10 @@ pub fn verify_whisker(
     let Some(found) = search(&system, &weights, &options.search) else {
         return Err(TraceError::NoEquilibrium(session.to_owned()));
     };
-    let conclusion = conclude(&system, &found, &labels.faults);
+    let mut conclusion = conclude(&system, &found, &labels.faults);
+    if !options.accept.is_empty() {
+        conclusion.accept(&system, &found, &options.accept)?;
+    }
     // Stage 1 on the residuals of the accepted model.
     let floor = noise_floor(&system.path, &conclusion.accepted);
     let sd_before = found.base.fit.variance().sqrt();
@@ -174,6 +159,9 @@ pub fn verify_whisker(
     let no_solution = || TraceError::NoEquilibrium(session.to_owned());
     let before = predict(&whole, &found.base, &model_before).ok_or_else(no_solution)?;
     let after = predict(&whole, &conclusion.accepted, &model_after).ok_or_else(no_solution)?;
+    if let Some(p) = holdout_p(&whole, &conclusion.accepted, &after).filter(|p| *p < HOLDOUT_LEVEL) {
+        conclusion.contradicted(p, &found);
+    }
     let errors = held_out_errors(data, &system, &whole, &found, &conclusion, &before, &after, seed);
     let document = document(
         session,

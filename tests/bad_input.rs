@@ -268,3 +268,33 @@ fn templates_load_and_are_never_overwritten() {
         text.parse::<toml::Table>().unwrap();
     }
 }
+
+#[test]
+fn verify_and_fit_gpr_refuse_what_is_broken_and_leave_no_result() {
+    let mut wrong = Vec::new();
+    for case in TABLE {
+        for command in ["verify", "fit-gpr"] {
+            let place = tempfile::tempdir().unwrap();
+            let session = place.path().join("s");
+            fs::create_dir(&session).unwrap();
+            case.write(&session);
+            let output = wcal(place.path(), &[command, "s", "--out", "o"]);
+            if let Err(why) = judge(&output, 1, case.says) {
+                wrong.push(format!("{command} {}: {why}", case.name));
+            }
+            // All that may be there is the whole document that says why.
+            let left =
+                if place.path().join("o").exists() { listing(&place.path().join("o")) } else { Vec::new() };
+            match left.as_slice() {
+                [] => {}
+                [only] if command == "verify" && only == "verify.json" => {
+                    let text = fs::read(place.path().join("o/verify.json")).unwrap();
+                    let document: serde_json::Value = serde_json::from_slice(&text).unwrap();
+                    assert_eq!(document["verdict"], "refused", "{}", case.name);
+                }
+                other => wrong.push(format!("{command} {}: left {other:?}", case.name)),
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}

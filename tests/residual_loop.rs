@@ -53,6 +53,81 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
     assert!((before - 24.1).abs() < 0.2, "released labels with K and zero leave about 24 pm, found {before}");
     assert!(after < 0.5 * before, "{before} -> {after}");
+    // The README quotes this run and nothing else.
+    let readme =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).expect("README");
+    let quoted = format!(
+        "| {before:.1} pm | {after:.1} pm | 11, 14, 17, 20, 23, 26 | {} |",
+        v["verdict"].as_str().expect("verdict")
+    );
+    assert!(readme.contains(&quoted), "README.md lacks the line that this run prints: {quoted}");
+}
+
+/// Every row of `points.csv` with `edit` applied to the cell of `column`.
+fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tempfile::TempDir {
+    let folder = copy(from);
+    let path = folder.path().join("points.csv");
+    let text = std::fs::read_to_string(&path).expect("points");
+    let index = text.lines().next().expect("header").split(',').position(|c| c == column).expect("column");
+    let lines: Vec<String> = text
+        .lines()
+        .enumerate()
+        .map(|(i, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if let Ok(value) = cells[index].parse::<f64>() {
+                cells[index] = edit(i, value);
+            }
+            cells.join(",")
+        })
+        .collect();
+    std::fs::write(&path, lines.join("\n") + "\n").expect("written");
+    folder
+}
+
+#[test]
+fn a_perturbed_pose_is_noticed() {
+    // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4 mm deeper than it was.
+    let moved = |i: usize, mm: f64| {
+        format!("{:.6}", if i % 7 == 0 && i < 40 && mm > 0.0 { mm + 0.4 } else { mm })
+    };
+    let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
+    let folder = edited(stage.path(), "groove_z_mm", moved);
+    let (code, v) = verify(folder.path());
+    assert_eq!(code, 4, "{}", v["reason"]);
+}
+
+#[test]
+fn labels_in_another_unit_are_named_so() {
+    let folder = copy(&fixture("whiskerfbg"));
+    let path = folder.path().join("twin.csv");
+    let text = std::fs::read_to_string(&path).expect("twin.csv");
+    let mut lines = text.lines();
+    let mut out = lines.next().expect("header").to_owned() + "\n";
+    for line in lines {
+        let cells: Vec<&str> = line.split(',').collect();
+        let metres = |c: &str| format!("{:e}", c.parse::<f64>().expect("moment") * 1e-3);
+        out += &format!("{},{},{}\n", cells[0], metres(cells[1]), metres(cells[2]));
+    }
+    std::fs::write(&path, out).expect("written");
+    let (_, v) = verify(folder.path());
+    assert!(points(&v, "unit").len() > 15, "{}", v["twin"]);
+}
+
+#[test]
+fn wavelengths_in_picometres_are_refused() {
+    let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| format!("{:.4}", nm * 1000.0));
+    let out = tempfile::tempdir().expect("temporary folder");
+    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        .arg("verify")
+        .arg(folder.path())
+        .arg("--out")
+        .arg(out.path())
+        .output()
+        .expect("wcal runs");
+    assert_eq!(run.status.code(), Some(1));
+    let v: Value = serde_json::from_slice(&std::fs::read(out.path().join("verify.json")).expect("written"))
+        .expect("json");
+    assert_eq!(v["verdict"], "refused");
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod import;
 mod init;
 mod labels;
 mod predict;
+mod progress;
 mod report_input;
 mod verify;
 

@@ -5,6 +5,7 @@ pub mod drivers;
 pub mod fit;
 pub mod gate;
 pub mod inference;
+pub mod lasso;
 pub mod linear;
 pub mod null;
 pub mod outliers;

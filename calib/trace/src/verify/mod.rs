@@ -7,7 +7,9 @@ pub mod holdout_check;
 pub mod next;
 pub mod physical;
 pub mod predictions;
+pub mod rival;
 pub mod twin_check;
+mod unseal;
 pub mod verdict;
 pub mod whisker;
 

@@ -1,21 +1,21 @@
 //! The residual loop for kind "whisker", stage by stage.
 
 use super::floor::{Floor, noise_floor};
-use super::heldout::{HeldOut, coverage95, summarise};
 use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use super::physical::PhysicalModel;
-use super::predictions::{Predicted, held_out, of_reading, predict};
-use super::twin_check::{LabelReport, check_labels, labelled_moments};
+use super::predictions::{Predicted, predict};
+use super::twin_check::{LabelReport, check_labels};
+use super::unseal::{Errors, held_out_errors};
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next};
 use crate::candidate::System;
-use crate::engine::fit::{Weights, fit};
+use crate::engine::fit::Weights;
 use crate::engine::inference::{cosine, explained, in_class};
+use crate::engine::lasso::group_lasso;
+use crate::engine::linear::stack;
 use crate::engine::search::{Found, Hypothesis, Options, search};
 use crate::error::TraceError;
 use crate::whisker::WhiskerSystem;
-use nalgebra::{DMatrix, Matrix2};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{
@@ -162,7 +162,17 @@ pub fn verify_whisker(
     if let Some(p) = holdout_p(&whole, &conclusion.accepted, &after).filter(|p| *p < HOLDOUT_LEVEL) {
         conclusion.contradicted(p, &found);
     }
-    let errors = held_out_errors(data, &system, &whole, &found, &conclusion, &before, &after, seed);
+    let errors = held_out_errors(
+        data,
+        &system,
+        &whole,
+        &found,
+        &conclusion,
+        &before,
+        &after,
+        &model_before.sensitivity(),
+        seed,
+    );
     let document = document(
         session,
         data,
@@ -207,113 +217,6 @@ fn weights_of(system: &WhiskerSystem) -> Weights {
     Weights(own.iter().map(|s| if *s > 10.0 * typical { 10.0 * typical / s } else { 1.0 }).collect())
 }
 
-struct Errors {
-    before: Option<HeldOutError>,
-    after: Option<HeldOutError>,
-    coverage95: Option<f64>,
-    further: Vec<(String, HeldOutError)>,
-    remark: String,
-}
-
-#[allow(clippy::too_many_arguments)]
-fn held_out_errors(
-    data: &WhiskerData,
-    system: &WhiskerSystem,
-    whole: &WhiskerSystem,
-    found: &Found,
-    conclusion: &Conclusion,
-    before: &[Predicted],
-    after: &[Predicted],
-    seed: u64,
-) -> Errors {
-    let rows = held_out(whole, after);
-    if !rows.is_empty() {
-        return Errors {
-            before: summarise(&held_out(whole, before), "holdout", seed),
-            after: summarise(&rows, "holdout", seed),
-            coverage95: coverage95(&rows),
-            further: Vec::new(),
-            remark: String::new(),
-        };
-    }
-    let left_out = leave_out(system, &conclusion.accepted, None);
-    let labelled = labelled_moments(data, &system.path);
-    let declared = leave_out(system, &found.base, labelled.as_deref());
-    let mut further = Vec::new();
-    if labelled.is_some() {
-        let repaired = leave_out(system, &found.base, None);
-        if let Some(e) = summarise(&repaired, "loto", seed) {
-            further.push(("declared model, labels repaired by the rod".to_owned(), e));
-        }
-    }
-    Errors {
-        before: summarise(&declared, "loto", seed),
-        after: summarise(&left_out, "loto", seed),
-        coverage95: coverage95(&left_out),
-        further,
-        remark: " Errors are leave-one-trajectory-out: every fitted value was refitted without the trajectory; the choice of effects was made on all of them.".to_owned(),
-    }
-}
-
-/// Leave-one-trajectory-out residuals of an explanation; with `labels` the moments come from the outside twin instead of the rod.
-fn leave_out(system: &WhiskerSystem, h: &Hypothesis, labels: Option<&[[f64; 2]]>) -> Vec<HeldOut> {
-    let readings = &system.path.readings;
-    let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
-    groups.sort_unstable();
-    groups.dedup();
-    groups
-        .par_iter()
-        .flat_map_iter(|&group| {
-            let inside = |i: usize| readings[i].group == group && !readings[i].rest;
-            let weights =
-                Weights((0..readings.len()).map(|i| if inside(i) { 0.0 } else { h.weights.0[i] }).collect());
-            let predicted = match labels {
-                // From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
-                None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
-                    let part =
-                        Hypothesis { fit: refit, weights: weights.clone(), flagged: h.flagged.clone() };
-                    let model = PhysicalModel::new(system, &part, part.fit.variance().sqrt());
-                    predict(system, &part, &model)
-                }),
-                Some(moments) => by_labels(system, moments, &weights),
-            };
-            (0..readings.len())
-                .filter(|&i| inside(i) && h.weights.0[i] > 0.0)
-                .filter_map(|i| Some(of_reading(group, readings[i].shift_pm, &predicted.as_ref()?[i])))
-                .collect::<Vec<_>>()
-        })
-        .collect()
-}
-
-/// Linear map on outside labels, fitted on the weighted readings.
-fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Vec<Predicted>> {
-    let n = moments.len();
-    let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });
-    let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.0[i]);
-    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.0[i]);
-    let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
-    let residual = &y - &w * &b;
-    let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);
-    let k = Matrix2::from_fn(|c, j| b[(j + 1, c)]);
-    let inverse = k.try_inverse()?;
-    let spread = inverse * inverse.transpose() * variance;
-    let shifts = &design * &b;
-    Some(
-        (0..n)
-            .map(|i| {
-                let shift = system.path.readings[i].shift_pm;
-                let m = inverse * nalgebra::Vector2::new(shift[0] - b[(0, 0)], shift[1] - b[(0, 1)]);
-                Predicted {
-                    moment_nmm: [m[0], m[1]],
-                    moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
-                    shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
-                    pose_moment_nmm: moments[i],
-                }
-            })
-            .collect(),
-    )
-}
-
 #[allow(clippy::too_many_arguments)]
 fn document(
     session: &str,
@@ -346,6 +249,10 @@ fn document(
         ));
     }
     notes.push("Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned());
+    notes.extend(cross_check(system, found));
+    notes.extend(errors.further.iter().filter_map(|(name, e)| {
+        Some(format!("Held-out wavelength error, {name}: {:.3} pm.", e.rmse.get("wavelength_rmse_pm")?))
+    }));
     let same = in_class(found);
     let next_measurement = (conclusion.verdict == Verdict::Ambiguous)
         .then(|| {
@@ -386,6 +293,17 @@ fn document(
         inputs: inputs.to_vec(),
         notes,
     }
+}
+
+/// What the group lasso keeps on the declared model's residual.
+fn cross_check(system: &WhiskerSystem, found: &Found) -> Option<String> {
+    let base = &found.base.fit;
+    let sd = found.best.fit.variance().sqrt();
+    let kept = group_lasso(&found.first_gate.atoms, &stack(&base.residual), base.dof, sd)?;
+    let names: Vec<String> =
+        kept.iter().map(|k| format!("{} ({:.1} sd)", system.catalogue()[k.effect].id(), k.size_sd)).collect();
+    let list = if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };
+    Some(format!("Cross-check by group lasso over the whole catalogue at the noise level: it keeps {list}."))
 }
 
 fn prediction_rows(

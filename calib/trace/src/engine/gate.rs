@@ -62,6 +62,12 @@ impl Gate {
         self.p_drivers < DRIVER_LEVEL || self.p_serial < SERIAL_LEVEL
     }
 
+    /// Family-wise p-values: catalogue, generic signatures, serial correlation.
+    #[must_use]
+    pub fn families(&self) -> [f64; 3] {
+        [self.p_catalogue, self.p_drivers, self.p_serial]
+    }
+
     /// One omnibus p-value: Bonferroni over the three families by their shares of the level.
     #[must_use]
     pub fn p_value(&self) -> f64 {

@@ -156,8 +156,8 @@ pub fn cross_validate(
                 kept.0[i] = 0.0;
             }
         }
-        let Some((prediction, half)) =
-            fit(system, terms, &kept, 15).and_then(|fitted| predict(system, &Fitted::of(&fitted), &relative_sd))
+        let Some((prediction, half)) = fit(system, terms, &kept, 15)
+            .and_then(|fitted| predict(system, &Fitted::of(&fitted), &relative_sd))
         else {
             continue;
         };

@@ -167,8 +167,7 @@ impl ScalarModel {
             .iter()
             .map(|t| {
                 let unknown = || ModelError::UnknownEffect { effect: t.id.clone(), law: t.law.clone() };
-                let effect =
-                    system.catalogue().iter().position(|c| c.id() == t.id).ok_or_else(unknown)?;
+                let effect = system.catalogue().iter().position(|c| c.id() == t.id).ok_or_else(unknown)?;
                 let laws = system.catalogue()[effect].laws();
                 let law = laws.iter().position(|l| l.name == t.law).ok_or_else(unknown)?;
                 if laws[law].parameters.len() != t.values.len() {
@@ -297,7 +296,8 @@ impl ScalarModel {
         Ok((0..rows.len())
             .map(|i| {
                 let slope = (up[i].value - down[i].value) / (2.0 * step);
-                let inside = |k: usize, s: f64| s * sign[i] * (rows[i].y - ends[k][i].value) >= -here[i].half95;
+                let inside =
+                    |k: usize, s: f64| s * sign[i] * (rows[i].y - ends[k][i].value) >= -here[i].half95;
                 ScalarPrediction {
                     value: x[i],
                     half95: here[i].half95 / slope.abs(),

@@ -130,9 +130,7 @@ impl System for ScalarSystem {
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         let frame = &self.frame;
         let stimulus = if frame.declared == Declared::Axis { "commanded_mm" } else { "stimulus" };
-        let mut out = vec![
-            (stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>()),
-        ];
+        let mut out = vec![(stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>())];
         if frame.ordered {
             out.push(("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()));
         }

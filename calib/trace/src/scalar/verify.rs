@@ -71,6 +71,8 @@ pub struct ScalarVerification {
     pub residual_sd: [f64; 2],
     /// Explanations that were refitted, best first.
     pub evidence: Vec<Evidence>,
+    /// The gate's families (catalogue, generic, serial) on the declared and on the best model; none where the data were refused.
+    pub gates: Option<[[f64; 3]; 2]>,
 }
 
 /// A residual below this share of the largest response is rounding.
@@ -156,6 +158,7 @@ fn refused(session: &str, data: &ScalarData, seed: u64, why: String) -> ScalarVe
         steadiness: None,
         residual_sd: [f64::NAN; 2],
         evidence: Vec::new(),
+        gates: None,
     }
 }
 
@@ -321,7 +324,9 @@ pub fn verify_scalar(
             &c.accepted,
             spread.as_ref(),
             &names,
-            accepted.clone().or_else(|| declared_polynomial.clone().filter(|_| c.accepted.fit.terms.is_empty())),
+            accepted
+                .clone()
+                .or_else(|| declared_polynomial.clone().filter(|_| c.accepted.fit.terms.is_empty())),
             [lack_of_fit_before, lack_of_fit_after],
         )),
         declared: declared_polynomial,
@@ -332,6 +337,7 @@ pub fn verify_scalar(
         spread,
         steadiness,
         residual_sd,
+        gates: Some([found.first_gate.families(), found.last_gate.families()]),
         evidence: found.evidence,
     })
 }
@@ -353,4 +359,3 @@ fn exact_conclusion(base: &Hypothesis) -> Conclusion {
         accepted: base.clone(),
     }
 }
-

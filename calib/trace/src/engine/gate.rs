@@ -34,6 +34,7 @@ pub struct DriverScore {
 }
 
 /// Result of the gate on one model.
+#[derive(Debug, Clone)]
 pub struct Gate {
     /// Signatures of the catalogue on top of the model.
     pub atoms: Vec<Atom>,

@@ -6,6 +6,7 @@ use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
 use wcal_core::{CalibrationFile, InputFile, Provenance, VerificationStatus};
 use wcal_map::MapArtefact;
+use wcal_trace::scalar::ScalarModel;
 use wcal_trace::verify::PhysicalModel;
 
 /// The model in a calibration, told apart by `kind`.
@@ -17,6 +18,8 @@ pub enum CalibrationModel {
     Map(MapArtefact),
     /// Sensitivity with accepted effects, of `verify`.
     Physical(PhysicalModel),
+    /// Response or position error with accepted effects, of `verify` on a transducer or axis session.
+    Scalar(ScalarModel),
 }
 
 /// Program, command, time, seed and files.
@@ -68,7 +71,7 @@ pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<Calibrati
         );
     }
     serde_json::from_slice(&bytes)
-        .with_context(|| format!("{name}: expected a model of kind \"map\" or \"physical\""))
+        .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))
 }
 
 /// What speaks against using the calibration now.

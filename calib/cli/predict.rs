@@ -1,4 +1,6 @@
-//! `wcal predict`: moments at new readings.
+//! `wcal predict`: moments, responses or position errors at new readings.
+
+mod scalar;
 
 use crate::artefact::{CalibrationModel, read_calibration, standing};
 use anyhow::{Context, bail};
@@ -17,7 +19,9 @@ use wcal_trace::verify::PhysicalModel;
 #[command(after_help = "Example:
   wcal predict readings.csv --calibration calibration/calibration.json --out moments.csv
 
-TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present.
+For a whisker TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present. For a
+transducer it needs stimulus (the response follows) or response alone (the stimulus follows); for an axis commanded_mm.
+Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
 Exit code 4: readings outside the valid region (written, and marked), or a calibration that expired or failed
 verification; --force turns these into warnings.")]
 pub struct PredictArgs {
@@ -46,6 +50,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     match &file.model {
         CalibrationModel::Map(artefact) => by_map(args, &file, artefact),
         CalibrationModel::Physical(model) => by_model(args, &file, model),
+        CalibrationModel::Scalar(model) => scalar::by_scalar(args, &file, model),
     }
 }
 

@@ -1,17 +1,18 @@
 //! `wcal verify`: the residual loop on a session.
 
 use crate::artefact::{CalibrationModel, provenance, read_calibration, seal};
-use crate::report_input::{of_document, of_whisker};
+use crate::report_input::{of_document, of_scalar, of_whisker};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::verify_document::{Verdict, VerifyDocument};
-use wcal_core::{InputFile, SessionData, VerificationStatus};
+use wcal_core::{InputFile, Provenance, ResidualRecord, SessionData, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load, write_atomic};
 use wcal_trace::engine::search::Options;
+use wcal_trace::scalar::{ScalarData, ScalarOptions, verify_scalar};
 use wcal_trace::verify::whisker::PredictionRow;
 use wcal_trace::verify::{VerifyOptions, verify_whisker};
 
@@ -19,6 +20,7 @@ use wcal_trace::verify::{VerifyOptions, verify_whisker};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal verify fixtures/whiskerfbg --out out
+  wcal verify fixtures/nist/pontius --out out
   wcal verify session --holdout later-session --json
   wcal verify session --add next-measurement --out out2
   wcal verify session --accept groove-friction,creep
@@ -110,6 +112,15 @@ pub fn exit_code(verdict: Verdict) -> ExitCode {
     })
 }
 
+/// What the loop gives for a session, whatever its kind.
+struct Outcome {
+    report: ReportInput,
+    /// predictions.csv; none where the data were refused.
+    predictions: Option<String>,
+    /// What a calibration would hold.
+    model: Option<CalibrationModel>,
+}
+
 /// Runs the loop and writes every result; shared with `demo`.
 pub fn verify_session(
     session: &LoadedSession,
@@ -117,40 +128,75 @@ pub fn verify_session(
     seed: u64,
     accept: &[String],
 ) -> anyhow::Result<ReportInput> {
-    let options = VerifyOptions { search: Options { seed, ..Options::default() }, accept: accept.to_vec() };
     std::fs::create_dir_all(out).with_context(|| format!("creating {}", out.display()))?;
-    let mut inputs = session.inputs.clone();
     let seen = note_unsealing(session, out)?;
     let provenance = provenance(&session.inputs, seed);
-    let mut report = match &session.data {
-        SessionData::Whisker(data) => match verify_whisker(&session.id, data, &inputs, &options)? {
-            Err(document) => of_document(session, document, provenance.clone()),
-            Ok(mut done) => {
-                add_notes(&mut done.document, session, seen);
-                write_atomic(&out.join("predictions.csv"), predictions_csv(&done.predictions)?.as_bytes())?;
-                let status = match done.document.verdict {
-                    Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => VerificationStatus::Verified,
-                    Verdict::Ambiguous if !accept.is_empty() => VerificationStatus::Verified,
-                    _ => VerificationStatus::Failed,
-                };
-                if status == VerificationStatus::Verified {
-                    let file = seal(
-                        &session.id,
-                        status,
-                        CalibrationModel::Physical(done.model.clone()),
-                        provenance.clone(),
-                    )?;
-                    write_atomic(&out.join("calibration.json"), &serde_json::to_vec_pretty(&file)?)?;
-                }
-                of_whisker(session, data, &done, provenance.clone())
-            }
-        },
-        other => bail!("verify: sessions of kind {:?} are not handled yet", other.kind()),
+    let search = Options { seed, ..Options::default() };
+    let Outcome { mut report, predictions, model } = match &session.data {
+        SessionData::Whisker(data) => {
+            let options = VerifyOptions { search, accept: accept.to_vec() };
+            of_whisker_session(session, data, &options, provenance.clone())?
+        }
+        other if !accept.is_empty() => {
+            bail!("--accept: expected a session of kind \"whisker\", found {:?}", other.kind())
+        }
+        SessionData::Transducer(data) => {
+            of_scalar_session(session, ScalarData::Transducer(data), search, provenance.clone())?
+        }
+        SessionData::Axis(data) => {
+            of_scalar_session(session, ScalarData::Axis(data), search, provenance.clone())?
+        }
     };
-    report.verify.inputs = std::mem::take(&mut inputs);
+    add_notes(&mut report.verify, session, seen);
+    report.verify.inputs = session.inputs.clone();
+    if let Some(csv) = predictions {
+        write_atomic(&out.join("predictions.csv"), csv.as_bytes())?;
+    }
+    let verified = match report.verify.verdict {
+        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
+        Verdict::Ambiguous => !accept.is_empty(),
+        _ => false,
+    };
+    if let Some(model) = model.filter(|_| verified) {
+        let file = seal(&session.id, VerificationStatus::Verified, model, provenance)?;
+        write_atomic(&out.join("calibration.json"), &serde_json::to_vec_pretty(&file)?)?;
+    }
     write_atomic(&out.join("verify.json"), &serde_json::to_vec_pretty(&report.verify)?)?;
     write_atomic(&out.join("report.html"), wcal_report::render(&report).as_bytes())?;
     Ok(report)
+}
+
+fn of_whisker_session(
+    session: &LoadedSession,
+    data: &WhiskerData,
+    options: &VerifyOptions,
+    provenance: Provenance,
+) -> anyhow::Result<Outcome> {
+    Ok(match verify_whisker(&session.id, data, &session.inputs, options)? {
+        Err(document) => {
+            Outcome { report: of_document(session, document, provenance), predictions: None, model: None }
+        }
+        Ok(done) => Outcome {
+            predictions: Some(predictions_csv(&done.predictions)?),
+            model: Some(CalibrationModel::Physical(done.model.clone())),
+            report: of_whisker(session, data, &done, provenance),
+        },
+    })
+}
+
+fn of_scalar_session(
+    session: &LoadedSession,
+    data: ScalarData<'_>,
+    search: Options,
+    provenance: Provenance,
+) -> anyhow::Result<Outcome> {
+    let options = ScalarOptions { search, ..ScalarOptions::default() };
+    let done = verify_scalar(&session.id, data, &options)?;
+    Ok(Outcome {
+        predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
+        model: done.model.clone().map(CalibrationModel::Scalar),
+        report: of_scalar(session, data, &done, provenance),
+    })
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
@@ -219,6 +265,19 @@ fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
     Ok(csv)
 }
 
+/// Every reading with what both models say of it, in the session's unit.
+fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
+    let name = if matches!(data, ScalarData::Axis(_)) { "error_um" } else { "response" };
+    let mut csv =
+        format!("source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected\n");
+    for r in records {
+        let why = r.rejected.as_deref().unwrap_or_default();
+        let values = [r.measured, r.predicted_before, r.predicted_after, r.noise_sd].map(|v| v.to_string());
+        csv += &format!("{},{},{},{},{why}\n", r.source, r.point, r.role, values.join(","));
+    }
+    csv
+}
+
 /// The result as a person reads it.
 pub fn print_text(v: &VerifyDocument, out: &Path) {
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
@@ -233,10 +292,8 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
             .parameters
             .iter()
             .map(|p| {
-                format!(
-                    "{} = {:.4} [{:.4}, {:.4}] {}",
-                    p.name, p.value, p.interval95[0], p.interval95[1], p.unit
-                )
+                let [low, high] = p.interval95.map(readable);
+                format!("{} = {} [{low}, {high}] {}", p.name, readable(p.value), p.unit)
             })
             .collect();
         println!(
@@ -250,14 +307,28 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
     if let (Some(b), Some(a)) = (&v.before, &v.after) {
         println!("  held-out error ({}, {} readings):        before      after", a.split, a.points);
         for (name, before) in &b.rmse {
-            println!("    {name:<32} {before:>10.4} {:>10.4}", a.rmse.get(name).copied().unwrap_or(f64::NAN));
+            let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
+            println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
         }
     }
-    if let Some(floor) = v.noise_floor.wavelength_pm {
-        println!("  noise floor {floor:.3} pm ({})", v.noise_floor.source);
+    let n = &v.noise_floor;
+    for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, "(unit of the response)"), (n.error_um, "um")]
+    {
+        if let Some(floor) = floor {
+            println!("  noise floor {} {unit} ({})", readable(floor), n.source);
+        }
     }
     if let Some(n) = &v.next_measurement {
         println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
     }
     println!("  written to {}", out.display());
+}
+
+/// Four decimals, or an exponent where these would hide the number.
+fn readable(value: f64) -> String {
+    if value == 0.0 || (0.01..1e6).contains(&value.abs()) {
+        format!("{value:.4}")
+    } else {
+        format!("{value:.4e}")
+    }
 }

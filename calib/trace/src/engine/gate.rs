@@ -34,6 +34,7 @@ pub struct DriverScore {
 }
 
 /// Result of the gate on one model.
+#[derive(Debug, Clone)]
 pub struct Gate {
     /// Signatures of the catalogue on top of the model.
     pub atoms: Vec<Atom>,
@@ -60,6 +61,12 @@ impl Gate {
     #[must_use]
     pub fn generic(&self) -> bool {
         self.p_drivers < DRIVER_LEVEL || self.p_serial < SERIAL_LEVEL
+    }
+
+    /// Family-wise p-values: catalogue, generic signatures, serial correlation.
+    #[must_use]
+    pub fn families(&self) -> [f64; 3] {
+        [self.p_catalogue, self.p_drivers, self.p_serial]
     }
 
     /// One omnibus p-value: Bonferroni over the three families by their shares of the level.

@@ -251,7 +251,7 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
     let first_gate = gate(system, &base.fit, weights, options.seed, options.draws);
     let mut best = base.clone();
     let mut level: Vec<Hypothesis> = vec![base.clone()];
-    let mut level_gate = gate_again(system, &best, options, 0);
+    let mut level_gate = first_gate.clone();
     let mut final_level: Vec<Hypothesis> = Vec::new();
     for size in 1..=options.largest {
         if !level_gate.rejected() && !single_readings(system, &best) {

@@ -1,5 +1,6 @@
 //! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
 
+use serde::{Deserialize, Serialize};
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 
 /// Session of one of the two scalar kinds.
@@ -12,7 +13,8 @@ pub enum ScalarData<'a> {
 }
 
 /// Declared model of the session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Declared {
     /// Polynomial of this degree in the stimulus with free coefficients.
     Polynomial(usize),
@@ -131,7 +133,7 @@ impl ScalarData<'_> {
 }
 
 /// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for prediction.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scaling {
     /// Middle of the stimulus.
     pub mid: f64,
@@ -172,6 +174,19 @@ pub struct Frame {
     pub declared: Declared,
     /// Group of each row.
     pub groups: Vec<u32>,
+    /// The order of the rows is that of the measurement: time stamps say so, or nothing speaks against it.
+    pub ordered: bool,
+    /// Rows that no fit sees: what asks for enough readings to fit is not asked of them.
+    pub new_rows: bool,
+}
+
+/// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
+/// stands among its repetitions then says nothing of when it was taken.
+fn sorted_with_repetitions(rows: &[ScalarRow]) -> bool {
+    let rises = rows.windows(2).all(|p| p[1].x >= p[0].x);
+    let falls = rows.windows(2).all(|p| p[1].x <= p[0].x);
+    let level = rises && falls;
+    (rises || falls) && !level && rows.windows(2).any(|p| p[1].x == p[0].x)
 }
 
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
@@ -214,7 +229,7 @@ impl Scaling {
 const LEAST_EACH_WAY: usize = 3;
 
 /// Given directions, or those of the sequence where time or cycles attest it.
-fn directions(rows: &[ScalarRow]) -> Option<Vec<f64>> {
+fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
     let found = match all(rows, |r| r.direction) {
         Some(given) => given,
         None if rows.iter().all(|r| r.t_s.is_some()) => {
@@ -229,7 +244,7 @@ fn directions(rows: &[ScalarRow]) -> Option<Vec<f64>> {
         None => return None,
     };
     let up = found.iter().filter(|d| **d > 0.0).count();
-    (up >= LEAST_EACH_WAY && found.len() - up >= LEAST_EACH_WAY).then_some(found)
+    (up >= least && found.len() - up >= least).then_some(found)
 }
 
 /// Cycles or replicates that are runs over several stimuli; else one group.
@@ -248,7 +263,17 @@ fn groups(rows: &[ScalarRow]) -> Vec<u32> {
 impl Frame {
     /// Frame of `rows`, normalised by `scaling`.
     #[must_use]
-    pub fn new(mut rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+    pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+        Self::build(rows, scaling, declared, false)
+    }
+
+    /// Frame of rows for prediction alone, `y` unused.
+    #[must_use]
+    pub fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+        Self::build(rows, scaling, declared, true)
+    }
+
+    fn build(mut rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared, new_rows: bool) -> Self {
         let timed = rows.iter().all(|r| r.t_s.is_some());
         if timed {
             rows.sort_by(|a, b| a.t_s.unwrap_or(0.0).total_cmp(&b.t_s.unwrap_or(0.0)));
@@ -273,10 +298,12 @@ impl Frame {
             temperature: scaling
                 .temperature
                 .and_then(|mean| all(&rows, |r| r.temperature_degc.map(|t| t - mean))),
-            direction: directions(&rows),
+            direction: directions(&rows, if new_rows { 0 } else { LEAST_EACH_WAY }),
             covariates,
             declared,
             groups: groups(&rows),
+            ordered: timed || !sorted_with_repetitions(&rows),
+            new_rows,
             scaling: scaling.clone(),
             rows,
         }

@@ -68,12 +68,51 @@ pub struct HeldOut {
     pub half95: f64,
 }
 
-/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`. `relative_sd` is the noise's.
-fn predict(system: &ScalarSystem, fitted: &Fit, relative_sd: &[f64]) -> Option<(DVector<f64>, Vec<f64>)> {
+/// What predictions need of a fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fitted {
+    /// Terms with fitted values.
+    pub terms: Vec<Term>,
+    /// Free coefficients.
+    pub coefficients: Vec<f64>,
+    /// Joint covariance of coefficients and nonlinear values.
+    pub covariance: DMatrix<f64>,
+    /// Variance of the noise.
+    pub variance: f64,
+    /// Residual degrees of freedom.
+    pub dof: f64,
+}
+
+impl Fitted {
+    /// Takes it from a fit.
+    #[must_use]
+    pub fn of(fit: &Fit) -> Self {
+        Self {
+            terms: fit.terms.clone(),
+            coefficients: fit.coefficients.column(0).iter().copied().collect(),
+            covariance: covariance(fit),
+            variance: fit.variance(),
+            dof: fit.dof,
+        }
+    }
+}
+
+/// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`. `relative_sd` is the noise's. None where the
+/// design has no solution there or is not the one that was fitted.
+#[must_use]
+pub fn predict(
+    system: &ScalarSystem,
+    fitted: &Fitted,
+    relative_sd: &[f64],
+) -> Option<(DVector<f64>, Vec<f64>)> {
     let design = system.design(&fitted.terms)?;
-    let prediction = &design * fitted.coefficients.column(0);
+    let coefficients = DVector::from_column_slice(&fitted.coefficients);
+    if design.ncols() != coefficients.len() {
+        return None;
+    }
+    let prediction = &design * &coefficients;
     let (n, q) = design.shape();
-    let mut gradient = DMatrix::zeros(n, q + fitted.tangents.len());
+    let mut gradient = DMatrix::zeros(n, fitted.covariance.nrows());
     gradient.view_mut((0, 0), (n, q)).copy_from(&design);
     let mut slot = q;
     for (t, term) in fitted.terms.iter().enumerate() {
@@ -82,18 +121,17 @@ fn predict(system: &ScalarSystem, fitted: &Fit, relative_sd: &[f64]) -> Option<(
             let h = 1e-3 * term.values[k].abs().max(1e-6);
             moved[t].values[k] += h;
             if let Some(d) = system.design(&moved) {
-                gradient.set_column(slot, &((d - &design) * fitted.coefficients.column(0) / h));
+                gradient.set_column(slot, &((d - &design) * &coefficients / h));
             }
             slot += 1;
         }
     }
-    let covariance = covariance(fitted);
     let t = t95(fitted.dof);
     let half = (0..n)
         .map(|i| {
             let g = gradient.row(i);
-            let parameters = (g * &covariance * g.transpose())[(0, 0)].max(0.0);
-            t * (fitted.variance() * relative_sd[i].powi(2) + parameters).sqrt()
+            let parameters = (g * &fitted.covariance * g.transpose())[(0, 0)].max(0.0);
+            t * (fitted.variance * relative_sd[i].powi(2) + parameters).sqrt()
         })
         .collect();
     Some((prediction, half))
@@ -118,8 +156,8 @@ pub fn cross_validate(
                 kept.0[i] = 0.0;
             }
         }
-        let Some((prediction, half)) =
-            fit(system, terms, &kept, 15).and_then(|fitted| predict(system, &fitted, &relative_sd))
+        let Some((prediction, half)) = fit(system, terms, &kept, 15)
+            .and_then(|fitted| predict(system, &Fitted::of(&fitted), &relative_sd))
         else {
             continue;
         };
@@ -133,7 +171,7 @@ pub fn cross_validate(
 /// Errors of a fit on the sealed rows of `all` (a system over fitted and sealed rows).
 #[must_use]
 pub fn on_sealed(all: &ScalarSystem, fitted: &Fit, sealed: &[bool], relative_sd: &[f64]) -> Vec<HeldOut> {
-    let Some((prediction, half)) = predict(all, fitted, relative_sd) else { return Vec::new() };
+    let Some((prediction, half)) = predict(all, &Fitted::of(fitted), relative_sd) else { return Vec::new() };
     (0..sealed.len())
         .filter(|&i| sealed[i])
         .map(|i| HeldOut { fold: i, error: all.measured()[(i, 0)] - prediction[i], half95: half[i] })

@@ -1,10 +1,11 @@
 //! Coefficients of a polynomial in the stimulus, to the digits that double precision allows, and the lack-of-fit test.
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Least-squares polynomial in the stimulus as measured.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Polynomial {
     /// Coefficients, constant first.
     pub coefficients: Vec<f64>,
@@ -70,7 +71,7 @@ pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Optio
 }
 
 /// Pure error from readings of one stimulus, and lack of fit against it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LackOfFit {
     /// Standard deviation of readings of one stimulus.
     pub pure_sd: f64,

@@ -1,6 +1,6 @@
 //! Residual records of every reading, sealed ones included.
 
-use super::frame::Declared;
+use super::frame::{Declared, Frame};
 use super::spread::{Spread, SpreadLaw};
 use super::system::ScalarSystem;
 use crate::candidate::System;
@@ -12,15 +12,15 @@ use wcal_core::residual::ResidualRecord;
 #[must_use]
 pub fn relative_sd(all: &ScalarSystem, fitted: &ScalarSystem, spread: Option<&Spread>) -> Vec<f64> {
     let Some(s) = spread else { return vec![1.0; all.frame.rows.len()] };
-    let z = |system: &ScalarSystem| -> Vec<f64> {
-        match s.law {
-            SpreadLaw::Power => system.frame.rows.iter().map(|r| r.x.max(1e-300).ln()).collect(),
-            SpreadLaw::Exponential => system.frame.u.clone(),
-        }
-    };
-    let own = z(fitted);
-    let mean = own.iter().sum::<f64>() / own.len() as f64;
-    z(all).iter().map(|v| (s.exponent * (v - mean)).exp()).collect()
+    let own = s.law.scale(&fitted.frame);
+    let centre = own.iter().sum::<f64>() / own.len() as f64;
+    relative_sd_at(&all.frame, s.law, s.exponent, centre)
+}
+
+/// Relative standard deviation at every row of `frame`; one at `centre`.
+#[must_use]
+pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
+    law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
 }
 
 fn role(role: Role) -> &'static str {

@@ -5,6 +5,7 @@
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
 
 /// Fewer readings say nothing about a trend of the spread.
 pub const LEAST_READINGS: usize = 20;
@@ -12,7 +13,8 @@ pub const LEAST_READINGS: usize = 20;
 pub const SPREAD_LEVEL: f64 = 0.003;
 
 /// How the standard deviation follows the stimulus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SpreadLaw {
     /// sd ~ stimulus^b; only where every stimulus is positive.
     Power,

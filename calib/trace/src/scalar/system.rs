@@ -64,10 +64,15 @@ impl ScalarSystem {
     /// The same effects seen on other rows (sealed ones), far offset kept.
     #[must_use]
     pub fn on(&self, frame: Frame) -> Self {
-        let mut other = Self::new(frame, &self.covariate_names);
-        other.measured.add_scalar_mut(self.offset - other.offset);
-        other.offset = self.offset;
-        other
+        Self::new(frame, &self.covariate_names).with_offset(self.offset)
+    }
+
+    /// The same rows seen from another far point.
+    #[must_use]
+    pub fn with_offset(mut self, offset: f64) -> Self {
+        self.measured.add_scalar_mut(offset - self.offset);
+        self.offset = offset;
+        self
     }
 
     /// What is added to every measured value inside the system (0 for transducers).
@@ -125,10 +130,10 @@ impl System for ScalarSystem {
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         let frame = &self.frame;
         let stimulus = if frame.declared == Declared::Axis { "commanded_mm" } else { "stimulus" };
-        let mut out = vec![
-            (stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>()),
-            ("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()),
-        ];
+        let mut out = vec![(stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>())];
+        if frame.ordered {
+            out.push(("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()));
+        }
         if frame.time.is_some() {
             out.push(("t_s".to_owned(), frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect()));
         }

@@ -1,12 +1,15 @@
 //! `wcal verify` for one value a reading: the stages in order.
 
+use super::admission::{refusal, thin};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
 use super::held_out::{HeldOut, coverage95, cross_validate, folds, on_sealed, summarise};
+use super::model::ScalarModel;
+use super::notes::notes;
 use super::parameters::Names;
 use super::polynomial::{LackOfFit, Polynomial, lack_of_fit, polynomial};
 use super::spread::{SPREAD_LEVEL, Spread, spread_test};
-use super::steadiness::{Steadiness, UNSTEADY, steadiness};
+use super::steadiness::{Steadiness, steadiness};
 use super::system::ScalarSystem;
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next, records};
@@ -50,10 +53,12 @@ pub struct ScalarVerification {
     pub document: VerifyDocument,
     /// One record a reading, sealed ones included, in the order of the measurement.
     pub residuals: Vec<ResidualRecord>,
-    /// Declared model as a polynomial in the stimulus (constant, for an axis).
+    /// Declared model as a polynomial in the stimulus (none for an axis).
     pub declared: Option<Polynomial>,
     /// Accepted model, where it is a polynomial of higher degree than the declared one.
     pub accepted: Option<Polynomial>,
+    /// The accepted model for predictions; none where the data were refused.
+    pub model: Option<ScalarModel>,
     /// Lack of fit of the declared model against replicates.
     pub lack_of_fit_before: Option<LackOfFit>,
     /// Lack of fit of the accepted model.
@@ -66,38 +71,12 @@ pub struct ScalarVerification {
     pub residual_sd: [f64; 2],
     /// Explanations that were refitted, best first.
     pub evidence: Vec<Evidence>,
+    /// The gate's families (catalogue, generic, serial) on the declared and on the best model; none where the data were refused.
+    pub gates: Option<[[f64; 3]; 2]>,
 }
 
-/// Fewer readings than this are refused.
-const LEAST_ROWS: usize = 8;
-/// The search takes at most this many readings of a session; all are predicted.
-const MOST_ROWS: usize = 1000;
 /// A residual below this share of the largest response is rounding.
 const ROUNDING: f64 = 1e-13;
-
-fn refusal(rows: &[ScalarRow], scaling: &Scaling, declared: Declared) -> Option<String> {
-    let parameters = match declared {
-        Declared::Polynomial(degree) => degree + 1,
-        Declared::Axis => 1,
-    };
-    if rows.len() < LEAST_ROWS {
-        return Some(format!("{} readings; at least {LEAST_ROWS} are needed", rows.len()));
-    }
-    let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
-    x.sort_by(f64::total_cmp);
-    x.dedup();
-    if x.len() < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
-        return Some(format!("{} different stimuli do not determine {parameters} coefficients", x.len()));
-    }
-    let sealed_too = rows.iter().any(|r| !(r.x.is_finite() && r.y.is_finite()));
-    sealed_too.then(|| "a reading is not a finite number".to_owned())
-}
-
-/// Every k-th reading where there are too many for the search.
-fn thin(rows: Vec<ScalarRow>) -> (Vec<ScalarRow>, usize) {
-    let every = rows.len().div_ceil(MOST_ROWS).max(1);
-    (rows.into_iter().step_by(every).collect(), every)
-}
 
 /// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
 fn standardised(h: &Hypothesis) -> Vec<f64> {
@@ -172,12 +151,14 @@ fn refused(session: &str, data: &ScalarData, seed: u64, why: String) -> ScalarVe
         residuals: Vec::new(),
         declared: None,
         accepted: None,
+        model: None,
         lack_of_fit_before: None,
         lack_of_fit_after: None,
         spread: None,
         steadiness: None,
         residual_sd: [f64::NAN; 2],
         evidence: Vec::new(),
+        gates: None,
     }
 }
 
@@ -249,7 +230,7 @@ pub fn verify_scalar(
     let everything: Vec<ScalarRow> = rows.iter().chain(&sealed_rows).cloned().collect();
     let (rows, every) = thin(rows);
     let scaling = Scaling::of(&rows);
-    if let Some(why) = refusal(&rows, &scaling, declared) {
+    if let Some(why) = refusal(&rows, &sealed_rows, &scaling, declared) {
         return Ok(refused(session, &data, seed, why));
     }
     let names_of = data.covariate_names();
@@ -307,7 +288,15 @@ pub fn verify_scalar(
     doc.detectable = detect::table(&system, &c.accepted.fit, gate, &names);
     doc.next_measurement = next::next_measurement(&system, &c);
     let steadiness = steadiness(&system, &c.accepted);
-    notes(&mut doc, &system, &c, steadiness.as_ref(), spread.as_ref(), [total, every]);
+    notes(
+        &mut doc,
+        &system,
+        &c,
+        steadiness.as_ref(),
+        spread.as_ref(),
+        [lack_of_fit_before.as_ref(), lack_of_fit_after.as_ref()],
+        [total, every],
+    );
     doc.effects = c.effects.clone();
     doc.alternatives = c.alternatives.clone();
     doc.unknown = c.unknown.clone();
@@ -316,6 +305,9 @@ pub fn verify_scalar(
     let x: Vec<f64> = system.frame.rows.iter().map(|r| r.x).collect();
     let y: Vec<f64> = system.frame.rows.iter().map(|r| r.y).collect();
     let base_degree = if let Declared::Polynomial(d) = declared { d } else { 0 };
+    let declared_polynomial = polynomial(&x, &y, &found.base.weights.0, base_degree)
+        .filter(|_| matches!(declared, Declared::Polynomial(_)));
+    let accepted = degree(&system, &c.accepted).and_then(|d| polynomial(&x, &y, &c.accepted.weights.0, d));
     let residual_sd = [found.base.fit.variance().sqrt(), c.accepted.fit.variance().sqrt()];
     Ok(ScalarVerification {
         residuals: records::records(
@@ -327,14 +319,25 @@ pub fn verify_scalar(
             spread.as_ref(),
             &names.response,
         ),
-        declared: polynomial(&x, &y, &found.base.weights.0, base_degree),
-        accepted: degree(&system, &c.accepted).and_then(|d| polynomial(&x, &y, &c.accepted.weights.0, d)),
+        model: Some(ScalarModel::of(
+            &system,
+            &c.accepted,
+            spread.as_ref(),
+            &names,
+            accepted
+                .clone()
+                .or_else(|| declared_polynomial.clone().filter(|_| c.accepted.fit.terms.is_empty())),
+            [lack_of_fit_before, lack_of_fit_after],
+        )),
+        declared: declared_polynomial,
+        accepted,
         document: doc,
         lack_of_fit_before,
         lack_of_fit_after,
         spread,
         steadiness,
         residual_sd,
+        gates: Some([found.first_gate.families(), found.last_gate.families()]),
         evidence: found.evidence,
     })
 }
@@ -354,38 +357,5 @@ fn exact_conclusion(base: &Hypothesis) -> Conclusion {
         rivals: Vec::new(),
         unknown: None,
         accepted: base.clone(),
-    }
-}
-
-fn notes(
-    doc: &mut VerifyDocument,
-    system: &ScalarSystem,
-    c: &Conclusion,
-    steadiness: Option<&Steadiness>,
-    spread: Option<&Spread>,
-    [total, every]: [usize; 2],
-) {
-    if every > 1 {
-        let used = system.frame.rows.len();
-        doc.notes
-            .push(format!("The search used {used} of {total} readings, every {every}th; all are predicted."));
-    }
-    if let Some(s) = steadiness.filter(|s| s.z > UNSTEADY) {
-        let note = format!(
-            "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
-            s.cycles[0], s.standard_errors[0], s.cycles[1], s.standard_errors[1]
-        );
-        doc.reason.push(' ');
-        doc.reason.push_str(&note);
-        doc.notes.push(note);
-    }
-    if spread.is_some() {
-        doc.notes
-            .push("Readings were weighted by the spread found; held-out errors are not weighted.".to_owned());
-    }
-    if !c.accepted.flagged.is_empty() {
-        let points: Vec<String> =
-            c.accepted.flagged.iter().map(|&i| system.frame.rows[i].origin.2.to_string()).collect();
-        doc.notes.push(format!("Points {} are marked as outliers and count in no error.", points.join(", ")));
     }
 }

@@ -1,6 +1,6 @@
 //! Drift of the zero, in proportion to time, or to the order where there is no time.
 
-use super::law;
+use super::{law, needs_order};
 use crate::candidate::{Candidate, Law};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
@@ -24,6 +24,9 @@ impl Candidate for Drift {
 }
 
 impl ScalarEffect for Drift {
+    fn not_observable(&self, frame: &Frame) -> Option<String> {
+        needs_order(frame)
+    }
     fn columns(&self, _law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         out.push(frame.clock().to_vec());
         true

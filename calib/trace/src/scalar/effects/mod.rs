@@ -78,6 +78,13 @@ fn needs_both_directions(frame: &Frame) -> Option<String> {
     })
 }
 
+/// Effects of the clock need time stamps, or an order that can be trusted.
+fn needs_order(frame: &Frame) -> Option<String> {
+    (!frame.ordered).then(|| {
+        "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown".to_owned()
+    })
+}
+
 /// Effects of time need time stamps.
 fn needs_time(frame: &Frame) -> Option<String> {
     frame.time.is_none().then(|| "the session has no time stamps".to_owned())

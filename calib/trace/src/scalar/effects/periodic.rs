@@ -9,15 +9,18 @@ use crate::scalar::system::ScalarEffect;
 pub struct Periodic;
 
 /// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the best between them.
-const GRID: [f64; 199] = {
-    let mut grid = [0.0; 199];
+const GRID: [f64; 197] = {
+    let mut grid = [0.0; 197];
     let mut k = 0;
-    while k < 199 {
-        grid[k] = 1.0 + 0.5 * k as f64;
+    while k < 197 {
+        grid[k] = 2.0 + 0.5 * k as f64;
         k += 1;
     }
     grid
 };
+
+/// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
+const LEAST_CYCLES: f64 = 1.5;
 
 impl Candidate for Periodic {
     fn id(&self) -> &'static str {
@@ -25,7 +28,7 @@ impl Candidate for Periodic {
     }
     fn laws(&self) -> Vec<Law> {
         let columns = [("sine", "response"), ("cosine", "response")];
-        let cycles = |unit| vec![shape("period", unit, [0.6, 120.0], &GRID)];
+        let cycles = |unit| vec![shape("period", unit, [LEAST_CYCLES, 120.0], &GRID)];
         vec![
             law("over-stimulus", cycles("period:stimulus"), &columns),
             law("over-time", cycles("period:time"), &columns),
@@ -47,7 +50,8 @@ const LEAST_PLACES: usize = 12;
 
 /// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
 fn variable(law: usize, frame: &Frame) -> Option<(Vec<f64>, usize)> {
-    let same = |a: &[f64], b: &[f64]| correlation(a, b).abs() > SAME;
+    // New rows are not searched: they follow the law that was fitted.
+    let same = |a: &[f64], b: &[f64]| !frame.new_rows && correlation(a, b).abs() > SAME;
     let n = frame.scaling.count;
     match law {
         0 => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
@@ -55,7 +59,7 @@ fn variable(law: usize, frame: &Frame) -> Option<(Vec<f64>, usize)> {
         _ => {
             let known =
                 frame.time.as_ref().is_some_and(|t| same(t, &frame.order)) || same(&frame.u, &frame.order);
-            (!known).then(|| (frame.order.clone(), n))
+            (!known && frame.ordered).then(|| (frame.order.clone(), n))
         }
     }
 }
@@ -67,7 +71,8 @@ impl ScalarEffect for Periodic {
     fn columns(&self, law: usize, values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         let Some((place, places)) = variable(law, frame) else { return false };
         // Above half a cycle from place to place a frequency is another one's alias.
-        if places < LEAST_PLACES || values[0] > 0.5 * (places as f64 - 1.0) {
+        let aliased = places < LEAST_PLACES || values[0] > 0.5 * (places as f64 - 1.0);
+        if aliased && !frame.new_rows {
             return false;
         }
         let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * values[0] * p).collect();

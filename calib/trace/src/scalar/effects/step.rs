@@ -1,6 +1,6 @@
 //! Step: from some reading on, every response is shifted.
 
-use super::{law, shape};
+use super::{law, needs_order, shape};
 use crate::candidate::{Candidate, Law};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
@@ -38,10 +38,14 @@ impl Candidate for Step {
 }
 
 impl ScalarEffect for Step {
+    fn not_observable(&self, frame: &Frame) -> Option<String> {
+        needs_order(frame)
+    }
     fn columns(&self, _law: usize, values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= values[0]))).collect();
         let after = column.iter().filter(|v| **v > 0.0).count();
-        if after < LEAST_EACH_SIDE || column.len() - after < LEAST_EACH_SIDE {
+        let few = after < LEAST_EACH_SIDE || column.len() - after < LEAST_EACH_SIDE;
+        if few && !frame.new_rows {
             return false;
         }
         out.push(column);

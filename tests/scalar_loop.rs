@@ -331,7 +331,7 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
         assert!(reason.contains(says), "{name}: {reason}");
         assert!(run.calibration.is_none() && run.effects().is_empty(), "{name}");
     }
-    // Errors: exit code 1, one message, nothing written.
+    // Errors: exit code 1, one message, no result but a verify.json that refuses.
     let nan = line_table(30, plain, |k, x, y| {
         format!("{k},calibration,{x},{}", if k == 4 { "NaN".to_owned() } else { y.to_string() })
     });
@@ -354,7 +354,8 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
         let stderr = String::from_utf8_lossy(&run.stderr);
         assert_eq!(run.status.code(), Some(1), "{name}: {stderr}");
         assert!(says.iter().all(|s| stderr.contains(s)) && !stderr.contains("panicked"), "{name}: {stderr}");
-        assert!(!out.exists(), "{name}");
+        let left: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["verify.json"], "{name}: nothing but the refusal");
     }
     // Narrower claims: nothing repeated, a constant response, a constant covariate.
     let once: String = (0..30)

@@ -9,8 +9,10 @@ use serde::{Deserialize, Serialize};
 
 /// Fewer readings say nothing about a trend of the spread.
 pub const LEAST_READINGS: usize = 20;
-/// Family-wise share of the level that the spread may spend.
-pub const SPREAD_LEVEL: f64 = 0.003;
+/// Family-wise share of the level that the spread may spend: small, since re-weighting moves every other number.
+pub const SPREAD_LEVEL: f64 = 0.001;
+/// From here on the spread is worth a remark.
+pub const SPREAD_REMARK: f64 = 0.01;
 
 /// How the standard deviation follows the stimulus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

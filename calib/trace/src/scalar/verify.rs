@@ -8,7 +8,7 @@ use super::model::ScalarModel;
 use super::notes::notes;
 use super::parameters::Names;
 use super::polynomial::{LackOfFit, Polynomial, lack_of_fit, polynomial};
-use super::spread::{SPREAD_LEVEL, Spread, spread_test};
+use super::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
 use super::steadiness::{Steadiness, steadiness};
 use super::system::ScalarSystem;
 use super::verdict::{Conclusion, conclude};
@@ -126,6 +126,14 @@ fn look(system: &ScalarSystem, options: &ScalarOptions) -> Option<(Found, Option
         Some(again) => Some((weighted, Some(Spread { relative_sd: spread.relative_sd, ..again }))),
         None => Some((plain, None)),
     }
+}
+
+/// A trend of the spread too weak to be called an effect.
+fn remark(spread: Option<Spread>) -> Option<String> {
+    let p = spread.filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
+    Some(format!(
+        "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."
+    ))
 }
 
 /// Degree of the polynomial that the accepted effects make of the declared one.
@@ -297,6 +305,9 @@ pub fn verify_scalar(
         [lack_of_fit_before.as_ref(), lack_of_fit_after.as_ref()],
         [total, every],
     );
+    if spread.is_none() {
+        doc.notes.extend(remark(test_spread(&system.frame, &c.accepted, options)));
+    }
     doc.effects = c.effects.clone();
     doc.alternatives = c.alternatives.clone();
     doc.unknown = c.unknown.clone();

@@ -162,7 +162,8 @@ impl PhysicalModel {
             .collect()
     }
 
-    /// Felt moments by Newton's method reading by reading; the slope is taken by differences because effects add columns of their own.
+    /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls: where a bent readout never gives the
+    /// shift, the moment at its fold, the closest one, comes out. The slope is taken by differences because effects add columns.
     fn felt(
         &self,
         terms: &[(Arc<dyn WhiskerEffect>, Term)],
@@ -172,8 +173,12 @@ impl PhysicalModel {
         const STEP_NMM: f64 = 1e-5;
         // A longer step would leave the branch of a quadratic readout that starts at rest.
         const LONGEST_NMM: f64 = 0.5;
-        let mut felt = vec![[0.0; 2]; path.readings.len()];
-        for _ in 0..40 {
+        let n = path.readings.len();
+        let mut felt = vec![[0.0; 2]; n];
+        let mut from = vec![Vector2::zeros(); n];
+        let mut steps: Vec<Vector2<f64>> = vec![Vector2::zeros(); n];
+        let mut misfit = vec![f64::INFINITY; n];
+        for _ in 0..80 {
             let here = self.readout(terms, path, &felt);
             let moved = |c: usize| {
                 let shifted: Vec<[f64; 2]> = felt
@@ -189,15 +194,22 @@ impl PhysicalModel {
             let slopes = [moved(0), moved(1)];
             let mut change: f64 = 0.0;
             for (i, m) in felt.iter_mut().enumerate() {
-                let slope = Matrix2::from_fn(|c, j| slopes[j][(i, c)]);
-                let back = slope.try_inverse().unwrap_or(*inverse);
                 let shift = path.readings[i].shift_pm;
-                let mut step = back * Vector2::new(shift[0] - here[(i, 0)], shift[1] - here[(i, 1)]);
-                if step.norm() > LONGEST_NMM {
-                    step *= LONGEST_NMM / step.norm();
+                let left = Vector2::new(shift[0] - here[(i, 0)], shift[1] - here[(i, 1)]);
+                if left.norm() > misfit[i] {
+                    steps[i] *= 0.5;
+                } else {
+                    from[i] = Vector2::from(*m);
+                    misfit[i] = left.norm();
+                    let slope = Matrix2::from_fn(|c, j| slopes[j][(i, c)]);
+                    steps[i] = slope.try_inverse().unwrap_or(*inverse) * left;
+                    let size = steps[i].norm();
+                    if size > LONGEST_NMM {
+                        steps[i] *= LONGEST_NMM / size;
+                    }
                 }
-                *m = [m[0] + step[0], m[1] + step[1]];
-                change = change.max(step.norm());
+                *m = (from[i] + steps[i]).into();
+                change = change.max(steps[i].norm());
             }
             if change < 1e-9 {
                 break;

@@ -43,6 +43,25 @@ impl Candidate for Periodic {
     }
 }
 
+/// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it is a function of the stimulus.
+const LOCKED: f64 = 0.95;
+
+/// Share of the variance of `u` that a sine and a cosine of `phase` explain.
+fn share_explained(u: &[f64], phase: &[f64]) -> f64 {
+    let design = nalgebra::DMatrix::from_fn(u.len(), 3, |i, j| match j {
+        0 => 1.0,
+        1 => phase[i].sin(),
+        _ => phase[i].cos(),
+    });
+    let y = nalgebra::DVector::from_row_slice(u);
+    let mean = y.mean();
+    let total: f64 = y.iter().map(|v| (v - mean).powi(2)).sum();
+    match design.clone().svd(true, true).solve(&y, 1e-9) {
+        Ok(b) if total > 0.0 => 1.0 - (y - design * b).norm_squared() / total,
+        _ => 0.0,
+    }
+}
+
 /// Two covariates that run together this closely are one.
 const SAME: f64 = 0.9999;
 /// Fewer places than this do not show a period.
@@ -76,6 +95,9 @@ impl ScalarEffect for Periodic {
             return false;
         }
         let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * values[0] * p).collect();
+        if law > 0 && !frame.new_rows && share_explained(&frame.u, &phase) > LOCKED {
+            return false;
+        }
         out.push(phase.iter().map(|p| p.sin()).collect());
         out.push(phase.iter().map(|p| p.cos()).collect());
         true

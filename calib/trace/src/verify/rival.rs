@@ -71,20 +71,24 @@ pub fn rival(whole: &WhiskerSystem, before: &[Predicted], k: &Matrix2<f64>) -> V
     let Some(inverse) = k.try_inverse().filter(|_| !test.is_empty()) else { return Vec::new() };
     let seen = x.select_rows(&train);
     let residual = |i: usize, c: usize| readings[i].shift_pm[c] - before[i].shift_pm[c];
-    let mut added = vec![[0.0; 2]; readings.len()];
+    // Channel by channel: what the process adds at each held-out reading, in the order of `test`.
+    let mut channels: Vec<Vec<f64>> = Vec::with_capacity(2);
     for c in 0..2 {
         let y = DVector::from_iterator(train.len(), train.iter().map(|&i| residual(i, c)));
         let Some(f) = fitted(&seen, &y) else { return Vec::new() };
-        for &i in &test {
-            added[i][c] = (0..train.len())
+        let at = |i: usize| -> f64 {
+            (0..train.len())
                 .map(|j| f.signal * matern((x.row(i) - seen.row(j)).norm() / f.length) * f.alpha[j])
-                .sum();
-        }
+                .sum()
+        };
+        channels.push(test.iter().map(|&i| at(i)).collect());
     }
     test.iter()
-        .map(|&i| {
-            let corrected = [0, 1].map(|c| before[i].shift_pm[c] + added[i][c]);
-            let moment = inverse * Vector2::from(added[i]);
+        .enumerate()
+        .map(|(k, &i)| {
+            let added = [channels[0][k], channels[1][k]];
+            let corrected = [0, 1].map(|c| before[i].shift_pm[c] + added[c]);
+            let moment = inverse * Vector2::from(added);
             let mut p = before[i];
             p.shift_pm = corrected;
             p.moment_nmm = [p.moment_nmm[0] - moment[0], p.moment_nmm[1] - moment[1]];

@@ -22,6 +22,11 @@ const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// Root offsets where they do not: the rig file's tag pose is off, the wire's root is measured.
 const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 
+/// Shift of a whole line that pieces share, px: uneven light across the wire and the camera's tone curve on unequal sides.
+const LINE_FLOOR_PX: f64 = 0.015;
+/// A corner is good to hundredths of a pixel: whole pixels are no noise.
+const TAG_MISFIT_PX: f64 = 1.0;
+
 /// A pair with its pictures and tags.
 struct Loaded {
     name: String,
@@ -52,20 +57,27 @@ pub fn shapes_of_pairs(
         loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
     let base = folder_base(stereo, rig, &tags);
     let mut warnings = Vec::new();
-    let attempt = |root_sd: [f64; 2]| -> Vec<Result<PairFit, String>> {
+    let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
         loaded
             .par_iter()
             .enumerate()
             .map(|(k, l)| {
                 let l = l.as_ref().map_err(Clone::clone)?;
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd);
-                progress(&l.name);
+                let start = match earlier.get(k) {
+                    None => None,
+                    Some(Ok(fit)) => Some(fit),
+                    Some(Err(why)) => return Err(why.clone()),
+                };
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd, start);
+                if start.is_none() {
+                    progress(&l.name);
+                }
                 fit
             })
             .collect()
     };
     let mut root_sd = ROOT_CLAMPED;
-    let mut fits = attempt(root_sd);
+    let mut fits = attempt(root_sd, &[]);
     let mut joint = base.as_ref().map(|b| Joint::new(stereo, b, &fits, root_sd));
     if let Some(j) = &joint
         && j.disagreement > 30.0
@@ -75,7 +87,7 @@ pub fn shapes_of_pairs(
             j.disagreement
         ));
         root_sd = ROOT_FREE;
-        fits = attempt(root_sd);
+        fits = attempt(root_sd, &fits);
         joint = base.as_ref().map(|b| Joint::new(stereo, b, &fits, root_sd));
     }
     if let (Some(j), Some(b)) = (&joint, &base) {
@@ -132,7 +144,7 @@ pub fn shapes_of_pairs(
 
 fn corrected(base: &FolderBase, joint: &Joint) -> FolderBase {
     let mut base = base.clone();
-    base.pose.left_from_body = base.pose.left_from_body * updated(&Isometry3::identity(), &joint.step);
+    base.pose.left_from_body *= updated(&Isometry3::identity(), &joint.step);
     base
 }
 
@@ -191,6 +203,7 @@ fn fit_one(
     base: Option<&FolderBase>,
     index: usize,
     root_sd: [f64; 2],
+    start: Option<&PairFit>,
 ) -> Result<PairFit, String> {
     let own = base_sightings(rig, &loaded.tags);
     let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
@@ -203,8 +216,28 @@ fn fit_one(
     } else {
         base.pose.clone()
     };
+    let off_px = tag_pose::residual_rms_px(stereo, &own, &pose.left_from_body);
+    if off_px > TAG_MISFIT_PX {
+        return Err(exchanged_or_foreign(base, &own, off_px));
+    }
     let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
-    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior)
+    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start)
+}
+
+/// Why the base tag's corners fit no pose.
+fn exchanged_or_foreign(base: &FolderBase, own: &[tag_pose::Sighting], off_px: f64) -> String {
+    let as_in_the_other_camera = own.iter().all(|s| {
+        base.sightings.iter().any(|b| {
+            let near = |k: usize| (b.tag.corners_px[k] - s.tag.corners_px[k]).norm() < 3.0 * TAG_MISFIT_PX;
+            b.camera != s.camera && b.tag.id == s.tag.id && (0..4).all(near)
+        })
+    });
+    let cause = if as_in_the_other_camera {
+        "the left and the right picture are swapped"
+    } else {
+        "left and right swapped, pictures not taken together, cameras moved since they were calibrated, or another tag size"
+    };
+    format!("the base tag's corners lie {off_px:.1} px from any pose that both cameras share: {cause}")
 }
 
 fn missing_tag(rig: &Rig, loaded: &Loaded) -> String {
@@ -316,7 +349,11 @@ impl Joint {
         if let Some(c) = &self.stereo.covariance {
             covariance += &response * c * response.transpose();
         }
-        Uncertain { covariance, by_calibration: response }
+        // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b).
+        let depth_mm = fit.left_from_base.translation.vector.norm();
+        let baseline_mm = self.stereo.right_from_left.translation.vector.norm();
+        let by_pixel = depth_mm * depth_mm / (self.stereo.cameras[0].focal_px[0] * baseline_mm);
+        Uncertain { covariance, by_calibration: response, shared_mm: LINE_FLOOR_PX * by_pixel }
     }
 }
 
@@ -326,6 +363,8 @@ pub struct Uncertain {
     pub covariance: DMatrix<f64>,
     /// Rows as above, 24 columns.
     pub by_calibration: DMatrix<f64>,
+    /// Error that all places of the wire share and that the pictures' scatter does not show, mm.
+    pub shared_mm: f64,
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
@@ -433,7 +472,7 @@ pub(crate) fn node_covariance(
     let j = jacobian.rows(3 * node, 3);
     let c = u.covariance.view((6, 6), (n, n));
     let m = j * c * j.transpose();
-    Matrix3::from_iterator(m.iter().copied())
+    Matrix3::from_iterator(m.iter().copied()) + Matrix3::identity() * u.shared_mm * u.shared_mm
 }
 
 fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&Uncertain>) {

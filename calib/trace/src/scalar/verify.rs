@@ -18,7 +18,7 @@ use crate::engine::atoms::nuisance;
 use crate::engine::fit::Weights;
 use crate::engine::search::{Evidence, Found, Hypothesis, Options, search};
 use wcal_core::residual::ResidualRecord;
-use wcal_core::verify_document::{NoiseFloor, TwinCheck, VERIFY_FORMAT, Verdict, VerifyDocument};
+use wcal_core::verify_document::{Verdict, VerifyDocument};
 
 /// Settings of the loop.
 #[derive(Debug, Clone, Copy)]
@@ -171,26 +171,7 @@ fn refused(session: &str, data: &ScalarData, seed: u64, why: String) -> ScalarVe
 }
 
 fn document(session: &str, data: &ScalarData, seed: u64, verdict: Verdict, reason: String) -> VerifyDocument {
-    VerifyDocument {
-        format: VERIFY_FORMAT.to_owned(),
-        session: session.to_owned(),
-        kind: data.kind().to_owned(),
-        verdict,
-        reason,
-        twin: TwinCheck::default(),
-        effects: Vec::new(),
-        alternatives: Vec::new(),
-        unknown: None,
-        noise_floor: NoiseFloor { source: "none".to_owned(), ..NoiseFloor::default() },
-        before: None,
-        after: None,
-        coverage95: None,
-        next_measurement: None,
-        detectable: Vec::new(),
-        seed,
-        inputs: Vec::new(),
-        notes: Vec::new(),
-    }
+    VerifyDocument { verdict, ..VerifyDocument::refused(session, data.kind(), reason, seed) }
 }
 
 /// Held-out errors of the declared and the accepted model, the split and how to say it.

@@ -60,13 +60,18 @@ impl Conclusion {
         Ok(())
     }
 
-    /// The unsealed readings contradict the accepted model: nothing may be called adequate or explained then.
-    pub fn contradicted(&mut self, p: f64, found: &Found) {
-        if !matches!(self.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault) {
+    /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
+    /// No driver is named: the calibration readings show none.
+    pub fn contradicted(&mut self, p: f64, on_request: bool) {
+        let claimed = match self.verdict {
+            Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
+            Verdict::Ambiguous => on_request,
+            _ => false,
+        };
+        if !claimed {
             return;
         }
         self.verdict = Verdict::UnknownEffect;
-        self.unknown = unknown(&found.last_gate);
         self.reason = format!(
             "The held-out readings contradict what the calibration readings allow (p = {p:.1e}): something acts there that \
              the calibration poses do not show. {}",

@@ -160,7 +160,7 @@ pub fn verify_whisker(
     let before = predict(&whole, &found.base, &model_before).ok_or_else(no_solution)?;
     let after = predict(&whole, &conclusion.accepted, &model_after).ok_or_else(no_solution)?;
     if let Some(p) = holdout_p(&whole, &conclusion.accepted, &after).filter(|p| *p < HOLDOUT_LEVEL) {
-        conclusion.contradicted(p, &found);
+        conclusion.contradicted(p, !options.accept.is_empty());
     }
     let errors = held_out_errors(
         data,

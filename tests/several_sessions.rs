@@ -114,3 +114,34 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
     assert!(String::from_utf8_lossy(&run.stderr).contains("groove-friction"));
     assert!(!out.path().join("calibration.json").exists());
 }
+
+#[test]
+fn a_holdout_that_contradicts_the_points_is_said() {
+    // The points of the null session (adequate, tests/residual_loop.rs) with a holdout whose channel 1 reads 5 pm more.
+    let whole = part("practice/case-004", 0.0, |_| true);
+    let session =
+        std::fs::read_to_string(fixture("practice/case-004").join("session.toml")).expect("session");
+    std::fs::write(whole.path().join("session.toml"), session).expect("written");
+    let text = std::fs::read_to_string(fixture("practice/case-004").join("holdout.csv")).expect("holdout");
+    let column =
+        text.lines().next().expect("header").split(',').position(|c| c == "fbg_1_nm").expect("column");
+    let moved = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if let Ok(nm) = cells[column].parse::<f64>() {
+            cells[column] = format!("{:.7}", nm + 5e-3);
+        }
+        cells.join(",") + "\n"
+    };
+    std::fs::write(whole.path().join("holdout.csv"), text.lines().map(moved).collect::<String>())
+        .expect("written");
+    let (run, v, out) = verify(whole.path(), &[]);
+    let v = v.expect("verify.json");
+    assert_eq!(
+        (run.status.code(), v["verdict"].as_str()),
+        (Some(4), Some("unknown-effect")),
+        "{}",
+        v["reason"]
+    );
+    assert!(v["reason"].as_str().expect("reason").contains("held-out readings contradict"));
+    assert!(!out.path().join("calibration.json").exists());
+}

@@ -92,16 +92,12 @@ impl BundleSolution {
 #[must_use]
 pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     let range = |axis: usize| {
-        let (lo, hi) = points
-            .iter()
-            .fold((f64::MAX, f64::MIN), |(lo, hi), p| (lo.min(p[axis]), hi.max(p[axis])));
+        let (lo, hi) =
+            points.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| (lo.min(p[axis]), hi.max(p[axis])));
         (0.5 * (lo + hi), (0.5 * (hi - lo)).max(f64::MIN_POSITIVE))
     };
     let ((mx, hx), (my, hy)) = (range(0), range(1));
-    points
-        .iter()
-        .map(|p| [1.0 - ((p.x - mx) / hx).powi(2), 1.0 - ((p.y - my) / hy).powi(2)])
-        .collect()
+    points.iter().map(|p| [1.0 - ((p.x - mx) / hx).powi(2), 1.0 - ((p.y - my) / hy).powi(2)]).collect()
 }
 
 struct Normal {
@@ -131,13 +127,25 @@ pub fn residuals(
 ) -> [Vec<Option<Vector2<f64>>>; 2] {
     let board = warped(points, &warp_shapes(points), state.warp);
     let left_from_board = &state.left_from_board[view];
-    [&observed.left, &observed.right].map(|side| side.clone()).into_iter().enumerate().map(|(c, side)| {
-        let pose = if c == 0 { *left_from_board } else { state.right_from_left * left_from_board };
-        side.iter()
-            .zip(&board)
-            .map(|(px, p)| Some(px.as_ref()? - state.cameras[c].project(&(pose * nalgebra::Point3::from(*p)).coords)?))
-            .collect::<Vec<_>>()
-    }).collect::<Vec<_>>().try_into().unwrap_or_default()
+    [&observed.left, &observed.right]
+        .map(|side| side.clone())
+        .into_iter()
+        .enumerate()
+        .map(|(c, side)| {
+            let pose = if c == 0 { *left_from_board } else { state.right_from_left * left_from_board };
+            side.iter()
+                .zip(&board)
+                .map(|(px, p)| {
+                    Some(
+                        px.as_ref()?
+                            - state.cameras[c].project(&(pose * nalgebra::Point3::from(*p)).coords)?,
+                    )
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap_or_default()
 }
 
 fn linearise(

@@ -103,7 +103,8 @@ pub fn calibrate_stereo(
     let mut warnings = Vec::new();
     let dropped = drop_wild_corners(points, &state, &mut kept);
     if dropped > 0 {
-        warnings.push(format!("{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"));
+        warnings
+            .push(format!("{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"));
     }
     let flat = solve(points, &kept, state, Free::all(false));
     let (bundle, warp_used) = with_warp_if_needed(points, &kept, flat);

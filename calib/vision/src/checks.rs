@@ -81,12 +81,12 @@ pub(crate) fn explain_disagreement(
             format!("the pairs are shifted: the left pictures are {frames} against the right ones"),
         ));
     }
-    let mirrored: Vec<Corners> = right
-        .iter()
-        .map(|c| mirror(points, c, image_size_px[0] as f64))
-        .collect();
+    let mirrored: Vec<Corners> = right.iter().map(|c| mirror(points, c, image_size_px[0] as f64)).collect();
     if let Ok(other) = crate::initial::calibrate_alone(points, &mirrored, image_size_px) {
-        causes.push((score(&mono[0], &other, &mirrored), "one camera's pictures are mirrored left to right".into()));
+        causes.push((
+            score(&mono[0], &other, &mirrored),
+            "one camera's pictures are mirrored left to right".into(),
+        ));
     }
     let best = causes.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).filter(|b| b.0 < 0.3 * now);
     let why = best.map_or_else(
@@ -95,7 +95,9 @@ pub(crate) fn explain_disagreement(
     );
     VisionError::result(
         "calibrate two cameras",
-        format!("pairs that agree on one relative pose of the cameras (each camera alone fits to {mono_rms_px:.2} px)"),
+        format!(
+            "pairs that agree on one relative pose of the cameras (each camera alone fits to {mono_rms_px:.2} px)"
+        ),
         format!("pairs that contradict each other (joint fit {joint_rms_px:.2} px): {why}"),
     )
 }
@@ -116,7 +118,11 @@ pub(crate) fn refuse_unphysical(
     views: &[BoardView],
 ) -> Result<(), VisionError> {
     let refuse = |expected: String, found: String| {
-        Err(VisionError::result("accept the calibration", expected, format!("{found} (RMS {:.3} px all the same)", solution.rms_px())))
+        Err(VisionError::result(
+            "accept the calibration",
+            expected,
+            format!("{found} (RMS {:.3} px all the same)", solution.rms_px()),
+        ))
     };
     if !solution.converged {
         return refuse("a solve that converges".into(), "one that does not".into());
@@ -134,7 +140,10 @@ pub(crate) fn refuse_unphysical(
             return refuse(format!("{name} camera: nearly square pixels"), format!("fx/fy = {:.3}", fx / fy));
         }
         if !(cx > -0.5 * w && cx < 1.5 * w && cy > -0.5 * h && cy < 1.5 * h) {
-            return refuse(format!("{name} camera: principal point in or near the picture"), format!("({cx:.1}, {cy:.1})"));
+            return refuse(
+                format!("{name} camera: principal point in or near the picture"),
+                format!("({cx:.1}, {cy:.1})"),
+            );
         }
         if let Some(radius_px) = fold_radius(camera, views, *name == "left") {
             return refuse(
@@ -149,7 +158,9 @@ pub(crate) fn refuse_unphysical(
     if baseline < 0.002 * depth && turn < 0.002 {
         return refuse(
             "two cameras in different places".into(),
-            format!("a baseline of {baseline:.4} board units at a depth of {depth:.1} (the same pictures twice?)"),
+            format!(
+                "a baseline of {baseline:.4} board units at a depth of {depth:.1} (the same pictures twice?)"
+            ),
         );
     }
     if solution.shared_covariance.iter().any(|v| !v.is_finite()) {
@@ -206,7 +217,8 @@ pub(crate) fn weak_geometry(
     if views.len() < 8 {
         warnings.push(format!("only {} views: 8 or more average the corners' errors better", views.len()));
     }
-    let normals: Vec<Vector3<f64>> = state.left_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
+    let normals: Vec<Vector3<f64>> =
+        state.left_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
     let spread = normals
         .iter()
         .flat_map(|a| normals.iter().map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()))

@@ -4,9 +4,9 @@ use crate::corner::{Corner, fit_corner};
 use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
 use nalgebra::{DMatrix, Vector2};
-use rayon::prelude::*;
 use opencv::core::{Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
 use opencv::{calib3d, imgproc};
+use rayon::prelude::*;
 
 /// Inner corners of a board: columns and rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,9 +63,8 @@ pub fn find_chessboard(
     let mat = picture.to_mat()?;
     let size = Size::new(board.columns as i32, board.rows as i32);
     let mut found = Vector::<Point2f>::new();
-    let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
-        | calib3d::CALIB_CB_NORMALIZE_IMAGE
-        | calib3d::CALIB_CB_FAST_CHECK;
+    let flags =
+        calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_FAST_CHECK;
     let mut ok =
         calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?;
     if !ok {
@@ -86,11 +85,7 @@ pub fn find_chessboard(
 }
 
 /// The two finders start at opposite ends and may run either way round; the pattern decides.
-fn normalise_order(
-    picture: &Picture,
-    board: BoardSize,
-    mut points: Vec<Vector2<f64>>,
-) -> Vec<Vector2<f64>> {
+fn normalise_order(picture: &Picture, board: BoardSize, mut points: Vec<Vector2<f64>>) -> Vec<Vector2<f64>> {
     let (c, r) = (board.columns, board.rows);
     let (u, v) = (points[c - 1] - points[0], points[(r - 1) * c] - points[0]);
     if u.perp(&v) < 0.0 {
@@ -120,11 +115,7 @@ fn normalise_order(
 }
 
 /// Distance (px) to the nearest neighbour in the grid, and the directions of the grid's rows and columns at a corner.
-fn neighbourhood(
-    board: BoardSize,
-    points: &[Vector2<f64>],
-    k: usize,
-) -> (f64, [Vector2<f64>; 2]) {
+fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [Vector2<f64>; 2]) {
     let (c, i, j) = (board.columns, k % board.columns, k / board.columns);
     let mut nearest = f64::INFINITY;
     let mut along = |here: usize, count: usize, stride: usize| {
@@ -164,12 +155,9 @@ pub fn refine(
             let mat = picture.to_mat()?;
             let mut corners: Vector<Point2f> =
                 coarse.iter().map(|p| Point2f::new(p.x as f32, p.y as f32)).collect();
-            let until = TermCriteria::new(
-                TermCriteria_Type::EPS as i32 + TermCriteria_Type::COUNT as i32,
-                60,
-                1e-4,
-            )
-            .doing("TermCriteria")?;
+            let until =
+                TermCriteria::new(TermCriteria_Type::EPS as i32 + TermCriteria_Type::COUNT as i32, 60, 1e-4)
+                    .doing("TermCriteria")?;
             imgproc::corner_sub_pix(&mat, &mut corners, Size::new(half, half), Size::new(-1, -1), until)
                 .doing("cornerSubPix")?;
             Ok(corners
@@ -202,7 +190,9 @@ pub fn continues_beyond(
     // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it.
     let saddle = |i: i64, j: i64| -> Option<f64> {
         let mut sum = 0.0;
-        for (dx, dy, sign) in [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)] {
+        for (dx, dy, sign) in
+            [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)]
+        {
             let (x, y) = at(i as f64 + dx, j as f64 + dy);
             if !picture.contains(x, y, 1.0) {
                 return None;
@@ -227,10 +217,7 @@ pub fn continues_beyond(
 }
 
 /// Homography from grid indices to pixels, by the direct linear transformation.
-fn grid_homography(
-    board: BoardSize,
-    points: &[Vector2<f64>],
-) -> Option<DMatrix<f64>> {
+fn grid_homography(board: BoardSize, points: &[Vector2<f64>]) -> Option<DMatrix<f64>> {
     let n = points.len();
     let centre = points.iter().sum::<Vector2<f64>>() / n as f64;
     let scale = points.iter().map(|p| (p - centre).norm()).sum::<f64>() / n as f64;
@@ -251,10 +238,6 @@ fn grid_homography(
     let eigen = (a.transpose() * a).symmetric_eigen();
     let smallest = eigen.eigenvalues.imin();
     let h = DMatrix::from_row_iterator(3, 3, eigen.eigenvectors.column(smallest).iter().copied());
-    let back = DMatrix::from_row_slice(
-        3,
-        3,
-        &[scale, 0.0, centre.x, 0.0, scale, centre.y, 0.0, 0.0, 1.0],
-    );
+    let back = DMatrix::from_row_slice(3, 3, &[scale, 0.0, centre.x, 0.0, scale, centre.y, 0.0, 0.0, 1.0]);
     Some(back * h)
 }

@@ -42,12 +42,7 @@ pub fn fit_corner(
             let r = ((dx * dx + dy * dy) as f64).sqrt();
             let weight = ((radius_px + 0.5 - r).clamp(0.0, 1.0)).sqrt();
             if weight > 0.0 {
-                pixels.push((
-                    dx as f64,
-                    dy as f64,
-                    picture.at(cx0 as i64 + dx, cy0 as i64 + dy),
-                    weight,
-                ));
+                pixels.push((dx as f64, dy as f64, picture.at(cx0 as i64 + dx, cy0 as i64 + dy), weight));
             }
         }
     }

@@ -143,8 +143,11 @@ impl StereoDocument {
     /// Where the file is missing, no such document, or not physical.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| VisionError::Io { action: "read", path: name.clone(), source })?;
+        let text = std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+            action: "read",
+            path: name.clone(),
+            source,
+        })?;
         let document: Self = serde_json::from_str(&text)
             .map_err(|e| VisionError::content(&name, "a stereo.json document", e.to_string()))?;
         if document.format != STEREO_FORMAT {
@@ -182,7 +185,10 @@ impl StereoDocument {
             };
             let p = camera.parameters();
             if p.iter().any(|v| !v.is_finite()) || p[0] <= 0.0 || p[1] <= 0.0 {
-                return Err(format!("camera {}: positive focal lengths expected, {} and {} found", c.name, p[0], p[1]));
+                return Err(format!(
+                    "camera {}: positive focal lengths expected, {} and {} found",
+                    c.name, p[0], p[1]
+                ));
             }
             Ok(camera)
         };

@@ -29,7 +29,9 @@ fn visible(points: &[Vector3<f64>], corners: &Corners) -> ImageAndObject {
     points
         .iter()
         .zip(corners)
-        .filter_map(|(p, c)| c.map(|c| (Point2f::new(c.x as f32, c.y as f32), Point3f::new(p.x as f32, p.y as f32, 0.0))))
+        .filter_map(|(p, c)| {
+            c.map(|c| (Point2f::new(c.x as f32, c.y as f32), Point3f::new(p.x as f32, p.y as f32, 0.0)))
+        })
         .unzip()
 }
 
@@ -44,25 +46,13 @@ pub fn board_pose(
 ) -> Result<Isometry3<f64>, VisionError> {
     let (image, object) = visible(points, corners);
     let k = camera.matrix();
-    let k = Mat::from_slice_2d(&[
-        [k[(0, 0)], 0.0, k[(0, 2)]],
-        [0.0, k[(1, 1)], k[(1, 2)]],
-        [0.0, 0.0, 1.0],
-    ])
-    .doing("camera matrix")?;
+    let k = Mat::from_slice_2d(&[[k[(0, 0)], 0.0, k[(0, 2)]], [0.0, k[(1, 1)], k[(1, 2)]], [0.0, 0.0, 1.0]])
+        .doing("camera matrix")?;
     let d = Mat::from_slice(&camera.distortion).doing("distortion")?.try_clone().doing("distortion")?;
     let (mut rvec, mut tvec) = (Vector::<f64>::new(), Vector::<f64>::new());
-    let ok = calib3d::solve_pnp(
-        &object,
-        &image,
-        &k,
-        &d,
-        &mut rvec,
-        &mut tvec,
-        false,
-        calib3d::SOLVEPNP_ITERATIVE,
-    )
-    .doing("solvePnP")?;
+    let ok =
+        calib3d::solve_pnp(&object, &image, &k, &d, &mut rvec, &mut tvec, false, calib3d::SOLVEPNP_ITERATIVE)
+            .doing("solvePnP")?;
     let vector = |v: &Vector<f64>| Vector3::from_iterator(v.iter());
     if !ok || rvec.len() != 3 || rvec.iter().chain(tvec.iter()).any(|v| !v.is_finite()) {
         return Err(VisionError::result("find the board's pose", "a pose in front of the camera", "none"));
@@ -87,7 +77,11 @@ pub fn calibrate_alone(
     image_size_px: [usize; 2],
 ) -> Result<MonoEstimate, VisionError> {
     if views.len() < 3 {
-        return Err(VisionError::result("calibrate a camera", "at least 3 usable views", views.len().to_string()));
+        return Err(VisionError::result(
+            "calibrate a camera",
+            "at least 3 usable views",
+            views.len().to_string(),
+        ));
     }
     let (images, objects): (Vector<Vector<Point2f>>, Vector<Vector<Point3f>>) =
         views.iter().map(|v| visible(points, v)).unzip();
@@ -182,7 +176,9 @@ pub fn consensus(
                 let errors: Vec<_> = corners
                     .iter()
                     .zip(points)
-                    .map(|(c, p)| Some((*c)? - right.camera.project(&(all * nalgebra::Point3::from(*p)).coords)?))
+                    .map(|(c, p)| {
+                        Some((*c)? - right.camera.project(&(all * nalgebra::Point3::from(*p)).coords)?)
+                    })
                     .collect();
                 view_rms(&errors)
             })

@@ -90,11 +90,8 @@ pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>,
     };
     let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
     for (is_left, file) in left.iter().map(|f| (true, f)).chain(right.iter().map(|f| (false, f))) {
-        let entry = pairs.entry(key(file)).or_insert_with(|| PairFiles {
-            name: stem(file),
-            left: None,
-            right: None,
-        });
+        let entry =
+            pairs.entry(key(file)).or_insert_with(|| PairFiles { name: stem(file), left: None, right: None });
         let slot = if is_left { &mut entry.left } else { &mut entry.right };
         if let Some(other) = slot {
             return Err(VisionError::content(

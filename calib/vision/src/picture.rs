@@ -34,11 +34,23 @@ impl Picture {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a PNG or JPEG.
+    /// Reads a grey PNG or JPEG.
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture, 16-bit or coloured.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
+        Self::decode(path, false)
+    }
+
+    /// Reads a PNG or JPEG; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
+    ///
+    /// # Errors
+    /// Where the file is missing, empty, cut off, not a picture or 16-bit.
+    pub fn read_as_grey(path: &Path) -> Result<Self, VisionError> {
+        Self::decode(path, true)
+    }
+
+    fn decode(path: &Path, colours_allowed: bool) -> Result<Self, VisionError> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|source| VisionError::Io {
             action: "read",
@@ -47,8 +59,7 @@ impl Picture {
         })?;
         check_complete(&name, &bytes)?;
         let buffer = Vector::<u8>::from_slice(&bytes);
-        let mat =
-            imgcodecs::imdecode(&buffer, imgcodecs::IMREAD_UNCHANGED).doing("decode a picture")?;
+        let mat = imgcodecs::imdecode(&buffer, imgcodecs::IMREAD_UNCHANGED).doing("decode a picture")?;
         if mat.empty() {
             return Err(VisionError::content(name, "a PNG or JPEG picture", "bytes that do not decode"));
         }
@@ -61,6 +72,13 @@ impl Picture {
         let data = match channels {
             1 => raw.to_vec(),
             // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
+            3 | 4 if colours_allowed => raw
+                .chunks_exact(channels)
+                .map(|p| {
+                    (0.114 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.299 * f64::from(p[2])).round()
+                        as u8
+                })
+                .collect(),
             3 | 4 => {
                 let coloured = raw
                     .chunks_exact(channels)
@@ -126,7 +144,9 @@ impl Picture {
         }
         let (lo, hi) = self.data.iter().fold((255u8, 0u8), |(lo, hi), &v| (lo.min(v), hi.max(v)));
         if hi - lo < 8 {
-            return Some(format!("no contrast: grey values {lo} to {hi}, mean {mean:.0} (black or covered?)"));
+            return Some(format!(
+                "no contrast: grey values {lo} to {hi}, mean {mean:.0} (black or covered?)"
+            ));
         }
         None
     }
@@ -200,6 +220,10 @@ fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
     if complete {
         Ok(())
     } else {
-        Err(VisionError::content(name, "a complete picture", format!("one cut off after {} bytes", bytes.len())))
+        Err(VisionError::content(
+            name,
+            "a complete picture",
+            format!("one cut off after {} bytes", bytes.len()),
+        ))
     }
 }

@@ -1,0 +1,71 @@
+//! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
+
+use anyhow::Context;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_vision::document::StereoDocument;
+use wcal_vision::pairs::{list_pictures, pair_files};
+use wcal_vision::rig::Rig;
+use wcal_vision::shapes::shapes_of_pairs;
+
+/// Arguments of `wcal stereo-shape`.
+#[derive(Debug, Args)]
+pub struct StereoShapeArgs {
+    /// Left pictures: a folder or a pattern
+    pub left: String,
+    /// Right pictures
+    pub right: String,
+    /// Calibration of the cameras
+    #[arg(long, value_name = "stereo.json")]
+    pub cameras: PathBuf,
+    /// Rig: whisker, tags, groove
+    #[arg(long, value_name = "rig.toml")]
+    pub rig: PathBuf,
+    /// Folder for shapes.json and the overlays
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Print shapes.json on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command: 0, or 3 where pairs were rejected or warnings matter.
+///
+/// # Errors
+/// Where the files cannot be read or no pair can be used.
+pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
+    let stereo = StereoDocument::read(&args.cameras)?
+        .stereo_cameras()
+        .map_err(|why| anyhow::anyhow!("{}: {why}", args.cameras.display()))?;
+    let rig = Rig::read(&args.rig)?;
+    let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
+    let mut result = shapes_of_pairs(&stereo, &rig, &files, &|name| eprintln!("stereo-shape: {name}"));
+    result.document.provenance.program = concat!("wcal ", env!("CARGO_PKG_VERSION")).into();
+    result.document.provenance.command = std::env::args().collect();
+    let text = serde_json::to_string_pretty(&result.document)?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("create {}", args.out.display()))?;
+    let path = args.out.join("shapes.json");
+    std::fs::write(&path, &text).with_context(|| format!("write {}", path.display()))?;
+    let mut clean = result.document.warnings.is_empty();
+    for warning in &result.document.warnings {
+        eprintln!("stereo-shape: warning: {warning}");
+    }
+    let mut good = 0;
+    for pair in &result.document.pairs {
+        clean &= pair.status == "ok" && pair.warnings.is_empty();
+        good += usize::from(pair.status == "ok");
+        if pair.status != "ok" {
+            eprintln!("stereo-shape: {} rejected: {}", pair.name, pair.why);
+        }
+        for warning in &pair.warnings {
+            eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
+        }
+    }
+    eprintln!("stereo-shape: {good} of {} pairs", result.document.pairs.len());
+    if args.json {
+        println!("{text}");
+    }
+    anyhow::ensure!(good > 0, "expected at least one usable pair, found none; {} states each reason", path.display());
+    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}

@@ -73,7 +73,10 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         PatternName::Chessboard => Pattern::Chessboard,
         PatternName::Charuco => Pattern::Charuco {
             marker_mm: marker()?,
-            dictionary: args.dictionary.clone().context("--dictionary is needed for ChArUco boards, e.g. DICT_4X4_50")?,
+            dictionary: args
+                .dictionary
+                .clone()
+                .context("--dictionary is needed for ChArUco boards, e.g. DICT_4X4_50")?,
         },
         PatternName::Aprilgrid => Pattern::AprilGrid {
             gap_mm: marker()?,
@@ -81,8 +84,9 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         },
     };
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
-    let (mut document, _) =
-        calibrate_folders(&args.left, &args.right, &board, &|message| eprintln!("stereo-calibrate: {message}"))?;
+    let (mut document, _) = calibrate_folders(&args.left, &args.right, &board, &|message| {
+        eprintln!("stereo-calibrate: {message}")
+    })?;
     document.provenance.program = concat!("wcal ", env!("CARGO_PKG_VERSION")).into();
     document.provenance.command = std::env::args().collect();
     let text = serde_json::to_string_pretty(&document)?;

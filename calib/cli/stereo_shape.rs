@@ -2,12 +2,14 @@
 
 use anyhow::Context;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_vision::document::StereoDocument;
-use wcal_vision::pairs::{list_pictures, pair_files};
+use wcal_vision::overlay::overlay_png;
+use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
+use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes::shapes_of_pairs;
+use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
 
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]
@@ -25,6 +27,9 @@ pub struct StereoShapeArgs {
     /// Folder for shapes.json and the overlays
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Draw what was found into the pictures (overlay-*.png beside shapes.json)
+    #[arg(long)]
+    pub overlays: bool,
     /// Print shapes.json on stdout
     #[arg(long)]
     pub json: bool,
@@ -47,6 +52,9 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("create {}", args.out.display()))?;
     let path = args.out.join("shapes.json");
     std::fs::write(&path, &text).with_context(|| format!("write {}", path.display()))?;
+    if args.overlays {
+        write_overlays(&result, &files, &args.out)?;
+    }
     let mut clean = result.document.warnings.is_empty();
     for warning in &result.document.warnings {
         eprintln!("stereo-shape: warning: {warning}");
@@ -66,6 +74,24 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{text}");
     }
-    anyhow::ensure!(good > 0, "expected at least one usable pair, found none; {} states each reason", path.display());
+    anyhow::ensure!(
+        good > 0,
+        "expected at least one usable pair, found none; {} states each reason",
+        path.display()
+    );
     Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// Overlays of every usable pair: `overlay-NAME-left.png` and `-right.png`.
+fn write_overlays(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyhow::Result<()> {
+    for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
+        let Some(fit) = fit else { continue };
+        for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
+            let Some(source) = source else { continue };
+            let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
+            let path = out.join(format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]));
+            std::fs::write(&path, png).with_context(|| format!("write {}", path.display()))?;
+        }
+    }
+    Ok(())
 }

@@ -118,3 +118,36 @@ pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec
         Ok(tags)
     }
 }
+
+/// The picture of a tag, one pixel a cell, its white margin included.
+///
+/// # Errors
+/// Where the family or the number is unknown.
+pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
+    let unknown = || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
+    let (create, destroy) = family(family_name).ok_or_else(unknown)?;
+    // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
+    // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
+    unsafe {
+        let family = create();
+        if family.is_null() {
+            return Err(unknown());
+        }
+        if id >= (*family).ncodes {
+            destroy(family);
+            return Err(unknown());
+        }
+        let image = sys::apriltag_to_image(family, id);
+        let (width, height, stride) =
+            ((*image).width as usize, (*image).height as usize, (*image).stride as usize);
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                data.push(*(*image).buf.add(y * stride + x));
+            }
+        }
+        sys::image_u8_destroy(image);
+        destroy(family);
+        Picture::new(width, height, data)
+    }
+}

@@ -4,7 +4,7 @@
 
 use crate::camera::{Camera, INTRINSICS};
 use crate::rigid::{hat, updated};
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, SMatrix, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Vector2, Vector3, Vector6};
 
 /// Parameters shared by all views: two cameras, right_from_left (rotation, translation), warp.
 pub const SHARED: usize = 2 * INTRINSICS + 8;
@@ -100,12 +100,20 @@ pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     points.iter().map(|p| [1.0 - ((p.x - mx) / hx).powi(2), 1.0 - ((p.y - my) / hy).powi(2)]).collect()
 }
 
+/// Normal equations. Plain arrays: matrices of this width as nalgebra types unroll into minutes of compilation.
 struct Normal {
     cost: f64,
     corners: usize,
-    shared: SMatrix<f64, SHARED, SHARED>,
-    shared_gradient: SMatrix<f64, SHARED, 1>,
-    views: Vec<(SMatrix<f64, SHARED, 6>, SMatrix<f64, 6, 6>, Vector6<f64>)>,
+    shared: Vec<[f64; SHARED]>,
+    shared_gradient: [f64; SHARED],
+    views: Vec<ViewNormal>,
+}
+
+/// The part of one view: coupling with the shared parameters, own block, own right-hand side.
+struct ViewNormal {
+    cross: Vec<[f64; 6]>,
+    own: Matrix6<f64>,
+    gradient: Vector6<f64>,
 }
 
 /// Board points with the warp applied.
@@ -159,16 +167,15 @@ fn linearise(
     let mut n = Normal {
         cost: 0.0,
         corners: 0,
-        shared: SMatrix::zeros(),
-        shared_gradient: SMatrix::zeros(),
+        shared: vec![[0.0; SHARED]; SHARED],
+        shared_gradient: [0.0; SHARED],
         views: Vec::with_capacity(views.len()),
     };
     for (view, pose) in views.iter().zip(&state.left_from_board) {
         let rotation = pose.rotation.to_rotation_matrix();
         let normal_axis = rotation.matrix().column(2).into_owned();
-        let mut cross = SMatrix::<f64, SHARED, 6>::zeros();
-        let mut own = SMatrix::<f64, 6, 6>::zeros();
-        let mut gradient = Vector6::zeros();
+        let mut part =
+            ViewNormal { cross: vec![[0.0; 6]; SHARED], own: Matrix6::zeros(), gradient: Vector6::zeros() };
         for (k, p) in board.iter().enumerate() {
             let rotated = rotation * p;
             let in_left = rotated + pose.translation.vector;
@@ -184,32 +191,67 @@ fn linearise(
                 let e = px - predicted;
                 n.cost += e.norm_squared();
                 n.corners += 1;
-                let mut js = SMatrix::<f64, 2, SHARED>::zeros();
-                js.fixed_view_mut::<2, INTRINSICS>(0, side * INTRINSICS).copy_from(&by_camera);
+                // Only the own camera, the relative pose and the warp are touched: columns and their place among all.
+                let mut columns: [(usize, [f64; 2]); INTRINSICS + 8] = [(0, [0.0; 2]); INTRINSICS + 8];
+                let mut count = 0;
+                let mut push = |place: usize, x: f64, y: f64| {
+                    columns[count] = (place, [x, y]);
+                    count += 1;
+                };
+                for k in 0..INTRINSICS {
+                    push(side * INTRINSICS + k, by_camera[(0, k)], by_camera[(1, k)]);
+                }
                 let by_left: Matrix2x3<f64> = if side == 1 {
-                    let turned = extrinsic * in_left;
-                    js.fixed_view_mut::<2, 3>(0, EXTRINSIC).copy_from(&(-by_point * hat(&turned)));
-                    js.fixed_view_mut::<2, 3>(0, EXTRINSIC + 3).copy_from(&by_point);
+                    let by_turn = -by_point * hat(&(extrinsic * in_left));
+                    for k in 0..3 {
+                        push(EXTRINSIC + k, by_turn[(0, k)], by_turn[(1, k)]);
+                        push(EXTRINSIC + 3 + k, by_point[(0, k)], by_point[(1, k)]);
+                    }
                     by_point * extrinsic.matrix()
                 } else {
                     by_point
                 };
                 let along = by_left * normal_axis;
-                js.set_column(WARP, &(along * shapes[k][0]));
-                js.set_column(WARP + 1, &(along * shapes[k][1]));
-                let mut jv = SMatrix::<f64, 2, 6>::zeros();
-                jv.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_left * hat(&rotated)));
-                jv.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_left);
-                n.shared += js.transpose() * js;
-                n.shared_gradient += js.transpose() * e;
-                cross += js.transpose() * jv;
-                own += jv.transpose() * jv;
-                gradient += jv.transpose() * e;
+                for (w, shape) in shapes[k].iter().enumerate() {
+                    push(WARP + w, along.x * shape, along.y * shape);
+                }
+                let by_turn = -by_left * hat(&rotated);
+                let own: [[f64; 6]; 2] = std::array::from_fn(|r| {
+                    std::array::from_fn(|c| if c < 3 { by_turn[(r, c)] } else { by_left[(r, c - 3)] })
+                });
+                n.accumulate(&mut part, &columns[..count], &own, [e.x, e.y]);
             }
         }
-        n.views.push((cross, own, gradient));
+        n.views.push(part);
     }
     n
+}
+
+impl Normal {
+    /// Adds one corner: its columns of the shared parameters, its rows of the view's pose, its residual.
+    fn accumulate(
+        &mut self,
+        view: &mut ViewNormal,
+        columns: &[(usize, [f64; 2])],
+        own: &[[f64; 6]; 2],
+        e: [f64; 2],
+    ) {
+        for (i, a) in columns {
+            for (j, b) in columns {
+                self.shared[*i][*j] += a[0] * b[0] + a[1] * b[1];
+            }
+            self.shared_gradient[*i] += a[0] * e[0] + a[1] * e[1];
+            for k in 0..6 {
+                view.cross[*i][k] += a[0] * own[0][k] + a[1] * own[1][k];
+            }
+        }
+        for k in 0..6 {
+            for l in 0..6 {
+                view.own[(k, l)] += own[0][k] * own[0][l] + own[1][k] * own[1][l];
+            }
+            view.gradient[k] += own[0][k] * e[0] + own[1][k] * e[1];
+        }
+    }
 }
 
 /// Solves for the shared step and the view steps with damping `lambda`; none where the normal matrix is singular.
@@ -219,19 +261,19 @@ fn step(
     lambda: f64,
 ) -> Option<(DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>)> {
     let free: Vec<usize> = (0..SHARED).filter(|&k| mask[k]).collect();
-    let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| normal.shared[(free[i], free[j])]);
+    let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| normal.shared[free[i]][free[j]]);
     for i in 0..free.len() {
         schur[(i, i)] *= 1.0 + lambda;
     }
     let mut rhs = DVector::<f64>::from_fn(free.len(), |i, _| normal.shared_gradient[free[i]]);
     let mut eliminated = Vec::with_capacity(normal.views.len());
-    for (cross, own, gradient) in &normal.views {
+    for ViewNormal { cross, own, gradient } in &normal.views {
         let mut damped = *own;
         for k in 0..6 {
             damped[(k, k)] *= 1.0 + lambda;
         }
         let inverse = damped.cholesky()?.inverse();
-        let w = DMatrix::<f64>::from_fn(free.len(), 6, |i, j| cross[(free[i], j)]);
+        let w = DMatrix::<f64>::from_fn(free.len(), 6, |i, j| cross[free[i]][j]);
         let wi = &w * DMatrix::from_iterator(6, 6, inverse.iter().copied());
         schur -= &wi * w.transpose();
         rhs -= &wi * DVector::from_column_slice(gradient.as_slice());
@@ -241,7 +283,7 @@ fn step(
     let views = eliminated
         .iter()
         .zip(&normal.views)
-        .map(|((inverse, w), (_, _, gradient))| {
+        .map(|((inverse, w), ViewNormal { gradient, .. })| {
             let coupled = w.transpose() * &shared;
             inverse * (gradient - Vector6::from_column_slice(coupled.as_slice()))
         })

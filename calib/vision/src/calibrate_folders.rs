@@ -112,7 +112,10 @@ fn with_rejections(error: VisionError, rejected: &[RejectedView]) -> VisionError
 /// Reads both pictures of a pair; the reason where it cannot be used.
 fn read_pair(files: &PairFiles) -> Result<[Picture; 2], String> {
     let (Some(left), Some(right)) = (&files.left, &files.right) else {
-        return Err(format!("the {} picture is missing", if files.left.is_none() { "left" } else { "right" }));
+        return Err(format!(
+            "the {} picture is missing",
+            if files.left.is_none() { "left" } else { "right" }
+        ));
     };
     let pictures = [left, right].map(|p| Picture::read(p).map_err(|e| e.to_string()));
     let [left_picture, right_picture] = pictures;
@@ -167,7 +170,8 @@ fn usable(
                 format!("size {}x{} px, other pairs differ", v.pictures[0].width, v.pictures[0].height)
             }
             Ok(v) => {
-                let same = views.iter().find(|o| o.pictures[0] == v.pictures[0] || o.pictures[1] == v.pictures[1]);
+                let same =
+                    views.iter().find(|o| o.pictures[0] == v.pictures[0] || o.pictures[1] == v.pictures[1]);
                 match same {
                     Some(other) => format!("shares a picture with {}", other.name),
                     None => {
@@ -208,7 +212,9 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
     }
     // A smaller board that is found whole tells a wrong size from a board that is cut off or absent.
     let (c, r) = (size.columns, size.rows);
-    for (columns, rows) in [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)] {
+    for (columns, rows) in
+        [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)]
+    {
         let other = BoardSize { columns, rows };
         if columns < 3 || rows < 3 {
             continue;
@@ -216,7 +222,9 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
         if let Ok(Some(points)) = find_chessboard(picture, other)
             && continues_beyond(picture, other, &points).is_none()
         {
-            return Err(format!("{side} picture: expected a board of {size} inner corners, found one of {other} (wrong size, or cut off)"));
+            return Err(format!(
+                "{side} picture: expected a board of {size} inner corners, found one of {other} (wrong size, or cut off)"
+            ));
         }
     }
     Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)"))
@@ -263,7 +271,8 @@ fn choose_refinement(
         match calibrate_stereo(points, bundle.clone(), image_size) {
             Ok(solution) => {
                 // Views left out would flatter a way: each costs as if it had four times the RMS.
-                let rms = solution.bundle.rms_px() * (1.0 + solution.rejected.len() as f64 / views.len() as f64);
+                let rms =
+                    solution.bundle.rms_px() * (1.0 + solution.rejected.len() as f64 / views.len() as f64);
                 progress(&format!("{how}: {:.4} px", solution.bundle.rms_px()));
                 tried.insert(how.to_string(), solution.bundle.rms_px());
                 if best.as_ref().is_none_or(|b| rms < b.0) {
@@ -312,7 +321,8 @@ fn marker_views(
     for (file, view) in files.iter().zip(found) {
         match view {
             Ok((v, s)) if Some(s) == size => views.push(v),
-            Ok(_) => rejected.push(RejectedView { view: file.name.clone(), why: "size differs from other pairs".into() }),
+            Ok(_) => rejected
+                .push(RejectedView { view: file.name.clone(), why: "size differs from other pairs".into() }),
             Err(why) => rejected.push(RejectedView { view: file.name.clone(), why }),
         }
     }
@@ -387,14 +397,20 @@ fn projection_sd(points: &[Vector3<f64>], solution: &StereoSolution) -> Vec<Vec<
     (0..2)
         .map(|c| {
             let camera = &state.cameras[c];
-            let block = solution.bundle.shared_covariance.view((c * INTRINSICS, c * INTRINSICS), (INTRINSICS, INTRINSICS));
+            let block = solution
+                .bundle
+                .shared_covariance
+                .view((c * INTRINSICS, c * INTRINSICS), (INTRINSICS, INTRINSICS));
             let [w, h] = camera.image_size_px.map(|v| v as f64);
             (0..9)
                 .map(|k| {
-                    let px = Vector2::new(w * (f64::from(k % 3) + 0.5) / 3.0, h * (f64::from(k / 3) + 0.5) / 3.0);
+                    let px =
+                        Vector2::new(w * (f64::from(k % 3) + 0.5) / 3.0, h * (f64::from(k / 3) + 0.5) / 3.0);
                     camera
                         .undistort(&px)
-                        .and_then(|n| camera.project_with_jacobian(&Vector3::new(n.x * depth, n.y * depth, depth)))
+                        .and_then(|n| {
+                            camera.project_with_jacobian(&Vector3::new(n.x * depth, n.y * depth, depth))
+                        })
                         .map_or(f64::NAN, |(_, _, j)| ((j * block * j.transpose()).trace() / 2.0).sqrt())
                 })
                 .collect()

@@ -26,6 +26,7 @@ pub mod tags;
 pub mod base_pose;
 pub mod groove;
 pub mod markers;
+pub mod overlay;
 pub mod pair_fit;
 pub mod ridge;
 pub mod rod;

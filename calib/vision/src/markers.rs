@@ -8,7 +8,10 @@ use crate::initial::Corners;
 use crate::picture::Picture;
 use crate::tags::{find_tags, tag_corners};
 use nalgebra::{Vector2, Vector3};
-use opencv::aruco::{CharucoBoard, Dictionary, detect_markers_def, get_predefined_dictionary_i32, interpolate_corners_charuco_def};
+use opencv::aruco::{
+    CharucoBoard, Dictionary, detect_markers_def, get_predefined_dictionary_i32,
+    interpolate_corners_charuco_def,
+};
 use opencv::core::{Point2f, Ptr, Vector};
 
 /// A marker board ready for detection.
@@ -21,10 +24,27 @@ pub struct MarkerBoard {
 
 /// OpenCV's predefined dictionaries in the order of its enumeration.
 const DICTIONARIES: [&str; 21] = [
-    "DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000", "DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250",
-    "DICT_5X5_1000", "DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000", "DICT_7X7_50", "DICT_7X7_100",
-    "DICT_7X7_250", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11",
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
 ];
 
 impl MarkerBoard {
@@ -43,9 +63,15 @@ impl MarkerBoard {
                         format!("{marker_mm} mm"),
                     ));
                 }
-                let index = DICTIONARIES.iter().position(|d| d.eq_ignore_ascii_case(dictionary)).ok_or_else(|| {
-                    VisionError::result("lay out the board", format!("one of {}", DICTIONARIES.join(", ")), dictionary)
-                })?;
+                let index = DICTIONARIES.iter().position(|d| d.eq_ignore_ascii_case(dictionary)).ok_or_else(
+                    || {
+                        VisionError::result(
+                            "lay out the board",
+                            format!("one of {}", DICTIONARIES.join(", ")),
+                            dictionary,
+                        )
+                    },
+                )?;
                 (board_points(c, r, square), index as i32)
             }
             Pattern::AprilGrid { gap_mm, .. } => {
@@ -70,7 +96,9 @@ impl MarkerBoard {
 /// A sentence.
 pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<Corners, String> {
     let found = match &board.board.pattern {
-        Pattern::Charuco { marker_mm, .. } => charuco(board, picture, *marker_mm).map_err(|e| e.to_string())?,
+        Pattern::Charuco { marker_mm, .. } => {
+            charuco(board, picture, *marker_mm).map_err(|e| e.to_string())?
+        }
         Pattern::AprilGrid { family, .. } => april_grid(board, picture, family).map_err(|e| e.to_string())?,
         Pattern::Chessboard => vec![None; board.points.len()],
     };
@@ -83,9 +111,11 @@ pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<Corners, String
 
 fn charuco(board: &MarkerBoard, picture: &Picture, marker_mm: f64) -> Result<Corners, VisionError> {
     let (c, r, square) = (board.board.size.columns, board.board.size.rows, board.board.square_mm);
-    let dictionary: Ptr<Dictionary> = get_predefined_dictionary_i32(board.dictionary).doing("getPredefinedDictionary")?;
-    let layout = CharucoBoard::create(c as i32 + 1, r as i32 + 1, square as f32, marker_mm as f32, &dictionary)
-        .doing("CharucoBoard")?;
+    let dictionary: Ptr<Dictionary> =
+        get_predefined_dictionary_i32(board.dictionary).doing("getPredefinedDictionary")?;
+    let layout =
+        CharucoBoard::create(c as i32 + 1, r as i32 + 1, square as f32, marker_mm as f32, &dictionary)
+            .doing("CharucoBoard")?;
     let mat = picture.to_mat()?;
     let (mut marker_corners, mut marker_ids) = (Vector::<Vector<Point2f>>::new(), Vector::<i32>::new());
     detect_markers_def(&mat, &dictionary, &mut marker_corners, &mut marker_ids).doing("detectMarkers")?;

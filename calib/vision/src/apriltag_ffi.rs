@@ -124,7 +124,8 @@ pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec
 /// # Errors
 /// Where the family or the number is unknown.
 pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
-    let unknown = || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
+    let unknown =
+        || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
     let (create, destroy) = family(family_name).ok_or_else(unknown)?;
     // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
     // before it is destroyed; `id` is checked against the number of codes, which the library does not do.

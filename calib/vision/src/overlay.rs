@@ -31,7 +31,8 @@ impl Canvas {
         let (width, height) = (picture.width * 2, picture.height * 2);
         let data = (0..width * height)
             .map(|k| {
-                let v = picture.sample(((k % width) as f64 - 0.5) / SCALE, ((k / width) as f64 - 0.5) / SCALE);
+                let v =
+                    picture.sample(((k % width) as f64 - 0.5) / SCALE, ((k / width) as f64 - 0.5) / SCALE);
                 [v as u8; 3]
             })
             .collect();
@@ -94,8 +95,11 @@ pub fn overlay_png(
     if let Some(p) = pair.groove.as_ref().and_then(|g| project(&Vector3::from(g.position_mm))) {
         canvas.dot(&p, 4, GROOVE);
     }
-    let pixels: Vec<Vec<Vec3b>> =
-        canvas.data.chunks_exact(canvas.width).map(|r| r.iter().map(|c| Vec3b::from_array(*c)).collect()).collect();
+    let pixels: Vec<Vec<Vec3b>> = canvas
+        .data
+        .chunks_exact(canvas.width)
+        .map(|r| r.iter().map(|c| Vec3b::from_array(*c)).collect())
+        .collect();
     let mat = Mat::from_slice_2d(&pixels).doing("copy an overlay")?;
     let mut png = Vector::<u8>::new();
     imgcodecs::imencode(".png", &mat, &mut png, &Vector::new()).doing("encode an overlay")?;

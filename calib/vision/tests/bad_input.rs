@@ -22,7 +22,9 @@ fn copy_pairs(to: &std::path::Path, names: &[&str]) {
 
 fn run(folder: &std::path::Path) -> Result<StereoDocument, String> {
     let side = |s: &str| folder.join(format!("{s}*")).display().to_string();
-    calibrate_folders(&side("left"), &side("right"), &board(), &|_| {}).map(|r| r.0).map_err(|e| e.to_string())
+    calibrate_folders(&side("left"), &side("right"), &board(), &|_| {})
+        .map(|r| r.0)
+        .map_err(|e| e.to_string())
 }
 
 #[test]

@@ -42,7 +42,8 @@ fn drawn(side: f64, angle: f64, centre: Vector2<f64>, noise: f64, seed: u64) -> 
     let (sin, cos) = angle.sin_cos();
     let picture = common::draw(640, 480, 0.8, noise, seed, |x, y| {
         let d = Vector2::new(x, y) - centre;
-        let (u, v) = ((cos * d.x + sin * d.y) / side * 8.0 + 5.0, (-sin * d.x + cos * d.y) / side * 8.0 + 5.0);
+        let (u, v) =
+            ((cos * d.x + sin * d.y) / side * 8.0 + 5.0, (-sin * d.x + cos * d.y) / side * 8.0 + 5.0);
         if (0.0..10.0).contains(&u) && (0.0..10.0).contains(&v) {
             40.0 + f64::from(cells.data[v as usize * cells.width + u as usize]) / 255.0 * 160.0
         } else {
@@ -66,7 +67,8 @@ fn errors(side: f64, noise: f64, draws: u64) -> Vec<Vector2<f64>> {
             let found = tags[0].corners_px;
             // Orientation may be read modulo the drawing's own convention: the nearest corner counts.
             corners.map(|c| {
-                let nearest = found.iter().min_by(|a, b| (*a - c).norm().total_cmp(&(*b - c).norm())).unwrap();
+                let nearest =
+                    found.iter().min_by(|a, b| (*a - c).norm().total_cmp(&(*b - c).norm())).unwrap();
                 nearest - c
             })
         })

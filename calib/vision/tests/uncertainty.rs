@@ -24,7 +24,8 @@ fn truth() -> BundleState {
         .map(|k| {
             let t = f64::from(k);
             let pose = Isometry3::from_parts(
-                Vector3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 280.0 + 15.0 * (0.7 * t).sin()).into(),
+                Vector3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 280.0 + 15.0 * (0.7 * t).sin())
+                    .into(),
                 turn(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.2 * t),
             );
             pose * centre
@@ -32,7 +33,10 @@ fn truth() -> BundleState {
         .collect();
     BundleState {
         cameras: [camera(3450.0, 650.0), camera(3465.0, 636.0)],
-        right_from_left: Isometry3::from_parts(Vector3::new(-118.0, 2.0, 25.0).into(), turn(0.01, 0.42, 0.02)),
+        right_from_left: Isometry3::from_parts(
+            Vector3::new(-118.0, 2.0, 25.0).into(),
+            turn(0.01, 0.42, 0.02),
+        ),
         warp: [0.0; 2],
         left_from_board,
     }
@@ -68,7 +72,8 @@ fn coverage(draws: u64, factor: f64) -> Vec<f64> {
     let hits: Vec<Vec<bool>> = (0..draws)
         .into_par_iter()
         .map(|seed| {
-            let solution = solve(&points, &noisy(&state, &points, 0.05, seed), state.clone(), Free::all(false));
+            let solution =
+                solve(&points, &noisy(&state, &points, 0.05, seed), state.clone(), Free::all(false));
             assert!(solution.converged);
             let sd = |k: usize| factor * solution.shared_covariance[(k, k)].sqrt();
             let mut errors = Vec::new();

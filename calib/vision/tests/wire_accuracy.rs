@@ -48,7 +48,8 @@ fn rms(pieces: &[Piece]) -> f64 {
 
 #[test]
 fn errors_reach_the_cramer_rao_bound_and_the_stated_sd_is_that_error() {
-    for (width, steger_clean, steger_noise) in [(2.0, 0.025, 0.043), (3.0, 0.012, 0.033), (6.0, 0.011, 0.030)] {
+    for (width, steger_clean, steger_noise) in [(2.0, 0.025, 0.043), (3.0, 0.012, 0.033), (6.0, 0.011, 0.030)]
+    {
         let clean = fitted(&line(width, 0.0, 0.0, 0.0), width);
         assert!(rms(&clean) < steger_clean, "width {width}: clean {}", rms(&clean));
         let noisy = fitted(&line(width, 8.0, 0.0, 0.0), width);
@@ -64,7 +65,11 @@ fn unequal_sides_and_uneven_background_stay_below_a_twentieth_of_a_pixel() {
     for width in WIDTHS {
         for (right, texture) in [(-50.0, 0.0), (40.0, 10.0), (0.0, 20.0)] {
             let found = fitted(&line(width, 1.0, right, texture), width);
-            assert!(found.len() > 50 && rms(&found) <= 0.05, "width {width}, {right}, {texture}: {}", rms(&found));
+            assert!(
+                found.len() > 50 && rms(&found) <= 0.05,
+                "width {width}, {right}, {texture}: {}",
+                rms(&found)
+            );
         }
     }
 }

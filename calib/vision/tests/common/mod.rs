@@ -57,7 +57,8 @@ pub fn draw(
     let blurred = pass(&pass(&sharp, 1, 0), 0, 1);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, noise_dn.max(1e-9)).unwrap();
-    let data = blurred.iter().map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8).collect();
+    let data =
+        blurred.iter().map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8).collect();
     Picture::new(width, height, data).unwrap()
 }
 

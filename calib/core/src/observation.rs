@@ -302,6 +302,8 @@ pub struct AxisData {
 /// Data of any kind of session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
+// One session at a time is in memory; the size of the variants does not matter.
+#[allow(clippy::large_enum_variant)]
 pub enum SessionData {
     /// Whisker session.
     Whisker(WhiskerData),

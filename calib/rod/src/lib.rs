@@ -1,1 +1,22 @@
-//! wcal-rod
+//! Quasi-static Kirchhoff rod held by a V-groove: the fast twin and the oracle of wcal.
+//!
+//! Inextensible wire, clamped at the root: r' = R e1, R' = R [u]x, m = R D (u - u0), m(s) = (P - r(s)) x F up to the contact at
+//! s_c, free beyond. Lengths in mm, forces in N, moments in N mm, base frame.
+//!
+//! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in TRACING of the project.
+
+pub mod dual;
+mod error;
+pub mod integrate;
+pub mod material;
+pub mod path;
+pub mod shape;
+pub mod solve;
+pub mod stability;
+
+pub use error::RodError;
+pub use material::{Section, Softening};
+pub use path::{Line, Outcome, Touch, Tracker};
+pub use shape::Shape;
+pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
+pub use stability::{Hold, Loss, LossKind, StabilityScan};

@@ -1,1 +1,29 @@
-//! wcal-session
+//! Session folders: reading with every check, writing without half-written files.
+//!
+//! [`load`] turns a folder (`session.toml` and the tables it names) into [`wcal_core::SessionData`]. Whatever cannot be
+//! used is one [`SessionError`] that names file, row, field, what was expected and what was found; what can be used but
+//! deserves attention is a warning in [`LoadedSession::warnings`].
+
+mod axis;
+mod document;
+mod error;
+mod findings;
+mod holdout;
+mod row;
+mod session;
+mod table;
+mod text_table;
+mod transducer;
+mod units;
+mod whisker;
+mod whisker_checks;
+mod whisker_meta;
+mod write;
+
+pub use error::{Defect, DefectFields, SessionError};
+pub use findings::{Finding, Severity, duplicated_readings, examine};
+pub use holdout::attach_holdout;
+pub use session::{CLOCK_PROBLEM, LoadedSession, SESSION_FORMAT, load};
+pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
+pub use whisker::{ReadingTable, load_table};
+pub use write::{SessionFiles, write_atomic, write_session};

@@ -1,0 +1,165 @@
+//! Rest shape: body curvature u0(s) along the wire, piecewise linear on a fixed mesh.
+
+use crate::error::RodError;
+use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
+use wcal_core::observation::RestShape;
+
+/// One mesh interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// Arc length of its start, mm.
+    pub start_mm: f64,
+    /// Its length, mm.
+    pub length_mm: f64,
+    /// Rest curvature at its start (body frame), 1/mm.
+    pub u_start: [f64; 3],
+    /// Slope of the rest curvature, 1/mm^2.
+    pub u_slope: [f64; 3],
+}
+
+/// Stress-free wire on a mesh.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// Intervals from root to tip.
+    pub intervals: Vec<Interval>,
+    /// Total length, mm.
+    pub length_mm: f64,
+    /// Body frame at the root; its first column is the tangent.
+    pub root: Matrix3<f64>,
+    /// Centre line at the interval ends, mm.
+    pub nodes_mm: Vec<Vector3<f64>>,
+    /// Body frame at the interval ends.
+    pub frames: Vec<Matrix3<f64>>,
+}
+
+impl Shape {
+    /// Mesh with intervals no longer than `step_mm`, breaks of the rest curvature on nodes.
+    ///
+    /// # Errors
+    /// Where lengths are not positive, or the polyline has fewer than three distinct points.
+    pub fn new(rest: &RestShape, step_mm: f64) -> Result<Self, RodError> {
+        if !(step_mm > 0.0) {
+            return Err(RodError::Shape {
+                expected: "a mesh step above 0 mm",
+                found: format!("{step_mm} mm"),
+            });
+        }
+        match rest {
+            RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } => {
+                if !(*length_mm > 0.0 && *arc_radius_mm > 0.0 && *straight_mm >= 0.0) {
+                    return Err(RodError::Shape {
+                        expected: "length and arc radius above 0 mm, straight part at least 0 mm",
+                        found: format!("{length_mm}, {arc_radius_mm}, {straight_mm} mm"),
+                    });
+                }
+                let straight = straight_mm.min(*length_mm);
+                let mut pieces = Vec::new();
+                if straight > 0.0 {
+                    pieces.push((straight, [0.0; 3], [0.0; 3]));
+                }
+                if *length_mm > straight {
+                    // +u2 turns the tangent toward -z.
+                    let u = [0.0, 1.0 / arc_radius_mm, 0.0];
+                    pieces.push((length_mm - straight, u, u));
+                }
+                Ok(Self::from_pieces(Matrix3::identity(), &pieces, step_mm))
+            }
+            RestShape::Polyline(points) => Self::from_polyline(points, step_mm),
+        }
+    }
+
+    /// Curvature at an inner vertex = turning angle over the mean length of its two edges, in a frame carried without twist.
+    fn from_polyline(points: &[Vector3<f64>], step_mm: f64) -> Result<Self, RodError> {
+        let edges: Vec<Vector3<f64>> = points.windows(2).map(|w| w[1] - w[0]).collect();
+        if edges.len() < 2 || edges.iter().any(|e| !(e.norm() > 1e-9)) {
+            return Err(RodError::Shape {
+                expected: "a polyline of at least three distinct points",
+                found: format!("{} points", points.len()),
+            });
+        }
+        let tangents: Vec<Vector3<f64>> = edges.iter().map(|e| e.normalize()).collect();
+        let helper = if tangents[0].z.abs() < 0.9 { Vector3::z() } else { Vector3::y() };
+        let e2 = helper.cross(&tangents[0]).normalize();
+        let mut frame = Matrix3::from_columns(&[tangents[0], e2, tangents[0].cross(&e2)]);
+        let root = frame;
+        let mut bend = vec![[0.0; 3]; points.len()];
+        for j in 1..edges.len() {
+            let axis = tangents[j - 1].cross(&tangents[j]);
+            let angle = axis.norm().atan2(tangents[j - 1].dot(&tangents[j]));
+            let turn = if axis.norm() > 1e-12 {
+                Rotation3::from_axis_angle(&Unit::new_normalize(axis), angle)
+            } else {
+                Rotation3::identity()
+            };
+            let dual_length = 0.5 * (edges[j - 1].norm() + edges[j].norm());
+            let u = frame.transpose() * turn.scaled_axis() / dual_length;
+            frame = turn.matrix() * frame;
+            bend[j] = [0.0, u.y, u.z];
+        }
+        bend[0] = bend[1];
+        bend[points.len() - 1] = bend[points.len() - 2];
+        let pieces: Vec<_> =
+            edges.iter().enumerate().map(|(j, e)| (e.norm(), bend[j], bend[j + 1])).collect();
+        Ok(Self::from_pieces(root, &pieces, step_mm))
+    }
+
+    fn from_pieces(root: Matrix3<f64>, pieces: &[(f64, [f64; 3], [f64; 3])], step_mm: f64) -> Self {
+        let mut intervals = Vec::new();
+        let mut s = 0.0;
+        for (length, u_a, u_b) in pieces {
+            let count = (length / step_mm).ceil().max(1.0);
+            let h = length / count;
+            let slope = [0, 1, 2].map(|i| (u_b[i] - u_a[i]) / length);
+            for k in 0..count as usize {
+                let offset = k as f64 * h;
+                intervals.push(Interval {
+                    start_mm: s + offset,
+                    length_mm: h,
+                    u_start: [0, 1, 2].map(|i| u_a[i] + slope[i] * offset),
+                    u_slope: slope,
+                });
+            }
+            s += length;
+        }
+        let mut shape = Self { intervals, length_mm: s, root, nodes_mm: Vec::new(), frames: Vec::new() };
+        let (nodes, frames) = crate::integrate::unloaded(&shape);
+        shape.nodes_mm = nodes;
+        shape.frames = frames;
+        shape
+    }
+
+    /// Interval that holds arc length `s_mm` (the last one past the tip).
+    #[must_use]
+    pub fn interval_at(&self, s_mm: f64) -> usize {
+        self.intervals.partition_point(|i| i.start_mm <= s_mm).saturating_sub(1)
+    }
+
+    /// Point of the unloaded wire at arc length `s_mm`, by cubic Hermite interpolation between nodes.
+    #[must_use]
+    pub fn rest_point(&self, s_mm: f64) -> Vector3<f64> {
+        let j = self.interval_at(s_mm);
+        let h = self.intervals[j].length_mm;
+        let x = (s_mm - self.intervals[j].start_mm) / h;
+        let (p0, p1) = (self.nodes_mm[j], self.nodes_mm[j + 1]);
+        let (t0, t1) = (self.frames[j].column(0) * h, self.frames[j + 1].column(0) * h);
+        let (x2, x3) = (x * x, x * x * x);
+        p0 * (2.0 * x3 - 3.0 * x2 + 1.0)
+            + t0 * (x3 - 2.0 * x2 + x)
+            + p1 * (3.0 * x2 - 2.0 * x3)
+            + t1 * (x3 - x2)
+    }
+}
+
+/// The mesh from arc length `s_mm` on: the interval that holds it is cut there.
+#[must_use]
+pub fn from_arclength(shape: &Shape, s_mm: f64) -> Vec<Interval> {
+    let first = shape.interval_at(s_mm);
+    let mut rest: Vec<Interval> = shape.intervals[first..].to_vec();
+    if let Some(cut) = rest.first_mut() {
+        let offset = (s_mm - cut.start_mm).clamp(0.0, cut.length_mm);
+        cut.u_start = [0, 1, 2].map(|i| cut.u_start[i] + cut.u_slope[i] * offset);
+        cut.start_mm += offset;
+        cut.length_mm -= offset;
+    }
+    rest
+}

@@ -1,0 +1,135 @@
+//! One error type: what was being done, where, what was expected, what was found.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A defect of a file's content, located as closely as possible.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DefectFields {
+    /// File as named in the session, or its path.
+    pub file: String,
+    /// Line in the file, header = 1.
+    pub line: Option<usize>,
+    /// Column or key, e.g. `groove_x_mm` or `whisker.diameter_mm`.
+    pub field: Option<String>,
+    /// What was expected.
+    pub expected: String,
+    /// What was found.
+    pub found: String,
+    /// What to do about it, where that is clear.
+    pub hint: Option<String>,
+}
+
+/// A boxed [`DefectFields`]: a result stays small however much the message says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Defect(Box<DefectFields>);
+
+impl std::ops::Deref for Defect {
+    type Target = DefectFields;
+
+    fn deref(&self) -> &DefectFields {
+        &self.0
+    }
+}
+
+impl Defect {
+    /// A defect of a whole file.
+    #[must_use]
+    pub fn new(file: &str, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self(Box::new(DefectFields {
+            file: file.to_owned(),
+            line: None,
+            field: None,
+            expected: expected.into(),
+            found: found.into(),
+            hint: None,
+        }))
+    }
+
+    /// Adds the line (header = 1).
+    #[must_use]
+    pub fn at(mut self, line: usize) -> Self {
+        self.0.line = Some(line);
+        self
+    }
+
+    /// Adds the column or key.
+    #[must_use]
+    pub fn field(mut self, field: impl Into<String>) -> Self {
+        self.0.field = Some(field.into());
+        self
+    }
+
+    /// Adds what to do about it.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.0.hint = Some(hint.into());
+        self
+    }
+}
+
+impl fmt::Display for Defect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file)?;
+        if let Some(line) = self.line {
+            write!(f, ", row at line {line}")?;
+        }
+        if let Some(field) = &self.field {
+            write!(f, ", field {field}")?;
+        }
+        write!(f, ": expected {}, found {}", self.expected, self.found)?;
+        match &self.hint {
+            Some(hint) => write!(f, " ({hint})"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl std::error::Error for Defect {}
+
+/// Why a session could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The file system said no.
+    #[error("{action} {}: {source}", path.display())]
+    Io {
+        /// What was being done, e.g. `reading`.
+        action: &'static str,
+        /// File or folder.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// A file's content cannot be used.
+    #[error("{0}")]
+    Content(Defect),
+}
+
+impl From<Defect> for SessionError {
+    fn from(defect: Defect) -> Self {
+        Self::Content(defect)
+    }
+}
+
+impl SessionError {
+    /// Wraps an I/O error; a missing file becomes a defect that says which file was expected.
+    pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            return Defect::new(&path.display().to_string(), "a readable file", "no such file").into();
+        }
+        Self::Io { action, path: path.to_owned(), source }
+    }
+}
+
+/// A cell or value as quoted in messages, shortened.
+pub(crate) fn quote(text: &str) -> String {
+    const LONGEST: usize = 60;
+    if text.is_empty() {
+        return "nothing".to_owned();
+    }
+    if text.chars().count() <= LONGEST {
+        return format!("{text:?}");
+    }
+    let head: String = text.chars().take(LONGEST).collect();
+    format!("{:?}", head + "...")
+}

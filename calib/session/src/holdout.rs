@@ -1,0 +1,178 @@
+//! A holdout that is given apart from its session: another session, or a table of the same kind.
+
+use crate::error::{Defect, SessionError};
+use crate::session::{LoadedSession, check_covariates, load};
+use crate::whisker::{self, Demand};
+use crate::{axis, transducer, whisker_checks};
+use std::path::Path;
+use wcal_core::{SessionData, WhiskerData, WhiskerRow};
+
+const PM_PER_NM: f64 = 1000.0;
+
+/// Adds the rows at `path` (a session folder, or a CSV table with this session's columns) to the session's holdout.
+///
+/// Of a session every row counts, its own holdout included. Trajectories of a whisker session that clash with ids in use get
+/// new ids (a warning says so), and shifts are taken from this session's nominal wavelengths. `source` of the rows is
+/// the table's name, or `folder/name` where it came with a session.
+///
+/// # Errors
+/// As [`load`]; also where kind, wire, moment axes or model differ, or where the file is one that the session already uses.
+pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), SessionError> {
+    let before = session.inputs.len();
+    if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
+        let other = load(path)?;
+        attach_session(session, other)?;
+    } else {
+        attach_table(session, path)?;
+    }
+    refuse_reuse(session, before)
+}
+
+/// The same bytes cannot be fitted and held out.
+fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionError> {
+    let (fitted, added) = session.inputs.split_at(before);
+    let points = fitted.iter().find(|input| input.path == session.points_file);
+    match points.and_then(|points| added.iter().find(|input| input.sha256 == points.sha256)) {
+        Some(input) => {
+            let found = format!("the content of {}, which is fitted", session.points_file);
+            Err(Defect::new(&input.path, "readings that no fit has seen", found).into())
+        }
+        None => Ok(()),
+    }
+}
+
+fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionError> {
+    let file =
+        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
+    let input = match &mut session.data {
+        SessionData::Whisker(data) => {
+            let table = whisker::read_rows(path, &name, &mut data.fbg, &data.trajectories, Demand::Session)?;
+            whisker_checks::check_stage(&table.rows, &data.trajectories, &mut session.warnings)?;
+            whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&data.whisker.rest_shape))?;
+            session.warnings.extend(table.warnings);
+            data.holdout.extend(table.rows);
+            table.input
+        }
+        SessionData::Transducer(data) => {
+            let table = transducer::read_rows(path, &name, &mut session.warnings)?;
+            check_covariates(&name, &data.covariates, &table.covariates)?;
+            data.holdout.extend(table.rows);
+            table.input
+        }
+        SessionData::Axis(data) => {
+            let (rows, input) = axis::read_rows(path, &name, &mut session.warnings)?;
+            data.holdout.extend(rows);
+            input
+        }
+    };
+    session.inputs.push(input);
+    Ok(())
+}
+
+fn attach_session(session: &mut LoadedSession, other: LoadedSession) -> Result<(), SessionError> {
+    let folder = other.folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let renamed = |name: &str| format!("{folder}/{name}");
+    let differs = |what: &str| {
+        Defect::new(&renamed("session.toml"), format!("the {what} of the session"), "another one")
+    };
+    match (&mut session.data, other.data) {
+        (SessionData::Whisker(data), SessionData::Whisker(mut added)) => {
+            if data.whisker.rest_shape != added.whisker.rest_shape
+                || data.whisker.diameter_mm != added.whisker.diameter_mm
+            {
+                return Err(differs("wire").field("whisker").into());
+            }
+            if data.moments != added.moments {
+                return Err(differs("moment axes and sign").field("moments").into());
+            }
+            merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
+            merge_nominals(data, &mut added);
+            for mut row in added.rows.into_iter().chain(added.holdout) {
+                row.source = renamed(&row.source);
+                data.holdout.push(row);
+            }
+        }
+        (SessionData::Transducer(data), SessionData::Transducer(added)) => {
+            if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
+                return Err(differs("units").field("transducer").into());
+            }
+            check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
+            for mut row in added.rows.into_iter().chain(added.holdout) {
+                row.source = renamed(&row.source);
+                data.holdout.push(row);
+            }
+        }
+        (SessionData::Axis(data), SessionData::Axis(added)) => {
+            for mut row in added.rows.into_iter().chain(added.holdout) {
+                row.source = renamed(&row.source);
+                data.holdout.push(row);
+            }
+        }
+        _ => return Err(differs("kind").field("kind").into()),
+    }
+    session.warnings.extend(other.warnings.iter().map(|w| renamed(w)));
+    session.inputs.extend(other.inputs.into_iter().map(|mut input| {
+        input.path = renamed(&input.path);
+        input
+    }));
+    Ok(())
+}
+
+/// Takes over the other session's trajectories; an id that means something else here is replaced by a free one.
+fn merge_trajectories(
+    data: &mut WhiskerData,
+    added: &mut WhiskerData,
+    file: &str,
+    warnings: &mut Vec<String>,
+) -> Result<(), Defect> {
+    const SAME: f64 = 1e-6;
+    for mut trajectory in std::mem::take(&mut added.trajectories) {
+        let same = |t: &wcal_core::Trajectory| {
+            (t.origin_mm - trajectory.origin_mm).norm() < SAME
+                && (t.direction - trajectory.direction).norm() < SAME
+        };
+        match data.trajectory(trajectory.id) {
+            Some(known) if same(known) => {}
+            None => data.trajectories.push(trajectory),
+            Some(_) => {
+                let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
+                // Ids of rows that are still to be renamed must not be hit either.
+                let floor =
+                    added.rows.iter().chain(&added.holdout).filter_map(|r| r.trajectory).max().unwrap_or(0);
+                let new = highest.max(floor).checked_add(1);
+                let new = new.ok_or_else(|| {
+                    Defect::new(file, "a free trajectory id", "none").field("trajectory.id")
+                })?;
+                let old = trajectory.id;
+                warnings.push(format!("{file}: trajectory {old} is another path here and is called {new}"));
+                let rename = |row: &mut WhiskerRow| {
+                    if row.trajectory == Some(old) {
+                        row.trajectory = Some(new);
+                    }
+                };
+                added.rows.iter_mut().chain(&mut added.holdout).for_each(rename);
+                trajectory.id = new;
+                data.trajectories.push(trajectory);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Shifts count from this session's nominal wavelengths.
+fn merge_nominals(data: &WhiskerData, added: &mut WhiskerData) {
+    let sensing = match (data.fbg.nominal_nm, added.fbg.nominal_nm) {
+        (Some(here), Some(there)) => [there[0] - here[0], there[1] - here[1]],
+        _ => [0.0; 2],
+    };
+    let reference = match (data.fbg.reference_nominal_nm, added.fbg.reference_nominal_nm) {
+        (Some(here), Some(there)) => there - here,
+        _ => 0.0,
+    };
+    for row in added.rows.iter_mut().chain(&mut added.holdout) {
+        row.shift_pm[0] += PM_PER_NM * sensing[0];
+        row.shift_pm[1] += PM_PER_NM * sensing[1];
+        row.reference_shift_pm = row.reference_shift_pm.map(|pm| pm + PM_PER_NM * reference);
+    }
+}

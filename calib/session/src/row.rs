@@ -1,0 +1,189 @@
+//! Cells of one row, typed and checked.
+
+use crate::error::{Defect, quote};
+use crate::table::Column;
+use csv::ByteRecord;
+use wcal_core::Role;
+
+/// One row of a table.
+pub(crate) struct Row<'a> {
+    pub(crate) file: &'a str,
+    pub(crate) line: usize,
+    pub(crate) columns: &'a [String],
+    pub(crate) record: &'a ByteRecord,
+}
+
+type Outcome<T> = Result<T, Defect>;
+
+impl Row<'_> {
+    /// A defect of this row's cell in column `field`.
+    pub(crate) fn defect(
+        &self,
+        field: &str,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Defect {
+        Defect::new(self.file, expected, found).at(self.line).field(field)
+    }
+
+    fn text(&self, index: usize) -> Outcome<&str> {
+        let bytes = self.record.get(index).unwrap_or_default();
+        let name = || self.columns.get(index).map_or("", String::as_str);
+        let text =
+            std::str::from_utf8(bytes).map_err(|_| self.defect(name(), "UTF-8 text", "other bytes"))?;
+        Ok(text.trim())
+    }
+
+    /// Finite number at a column index; none when empty.
+    pub(crate) fn number_at(&self, index: usize, name: &str) -> Outcome<Option<f64>> {
+        let text = self.text(index)?;
+        if text.is_empty() {
+            return Ok(None);
+        }
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(_) => Err(self.defect(name, "a finite number", quote(text))),
+            Err(_) if text.contains(',') => {
+                Err(self.defect(name, "a number", quote(text)).hint("decimals are written with a dot"))
+            }
+            Err(_) => Err(self.defect(name, "a number", quote(text))),
+        }
+    }
+
+    /// Finite number; none when the column is absent or the cell empty.
+    pub(crate) fn number(&self, column: Option<Column>) -> Outcome<Option<f64>> {
+        column.map_or(Ok(None), |c| self.number_at(c.index, c.name))
+    }
+
+    /// Finite number that must be there.
+    pub(crate) fn required(&self, column: Column) -> Outcome<f64> {
+        self.number_at(column.index, column.name)?
+            .ok_or_else(|| self.defect(column.name, "a number", "nothing"))
+    }
+
+    /// Finite number, zero or more.
+    pub(crate) fn not_negative(&self, column: Option<Column>) -> Outcome<Option<f64>> {
+        let value = self.number(column)?;
+        match (column, value) {
+            (Some(c), Some(v)) if v < 0.0 => Err(self.defect(c.name, "zero or more", format!("{v}"))),
+            _ => Ok(value),
+        }
+    }
+
+    /// Whole number within `[low, high]`; `3.0` counts as 3.
+    pub(crate) fn whole(&self, column: Option<Column>, low: i64, high: i64) -> Outcome<Option<i64>> {
+        let Some(column) = column else { return Ok(None) };
+        let text = self.text(column.index)?;
+        if text.is_empty() {
+            return Ok(None);
+        }
+        let exact = text.parse::<i64>().ok();
+        #[allow(clippy::cast_possible_truncation)]
+        let value = exact.or_else(|| {
+            let number = text.parse::<f64>().ok()?;
+            (number.fract() == 0.0 && number.abs() < 9e15).then_some(number as i64)
+        });
+        match value {
+            Some(v) if (low..=high).contains(&v) => Ok(Some(v)),
+            Some(v) => {
+                Err(self.defect(column.name, format!("a whole number of at least {low}"), format!("{v}")))
+            }
+            None => Err(self.defect(column.name, "a whole number", quote(text))),
+        }
+    }
+
+    /// Whole number that fits `u32`, at least `low`.
+    pub(crate) fn count(&self, column: Option<Column>, low: u32) -> Outcome<Option<u32>> {
+        let value = self.whole(column, i64::from(low), i64::from(u32::MAX))?;
+        Ok(value.and_then(|v| u32::try_from(v).ok()))
+    }
+
+    /// Point number, which must be there.
+    pub(crate) fn point(&self, column: Column) -> Outcome<i64> {
+        let value = self.whole(Some(column), i64::MIN, i64::MAX)?;
+        value.ok_or_else(|| self.defect(column.name, "a whole number", "nothing"))
+    }
+
+    /// +1 or -1.
+    pub(crate) fn sign(&self, column: Option<Column>) -> Outcome<Option<f64>> {
+        let value = self.number(column)?;
+        match (column, value) {
+            (Some(c), Some(v)) if v != 1.0 && v != -1.0 => {
+                Err(self.defect(c.name, "1 or -1", format!("{v}")))
+            }
+            _ => Ok(value),
+        }
+    }
+
+    /// Role, which must be there.
+    pub(crate) fn role(&self, column: Column) -> Outcome<Role> {
+        match self.text(column.index)? {
+            "rest" => Ok(Role::Rest),
+            "calibration" => Ok(Role::Calibration),
+            "verification" => Ok(Role::Verification),
+            "holdout" => Ok(Role::Holdout),
+            other => {
+                Err(self.defect(column.name, "rest, calibration, verification or holdout", quote(other)))
+            }
+        }
+    }
+
+    /// Temperature, deg C; a value that can only be kelvin is refused.
+    pub(crate) fn temperature(&self, column: Option<Column>) -> Outcome<Option<f64>> {
+        let value = self.number(column)?;
+        match (column, value) {
+            (Some(c), Some(v)) if !(-60.0..=200.0).contains(&v) => {
+                let expected = "a temperature between -60 and 200 deg C";
+                Err(self.defect(c.name, expected, format!("{v}")).hint("kelvin?"))
+            }
+            _ => Ok(value),
+        }
+    }
+}
+
+/// Point numbers of one file, each at the line where it was first seen.
+#[derive(Default)]
+pub(crate) struct PointNumbers(std::collections::HashMap<i64, usize>);
+
+impl PointNumbers {
+    /// Notes the row's point number; a second use of it is a defect.
+    pub(crate) fn note(&mut self, row: &Row<'_>, point: i64) -> Outcome<()> {
+        match self.0.insert(point, row.line) {
+            None => Ok(()),
+            Some(line) => {
+                let found = format!("point {point} again (first at line {line})");
+                Err(row.defect("point", "every point number once in a file", found))
+            }
+        }
+    }
+}
+
+/// Watches that time does not run backwards in file order.
+#[derive(Default)]
+pub(crate) struct Clock {
+    latest_s: Option<f64>,
+    first_jump: Option<(usize, f64)>,
+    jumps: usize,
+}
+
+impl Clock {
+    /// Notes the time of one row.
+    pub(crate) fn note(&mut self, line: usize, t_s: Option<f64>) {
+        let Some(t_s) = t_s else { return };
+        if let Some(latest_s) = self.latest_s.filter(|latest_s| t_s < *latest_s) {
+            self.jumps += 1;
+            self.first_jump.get_or_insert((line, latest_s - t_s));
+        }
+        self.latest_s = Some(t_s);
+    }
+
+    /// A warning, if time ran backwards.
+    pub(crate) fn warning(&self, file: &str) -> Option<String> {
+        let (line, back_s) = self.first_jump?;
+        let times = self.jumps;
+        let tag = crate::session::CLOCK_PROBLEM;
+        Some(format!(
+            "{tag}: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
+        ))
+    }
+}

@@ -1,0 +1,251 @@
+//! A session folder as a whole.
+
+use crate::document::{self, Section};
+use crate::error::{Defect, SessionError, quote};
+use crate::whisker::{self, Demand};
+use crate::{axis, transducer, whisker_checks, whisker_meta};
+use std::path::{Path, PathBuf};
+use wcal_core::provenance::sha256_hex;
+use wcal_core::{AxisData, InputFile, Role, SessionData, SessionKind, TransducerData, WhiskerData};
+
+/// Format tag of `session.toml`.
+pub const SESSION_FORMAT: &str = "wcal-session/1";
+/// Warnings that say that time runs backwards start with this.
+pub const CLOCK_PROBLEM: &str = "clock_problem";
+
+/// A session that was read and checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoadedSession {
+    /// The folder.
+    pub folder: PathBuf,
+    /// Identifier.
+    pub id: String,
+    /// Surrounding medium, e.g. `air`, `water`; `unspecified` where the file does not say (kinds other than whisker).
+    pub medium: String,
+    /// Creation time as written, if given.
+    pub created: Option<String>,
+    /// Kind.
+    pub kind: SessionKind,
+    /// Checked data. Rows with the role "holdout" in the points table are moved to `holdout`, so nothing fits them by mistake.
+    pub data: SessionData,
+    /// Every file read, with its hash; paths relative to the folder.
+    pub inputs: Vec<InputFile>,
+    /// `session.toml` as written.
+    pub meta: toml::Table,
+    /// What deserves attention: unknown keys and columns, stage against groove, time ([`CLOCK_PROBLEM`]), missing labels.
+    pub warnings: Vec<String>,
+    /// Name of the points table, relative to the folder.
+    pub points_file: String,
+}
+
+struct Files {
+    points: String,
+    holdout: Option<String>,
+    twin: Option<String>,
+    rest_shape: Option<String>,
+}
+
+/// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
+///
+/// # Errors
+/// The first thing that cannot be used: [`SessionError::Content`] with file, line, field, expected and found, or
+/// [`SessionError::Io`].
+pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
+    let folder = if folder.is_file() { folder.parent().unwrap_or(folder) } else { folder };
+    const NAME: &str = "session.toml";
+    let path = folder.join(NAME);
+    let bytes = std::fs::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let meta = document::parse(NAME, &bytes)?;
+    let root = Section::root(NAME, &meta);
+    check_format(&root)?;
+    let mut warnings = Vec::new();
+    let mut inputs = vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes) }];
+    let id = root.required_text("id", "a session identifier")?;
+    let kind = read_kind(&root)?;
+    let created = root.text("created")?;
+    let medium = read_medium(&root, kind, &mut warnings)?;
+    let files = read_files(&root, folder, &mut warnings)?;
+    for free in ["note", "whisker_id", "devices", "provenance"] {
+        root.value(free);
+    }
+    let data = match kind {
+        SessionKind::Whisker => {
+            SessionData::Whisker(load_whisker(&root, folder, &files, &medium, &mut inputs, &mut warnings)?)
+        }
+        SessionKind::Transducer => {
+            SessionData::Transducer(load_transducer(&root, folder, &files, &mut inputs, &mut warnings)?)
+        }
+        SessionKind::Axis => SessionData::Axis(load_axis(folder, &files, &mut inputs, &mut warnings)?),
+    };
+    whisker_meta::warn_unknown(&root, &mut warnings);
+    let folder = folder.to_owned();
+    let points_file = files.points;
+    Ok(LoadedSession { folder, id, medium, created, kind, data, inputs, meta, warnings, points_file })
+}
+
+fn check_format(root: &Section<'_>) -> Result<(), Defect> {
+    let format = root.required_text("format", &format!("{SESSION_FORMAT:?}"))?;
+    if format == SESSION_FORMAT {
+        return Ok(());
+    }
+    let defect = root.defect("format", format!("{SESSION_FORMAT:?}"), quote(&format));
+    let version = format.strip_prefix("wcal-session/").and_then(|v| v.parse::<u32>().ok());
+    Err(match version {
+        Some(version) if version > 1 => {
+            defect.hint("the session was written in a newer format; update wcal to read it")
+        }
+        _ => defect,
+    })
+}
+
+fn read_kind(root: &Section<'_>) -> Result<SessionKind, Defect> {
+    let expected = "\"whisker\", \"transducer\" or \"axis\"";
+    match root.required_text("kind", expected)?.as_str() {
+        "whisker" => Ok(SessionKind::Whisker),
+        "transducer" => Ok(SessionKind::Transducer),
+        "axis" => Ok(SessionKind::Axis),
+        other => Err(root.defect("kind", expected, quote(other))),
+    }
+}
+
+fn read_medium(root: &Section<'_>, kind: SessionKind, warnings: &mut Vec<String>) -> Result<String, Defect> {
+    match root.text("medium")? {
+        Some(medium) => Ok(medium),
+        None if kind == SessionKind::Whisker => {
+            warnings.push("session.toml: medium is not given; taken as \"air\"".to_owned());
+            Ok("air".to_owned())
+        }
+        None => Ok("unspecified".to_owned()),
+    }
+}
+
+fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, Defect> {
+    let section = root.section("files")?;
+    let section = section.ok_or_else(|| root.defect("files", "a table [files]", "nothing"))?;
+    let relative = |key: &str| match section.text(key)? {
+        Some(name) if Path::new(&name).is_absolute() || name.is_empty() => {
+            Err(section.defect(key, "a path relative to the session's folder", quote(&name)))
+        }
+        name => Ok(name),
+    };
+    let points = relative("points")?
+        .ok_or_else(|| section.defect("points", "the name of the points table", "nothing"))?;
+    let files = Files {
+        points,
+        holdout: relative("holdout")?,
+        twin: relative("twin")?,
+        rest_shape: relative("rest_shape")?,
+    };
+    if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
+        warnings.push(format!(
+            "session.toml: the recording {name} is not there; tables cannot be rebuilt from it"
+        ));
+    }
+    whisker_meta::warn_unknown(&section, warnings);
+    Ok(files)
+}
+
+fn load_whisker(
+    root: &Section<'_>,
+    folder: &Path,
+    files: &Files,
+    medium: &str,
+    inputs: &mut Vec<InputFile>,
+    warnings: &mut Vec<String>,
+) -> Result<WhiskerData, SessionError> {
+    let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
+    inputs.append(&mut meta.inputs);
+    let length_mm = whisker_checks::length_mm(&meta.whisker.rest_shape);
+    let mut read = |name: &str| -> Result<Vec<_>, SessionError> {
+        let path = folder.join(name);
+        let table = whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, Demand::Session)?;
+        // A factor of 1000 is named as such before it is called out of reach.
+        whisker_checks::check_stage(&table.rows, &meta.trajectories, warnings)?;
+        whisker_checks::check_reach(&table.rows, length_mm)?;
+        inputs.push(table.input);
+        warnings.extend(table.warnings);
+        Ok(table.rows)
+    };
+    let mut rows = read(&files.points)?;
+    let mut holdout = seal(&mut rows, |r| r.role);
+    if let Some(name) = &files.holdout {
+        holdout.extend(read(name)?);
+    }
+    require_unsealed(&files.points, rows.len())?;
+    let mut twin = Vec::new();
+    if let Some(name) = &files.twin {
+        let input;
+        (twin, input) = whisker::read_twin(&folder.join(name), name, &rows, warnings)?;
+        inputs.push(input);
+    }
+    let medium = medium.to_owned();
+    let whisker_meta::WhiskerMeta { whisker, moments, fbg, trajectories, .. } = meta;
+    Ok(WhiskerData { whisker, moments, fbg, medium, trajectories, rows, holdout, twin })
+}
+
+fn load_transducer(
+    root: &Section<'_>,
+    folder: &Path,
+    files: &Files,
+    inputs: &mut Vec<InputFile>,
+    warnings: &mut Vec<String>,
+) -> Result<TransducerData, SessionError> {
+    let meta = transducer::read_meta(root, warnings)?;
+    let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
+    inputs.push(table.input);
+    let (mut rows, covariates) = (table.rows, table.covariates);
+    let mut holdout = seal(&mut rows, |r| r.role);
+    if let Some(name) = &files.holdout {
+        let sealed = transducer::read_rows(&folder.join(name), name, warnings)?;
+        check_covariates(name, &covariates, &sealed.covariates)?;
+        inputs.push(sealed.input);
+        holdout.extend(sealed.rows);
+    }
+    require_unsealed(&files.points, rows.len())?;
+    let transducer::TransducerMeta { stimulus_unit, response_unit, model } = meta;
+    Ok(TransducerData { stimulus_unit, response_unit, model, covariates, rows, holdout })
+}
+
+/// Covariates of a holdout table must be those of the points table, in the same order.
+pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), Defect> {
+    if points == holdout {
+        return Ok(());
+    }
+    let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+    Err(Defect::new(name, format!("the covariates of the points table ({})", list(points)), list(holdout))
+        .at(1))
+}
+
+fn load_axis(
+    folder: &Path,
+    files: &Files,
+    inputs: &mut Vec<InputFile>,
+    warnings: &mut Vec<String>,
+) -> Result<AxisData, SessionError> {
+    let mut read = |name: &str| -> Result<Vec<_>, SessionError> {
+        let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;
+        inputs.push(input);
+        Ok(rows)
+    };
+    let mut rows = read(&files.points)?;
+    let mut holdout = seal(&mut rows, |r| r.role);
+    if let Some(name) = &files.holdout {
+        holdout.extend(read(name)?);
+    }
+    require_unsealed(&files.points, rows.len())?;
+    Ok(AxisData { rows, holdout })
+}
+
+/// Takes the rows with the role "holdout" out of a points table.
+fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Vec<R> {
+    let (sealed, open) = std::mem::take(rows).into_iter().partition(|row| role(row) == Role::Holdout);
+    *rows = open;
+    sealed
+}
+
+fn require_unsealed(file: &str, rows: usize) -> Result<(), Defect> {
+    if rows > 0 {
+        return Ok(());
+    }
+    Err(Defect::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
+}

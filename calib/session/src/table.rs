@@ -1,0 +1,235 @@
+//! CSV tables: streamed, hashed while read, every cell known by file, line and column.
+
+use crate::error::{Defect, SessionError, quote};
+use crate::row::Row;
+use crate::units::split_unit;
+use csv::ByteRecord;
+use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use wcal_core::InputFile;
+
+/// A column that was found.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Column {
+    pub(crate) index: usize,
+    pub(crate) name: &'static str,
+}
+
+/// An open table positioned after its header.
+pub(crate) struct Table {
+    file: String,
+    columns: Vec<String>,
+    used: Vec<bool>,
+    lines: Lines,
+    record: ByteRecord,
+    rows: usize,
+}
+
+impl Table {
+    /// Opens `path` and reads the header; messages and rows call the file `name`.
+    pub(crate) fn open(path: &Path, name: &str) -> Result<Self, SessionError> {
+        let opened = File::open(path).and_then(|file| {
+            let mut file = BufReader::with_capacity(1 << 16, file);
+            let wide = matches!(file.fill_buf()?, [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
+            Ok((file, wide))
+        });
+        let (file, wide) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
+        if wide {
+            return Err(Defect::new(name, "UTF-8 text", "UTF-16 text").hint("save as CSV UTF-8").into());
+        }
+        let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
+        let mut record = ByteRecord::new();
+        if !lines.next_record(&mut record).map_err(|e| SessionError::io("reading", path, e))? {
+            return Err(Defect::new(name, "a header line and rows", "an empty file").into());
+        }
+        let columns = header(name, &record)?;
+        let used = vec![false; columns.len()];
+        Ok(Self { file: name.to_owned(), columns, used, lines, record, rows: 0 })
+    }
+
+    /// File name as used in messages.
+    pub(crate) fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// The column, if the table has it. A column of the same quantity in another unit is an error.
+    pub(crate) fn optional(&mut self, name: &'static str) -> Result<Option<Column>, Defect> {
+        if let Some(index) = self.columns.iter().position(|c| c == name) {
+            self.used[index] = true;
+            return Ok(Some(Column { index, name }));
+        }
+        let (base, unit) = split_unit(name);
+        if unit.is_empty() {
+            return Ok(None);
+        }
+        for column in &self.columns {
+            let (other_base, other_unit) = split_unit(column);
+            if other_base == base && !other_unit.is_empty() {
+                return Err(self.wrong_unit(name, unit, column, other_unit));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The column, which must be there.
+    pub(crate) fn required(&mut self, name: &'static str) -> Result<Column, Defect> {
+        if let Some(column) = self.optional(name)? {
+            return Ok(column);
+        }
+        let (base, unit) = split_unit(name);
+        let near = self.columns.iter().find(|c| c.as_str() == base || c.eq_ignore_ascii_case(name));
+        if let Some(near) = near.filter(|_| !unit.is_empty() || base == name) {
+            let hint = format!("rename {near:?} if its values fit the name {name:?}");
+            return Err(self.no_column(name, &format!("a column {near:?}")).hint(hint));
+        }
+        Err(self.no_column(name, &format!("the columns {}", self.columns.join(", "))))
+    }
+
+    fn no_column(&self, name: &str, found: &str) -> Defect {
+        Defect::new(&self.file, format!("a column {name}"), found).at(1).field(name)
+    }
+
+    fn wrong_unit(&self, name: &str, unit: &str, column: &str, other: &str) -> Defect {
+        Defect::new(&self.file, format!("a column {name} in {unit}"), format!("a column {column} in {other}"))
+            .at(1)
+            .field(name)
+            .hint(format!("convert the values to {unit} and rename the column"))
+    }
+
+    /// Columns that nobody asked for, with their index.
+    pub(crate) fn unused(&self) -> Vec<(usize, String)> {
+        let unused = self.columns.iter().enumerate().filter(|(i, _)| !self.used[*i]);
+        unused.map(|(i, c)| (i, c.clone())).collect()
+    }
+
+    /// Columns that somebody asked for.
+    pub(crate) fn present(&self) -> Vec<String> {
+        self.columns.iter().zip(&self.used).filter(|(_, used)| **used).map(|(c, _)| c.clone()).collect()
+    }
+
+    /// The next row, or none at the end.
+    pub(crate) fn next_row(&mut self) -> Result<Option<Row<'_>>, SessionError> {
+        let more = self.lines.next_record(&mut self.record);
+        if !more.map_err(|e| SessionError::io("reading", Path::new(&self.file), e))? {
+            return Ok(None);
+        }
+        let line = self.lines.line;
+        if self.record.len() != self.columns.len() {
+            return Err(self.wrong_width(line).into());
+        }
+        self.rows += 1;
+        Ok(Some(Row { file: &self.file, line, columns: &self.columns, record: &self.record }))
+    }
+
+    fn wrong_width(&self, line: usize) -> Defect {
+        let (fields, wanted) = (self.record.len(), self.columns.len());
+        let last = self.columns.get(fields).cloned();
+        let found = format!("{fields} fields");
+        let defect = Defect::new(&self.file, format!("{wanted} fields as in the header"), found).at(line);
+        match last {
+            Some(first_missing) => defect.field(first_missing).hint("is the file truncated?"),
+            None => defect.hint("decimals are written with a dot; an unquoted comma separates fields"),
+        }
+    }
+
+    /// The file's hash, once every row has been read; an error where there was none.
+    pub(crate) fn finish(self) -> Result<InputFile, Defect> {
+        if self.rows == 0 {
+            return Err(Defect::new(&self.file, "at least one row below the header", "an empty table"));
+        }
+        let digest = self.lines.digest.finalize();
+        let sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
+        Ok(InputFile { path: self.file, sha256 })
+    }
+}
+
+fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, Defect> {
+    let mut columns: Vec<String> = Vec::with_capacity(record.len());
+    for field in record {
+        let text =
+            std::str::from_utf8(field).map_err(|_| Defect::new(name, "UTF-8 text", "other bytes").at(1))?;
+        columns.push(text.trim_start_matches('\u{feff}').trim().to_owned());
+    }
+    if columns.len() == 1 {
+        for (separator, called) in [(';', "semicolons"), ('\t', "tabs")] {
+            if columns[0].contains(separator) {
+                return Err(Defect::new(
+                    name,
+                    "fields separated by commas",
+                    format!("fields separated by {called}"),
+                )
+                .at(1)
+                .hint("save as CSV with commas between fields and a dot for decimals"));
+            }
+        }
+    }
+    for (index, column) in columns.iter().enumerate() {
+        if columns[..index].contains(column) {
+            let found = format!(
+                "column {} and column {} both named {}",
+                first(&columns, column),
+                index + 1,
+                quote(column)
+            );
+            return Err(Defect::new(name, "every column named once", found).at(1).field(column.clone()));
+        }
+    }
+    Ok(columns)
+}
+
+fn first(columns: &[String], name: &str) -> usize {
+    columns.iter().position(|c| c == name).map_or(0, |i| i + 1)
+}
+
+fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> SessionError {
+    if error.kind() == std::io::ErrorKind::NotFound {
+        return Defect::new(name, "a file in the session's folder", "no such file")
+            .hint(path.display().to_string())
+            .into();
+    }
+    SessionError::io("reading", path, error)
+}
+
+/// Records of a file, one a line: hashed as read, blank lines skipped, line numbers exact for any line ending.
+struct Lines {
+    file: BufReader<File>,
+    digest: Sha256,
+    text: Vec<u8>,
+    /// Line of the latest record, from 1.
+    line: usize,
+}
+
+impl Lines {
+    /// The next line that is not blank, split at its commas; false at the end of the file.
+    fn next_record(&mut self, record: &mut ByteRecord) -> std::io::Result<bool> {
+        loop {
+            self.text.clear();
+            if self.file.read_until(b'\n', &mut self.text)? == 0 {
+                return Ok(false);
+            }
+            self.digest.update(&self.text);
+            self.line += 1;
+            let text = self.text.trim_ascii_end();
+            if !text.is_empty() {
+                split_line(text, b',', record);
+                return Ok(true);
+            }
+        }
+    }
+}
+
+/// Splits one line into fields; quotes as in RFC 4180, within the line.
+pub(crate) fn split_line(text: &[u8], separator: u8, record: &mut ByteRecord) {
+    record.clear();
+    if !text.contains(&b'"') {
+        text.split(|byte| *byte == separator).for_each(|field| record.push_field(field));
+        return;
+    }
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).delimiter(separator).from_reader(text);
+    // Reading from memory cannot fail; an open quote ends with the line and shows as a wrong number of fields.
+    if !matches!(reader.read_byte_record(record), Ok(true)) {
+        record.clear();
+    }
+}

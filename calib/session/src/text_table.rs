@@ -1,0 +1,143 @@
+//! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
+
+use crate::error::{Defect, SessionError, quote};
+use crate::table::split_line;
+use std::path::Path;
+use wcal_core::provenance::sha256_hex;
+
+/// What stands between fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Separator {
+    /// A comma, with quotes as in RFC 4180.
+    #[default]
+    Comma,
+    /// A semicolon.
+    Semicolon,
+    /// A tab.
+    Tab,
+    /// Any run of blanks, as in the NIST files.
+    Whitespace,
+}
+
+/// How a foreign table is laid out.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TextTableLayout {
+    /// Lines before the table.
+    pub skip_lines: usize,
+    /// Names of the columns where the table has no header line of its own.
+    pub columns: Option<Vec<String>>,
+    /// Separator.
+    pub separator: Separator,
+    /// Decimals are written with a comma.
+    pub decimal_comma: bool,
+}
+
+/// A foreign table in memory; cells are text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TextTable {
+    /// File name for messages.
+    pub file: String,
+    /// SHA-256 of the file.
+    pub sha256: String,
+    /// Column names.
+    pub columns: Vec<String>,
+    /// Line in the file and cells.
+    pub rows: Vec<(usize, Vec<String>)>,
+    decimal_comma: bool,
+}
+
+/// Reads a foreign table.
+///
+/// # Errors
+/// A file that cannot be read, is not UTF-8, has no row, or has a row whose number of fields differs from the header's.
+pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
+    let file = path.display().to_string();
+    let bytes = std::fs::read(path).map_err(|e| SessionError::io("reading", path, e))?;
+    let sha256 = sha256_hex(&bytes);
+    let text = std::str::from_utf8(&bytes).map_err(|_| Defect::new(&file, "UTF-8 text", "other bytes"))?;
+    let text = text.trim_start_matches('\u{feff}');
+    let start = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
+    let records = split(&text[start..], layout.separator, layout.skip_lines);
+    let mut records = records.into_iter();
+    let columns = match &layout.columns {
+        Some(names) => names.clone(),
+        None => {
+            let header = records.next().map(|(_, cells)| cells);
+            header.ok_or_else(|| {
+                Defect::new(&file, "a header line and rows", "nothing after the skipped lines")
+            })?
+        }
+    };
+    let rows: Vec<_> = records.collect();
+    let table = TextTable { file, sha256, columns, rows, decimal_comma: layout.decimal_comma };
+    table.check_widths()?;
+    Ok(table)
+}
+
+fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<String>)> {
+    let delimiter = match separator {
+        Separator::Whitespace => {
+            let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+            let cells = |line: &str| line.split_whitespace().map(str::to_owned).collect();
+            return lines.map(|(i, line)| (skipped + i + 1, cells(line))).collect();
+        }
+        Separator::Comma => b',',
+        Separator::Semicolon => b';',
+        Separator::Tab => b'\t',
+    };
+    let mut record = csv::ByteRecord::new();
+    let mut out = Vec::new();
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        split_line(line.as_bytes(), delimiter, &mut record);
+        let cells = record.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
+        out.push((skipped + index + 1, cells.collect()));
+    }
+    out
+}
+
+impl TextTable {
+    fn check_widths(&self) -> Result<(), Defect> {
+        if self.rows.is_empty() {
+            return Err(Defect::new(&self.file, "at least one row", "an empty table"));
+        }
+        let wanted = self.columns.len();
+        match self.rows.iter().find(|(_, cells)| cells.len() != wanted) {
+            Some((line, cells)) => {
+                let expected = format!("{wanted} fields ({})", self.columns.join(", "));
+                let defect = Defect::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
+                Err(defect.hint("check the separator, the lines to skip and the column names"))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Index of a column.
+    ///
+    /// # Errors
+    /// Where there is no such column; the message lists those that there are.
+    pub fn column(&self, name: &str) -> Result<usize, Defect> {
+        self.columns.iter().position(|c| c == name).ok_or_else(|| {
+            let found = format!("the columns {}", self.columns.join(", "));
+            Defect::new(&self.file, format!("a column {name}"), found).field(name)
+        })
+    }
+
+    /// Finite number in a cell; none when empty.
+    ///
+    /// # Errors
+    /// Where the cell holds anything else.
+    pub fn number(&self, row: usize, column: usize) -> Result<Option<f64>, Defect> {
+        let Some((line, cells)) = self.rows.get(row) else { return Ok(None) };
+        let Some(cell) = cells.get(column).map(|c| c.trim()).filter(|c| !c.is_empty()) else {
+            return Ok(None);
+        };
+        let parsed =
+            if self.decimal_comma { cell.replace(',', ".").parse::<f64>() } else { cell.parse::<f64>() };
+        let name = self.columns.get(column).map_or("", String::as_str);
+        match parsed {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(_) => Err(Defect::new(&self.file, "a finite number", quote(cell)).at(*line).field(name)),
+            Err(_) => Err(Defect::new(&self.file, "a number", quote(cell)).at(*line).field(name)),
+        }
+    }
+}

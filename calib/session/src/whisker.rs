@@ -1,0 +1,312 @@
+//! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for `predict`.
+
+use crate::error::{Defect, SessionError};
+use crate::row::{Clock, PointNumbers, Row};
+use crate::table::{Column, Table};
+use crate::whisker_meta::WAVELENGTH_NM;
+use nalgebra::Vector3;
+use std::collections::HashSet;
+use std::path::Path;
+use wcal_core::{FbgSpec, InputFile, Role, Trajectory, TwinLabel, WhiskerRow};
+
+/// No strain within the fibre's limit shifts a grating further than this, nm.
+const LARGEST_SHIFT_NM: f64 = 20.0;
+const PM_PER_NM: f64 = 1000.0;
+
+/// What a table must hold.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Demand {
+    /// Role, trajectory and groove as in a session.
+    Session,
+    /// Wavelengths are enough.
+    Readings,
+}
+
+/// Readings with what was noticed while reading them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadingTable {
+    /// Rows in file order.
+    pub rows: Vec<WhiskerRow>,
+    /// The file and its hash.
+    pub input: InputFile,
+    /// What deserves attention.
+    pub warnings: Vec<String>,
+    /// Optional columns that are present, by name.
+    pub columns: Vec<String>,
+}
+
+/// Reads a free table of whisker readings for prediction: only the fbg columns are required. A row without `point` gets
+/// its order (from 0), a row without `role` is [`Role::Verification`].
+///
+/// # Errors
+/// As [`crate::load`]: the first cell that cannot be used.
+pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
+    let name = path.display().to_string();
+    read_rows(path, &name, &mut fbg.clone(), &[], Demand::Readings)
+}
+
+struct Columns {
+    point: Option<Column>,
+    role: Option<Column>,
+    trajectory: Option<Column>,
+    groove: Option<[Column; 3]>,
+    fbg: Wavelengths,
+    replicate: Option<Column>,
+    t_s: Option<Column>,
+    stage: Option<Column>,
+    direction: Option<Column>,
+    speed: Option<Column>,
+    dwell: Option<Column>,
+    temperature: Option<Column>,
+    sd: [Option<Column>; 2],
+    samples: Option<Column>,
+}
+
+enum Wavelengths {
+    Absolute { columns: [Column; 2], nominal_nm: [f64; 2], reference: Option<Column> },
+    Shift { columns: [Column; 2], reference: Option<Column> },
+}
+
+fn find_columns(table: &mut Table, fbg: &FbgSpec, demand: Demand) -> Result<Columns, Defect> {
+    let in_session = demand == Demand::Session;
+    let need = |table: &mut Table, name: &'static str| {
+        if in_session { table.required(name).map(Some) } else { table.optional(name) }
+    };
+    let point = need(table, "point")?;
+    let role = need(table, "role")?;
+    let trajectory = need(table, "trajectory")?;
+    let groove = match (need(table, "groove_x_mm")?, need(table, "groove_y_mm")?, need(table, "groove_z_mm")?)
+    {
+        (Some(x), Some(y), Some(z)) => Some([x, y, z]),
+        _ => None,
+    };
+    Ok(Columns {
+        point,
+        role,
+        trajectory,
+        groove,
+        fbg: find_wavelengths(table, fbg)?,
+        replicate: table.optional("replicate")?,
+        t_s: table.optional("t_s")?,
+        stage: table.optional("stage_mm")?,
+        direction: table.optional("direction")?,
+        speed: table.optional("speed_mm_s")?,
+        dwell: table.optional("dwell_s")?,
+        temperature: table.optional("temperature_degc")?,
+        sd: [table.optional("fbg_1_sd_pm")?, table.optional("fbg_2_sd_pm")?],
+        samples: table.optional("samples")?,
+    })
+}
+
+fn find_wavelengths(table: &mut Table, fbg: &FbgSpec) -> Result<Wavelengths, Defect> {
+    let shifts = [table.optional("fbg_1_shift_nm")?, table.optional("fbg_2_shift_nm")?];
+    if let [Some(first), Some(second)] = shifts {
+        let reference = table.optional("fbg_ref_shift_nm")?;
+        return Ok(Wavelengths::Shift { columns: [first, second], reference });
+    }
+    let columns = [table.required("fbg_1_nm")?, table.required("fbg_2_nm")?];
+    let reference = table.optional("fbg_ref_nm")?;
+    match fbg.nominal_nm {
+        Some(nominal_nm) => Ok(Wavelengths::Absolute { columns, nominal_nm, reference }),
+        None => Err(Defect::new(
+            "session.toml",
+            "two nominal wavelengths in nm, since the table holds fbg_1_nm",
+            "nothing",
+        )
+        .field("fbg.nominal_nm")),
+    }
+}
+
+/// Reads a table of readings. A missing `reference_nominal_nm` is set from the first reading (its offset is part of the zero).
+pub(crate) fn read_rows(
+    path: &Path,
+    name: &str,
+    fbg: &mut FbgSpec,
+    trajectories: &[Trajectory],
+    demand: Demand,
+) -> Result<ReadingTable, SessionError> {
+    let mut table = Table::open(path, name)?;
+    let columns = find_columns(&mut table, fbg, demand)?;
+    let mut warnings = unused_columns(&table);
+    let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
+    let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
+    while let Some(row) = table.next_row()? {
+        let order = i64::try_from(rows.len()).unwrap_or(i64::MAX);
+        let reading = read_row(&row, &columns, fbg, &known, demand, order)?;
+        points.note(&row, reading.point)?;
+        clock.note(row.line, reading.t_s);
+        rows.push(reading);
+    }
+    warnings.extend(clock.warning(name));
+    let columns = table.present();
+    Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
+}
+
+pub(crate) fn unused_columns(table: &Table) -> Vec<String> {
+    let unused = table.unused();
+    unused.iter().map(|(_, c)| format!("{}: column {c} is not known and not used", table.file())).collect()
+}
+
+fn read_row(
+    row: &Row<'_>,
+    columns: &Columns,
+    fbg: &mut FbgSpec,
+    known: &HashSet<u32>,
+    demand: Demand,
+    order: i64,
+) -> Result<WhiskerRow, Defect> {
+    let role = columns.role.map_or(Ok(Role::Verification), |c| row.role(c))?;
+    let mut trajectory = row.count(columns.trajectory, 0)?;
+    let groove_mm = groove(row, columns.groove)?;
+    if demand == Demand::Session {
+        let is_known = trajectory.is_some_and(|id| known.contains(&id));
+        if role == Role::Rest {
+            trajectory = trajectory.filter(|_| is_known);
+        } else if !is_known {
+            let found = trajectory.map_or("nothing".to_owned(), |id| format!("{id}"));
+            return Err(row.defect("trajectory", "the id of a [[trajectory]] in session.toml", found));
+        } else if groove_mm.is_none() {
+            return Err(row.defect("groove_x_mm", "a number (only a rest row needs no groove)", "nothing"));
+        }
+    }
+    let (shift_pm, reference_shift_pm) = shifts(row, &columns.fbg, fbg)?;
+    let sd = [row.not_negative(columns.sd[0])?, row.not_negative(columns.sd[1])?];
+    Ok(WhiskerRow {
+        source: row.file.to_owned(),
+        line: row.line,
+        point: columns.point.map_or(Ok(order), |c| row.point(c))?,
+        role,
+        trajectory,
+        replicate: row.count(columns.replicate, 0)?,
+        t_s: row.number(columns.t_s)?,
+        stage_mm: row.number(columns.stage)?,
+        direction: row.sign(columns.direction)?,
+        speed_mm_s: row.not_negative(columns.speed)?,
+        dwell_s: row.not_negative(columns.dwell)?,
+        groove_mm,
+        temperature_degc: row.temperature(columns.temperature)?,
+        shift_pm,
+        reference_shift_pm,
+        shift_sd_pm: if let [Some(a), Some(b)] = sd { Some([a, b]) } else { None },
+        samples: row.count(columns.samples, 1)?,
+    })
+}
+
+fn groove(row: &Row<'_>, columns: Option<[Column; 3]>) -> Result<Option<Vector3<f64>>, Defect> {
+    let Some(columns) = columns else { return Ok(None) };
+    let cells = [row.number(Some(columns[0]))?, row.number(Some(columns[1]))?, row.number(Some(columns[2]))?];
+    match cells {
+        [Some(x), Some(y), Some(z)] => Ok(Some(Vector3::new(x, y, z))),
+        [None, None, None] => Ok(None),
+        _ => {
+            let empty = cells.iter().position(Option::is_none).unwrap_or(0);
+            Err(row.defect(columns[empty].name, "a number (its neighbours are given)", "nothing"))
+        }
+    }
+}
+
+fn shifts(
+    row: &Row<'_>,
+    columns: &Wavelengths,
+    fbg: &mut FbgSpec,
+) -> Result<([f64; 2], Option<f64>), Defect> {
+    match columns {
+        Wavelengths::Shift { columns, reference } => {
+            let shift = |c: Column| checked_shift(row, c, row.required(c)?);
+            let reference = match (reference, row.number(*reference)?) {
+                (Some(c), Some(nm)) => Some(checked_shift(row, *c, nm)?),
+                _ => None,
+            };
+            Ok(([shift(columns[0])?, shift(columns[1])?], reference))
+        }
+        Wavelengths::Absolute { columns, nominal_nm, reference } => {
+            let shift = |i: usize| {
+                let nm = checked_wavelength(row, columns[i], row.required(columns[i])?)?;
+                checked_shift(row, columns[i], nm - nominal_nm[i])
+            };
+            let reference = match (reference, row.number(*reference)?) {
+                (Some(c), Some(nm)) => {
+                    let nm = checked_wavelength(row, *c, nm)?;
+                    let nominal_nm = *fbg.reference_nominal_nm.get_or_insert(nm);
+                    Some(checked_shift(row, *c, nm - nominal_nm)?)
+                }
+                _ => None,
+            };
+            Ok(([shift(0)?, shift(1)?], reference))
+        }
+    }
+}
+
+fn checked_wavelength(row: &Row<'_>, column: Column, nm: f64) -> Result<f64, Defect> {
+    let (low, high) = WAVELENGTH_NM;
+    if (low..=high).contains(&nm) {
+        return Ok(nm);
+    }
+    let hint = if (low..=high).contains(&(nm * PM_PER_NM)) {
+        "um instead of nm?"
+    } else if (low..=high).contains(&(nm / PM_PER_NM)) {
+        "pm instead of nm?"
+    } else if nm.abs() < LARGEST_SHIFT_NM {
+        "a shift? name the columns fbg_1_shift_nm, fbg_2_shift_nm"
+    } else {
+        "check the unit"
+    };
+    Err(row
+        .defect(column.name, format!("a wavelength between {low} and {high} nm"), format!("{nm}"))
+        .hint(hint))
+}
+
+/// Shift in pm.
+fn checked_shift(row: &Row<'_>, column: Column, shift_nm: f64) -> Result<f64, Defect> {
+    if shift_nm.abs() <= LARGEST_SHIFT_NM {
+        return Ok(shift_nm * PM_PER_NM);
+    }
+    let expected = format!("a shift from nominal of at most {LARGEST_SHIFT_NM} nm");
+    let defect = row.defect(column.name, expected, format!("{shift_nm}"));
+    Err(defect.hint(if column.name.ends_with("shift_nm") {
+        "pm instead of nm?"
+    } else {
+        "wrong nominal_nm or grating?"
+    }))
+}
+
+/// Reads `twin.csv`; every label must belong to a point of the points table.
+pub(crate) fn read_twin(
+    path: &Path,
+    name: &str,
+    rows: &[WhiskerRow],
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<TwinLabel>, InputFile), SessionError> {
+    let mut table = Table::open(path, name)?;
+    let point = table.required("point")?;
+    let moments = [table.required("moment_1_nmm")?, table.required("moment_2_nmm")?];
+    // `wcal twin` writes these beside the labels.
+    for extra in ["contact_arclength_mm", "branch", "settled"] {
+        table.optional(extra)?;
+    }
+    warnings.extend(unused_columns(&table));
+    let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
+    let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
+    while let Some(row) = table.next_row()? {
+        let label = TwinLabel {
+            point: row.point(point)?,
+            moment_nmm: [row.required(moments[0])?, row.required(moments[1])?],
+        };
+        points.note(&row, label.point)?;
+        if !known.contains(&label.point) {
+            return Err(row
+                .defect("point", "a point of the points table", format!("{}", label.point))
+                .into());
+        }
+        labels.push(label);
+    }
+    let input = table.finish()?;
+    if labels.len() < known.len() {
+        warnings.push(format!(
+            "{name}: {} of {} points have no label",
+            known.len() - labels.len(),
+            known.len()
+        ));
+    }
+    Ok((labels, input))
+}

@@ -1,11 +1,13 @@
 //! `wcal stereo-calibrate`: both cameras from pairs of pictures of a board.
 
+use crate::picture_output::{provenance, write};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
 use wcal_vision::chessboard::BoardSize;
+use wcal_vision::pairs::list_pictures;
 
 /// What is on the board.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -20,6 +22,11 @@ pub enum PatternName {
 
 /// Arguments of `wcal stereo-calibrate`.
 #[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal stereo-calibrate board/left board/right --board 9x6 --square-mm 6 --out calibration
+
+Writes stereo.json and the same cameras as OpenCV YAML, Kalibr YAML and ROS camera_info.
+Exit code 3: calibrated, with views left out or warnings that matter; 1: refused, nothing written.")]
 pub struct StereoCalibrateArgs {
     /// Left pictures: a folder, or a pattern such as `pictures/left*.jpg`
     pub left: String,
@@ -87,16 +94,14 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     let (mut document, _) = calibrate_folders(&args.left, &args.right, &board, &|message| {
         eprintln!("stereo-calibrate: {message}")
     })?;
-    document.provenance.program = concat!("wcal ", env!("CARGO_PKG_VERSION")).into();
-    document.provenance.command = std::env::args().collect();
+    let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
+    document.provenance = provenance(pictures.iter().map(PathBuf::as_path));
     let text = serde_json::to_string_pretty(&document)?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("create {}", args.out.display()))?;
-    let path = args.out.join("stereo.json");
-    std::fs::write(&path, &text).with_context(|| format!("write {}", path.display()))?;
+    // The exports first: where stereo.json lies, all of them do.
     for (name, content) in wcal_vision::exchange::exports(&document)? {
-        let path = args.out.join(name);
-        std::fs::write(&path, content).with_context(|| format!("write {}", path.display()))?;
+        write(&args.out, &name, content.as_bytes())?;
     }
+    write(&args.out, "stereo.json", text.as_bytes())?;
     for view in &document.rejected_views {
         eprintln!("stereo-calibrate: {} left out: {}", view.view, view.why);
     }

@@ -1,6 +1,6 @@
 //! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
 
-use anyhow::Context;
+use crate::picture_output::{provenance, write};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -13,6 +13,10 @@ use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
 
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --overlays
+
+Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
 pub struct StereoShapeArgs {
     /// Left pictures: a folder or a pattern
     pub left: String,
@@ -46,12 +50,11 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     let rig = Rig::read(&args.rig)?;
     let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
     let mut result = shapes_of_pairs(&stereo, &rig, &files, &|name| eprintln!("stereo-shape: {name}"));
-    result.document.provenance.program = concat!("wcal ", env!("CARGO_PKG_VERSION")).into();
-    result.document.provenance.command = std::env::args().collect();
+    let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
+    let read = [&args.cameras, &args.rig].into_iter().chain(pictures);
+    result.document.provenance = provenance(read.map(PathBuf::as_path));
     let text = serde_json::to_string_pretty(&result.document)?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("create {}", args.out.display()))?;
-    let path = args.out.join("shapes.json");
-    std::fs::write(&path, &text).with_context(|| format!("write {}", path.display()))?;
+    let path = write(&args.out, "shapes.json", text.as_bytes())?;
     if args.overlays {
         write_overlays(&result, &files, &args.out)?;
     }
@@ -89,8 +92,7 @@ fn write_overlays(result: &ShapesResult, files: &[PairFiles], out: &Path) -> any
         for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
             let Some(source) = source else { continue };
             let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
-            let path = out.join(format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]));
-            std::fs::write(&path, png).with_context(|| format!("write {}", path.display()))?;
+            write(out, &format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), &png)?;
         }
     }
     Ok(())

@@ -3,6 +3,8 @@
 use clap::Parser;
 use std::process::ExitCode;
 
+#[path = "../../cli/picture_output.rs"]
+mod picture_output;
 #[path = "../../cli/stereo_calibrate.rs"]
 mod stereo_calibrate;
 #[path = "../../cli/stereo_shape.rs"]

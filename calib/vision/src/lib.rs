@@ -20,6 +20,7 @@ pub mod picture;
 pub mod profile;
 pub mod rig;
 pub mod rigid;
+mod tag_edges;
 pub mod tag_pose;
 pub mod tags;
 

@@ -39,6 +39,8 @@ pub struct PairFit {
     pub smoothing: f64,
     /// +1 dark wire.
     pub polarity: f64,
+    /// How the wire looks, left and right.
+    pub looks: [Look; 2],
     /// Remarks.
     pub warnings: Vec<String>,
 }
@@ -49,8 +51,10 @@ const REACH: f64 = 1.12;
 const KNOT_MM: f64 = 2.5;
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
 const LEAST_EVIDENCE: f64 = 1.2;
+/// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
+const MOST_EVIDENCE: f64 = 24.0;
 
-/// Finds and fits the wire of one pair.
+/// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where it ended.
 ///
 /// # Errors
 /// A sentence that says why the pair cannot be used.
@@ -60,26 +64,23 @@ pub fn fit_pair(
     pictures: &[Picture; 2],
     left_from_base: &Isometry3<f64>,
     prior: &Prior,
+    start: Option<&PairFit>,
 ) -> Result<PairFit, String> {
-    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base)?;
-    let model = RodModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
-    let per_node: Vec<[f64; 2]> = (0..model.nodes)
-        .map(|i| {
-            let k = ((i as f64 * model.step_mm) as usize).min(found.curvatures.len() - 1);
-            found.curvatures[k]
-        })
-        .collect();
-    let mut state = model.from_curvatures(&per_node);
-    let mut length = found.length_mm.max(0.5 * rig.whisker.length_mm);
-    let mut looks = [Look { blur_px: 1.0, width_scale: 1.0 }; 2];
+    let begun = match start {
+        Some(fit) => fit.clone(),
+        None => begin(stereo, rig, pictures, left_from_base, prior)?,
+    };
+    let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
+    let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
+    let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
     let roughness = model.roughness();
-    let mut prior = prior.clone();
-    let (mut noise, mut length_sd) = (1.0, 0.5);
     let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
     let mut all: Vec<Sight> = Vec::new();
     let mut warnings = Vec::new();
     // The window narrows as the curve settles; the look is fitted once the line is roughly right.
-    for (round, search_px) in [4.0, 2.5, 1.5, 1.2, 1.0].into_iter().enumerate() {
+    let windows = [4.0, 2.5, 1.5, 1.2, 1.0];
+    let first = if start.is_some() { 3 } else { 0 };
+    for (round, search_px) in windows.into_iter().enumerate().skip(first) {
         let shape = model.shape(&state);
         all.clear();
         for camera in 0..2 {
@@ -170,7 +171,43 @@ pub fn fit_pair(
         noise,
         smoothing: prior.smoothing,
         polarity,
+        looks,
         warnings,
+    })
+}
+
+/// The curve that the search found, before anything is measured.
+fn begin(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    pictures: &[Picture; 2],
+    left_from_base: &Isometry3<f64>,
+    prior: &Prior,
+) -> Result<PairFit, String> {
+    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base)?;
+    let model = RodModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
+    let per_node: Vec<[f64; 2]> = (0..model.nodes)
+        .map(|i| {
+            let k = ((i as f64 * model.step_mm) as usize).min(found.curvatures.len() - 1);
+            found.curvatures[k]
+        })
+        .collect();
+    let state = model.from_curvatures(&per_node);
+    let system = linearise(stereo, left_from_base, &model, &state, &[], 1.0);
+    Ok(PairFit {
+        model,
+        state,
+        left_from_base: *left_from_base,
+        sights: Vec::new(),
+        pieces: Default::default(),
+        length_mm: found.length_mm.max(0.5 * rig.whisker.length_mm),
+        length_sd_mm: 0.5,
+        system,
+        noise: 1.0,
+        smoothing: prior.smoothing,
+        polarity,
+        looks: [Look { blur_px: 1.0, width_scale: 1.0 }; 2],
+        warnings: Vec::new(),
     })
 }
 
@@ -189,6 +226,10 @@ fn find_wire(
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
     let mut best: Option<(Trace, f64)> = None;
     for polarity in [1.0, -1.0] {
+        // Nothing beats a line that has half of all the evidence there could be along most of the nominal length.
+        if best.as_ref().is_some_and(|(b, _)| b.score > 0.5 * MOST_EVIDENCE * 0.8 * rig.whisker.length_mm) {
+            break;
+        }
         let mut strength =
             expected_strength(stereo, left_from_base, [&maps[0], &maps[1]], &rig.whisker, polarity);
         let mut last = None;

@@ -22,6 +22,9 @@ const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// Root offsets where they do not: the rig file's tag pose is off, the wire's root is measured.
 const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 
+/// A corner is good to hundredths of a pixel: whole pixels are no noise.
+const TAG_MISFIT_PX: f64 = 1.0;
+
 /// A pair with its pictures and tags.
 struct Loaded {
     name: String,
@@ -52,20 +55,27 @@ pub fn shapes_of_pairs(
         loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
     let base = folder_base(stereo, rig, &tags);
     let mut warnings = Vec::new();
-    let attempt = |root_sd: [f64; 2]| -> Vec<Result<PairFit, String>> {
+    let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
         loaded
             .par_iter()
             .enumerate()
             .map(|(k, l)| {
                 let l = l.as_ref().map_err(Clone::clone)?;
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd);
-                progress(&l.name);
+                let start = match earlier.get(k) {
+                    None => None,
+                    Some(Ok(fit)) => Some(fit),
+                    Some(Err(why)) => return Err(why.clone()),
+                };
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd, start);
+                if start.is_none() {
+                    progress(&l.name);
+                }
                 fit
             })
             .collect()
     };
     let mut root_sd = ROOT_CLAMPED;
-    let mut fits = attempt(root_sd);
+    let mut fits = attempt(root_sd, &[]);
     let mut joint = base.as_ref().map(|b| Joint::new(stereo, b, &fits, root_sd));
     if let Some(j) = &joint
         && j.disagreement > 30.0
@@ -75,7 +85,7 @@ pub fn shapes_of_pairs(
             j.disagreement
         ));
         root_sd = ROOT_FREE;
-        fits = attempt(root_sd);
+        fits = attempt(root_sd, &fits);
         joint = base.as_ref().map(|b| Joint::new(stereo, b, &fits, root_sd));
     }
     if let (Some(j), Some(b)) = (&joint, &base) {
@@ -191,6 +201,7 @@ fn fit_one(
     base: Option<&FolderBase>,
     index: usize,
     root_sd: [f64; 2],
+    start: Option<&PairFit>,
 ) -> Result<PairFit, String> {
     let own = base_sightings(rig, &loaded.tags);
     let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
@@ -203,8 +214,28 @@ fn fit_one(
     } else {
         base.pose.clone()
     };
+    let off_px = tag_pose::residual_rms_px(stereo, &own, &pose.left_from_body);
+    if off_px > TAG_MISFIT_PX {
+        return Err(exchanged_or_foreign(base, &own, off_px));
+    }
     let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
-    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior)
+    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start)
+}
+
+/// Why the base tag's corners fit no pose.
+fn exchanged_or_foreign(base: &FolderBase, own: &[tag_pose::Sighting], off_px: f64) -> String {
+    let as_in_the_other_camera = own.iter().all(|s| {
+        base.sightings.iter().any(|b| {
+            let near = |k: usize| (b.tag.corners_px[k] - s.tag.corners_px[k]).norm() < 3.0 * TAG_MISFIT_PX;
+            b.camera != s.camera && b.tag.id == s.tag.id && (0..4).all(near)
+        })
+    });
+    let cause = if as_in_the_other_camera {
+        "the left and the right picture are swapped"
+    } else {
+        "left and right swapped, pictures not taken together, cameras moved since they were calibrated, or another tag size"
+    };
+    format!("the base tag's corners lie {off_px:.1} px from any pose that both cameras share: {cause}")
 }
 
 fn missing_tag(rig: &Rig, loaded: &Loaded) -> String {

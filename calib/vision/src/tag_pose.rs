@@ -98,6 +98,21 @@ pub fn minimise(stereo: &StereoCameras, sightings: &[Sighting], start: Isometry3
     Some(BodyPose { left_from_body: pose, information, chi2, redundancy, margin: f64::INFINITY })
 }
 
+/// RMS distance of the corners from those of a pose, px.
+#[must_use]
+pub fn residual_rms_px(stereo: &StereoCameras, sightings: &[Sighting], pose: &Isometry3<f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for s in sightings {
+        let camera_from_body = if s.camera == 0 { *pose } else { stereo.right_from_left * pose };
+        for (corner, p) in s.tag.corners_px.iter().zip(s.object()) {
+            let px = stereo.cameras[s.camera].project(&(camera_from_body * Point3::from(p)).coords);
+            sum += px.map_or(f64::INFINITY, |px| (px - corner).norm_squared());
+            count += 1.0;
+        }
+    }
+    f64::sqrt(sum / f64::max(count, 1.0))
+}
+
 /// Weighted squares, information and right-hand side of a correction in the body's frame.
 #[must_use]
 pub fn linearise(

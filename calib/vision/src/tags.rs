@@ -5,6 +5,7 @@ use crate::camera::Camera;
 use crate::error::VisionError;
 use crate::picture::Picture;
 use crate::profile::blurred_step;
+use crate::tag_edges::refine_by_cells;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// A tag in one picture.
@@ -53,7 +54,7 @@ pub fn find_tags(
 }
 
 /// Straightens pixels where a camera is known: undistorted, with the camera's own focal length and centre.
-fn straighten(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+pub(crate) fn straighten(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
     camera
         .and_then(|c| {
             let n = c.undistort(p)?;
@@ -62,7 +63,7 @@ fn straighten(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
         .unwrap_or(*p)
 }
 
-fn bend(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+pub(crate) fn bend(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
     camera.map_or(*p, |c| {
         let n = Vector2::new((p.x - c.centre_px[0]) / c.focal_px[0], (p.y - c.centre_px[1]) / c.focal_px[1]);
         let d = c.distort(&n).0;
@@ -106,6 +107,13 @@ fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
         }
         corners = next;
         refined = true;
+    }
+    // The outline alone takes a tone curve's shift of all edges for a larger tag; the cells tell the two apart.
+    if refined
+        && let Some(found) =
+            refine_by_cells(picture, camera, &corners, cells_along_side(&raw.family) as usize)
+    {
+        (corners, covariances) = (found.corners, found.covariances);
     }
     Tag {
         family: raw.family,

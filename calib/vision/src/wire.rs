@@ -214,18 +214,17 @@ fn without_wire(pixels: &[(f64, f64, f64)], blur: f64) -> f64 {
 pub fn fit_look(picture: &Picture, pieces: &[Piece], start: Look) -> Look {
     let mut best: Vec<&Piece> = pieces.iter().filter(|p| p.evidence > 0.0).collect();
     best.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    best.truncate(48);
+    best.truncate(32);
     if best.len() < 8 {
         return start;
     }
-    // Robust: the median over pieces of the misfit relative to what the piece had, so that no single piece decides.
+    // Centres move along: held where a wrong width put them, they would confirm that width. The worst quarter does not count.
     let misfit = |look: Look| {
-        let costs: Vec<f64> = best
+        let mut costs: Vec<f64> = best
             .iter()
             .filter_map(|p| fit_piece(picture, &p.station, look, p.offset_px.abs() + 0.5))
             .map(|q| q.residual.0 / q.residual.1 as f64)
             .collect();
-        let mut costs = costs;
         costs.sort_by(f64::total_cmp);
         let keep = (costs.len() * 3 / 4).max(1).min(costs.len());
         costs[..keep].iter().sum::<f64>() / keep as f64

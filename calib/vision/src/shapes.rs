@@ -22,6 +22,8 @@ const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// Root offsets where they do not: the rig file's tag pose is off, the wire's root is measured.
 const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 
+/// Shift of a whole line that pieces share, px: uneven light across the wire and the camera's tone curve on unequal sides.
+const LINE_FLOOR_PX: f64 = 0.015;
 /// A corner is good to hundredths of a pixel: whole pixels are no noise.
 const TAG_MISFIT_PX: f64 = 1.0;
 
@@ -347,7 +349,11 @@ impl Joint {
         if let Some(c) = &self.stereo.covariance {
             covariance += &response * c * response.transpose();
         }
-        Uncertain { covariance, by_calibration: response }
+        // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b).
+        let depth_mm = fit.left_from_base.translation.vector.norm();
+        let baseline_mm = self.stereo.right_from_left.translation.vector.norm();
+        let by_pixel = depth_mm * depth_mm / (self.stereo.cameras[0].focal_px[0] * baseline_mm);
+        Uncertain { covariance, by_calibration: response, shared_mm: LINE_FLOOR_PX * by_pixel }
     }
 }
 
@@ -357,6 +363,8 @@ pub struct Uncertain {
     pub covariance: DMatrix<f64>,
     /// Rows as above, 24 columns.
     pub by_calibration: DMatrix<f64>,
+    /// Error that all places of the wire share and that the pictures' scatter does not show, mm.
+    pub shared_mm: f64,
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
@@ -464,7 +472,7 @@ pub(crate) fn node_covariance(
     let j = jacobian.rows(3 * node, 3);
     let c = u.covariance.view((6, 6), (n, n));
     let m = j * c * j.transpose();
-    Matrix3::from_iterator(m.iter().copied())
+    Matrix3::from_iterator(m.iter().copied()) + Matrix3::identity() * u.shared_mm * u.shared_mm
 }
 
 fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&Uncertain>) {

@@ -80,13 +80,14 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
         let t = truth["scene"].as_array().unwrap().iter().find(|t| t["name"] == pair.name.as_str()).unwrap();
         let line: Vec<Vector3<f64>> = t["centreline"].as_array().unwrap().iter().map(vector).collect();
         let found: Vec<Vector3<f64>> = pair.centreline_mm.iter().map(|p| Vector3::from(*p)).collect();
-        all += found.len();
-        // The sd is the 95 % radius across the wire over 2.4477.
-        inside += found
-            .iter()
-            .zip(&pair.centreline_sd_mm)
-            .filter(|(p, sd)| distance(p, &line) <= 2.4477 * **sd)
-            .count();
+        // Drawn points, not the chords between them, against the curve; the sd is the 95 % radius across the wire over 2.4477.
+        all += line.len();
+        let inside_region = |p: &&Vector3<f64>| {
+            let near = |a: &usize, b: &usize| (found[*a] - *p).norm().total_cmp(&(found[*b] - *p).norm());
+            let nearest = (0..found.len()).min_by(near).unwrap();
+            distance(p, &found) <= 2.4477 * pair.centreline_sd_mm[nearest]
+        };
+        inside += line.iter().filter(inside_region).count();
         let rows: Vec<[f64; 4]> = pair.left_from_base.clone();
         let found_pose = pose(&serde_json::to_value(rows).unwrap());
         let off = pose(&truth["cameras"]["left"]["T"]) * found_pose;

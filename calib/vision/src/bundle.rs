@@ -254,12 +254,11 @@ impl Normal {
     }
 }
 
+/// Shared step, board steps and the reduced normal matrix of the shared parameters.
+type SharedStep = (DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>);
+
 /// Solves for the shared step and the view steps with damping `lambda`; none where the normal matrix is singular.
-fn step(
-    normal: &Normal,
-    mask: &[bool; SHARED],
-    lambda: f64,
-) -> Option<(DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>)> {
+fn step(normal: &Normal, mask: &[bool; SHARED], lambda: f64) -> Option<SharedStep> {
     let free: Vec<usize> = (0..SHARED).filter(|&k| mask[k]).collect();
     let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| normal.shared[free[i]][free[j]]);
     for i in 0..free.len() {

@@ -144,7 +144,7 @@ pub fn shapes_of_pairs(
 
 fn corrected(base: &FolderBase, joint: &Joint) -> FolderBase {
     let mut base = base.clone();
-    base.pose.left_from_body = base.pose.left_from_body * updated(&Isometry3::identity(), &joint.step);
+    base.pose.left_from_body *= updated(&Isometry3::identity(), &joint.step);
     base
 }
 

@@ -187,33 +187,37 @@ pub fn continues_beyond(
         let p = &homography * nalgebra::DVector::from_row_slice(&[x, y, 1.0]);
         (p[0] / p[2], p[1] / p[2])
     };
-    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it.
-    let saddle = |i: i64, j: i64| -> Option<f64> {
+    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it; of the
+    // squares on one side of it only where `out` says so.
+    let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
         let mut sum = 0.0;
         for (dx, dy, sign) in
             [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)]
         {
+            if dx * out[0] + dy * out[1] < 0.0 {
+                continue;
+            }
             let (x, y) = at(i as f64 + dx, j as f64 + dy);
             if !picture.contains(x, y, 1.0) {
                 return None;
             }
             sum += sign * picture.sample(x, y);
         }
-        Some(if (i + j).rem_euclid(2) == 0 { 0.5 * sum } else { -0.5 * sum })
+        Some(if (i + j).rem_euclid(2) == 0 { sum } else { -sum })
     };
-    let mean = |cells: Vec<(i64, i64)>| -> Option<f64> {
-        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| saddle(i, j)).collect();
-        (2 * values.len() >= cells.len().max(2)).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    let typical = |cells: Vec<(i64, i64)>, out: [f64; 2]| -> Option<f64> {
+        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| contrast(i, j, out)).collect();
+        (2 * values.len() >= cells.len().max(2)).then(|| crate::initial::median(&values))
     };
-    let inside = mean((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect())?;
+    let inside = 0.5 * typical((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(), [0.0; 2])?;
     let sides = [
-        ("left", (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
-        ("right", (0..r).map(|j| (c, j)).collect()),
-        ("top", (0..c).map(|i| (i, -1)).collect()),
-        ("bottom", (0..c).map(|i| (i, r)).collect()),
+        ("left", [-1.0, 0.0], (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
+        ("right", [1.0, 0.0], (0..r).map(|j| (c, j)).collect()),
+        ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
+        ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
-    // At the rim of a true board every other place shows half the contrast: a quarter on average, against all of it.
-    sides.into_iter().find_map(|(name, cells)| (mean(cells)? / inside > 0.625).then_some(name))
+    // Outside a true board lies its even margin or something that does not alternate with the squares: no contrast, against all of it.
+    sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
 }
 
 /// Homography from grid indices to pixels, by the direct linear transformation.

@@ -3,8 +3,9 @@
 mod common;
 
 use nalgebra::Vector2;
+use wcal_vision::look::fit_look;
 use wcal_vision::picture::Picture;
-use wcal_vision::wire::{Look, PIECE_PX, Piece, Station, fit_look, fit_piece};
+use wcal_vision::wire::{Look, PIECE_PX, Piece, Station, fit_piece};
 
 const ANGLE: f64 = 0.37;
 const WIDTHS: [f64; 3] = [2.0, 3.0, 6.0];

@@ -13,10 +13,13 @@ struct Walked {
     nodes: Vec<(f64, Anchor)>,
 }
 
+/// Moments at the nodes of one path, N mm.
+type Moments = Arc<Vec<[f64; 2]>>;
+
 /// What is kept of solved points.
 pub(crate) struct PointStore {
     walked: Vec<Mutex<Vec<Arc<Walked>>>>,
-    solved: Mutex<HashMap<Vec<u64>, Arc<Vec<[f64; 2]>>>>,
+    solved: Mutex<HashMap<Vec<u64>, Moments>>,
 }
 
 /// Sets of stage positions and wires whose moments are kept.
@@ -55,7 +58,7 @@ impl Bench {
         nodes: &[Node],
         xs_mm: &[f64],
         mechanics: &Mechanics,
-    ) -> Option<Arc<Vec<[f64; 2]>>> {
+    ) -> Option<Moments> {
         let mut key = mechanics.key();
         key.extend(xs_mm.iter().map(|x| x.to_bits()));
         if let Some(found) = self.points.solved.lock().ok()?.get(&key) {
@@ -92,7 +95,7 @@ impl Bench {
         let loaded = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
         let mut out = vec![[0.0; 2]; loaded];
         let rest = &xs[loaded..];
-        match self.from_neighbour(rod, l, mechanics, rest) {
+        match self.near_neighbour(rod, l, mechanics, rest) {
             Some(near) => out.extend(near),
             None => out.extend(self.walk(rod, l, mechanics, touch_mm, rest)?),
         }
@@ -100,7 +103,7 @@ impl Bench {
     }
 
     /// Moments at `xs` from the nearest wire already walked; none where that is not near enough.
-    fn from_neighbour(
+    fn near_neighbour(
         &self,
         rod: &Rod,
         l: usize,

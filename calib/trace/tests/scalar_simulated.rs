@@ -351,6 +351,7 @@ fn the_interval_of_a_scale_is_the_one_of_the_straight_line() {
     println!("the textbook's intervals cover {covered} of {}", found.len());
     for (stated, line) in found {
         let width = line[2] - line[1];
+        // Ends that are off by 2 % of the width (0.08 sd) change the coverage by less than 1 %.
         assert!(stated.iter().zip(line).all(|(a, b)| (a - b).abs() < 0.02 * width), "{stated:?} {line:?}");
     }
 }

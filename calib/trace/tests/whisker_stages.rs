@@ -173,9 +173,8 @@ fn a_sensitivity_that_changes_between_seatings_is_said() {
     let changed = |factor: f64| {
         let mut data = data.clone();
         let half = data.rows.len() / 2;
-        for (k, r) in data.rows.iter_mut().enumerate().skip(half) {
+        for r in data.rows.iter_mut().skip(half) {
             r.seating = 1;
-            let _ = k;
             for s in &mut r.shift_pm {
                 *s = *s * factor + 12.0;
             }

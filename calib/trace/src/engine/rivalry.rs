@@ -85,9 +85,8 @@ pub fn power(lambda: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::engine::fit::{Fit, Status, Weights};
-    use rand::RngExt;
 
-    /// Straight-line models `y = a x` with fixed slopes direction `x`: two explanations that share nothing.
+    /// The model `y = b column` with b fitted.
     fn hypothesis(column: &DVector<f64>, y: &DVector<f64>) -> Hypothesis {
         let b = column.dot(y) / column.norm_squared();
         let residual = y - column * b;
@@ -128,7 +127,6 @@ mod tests {
             }
             count += usize::from(rival_p(best, rival, best.fit.variance(), 400, k) < AMBIGUITY_LEVEL);
         }
-        let _: u8 = rng.random();
         f64::from(u32::try_from(count).expect("few")) / f64::from(trials as u32)
     }
 

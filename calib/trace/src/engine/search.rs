@@ -6,6 +6,8 @@ use super::gate::{CATALOGUE_LEVEL, Gate, gate};
 use super::linear::stack;
 use super::null::f_test;
 use super::outliers::clean;
+use super::rivalry::{AMBIGUITY_LEVEL, rival_p};
+use super::subsets::best_subsets;
 use crate::candidate::{Role, System, Term};
 use crate::effects::SLIP_OUTLIERS;
 use rayon::prelude::*;
@@ -112,8 +114,16 @@ pub struct Evidence {
     pub behind: f64,
     /// Parameters that it spends.
     pub parameters: usize,
-    /// Physical ranges kept.
-    pub physical: bool,
+    /// Chance of falling this far behind were it true (parametric bootstrap; 1 for the best).
+    pub p_value: f64,
+}
+
+impl Evidence {
+    /// The data do not reject it.
+    #[must_use]
+    pub fn survives(&self) -> bool {
+        self.p_value >= AMBIGUITY_LEVEL
+    }
 }
 
 /// What the search found.
@@ -135,10 +145,6 @@ pub struct Found {
     /// A generic driver explains more than the catalogue does.
     pub driver_beats_catalogue: bool,
 }
-
-/// Explanations this far behind the best are rejected (likelihood ratio with Akaike's price). For a true explanation at distance d
-/// from the best the chance of falling this far behind is at most Phi(-sqrt(5)) = 1.3 %, whatever d (exam: truth in the set).
-pub const BEHIND_LIMIT: f64 = 5.0;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
@@ -211,6 +217,37 @@ fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothe
     out
 }
 
+/// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
+fn by_subsets(
+    system: &dyn System,
+    base: &Hypothesis,
+    atoms: &[Atom],
+    next: &[Hypothesis],
+    size: usize,
+) -> Vec<Hypothesis> {
+    const KEPT: usize = 2;
+    let fitting = || next.iter().filter(|h| h.physical(system));
+    let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
+    let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
+    let residual = stack(&base.fit.residual);
+    let known: Vec<Vec<usize>> = next.iter().map(|h| h.effects(None)).collect();
+    best_subsets(atoms, &residual, size, scale, KEPT + known.len())
+        .into_iter()
+        .filter(|s| base.fit.ssr / scale - s.merit < top)
+        .filter_map(|s| {
+            let mut effects: Vec<usize> = s.atoms.iter().map(|&i| atoms[i].term.effect).collect();
+            effects.sort_unstable();
+            if known.contains(&effects) {
+                return None;
+            }
+            let law = |a: &Atom| system.catalogue()[a.term.effect].laws()[a.term.law].clone();
+            Some(s.atoms.iter().map(|&i| atoms[i].start(&residual, &law(&atoms[i]))).collect::<Vec<Term>>())
+        })
+        .take(KEPT)
+        .filter_map(|terms| refit(system, &[terms], base))
+        .collect()
+}
+
 /// Adds the explanations of `more` that are not there yet; of two with the same effects the better stays.
 fn merge(
     all: &mut Vec<Hypothesis>,
@@ -268,6 +305,10 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
             };
             merge(&mut next, more, outliers, &base.fit, variance);
         }
+        if size > 1 {
+            let more = by_subsets(system, &base, &first_gate.atoms, &next, size);
+            merge(&mut next, more, outliers, &base.fit, variance);
+        }
         let mut physical: Vec<Hypothesis> =
             next.into_iter().filter(|h| h.physical(system) && h.effects(outliers).len() == size).collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
@@ -284,14 +325,25 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
     }
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
+    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
+    let p_values: Vec<f64> =
+        final_level
+            .iter()
+            .enumerate()
+            .map(|(k, h)| {
+                if k == 0 { 1.0 } else { rival_p(&best, h, variance, options.draws, options.seed + k as u64) }
+            })
+            .collect();
     let survivors: Vec<Hypothesis> = final_level
         .iter()
-        .filter(|h| h.criterion(&base.fit, variance) - top <= BEHIND_LIMIT)
-        .cloned()
+        .zip(&p_values)
+        .filter(|(_, p)| **p >= AMBIGUITY_LEVEL)
+        .map(|(h, _)| h.clone())
         .collect();
     let evidence = final_level
         .iter()
-        .map(|h| Evidence {
+        .zip(&p_values)
+        .map(|(h, p_value)| Evidence {
             effects: h.effects(outliers).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect(),
             laws: h
                 .fit
@@ -300,9 +352,9 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
                 .map(|t| system.catalogue()[t.effect].laws()[t.law].name.to_owned())
                 .collect(),
             gain: (base.fit.ssr - h.fit.ssr) / variance,
-            behind: h.criterion(&base.fit, variance) - top,
+            behind: behind(h),
             parameters: h.parameters(&base.fit) as usize,
-            physical: h.physical(system),
+            p_value: *p_value,
         })
         .collect();
     let driver_beats_catalogue = driver_wins(&base, &first_gate, &best, variance);

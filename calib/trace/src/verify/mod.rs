@@ -1,5 +1,6 @@
 //! `wcal verify`: the stages in order, from the twin check to the unsealed holdout.
 
+pub mod between;
 pub mod detect;
 pub mod floor;
 pub mod heldout;

@@ -3,10 +3,10 @@
 use crate::candidate::{System, Term};
 use crate::engine::fit::Fit;
 use crate::engine::linear::{Basis, in_channel, stack};
+use crate::engine::rivalry::power;
 use crate::engine::search::Hypothesis;
 use crate::whisker::WhiskerSystem;
 use nalgebra::DMatrix;
-use statrs::distribution::{ContinuousCDF, Normal};
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};
 
@@ -94,25 +94,37 @@ fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[Term]) -> Opt
     Some(design.rows(index, 1).into_owned())
 }
 
-/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted.
+/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted. They come from a later
+/// session with a zero of its own, known from a rest reading before each.
 fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64>)], variance: f64) -> f64 {
     let channels = b.residual.ncols();
     let n = b.design.nrows();
-    let total = n + new.len();
+    let total = n + new.len() + 1;
     let weight = REPEATS.sqrt();
-    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64| -> Vec<f64> {
-        column.iter().copied().chain((0..new.len()).map(|k| weight * extra(k))).collect()
+    let at_rest = weight * (new.len() as f64).sqrt();
+    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64, rest: f64| -> Vec<f64> {
+        column
+            .iter()
+            .copied()
+            .chain((0..new.len()).map(|k| weight * extra(k)))
+            .chain([at_rest * rest])
+            .collect()
     };
     let mut basis = Basis::default();
-    for j in 0..b.design.ncols() {
-        let column = extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j]);
+    let mut free = |column: &[f64]| {
         for c in 0..channels {
-            basis.push(&in_channel(&column, c, channels));
+            basis.push(&in_channel(column, c, channels));
         }
+    };
+    free(&extend(&vec![0.0; n], &|_| 1.0, 1.0));
+    for j in 0..b.design.ncols() {
+        // At rest only the constant reads.
+        let rest = f64::from(u8::from(j == 0));
+        free(&extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j], rest));
     }
     let mut difference = DMatrix::zeros(total, channels);
     for c in 0..channels {
-        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c]);
+        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
         difference.column_mut(c).copy_from_slice(&column);
     }
     basis.project_off(&stack(&difference)).norm_squared() / variance
@@ -166,7 +178,10 @@ pub fn next_measurement(
         )
     } else {
         let list: Vec<String> = poses.iter().map(describe).collect();
-        format!("Read {} times each: {}.", REPEATS, list.join("; "))
+        format!(
+            "Read {REPEATS} times each, a rest reading before every one: {}; then `wcal verify --add` that session.",
+            list.join("; ")
+        )
     };
     Some(NextMeasurement { separates, instruction, poses, expected_power })
 }
@@ -179,12 +194,4 @@ fn describe(p: &NextPose) -> String {
     };
     let way = if p.direction < 0.0 { "unloading from the deepest pose" } else { "loading" };
     format!("trajectory {}, stage {:.2} mm, {way}, {how}", p.trajectory, p.stage_mm)
-}
-
-/// Probability that the rival falls past the limit: its lag is about N(lambda, 4 lambda).
-fn power(lambda: f64) -> f64 {
-    if lambda <= 0.0 {
-        return 0.0;
-    }
-    Normal::standard().cdf((lambda - crate::engine::search::BEHIND_LIMIT) / (2.0 * lambda.sqrt()))
 }

@@ -1,5 +1,6 @@
 //! The residual loop for kind "whisker", stage by stage.
 
+use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
 use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use super::physical::PhysicalModel;
@@ -171,6 +172,7 @@ pub fn verify_whisker(
         &before,
         &after,
         &model_before.sensitivity(),
+        !options.accept.is_empty(),
         seed,
     );
     let document = document(
@@ -250,6 +252,7 @@ fn document(
     }
     notes.push("Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned());
     notes.extend(cross_check(system, found));
+    notes.extend(between_seatings(system, &conclusion.accepted.fit).map(|b| b.note()));
     notes.extend(errors.further.iter().filter_map(|(name, e)| {
         Some(format!("Held-out wavelength error, {name}: {:.3} pm.", e.rmse.get("wavelength_rmse_pm")?))
     }));

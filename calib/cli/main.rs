@@ -8,9 +8,12 @@ mod fit_gpr;
 mod import;
 mod init;
 mod labels;
+mod picture_output;
 mod predict;
 mod progress;
 mod report_input;
+mod stereo_calibrate;
+mod stereo_shape;
 mod verify;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -39,6 +42,10 @@ enum Command {
     Import(import::ImportArgs),
     /// Check a session
     Doctor(doctor::DoctorArgs),
+    /// Both cameras from pairs of pictures of a board
+    StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
+    /// The wire's shape and the groove's contact from pairs of pictures
+    StereoShape(stereo_shape::StereoShapeArgs),
     /// Write commented templates
     Init(init::InitArgs),
     /// Shell completions on stdout
@@ -57,6 +64,8 @@ fn main() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Import(args) => import::run(args),
         Command::Doctor(args) => doctor::run(args),
+        Command::StereoCalibrate(args) => stereo_calibrate::run(args),
+        Command::StereoShape(args) => stereo_shape::run(args),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "wcal", &mut std::io::stdout());

@@ -1,7 +1,7 @@
 //! How the wire looks in one picture: blur and width, from the pieces that show it best.
 
 use crate::picture::Picture;
-use crate::wire::{Bar, Look, Piece, Pixel, gather, near_px};
+use crate::wire::{Bar, FIRST_RIDGE, Look, Piece, Pixel, gather, near_px};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Bounds of blur (px) and of width over the expected width.
@@ -113,7 +113,7 @@ struct One {
 fn one(patch: &Patch, look: Look) -> Option<One> {
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * look.width_scale, look.blur_px);
-    let fit = bar.settle(&patch.pixels, patch.centre, 6)?;
+    let fit = bar.settle(&patch.pixels, patch.centre, 6, false)?;
     // A bar that jumps to something else beside the wire says nothing about the wire.
     if (fit.centre - patch.centre).abs() > 1.0 {
         return None;
@@ -122,6 +122,8 @@ fn one(patch: &Patch, look: Look) -> Option<One> {
     // Rows: blur, width; nuisances: centre and levels.
     let (mut normal, mut gradient) = (Matrix2::zeros(), Vector2::zeros());
     let (mut own, mut pull) = (SMatrix::<f64, 5, 5>::identity() * 1e-9 * n, Nuisance::zeros());
+    // The light across the bar is held back here as it was in `settle`.
+    own[(4, 4)] += FIRST_RIDGE;
     let mut cross = SMatrix::<f64, 2, 5>::zeros();
     for &(u, value) in &patch.pixels {
         let [f, by_centre, by_blur, by_width] = bar.shares_with_slopes(u - fit.centre);

@@ -4,7 +4,7 @@ use crate::document::StereoCameras;
 use crate::look::fit_look;
 use crate::picture::Picture;
 use crate::ridge::{Evidence, RidgeMap};
-use crate::rig::Rig;
+use crate::rig::{Rig, RigWhisker};
 use crate::rod::{RodModel, RodState};
 use crate::shape_fit::{
     PairSystem, Prior, Sight, choose_smoothing, image_line, linearise, measure, sights, stepped, visible,
@@ -60,6 +60,8 @@ const RIVAL_SHARE: f64 = 0.6;
 const RIVAL_BEAM: usize = 80;
 /// Distance from the first wire, in its widths, within which nothing counts.
 const COVERED_WIDTHS: f64 = 3.0;
+/// Share of the nominal length at which a line is the whole wire.
+const LONG_SHARE: f64 = 0.9;
 /// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
 const MOST_EVIDENCE: f64 = 24.0;
 
@@ -246,7 +248,7 @@ fn find_wire(
         for _ in 0..2 {
             let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
             let scene = Scene::new(stereo, left_from_base, &maps, evidence);
-            last = trace(&scene, &rig.whisker, BEAM);
+            last = search(&scene, &rig.whisker);
             let Some(found) = &last else { break };
             let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
             for (s, f) in strength.iter_mut().zip(found.strength) {
@@ -284,6 +286,23 @@ fn find_wire(
         ));
     }
     Ok((found, polarity))
+}
+
+/// A groove's edges can crowd the wire out of the beam: where what is found is too short, wider beams look again.
+fn search(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
+    let mut best: Option<Trace> = None;
+    for beam in [BEAM, 4 * BEAM, 16 * BEAM] {
+        let found = trace(scene, whisker, beam);
+        if let Some(found) = found
+            && best.as_ref().is_none_or(|b| found.score > b.score)
+        {
+            best = Some(found);
+        }
+        if best.as_ref().is_some_and(|b| b.length_mm >= LONG_SHARE * whisker.length_mm) {
+            break;
+        }
+    }
+    best
 }
 
 /// Factor on the stated sd from the residuals' scatter (weighted) and from how far neighbours share their errors.

@@ -22,6 +22,15 @@ const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// Root offsets where they do not: the rig file's tag pose is off, the wire's root is measured.
 const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 
+/// chi2 of 6 beyond which tags and wire disagree; the chance of more is 4e-5.
+const DISAGREEMENT: f64 = 30.0;
+/// Length from the root without a piece in either picture at which the root counts as not seen, mm.
+const UNSEEN_MM: f64 = 3.0;
+/// Part of the wire that counts as near its root, mm.
+const NEAR_ROOT_MM: f64 = 6.0;
+/// Surface strain beyond which NiTi no longer springs back; a bench does not bend it so far at the clamp.
+const LARGEST_STRAIN: f64 = 0.015;
+
 /// A corner is good to hundredths of a pixel: whole pixels are no noise.
 const TAG_MISFIT_PX: f64 = 1.0;
 
@@ -79,16 +88,18 @@ pub fn shapes_of_pairs(
     };
     let mut root_sd = ROOT_CLAMPED;
     let mut fits = attempt(root_sd, &[]);
-    let mut joint = base.as_ref().map(|b| Joint::new(b, &fits, root_sd));
+    // A root that stands elsewhere than the tags say is not seen at all: look for it where the rest of the wire points.
+    let free = root_misplaced(&fits, rig.whisker.diameter_mm).then(|| attempt(ROOT_FREE, &[]));
+    let mut joint = base.as_ref().map(|b| Joint::new(b, free.as_ref().unwrap_or(&fits), ROOT_CLAMPED));
     if let Some(j) = &joint
-        && j.disagreement > 30.0
+        && j.disagreement > DISAGREEMENT
     {
         warnings.push(format!(
             "tags and wire disagree on the base's frame (chi2 {:.0} of 6): base_from_tag in the rig file seems off; the frame follows the tags, the root is measured",
             j.disagreement
         ));
         root_sd = ROOT_FREE;
-        fits = attempt(root_sd, &fits);
+        fits = free.unwrap_or_else(|| attempt(root_sd, &fits));
         joint = base.as_ref().map(|b| Joint::new(b, &fits, root_sd));
     }
     if let (Some(j), Some(b)) = (&joint, &base) {
@@ -141,6 +152,23 @@ pub fn shapes_of_pairs(
         provenance: wcal_core::Provenance::default(),
     };
     ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone() }
+}
+
+/// In most pairs the curve from the stated root is no wire's: its first millimetres are seen in neither picture, or it bends there
+/// as no wire bears.
+fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
+    let misplaced = |f: &PairFit| {
+        let first = f.sights.iter().map(|s| s.arc_mm).fold(f64::INFINITY, f64::min);
+        let points = f.model.shape(&f.state).points;
+        let near = ((NEAR_ROOT_MM / f.model.step_mm) as usize).min(points.len());
+        let bend = points[..near]
+            .windows(3)
+            .map(|w| (w[1] - w[0]).angle(&(w[2] - w[1])) / f.model.step_mm)
+            .fold(0.0, f64::max);
+        first > UNSEEN_MM || 0.5 * diameter_mm * bend > LARGEST_STRAIN
+    };
+    let votes: Vec<bool> = fits.iter().flatten().map(misplaced).collect();
+    2 * votes.iter().filter(|v| **v).count() > votes.len()
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<Loaded, String> {

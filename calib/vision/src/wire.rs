@@ -102,18 +102,28 @@ pub(crate) struct Bar {
     half: f64,
     /// 1 / (blur sqrt 2), 1/px.
     inverse: f64,
-    /// Weight of the mild ridge on the light across the bar, a pixel: it is only as free as the bar is wide, or narrow wires
-    /// would trade it for a shift.
-    ridge: f64,
+}
+
+/// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
+const TILT_SHARE: f64 = 0.05;
+/// Noise below which pixels are not believed, DN: quantisation and what the model lacks.
+const LEAST_NOISE: f64 = 0.5;
+/// What blur and width that are not quite right leave, as a share of the depth: a shifted bar with tilted light must not pay for it.
+const MODEL_SHARE: f64 = 0.03;
+/// Weight of the light across the bar while neither noise nor depth is known, and while blur and width are not: nearly none is let
+/// in, so that a symmetric line has one best centre.
+pub(crate) const FIRST_RIDGE: f64 = 4.0;
+
+/// Weight of the light across the bar, noise^2 / (its prior sd)^2.
+fn ridge(cost: f64, pixels: usize, level: &Levels) -> f64 {
+    let depth = (0.5 * (level[0] + level[1]) - level[2]).abs().max(2.0 * LEAST_NOISE);
+    let noise2 = (cost / (pixels as f64 - 5.0).max(1.0)).max((MODEL_SHARE * depth).powi(2));
+    noise2 / (TILT_SHARE * depth).powi(2)
 }
 
 impl Bar {
     pub(crate) fn new(width_px: f64, blur_px: f64) -> Self {
-        Self {
-            half: 0.5 * width_px,
-            inverse: std::f64::consts::FRAC_1_SQRT_2 / blur_px,
-            ridge: 1e-2 * (blur_px / width_px).powi(2),
-        }
+        Self { half: 0.5 * width_px, inverse: std::f64::consts::FRAC_1_SQRT_2 / blur_px }
     }
 
     /// Step from 0 to 1 at 0 and its derivative.
@@ -142,11 +152,6 @@ impl Bar {
         [Levels::new(1.0 - a, b, bar, bar * tilt), by_centre, by_blur, by_width]
     }
 
-    fn ridged(&self, mut m: Square, pixels: usize) -> Square {
-        m[(3, 3)] += self.ridge * pixels as f64;
-        m
-    }
-
     /// Best levels for a given centre: (sum of squares, levels).
     fn levels(&self, pixels: &[Pixel], centre: f64) -> Option<(f64, Levels)> {
         let (mut m, mut v, mut yy) = (Square::zeros(), Levels::zeros(), 0.0);
@@ -156,15 +161,24 @@ impl Bar {
             v += f * value;
             yy += value * value;
         }
-        let levels = self.ridged(m, pixels.len()).cholesky()?.solve(&v);
+        m[(3, 3)] += FIRST_RIDGE;
+        let levels = m.cholesky()?.solve(&v);
         Some(((yy - v.dot(&levels)).max(0.0), levels))
     }
 
     /// Best centre near `start`: Gauss-Newton with the levels eliminated, their part of the slope projected out.
-    pub(crate) fn settle(&self, pixels: &[Pixel], start: f64, rounds: usize) -> Option<Settled> {
+    /// `tilted`: light may change across the bar.
+    pub(crate) fn settle(
+        &self,
+        pixels: &[Pixel],
+        start: f64,
+        rounds: usize,
+        tilted: bool,
+    ) -> Option<Settled> {
         let mut centre = start;
         let mut settled = None;
         let mut last_step = f64::INFINITY;
+        let mut weight = FIRST_RIDGE;
         for round in 0..=rounds {
             let (mut ff, mut fd, mut dd) = (Square::zeros(), Square::zeros(), Square::zeros());
             let (mut v, mut w, mut yy) = (Levels::zeros(), Levels::zeros(), 0.0);
@@ -177,20 +191,26 @@ impl Bar {
                 w += d * value;
                 yy += value * value;
             }
-            let inverse = self.ridged(ff, pixels.len()).cholesky()?;
+            let mut m = ff;
+            m[(3, 3)] += weight;
+            let inverse = m.cholesky()?;
             let level = inverse.solve(&v);
             let cross = fd * level;
             let projected = level.dot(&(dd * level)) - cross.dot(&inverse.solve(&cross));
             if !(projected > 0.0) {
                 return None;
             }
-            let cost = (yy - v.dot(&level)).max(0.0);
+            let cost = (yy - 2.0 * v.dot(&level) + level.dot(&(ff * level))).max(0.0);
+            if tilted {
+                weight = ridge(cost, pixels.len(), &level).min(FIRST_RIDGE);
+            }
             settled = Some(Settled { centre, cost, level, projected });
             // The last step was small: levels and cost are those of the end.
             if round == rounds || last_step < 1e-4 {
                 break;
             }
-            let gradient = level.dot(&w) - level.dot(&cross) - cross.dot(&inverse.solve(&(v - ff * level)));
+            // The levels are at their best here, so that only the centre's own slope counts.
+            let gradient = level.dot(&w) - level.dot(&cross);
             last_step = (gradient / projected).clamp(-0.5, 0.5);
             centre += last_step;
             last_step = last_step.abs();
@@ -247,13 +267,14 @@ pub fn fit_piece(picture: &Picture, at: &Station, look: Look, search_px: f64) ->
     // Fine: a window about the coarse centre, so that what lies beyond the wire's own surroundings does not count.
     let pixels: Vec<Pixel> = wide.into_iter().filter(|p| (p.0 - coarse).abs() <= near).collect();
     let n = pixels.len();
-    let fit = bar.settle(&pixels, coarse, 12)?;
+    let fit = bar.settle(&pixels, coarse, 12, true)?;
     if fit.centre.abs() > search_px + 1.0 {
         return None;
     }
     let other = without_wire(&pixels, &bar);
     // Two parameters more than an edge (its place, two levels): bar has centre and four levels.
-    let evidence = 0.5 * n as f64 * (other / fit.cost.max(1e-9)).ln() - (n as f64).ln();
+    let floor = n as f64 * LEAST_NOISE * LEAST_NOISE;
+    let evidence = 0.5 * n as f64 * ((other + floor) / (fit.cost + floor)).ln() - (n as f64).ln();
     Some(Piece {
         station: *at,
         offset_px: fit.centre,
@@ -284,10 +305,23 @@ fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
         yy - a * y0 - b * y1
     };
     let reach = pixels.iter().fold(0.0f64, |m, p| m.max(p.0.abs()));
-    (-8..=8)
-        .map(|k| two(&|u| bar.step(u - reach * f64::from(k) / 8.0).0))
-        .chain(std::iter::once(two(&|u| u)))
-        .fold(f64::INFINITY, f64::min)
+    let edge = |place: f64| two(&|u| bar.step(u - place).0);
+    // The best of a coarse grid, then by halves: an edge between two of its places must not pass for a wire.
+    let mut step = reach / 8.0;
+    let (mut place, mut least) = (-8..=8)
+        .map(|k| f64::from(k) * step)
+        .map(|at| (at, edge(at)))
+        .fold((0.0, f64::INFINITY), |best, next| if next.1 < best.1 { next } else { best });
+    while step > 0.05 {
+        step *= 0.5;
+        for at in [place - step, place + step] {
+            let there = edge(at);
+            if there < least {
+                (place, least) = (at, there);
+            }
+        }
+    }
+    least.min(two(&|u| u))
 }
 
 #[cfg(test)]

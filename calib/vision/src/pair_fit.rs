@@ -54,8 +54,12 @@ const REACH: f64 = 1.12;
 const KNOT_MM: f64 = 2.5;
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
 const LEAST_EVIDENCE: f64 = 1.2;
-/// A second line from the root with this share of the first one's evidence and length is a wire as well.
-const RIVAL_SHARE: f64 = 0.6;
+/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
+/// is covered up by the first one it has none.
+const RIVAL_LENGTH_SHARE: f64 = 0.6;
+const RIVAL_SHARE: f64 = 0.35;
+/// Share of the evidence a millimetre that makes a line worth a second look.
+const SUSPECT_SHARE: f64 = 0.2;
 /// Curves kept in the search for it: it need only be found, not followed well.
 const RIVAL_BEAM: usize = 80;
 /// Distance from the first wire, in its widths, within which nothing counts.
@@ -276,9 +280,14 @@ fn find_wire(
     let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
     let scene =
         Scene::new(stereo, left_from_base, &maps, evidence).without(&found.path, COVERED_WIDTHS * width);
-    if let Some(rival) = trace(&scene, &rig.whisker, RIVAL_BEAM)
-        && rival.score > RIVAL_SHARE * found.score
-        && rival.length_mm > RIVAL_SHARE * found.length_mm
+    let density = |t: &Trace| t.score / t.length_mm;
+    // A narrow beam first: hardly anything passes it where there is one wire.
+    let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM)
+        .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
+    if suspect
+        && let Some(rival) = trace(&scene, &rig.whisker, 4 * BEAM)
+        && density(&rival) > RIVAL_SHARE * density(&found)
+        && rival.length_mm > RIVAL_LENGTH_SHARE * found.length_mm
     {
         return Err(format!(
             "two wires leave the root: {:.0} mm and {:.0} mm long, log likelihood ratios {:.0} and {:.0}",

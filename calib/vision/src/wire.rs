@@ -105,7 +105,7 @@ pub(crate) struct Bar {
 }
 
 /// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
-const TILT_SHARE: f64 = 0.05;
+const TILT_SHARE: f64 = 0.03;
 /// Noise below which pixels are not believed, DN: quantisation and what the model lacks.
 const LEAST_NOISE: f64 = 0.5;
 /// What blur and width that are not quite right leave, as a share of the depth: a shifted bar with tilted light must not pay for it.

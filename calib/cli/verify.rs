@@ -313,7 +313,10 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
         if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
             for (k, axis) in ["1", "2"].iter().enumerate() {
                 let [before, after] = [b, a].map(|m| readable(m.moment_rmse_nmm_each[k]));
-                println!("    {:<32} {before:>10} {after:>10}", format!("{} map, loo, moment_{axis}_nmm", b.map));
+                println!(
+                    "    {:<32} {before:>10} {after:>10}",
+                    format!("{} map, loo, moment_{axis}_nmm", b.map)
+                );
             }
         }
     }

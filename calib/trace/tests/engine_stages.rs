@@ -6,7 +6,7 @@ mod toy;
 
 use nalgebra::DVector;
 use statrs::distribution::{Binomial, DiscreteCDF};
-use toy::{BEND, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
+use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
 use wcal_trace::candidate::{System, Term};
 use wcal_trace::engine::atoms::{nuisance, of_candidate};
 use wcal_trace::engine::fit::{Fit, Status, Weights, fit};
@@ -60,6 +60,23 @@ fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explan
     assert!(f.at_bound[0]);
     let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new() };
     assert!(!h.physical(&system));
+}
+
+#[test]
+fn a_linear_effect_beyond_its_share_is_no_explanation() {
+    // The part of c x^2 in 20 x + c x^2 is c / (20 + c).
+    let physical = |share: f64, seed: u64| {
+        let c = LINE[1] * share / (1.0 - share);
+        let system = ToySystem::draw(seed, |_, x| c * x * x);
+        let term = Term { effect: BEND, law: 0, values: Vec::new() };
+        let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
+        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new() }.physical(&system)
+    };
+    // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
+    let kept = (0..200).filter(|&seed| physical(BEND_SHARE, 7000 + seed)).count() as u64;
+    assert!(200 - kept <= most(0.005, 200), "{kept} of 200");
+    assert!(physical(0.5 * BEND_SHARE, 3));
+    assert!(!physical(1.5 * BEND_SHARE, 3));
 }
 
 #[test]

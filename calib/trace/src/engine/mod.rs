@@ -11,4 +11,5 @@ pub mod null;
 pub mod outliers;
 pub mod rivalry;
 pub mod search;
+pub mod share;
 pub mod subsets;

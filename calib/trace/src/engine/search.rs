@@ -7,6 +7,7 @@ use super::linear::stack;
 use super::null::f_test;
 use super::outliers::clean;
 use super::rivalry::{AMBIGUITY_LEVEL, rival_p};
+use super::share::within_shares;
 use super::subsets::best_subsets;
 use crate::candidate::{Role, System, Term};
 use crate::effects::SLIP_OUTLIERS;
@@ -41,7 +42,7 @@ pub struct Hypothesis {
 }
 
 /// One-sided amplitudes below this share of their usual size are no explanation.
-const LEAST_SHARE: f64 = 0.2;
+const LEAST_SHARE: f64 = 0.1;
 /// Price of one flagged reading: it must stand out among all readings, in every channel.
 const PRICE_A_FLAG: f64 = 2.0;
 
@@ -97,7 +98,7 @@ impl Hypothesis {
                 }
             }
         }
-        self.fit.status != Status::RankDeficient
+        self.fit.status != Status::RankDeficient && within_shares(system, &self.fit)
     }
 }
 

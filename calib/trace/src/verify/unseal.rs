@@ -1,6 +1,7 @@
 //! Stage 11: the error on readings that no fit saw, before and after, beside a black-box rival.
 
 use super::heldout::{HeldOut, coverage95, summarise};
+use super::map_left_out::leave_one_out;
 use super::physical::PhysicalModel;
 use super::predictions::{Predicted, held_out, of_reading, predict};
 use super::rival::rival;
@@ -65,9 +66,16 @@ pub(super) fn held_out_errors(
             further.push(("declared model, labels repaired by the rod".to_owned(), e));
         }
     }
+    let of_pose = |p: &[Predicted]| p.iter().map(|p| p.pose_moment_nmm).collect::<Vec<_>>();
+    let with_map = |error: Option<HeldOutError>, moments: &[[f64; 2]]| {
+        error.map(|e| HeldOutError { loo: leave_one_out(&system.path, moments), ..e })
+    };
     Errors {
-        before: summarise(&declared, "loto", seed),
-        after: summarise(&left_out, "loto", seed),
+        before: with_map(
+            summarise(&declared, "loto", seed),
+            &labelled.unwrap_or_else(|| of_pose(before)),
+        ),
+        after: with_map(summarise(&left_out, "loto", seed), &of_pose(after)),
         coverage95: coverage95(&left_out),
         further,
         remark: " Errors are leave-one-trajectory-out: the choice among the refitted explanations and every fitted value were made without the trajectory.".to_owned(),

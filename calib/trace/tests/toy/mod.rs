@@ -13,6 +13,9 @@ pub const BEND: usize = 1;
 pub const SCALE: usize = 2;
 pub const OUTLIERS: usize = 3;
 
+/// Largest part of the bend in what the readings span.
+pub const BEND_SHARE: f64 = 0.3;
+
 pub const READINGS: usize = 60;
 /// True line: zero and slope.
 pub const LINE: [f64; 2] = [3.0, 20.0];
@@ -42,7 +45,8 @@ impl Candidate for Toy {
             _ => Vec::new(),
         };
         let linear = if self.0 == BEND { vec![("square", "1")] } else { Vec::new() };
-        vec![Law { name: "only", parameters, linear }]
+        let largest_share = (self.0 == BEND).then_some(BEND_SHARE);
+        vec![Law { name: "only", parameters, linear, largest_share }]
     }
     fn sentence(&self) -> &'static str {
         "Something acts."

@@ -3,7 +3,7 @@
 use crate::bundle::BoardView;
 use crate::calibrate::{StereoSolution, board_points, calibrate_stereo, leave_one_out};
 use crate::camera::INTRINSICS;
-use crate::chessboard::{BoardSize, continues_beyond, find_chessboard};
+use crate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard};
 use crate::document::{
     BoardDocument, RejectedView, STEREO_FORMAT, STEREO_PARAMETERS, StereoDocument, camera_document,
 };
@@ -190,16 +190,18 @@ fn usable(
 
 /// Coarse corners of the whole board, or why there are none.
 fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vector2<f64>>, String> {
-    let found = find_chessboard(picture, size).map_err(|e| e.to_string())?;
-    if let Some(points) = found {
-        return match continues_beyond(picture, size, &points) {
-            None => Ok(points),
-            Some(edge) => Err(format!(
-                "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
-            )),
-        };
+    let find =
+        |size: BoardSize, finder: Finder| find_chessboard(picture, size, finder).map_err(|e| e.to_string());
+    let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
+        None => Ok(points),
+        Some(edge) => Err(format!(
+            "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
+        )),
+    };
+    if let Some(points) = find(size, Finder::Classic)? {
+        return whole(points);
     }
-    // A smaller board that is found whole tells a wrong size from a board that is cut off or absent.
+    // Another board that is found whole tells a wrong size from a board that is cut off or absent.
     let (c, r) = (size.columns, size.rows);
     for (columns, rows) in
         [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)]
@@ -208,15 +210,18 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
         if columns < 3 || rows < 3 {
             continue;
         }
-        if let Ok(Some(points)) = find_chessboard(picture, other)
+        if let Some(points) = find(other, Finder::Classic)?
             && continues_beyond(picture, other, &points).is_none()
         {
             return Err(format!(
-                "{side} picture: expected a board of {size} inner corners, found one of {other} (wrong size, or cut off)"
+                "{side} picture: wrong board size? expected {size} inner corners, found a whole board of {other}"
             ));
         }
     }
-    Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)"))
+    match find(size, Finder::Sectors)? {
+        Some(points) => whole(points),
+        None => Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)")),
+    }
 }
 
 fn marker_views(

@@ -51,6 +51,15 @@ impl std::fmt::Display for Refinement {
     }
 }
 
+/// Which of OpenCV's finders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finder {
+    /// Quads of thresholded pictures: quick, also where there is no board.
+    Classic,
+    /// Sectors: copes with blur and light that the classic one does not; seconds where there is no board.
+    Sectors,
+}
+
 /// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
 /// the board's colours tell. None where the board is not found whole.
 ///
@@ -59,24 +68,24 @@ impl std::fmt::Display for Refinement {
 pub fn find_chessboard(
     picture: &Picture,
     board: BoardSize,
+    finder: Finder,
 ) -> Result<Option<Vec<Vector2<f64>>>, VisionError> {
     let mat = picture.to_mat()?;
     let size = Size::new(board.columns as i32, board.rows as i32);
     let mut found = Vector::<Point2f>::new();
-    let flags =
-        calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_FAST_CHECK;
-    let mut ok =
-        calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?;
-    if !ok {
-        // The sector-based finder copes with blur and with light that the classic one does not.
-        ok = calib3d::find_chessboard_corners_sb(
-            &mat,
-            size,
-            &mut found,
-            calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY,
-        )
-        .doing("findChessboardCornersSB")?;
-    }
+    let ok = match finder {
+        Finder::Classic => {
+            let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
+                | calib3d::CALIB_CB_NORMALIZE_IMAGE
+                | calib3d::CALIB_CB_FAST_CHECK;
+            calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?
+        }
+        Finder::Sectors => {
+            let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+            calib3d::find_chessboard_corners_sb(&mat, size, &mut found, flags)
+                .doing("findChessboardCornersSB")?
+        }
+    };
     if !ok || found.len() != board.columns * board.rows {
         return Ok(None);
     }

@@ -135,12 +135,13 @@ fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
     counts.into_iter().max_by_key(|c| c.1).map(|c| c.0)
 }
 
-type Finder<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
+/// Coarse corners of one side's picture, or why it is of no use.
+type CornerReader<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
 
 fn usable(
     files: &[PairFiles],
     rejected: &mut Vec<RejectedView>,
-    find: &Finder<'_>,
+    find: &CornerReader<'_>,
 ) -> Result<(Vec<View>, [usize; 2]), VisionError> {
     let found: Vec<Result<View, String>> = files
         .par_iter()

@@ -12,6 +12,8 @@ use wcal_core::verify_document::{NextMeasurement, NextPose};
 
 /// Poses asked for at most.
 const POSES: usize = 3;
+/// Rivals that the poses are chosen against, nearest first: each costs a rod solution a proposal.
+const RIVALS: usize = 4;
 /// Readings averaged at each proposed pose.
 const REPEATS: f64 = 4.0;
 
@@ -130,47 +132,69 @@ fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64
     basis.project_off(&stack(&difference)).norm_squared() / variance
 }
 
-/// The poses that separate the best two explanations, and the power expected from them.
+/// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.
+struct Evaluated {
+    proposal: usize,
+    against: Vec<(DMatrix<f64>, DMatrix<f64>)>,
+}
+
+/// The poses that separate the best explanation from its nearest rivals, and the power expected from them: the chance that none of them
+/// survives where the best one is true (Bonferroni's lower bound).
 #[must_use]
 pub fn next_measurement(
     system: &WhiskerSystem,
     best: &Hypothesis,
-    rival: &Hypothesis,
+    rivals: &[&Hypothesis],
     separates: Vec<String>,
 ) -> Option<NextMeasurement> {
     let variance = best.fit.variance();
-    // The present readings separate the two by what their predictions differ.
-    let present = &rival.fit.residual - &best.fit.residual;
+    let rivals = &rivals[..rivals.len().min(RIVALS)];
+    // The present readings separate each pair by what their predictions differ.
+    let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
     let candidates = proposals(system);
-    let evaluated: Vec<(usize, DMatrix<f64>, DMatrix<f64>)> = candidates
+    let evaluated: Vec<Evaluated> = candidates
         .iter()
         .enumerate()
-        .filter_map(|(i, p)| {
-            let (da, db) = (design_at(system, p, &best.fit.terms)?, design_at(system, p, &rival.fit.terms)?);
-            let gap = &da * &best.fit.coefficients - &db * &rival.fit.coefficients;
-            Some((i, gap, db))
+        .filter_map(|(proposal, p)| {
+            let expected = design_at(system, p, &best.fit.terms)? * &best.fit.coefficients;
+            let against = rivals
+                .iter()
+                .map(|r| {
+                    let design = design_at(system, p, &r.fit.terms)?;
+                    Some((&expected - &design * &r.fit.coefficients, design))
+                })
+                .collect::<Option<Vec<_>>>()?;
+            Some(Evaluated { proposal, against })
         })
         .collect();
+    let separations = |poses: &[usize]| -> Vec<f64> {
+        (0..rivals.len())
+            .map(|r| {
+                let new: Vec<_> = poses.iter().map(|&k| evaluated[k].against[r].clone()).collect();
+                separation(&rivals[r].fit, &present[r], &new, variance)
+            })
+            .collect()
+    };
+    let decides = |each: &[f64]| (1.0 - each.iter().map(|v| 1.0 - power(*v)).sum::<f64>()).max(0.0);
     let mut chosen: Vec<usize> = Vec::new();
-    let mut reached = 0.0;
+    let mut reached = Vec::new();
     for _ in 0..POSES {
+        // The least separated rival rules, so that no pose is spent on what is decided already.
         let scored = (0..evaluated.len()).filter(|k| !chosen.contains(k)).map(|k| {
-            let new: Vec<_> = chosen
-                .iter()
-                .chain([&k])
-                .map(|&j| (evaluated[j].1.clone(), evaluated[j].2.clone()))
-                .collect();
-            (k, separation(&rival.fit, &present, &new, variance))
+            let poses: Vec<usize> = chosen.iter().copied().chain([k]).collect();
+            let each = separations(&poses);
+            (k, each.iter().copied().fold(f64::INFINITY, f64::min), each)
         });
-        let (k, value) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let (k, _, each) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
         chosen.push(k);
-        reached = value;
-        if power(value) > 0.95 {
+        reached = each;
+        if decides(&reached) > 0.95 {
             break;
         }
     }
-    let poses: Vec<NextPose> = chosen.iter().map(|&k| candidates[evaluated[k].0].pose.clone()).collect();
-    let expected_power = power(reached);
+    let poses: Vec<NextPose> =
+        chosen.iter().map(|&k| candidates[evaluated[k].proposal].pose.clone()).collect();
+    let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
         format!(
             "{} cannot be separated on this rig by three more poses; it needs another direction of approach, another medium or a second sensor.",

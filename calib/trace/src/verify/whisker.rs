@@ -259,7 +259,11 @@ fn document(
     let same = in_class(found);
     let next_measurement = (conclusion.verdict == Verdict::Ambiguous)
         .then(|| {
-            let rival = found.survivors.iter().zip(&same).find(|(_, s)| !**s)?.0;
+            let rivals: Vec<&Hypothesis> =
+                found.survivors.iter().zip(&same).filter(|(_, s)| !**s).map(|(h, _)| h).collect();
+            if rivals.is_empty() {
+                return None;
+            }
             let names = |h: &Hypothesis| {
                 h.fit
                     .terms
@@ -268,7 +272,8 @@ fn document(
                     .collect::<Vec<_>>()
                     .join(" with ")
             };
-            next::next_measurement(system, &found.best, rival, vec![names(&found.best), names(rival)])
+            let all = std::iter::once(&found.best).chain(rivals.iter().copied()).map(names).collect();
+            next::next_measurement(system, &found.best, &rivals, all)
         })
         .flatten();
     VerifyDocument {

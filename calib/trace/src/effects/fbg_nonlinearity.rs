@@ -5,7 +5,7 @@ use crate::candidate::{Candidate, Law};
 use crate::path::WhiskerPath;
 use crate::whisker::WhiskerEffect;
 
-/// Five times the largest that TRACING.md knows (4 % of full scale): more is no grating's nonlinearity but something else's picture.
+/// Five times what is usual at most (4 % of full scale), which leaves room for its standard deviation: more is no grating's nonlinearity.
 const LARGEST_SHARE: f64 = 0.2;
 
 /// See the module.

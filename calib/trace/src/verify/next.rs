@@ -13,7 +13,7 @@ use wcal_core::verify_document::{NextMeasurement, NextPose};
 /// Poses asked for at most.
 const POSES: usize = 3;
 /// Rivals that the poses are chosen against, nearest first: each costs a rod solution a proposal.
-const RIVALS: usize = 4;
+pub(super) const RIVALS: usize = 4;
 /// Readings averaged at each proposed pose.
 const REPEATS: f64 = 4.0;
 
@@ -138,7 +138,7 @@ struct Evaluated {
     against: Vec<(DMatrix<f64>, DMatrix<f64>)>,
 }
 
-/// The poses that separate the best explanation from its nearest rivals, and the power expected from them: the chance that none of them
+/// The poses that separate the best explanation from `rivals`, and the power expected from them: the chance that none of them
 /// survives where the best one is true (Bonferroni's lower bound).
 #[must_use]
 pub fn next_measurement(
@@ -148,7 +148,6 @@ pub fn next_measurement(
     separates: Vec<String>,
 ) -> Option<NextMeasurement> {
     let variance = best.fit.variance();
-    let rivals = &rivals[..rivals.len().min(RIVALS)];
     // The present readings separate each pair by what their predictions differ.
     let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
     let candidates = proposals(system);

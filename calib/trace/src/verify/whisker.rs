@@ -259,8 +259,9 @@ fn document(
     let same = in_class(found);
     let next_measurement = (conclusion.verdict == Verdict::Ambiguous)
         .then(|| {
-            let rivals: Vec<&Hypothesis> =
-                found.survivors.iter().zip(&same).filter(|(_, s)| !**s).map(|(h, _)| h).collect();
+            // Only what the poses are chosen against is promised to be separated.
+            let others = found.survivors.iter().zip(&same).filter(|(_, s)| !**s).map(|(h, _)| h);
+            let rivals: Vec<&Hypothesis> = others.take(next::RIVALS).collect();
             if rivals.is_empty() {
                 return None;
             }

@@ -215,7 +215,7 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
             && continues_beyond(picture, other, &points).is_none()
         {
             return Err(format!(
-                "{side} picture: wrong board size? expected {size} inner corners, found a whole board of {other}"
+                "{side} picture: wrong board size, or cut off? expected {size} inner corners, found a board of {other}"
             ));
         }
     }

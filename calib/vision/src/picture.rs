@@ -33,7 +33,7 @@ impl Picture {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a grey PNG or JPEG.
+    /// Reads a grey PNG, JPEG or PNM.
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture, 16-bit or coloured.
@@ -41,7 +41,7 @@ impl Picture {
         Self::decode(path, false)
     }
 
-    /// Reads a PNG or JPEG; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
+    /// Reads a PNG, JPEG or PNM; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture or 16-bit.
@@ -60,7 +60,7 @@ impl Picture {
         let decoded = image::load_from_memory(&bytes).map_err(|e| {
             VisionError::content(
                 name.clone(),
-                "a PNG or JPEG picture",
+                "a PNG, JPEG or PNM picture",
                 format!("bytes that do not decode: {e}"),
             )
         })?;
@@ -70,9 +70,7 @@ impl Picture {
             DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) | DynamicImage::ImageLumaA8(_) => {
                 grey_values(&name, decoded.into_rgb8().as_raw(), colours_allowed)?
             }
-            deeper => {
-                return Err(VisionError::content(name, "8 bits a pixel", format!("{:?}", deeper.color())));
-            }
+            _ => return Err(VisionError::content(name, "8 bits a pixel", "16-bit or floating-point values")),
         };
         Self::new(width, height, data)
     }
@@ -200,7 +198,7 @@ fn grey_values(name: &str, rgb: &[u8], colours_allowed: bool) -> Result<Vec<u8>,
 /// Decoders fill what is missing of a cut-off file with grey; the end markers tell.
 fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
     if bytes.is_empty() {
-        return Err(VisionError::content(name, "a PNG or JPEG picture", "a file of zero bytes"));
+        return Err(VisionError::content(name, "a PNG, JPEG or PNM picture", "a file of zero bytes"));
     }
     let tail = &bytes[bytes.len().saturating_sub(64)..];
     let complete = if bytes.starts_with(b"\x89PNG") {

@@ -10,6 +10,7 @@ mod points;
 pub mod scalar;
 pub mod tables;
 pub mod verify;
+mod walked;
 pub mod whisker;
 
 pub use error::TraceError;

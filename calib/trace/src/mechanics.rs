@@ -2,12 +2,13 @@
 
 use crate::points::{PointStore, positions};
 use crate::tables::{LARGEST_RATIO, LineTable, RATIO_STEPS, SlipTable};
+use crate::walked::WalkedWires;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_rod::{Anchor, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
+use wcal_rod::{Equilibrium, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
 
 /// Mechanical deviations from the nominal whisker and bench.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,18 +84,6 @@ impl Mechanics {
 
 type Key = Vec<u64>;
 
-/// Equilibria along one line of a wire that was walked from first touch, with their Jacobians.
-struct LineAnchors {
-    mechanics: Mechanics,
-    step_mm: f64,
-    nodes: Vec<Anchor>,
-}
-
-/// Walked wires kept a line.
-pub(crate) const ANCHORS: usize = 12;
-/// Wires further apart are walked; nearer ones are tried from the known one first.
-pub(crate) const NEAR: f64 = 2.0;
-
 /// The rod's answers along the lines of one session, kept by mechanical parameters.
 pub struct Bench {
     spec: WhiskerSpec,
@@ -108,7 +97,7 @@ pub struct Bench {
     sparse: bool,
     pub(crate) points: PointStore,
     touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
-    anchors: Vec<Mutex<Vec<Arc<LineAnchors>>>>,
+    pub(crate) walked: WalkedWires,
     tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
     slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
 }
@@ -150,9 +139,9 @@ impl Bench {
             axes: path.moments.clone(),
             step_mm: MESH_MM,
             sparse: is_sparse(path),
-            points: PointStore::new(path.lines.len()),
+            points: PointStore::default(),
             touches: Mutex::new(HashMap::new()),
-            anchors: path.lines.iter().map(|_| Mutex::new(Vec::new())).collect(),
+            walked: WalkedWires::new(path.lines.len()),
             tables: Mutex::new(HashMap::new()),
             slips: Mutex::new(HashMap::new()),
         })
@@ -183,6 +172,11 @@ impl Bench {
         }
     }
 
+    /// Where line `l` ends: its last reading and some room, mm.
+    pub(crate) fn end_mm(&self, l: usize) -> f64 {
+        self.reach_mm[l] + MARGIN_MM
+    }
+
     /// Tables of every line under `mechanics`.
     pub fn tables(&self, mechanics: &Mechanics) -> Option<Arc<Vec<LineTable>>> {
         let key = mechanics.key();
@@ -190,12 +184,8 @@ impl Bench {
             return Some(found.clone());
         }
         let rod = self.rod(mechanics)?;
-        let tables: Vec<LineTable> = (0..self.lines.len())
-            .into_par_iter()
-            .map(|l| {
-                self.tabulate_near(&rod, l, mechanics).unwrap_or_else(|| self.tabulate(&rod, l, mechanics))
-            })
-            .collect();
+        let tables: Vec<LineTable> =
+            (0..self.lines.len()).into_par_iter().map(|l| self.tabulate(&rod, l, mechanics)).collect();
         let tables = Arc::new(tables);
         let mut kept = self.tables.lock().ok()?;
         // Refits visit hundreds of parameter values; only a short memory is of use.
@@ -207,11 +197,9 @@ impl Bench {
     }
 
     fn tabulate(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> LineTable {
-        let line = self.line(l, mechanics);
-        let (start, reach) = (self.start_mm[l], self.reach_mm[l]);
-        if reach <= start {
+        if self.reach_mm[l] <= self.start_mm[l] {
             return LineTable {
-                touch_mm: reach,
+                touch_mm: self.reach_mm[l],
                 step_mm: 1.0,
                 moments_nmm: vec![[0.0; 2]; 4],
                 arclength_mm: vec![0.0; 4],
@@ -219,24 +207,21 @@ impl Bench {
             };
         }
         let touch = self.touch(rod, l, mechanics);
-        let count = ((reach - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
-        let step_mm = (reach + MARGIN_MM - touch.x_mm) / count as f64;
+        let count = ((self.reach_mm[l] - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
+        let step_mm = (self.end_mm(l) - touch.x_mm) / count as f64;
         let xs: Vec<f64> = (0..=count).map(|k| touch.x_mm + step_mm * k as f64).collect();
+        let equilibria = self
+            .near_known(rod, l, mechanics, touch.x_mm, &xs)
+            .unwrap_or_else(|| self.followed(rod, l, mechanics, &xs));
         let mut table = LineTable {
             touch_mm: touch.x_mm,
             step_mm,
             moments_nmm: Vec::with_capacity(count + 1),
             arclength_mm: Vec::with_capacity(count + 1),
-            end_mm: xs[count],
+            end_mm: if equilibria.len() > count { xs[count] } else { xs[equilibria.len().saturating_sub(1)] },
         };
         let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
-        let followed = rod.follow(&line, &xs);
-        self.keep_anchors(rod, l, mechanics, step_mm, &followed);
-        for (k, outcome) in followed.iter().enumerate() {
-            let Some(e) = outcome.equilibrium() else {
-                table.end_mm = if k > 0 { xs[k - 1] } else { touch.x_mm };
-                break;
-            };
+        for e in &equilibria {
             let m = self.axes.components_nmm(&e.moment_nmm);
             table.moments_nmm.push([m[0] - at_rest[0], m[1] - at_rest[1]]);
             table.arclength_mm.push(e.arclength_mm);
@@ -248,6 +233,17 @@ impl Bench {
         table
     }
 
+    /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where it goes all the way.
+    fn followed(&self, rod: &Rod, l: usize, mechanics: &Mechanics, xs: &[f64]) -> Vec<Equilibrium> {
+        let outcomes = rod.follow(&self.line(l, mechanics), xs);
+        let found: Vec<(f64, Equilibrium)> =
+            xs.iter().zip(&outcomes).map_while(|(x, o)| Some((*x, *o.equilibrium()?))).collect();
+        if found.len() == xs.len() {
+            self.keep_walked(rod, l, mechanics, xs[0], &found);
+        }
+        found.into_iter().map(|f| f.1).collect()
+    }
+
     /// First touch; it depends on the groove's offset alone.
     pub(crate) fn touch(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Touch {
         let find =
@@ -257,48 +253,6 @@ impl Bench {
             kept.clear();
         }
         *kept.entry((l, mechanics.offset_mm.map(f64::to_bits))).or_insert_with(find)
-    }
-
-    fn keep_anchors(&self, rod: &Rod, l: usize, mechanics: &Mechanics, step_mm: f64, followed: &[Outcome]) {
-        let nodes: Option<Vec<Anchor>> = followed.iter().map(|o| rod.anchor(o.equilibrium()?)).collect();
-        let (Some(nodes), Ok(mut kept)) = (nodes, self.anchors[l].lock()) else { return };
-        if kept.len() >= ANCHORS {
-            // The first is the nominal wire.
-            kept.remove(1);
-        }
-        kept.push(Arc::new(LineAnchors { mechanics: *mechanics, step_mm, nodes }));
-    }
-
-    /// Table of a line by small steps from the nearest wire already walked; none where that is not near enough.
-    fn tabulate_near(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Option<LineTable> {
-        let anchors = {
-            let kept = self.anchors[l].lock().ok()?;
-            let near = |a: &&Arc<LineAnchors>| mechanics.distance(&a.mechanics);
-            kept.iter().min_by(|a, b| near(a).total_cmp(&near(b)))?.clone()
-        };
-        if mechanics.weight != 0.0 || mechanics.distance(&anchors.mechanics) > NEAR {
-            return None;
-        }
-        let line = self.line(l, mechanics);
-        let touch = self.touch(rod, l, mechanics);
-        let count = anchors.nodes.len() - 1;
-        let step_mm = (self.reach_mm[l] + MARGIN_MM - touch.x_mm) / count as f64;
-        if (step_mm / anchors.step_mm - 1.0).abs() > 0.2 {
-            return None;
-        }
-        let mut table = LineTable {
-            touch_mm: touch.x_mm,
-            step_mm,
-            moments_nmm: Vec::with_capacity(count + 1),
-            arclength_mm: Vec::with_capacity(count + 1),
-            end_mm: touch.x_mm + step_mm * count as f64,
-        };
-        for (k, anchor) in anchors.nodes.iter().enumerate() {
-            let e = rod.solve_near(&line.point(touch.x_mm + step_mm * k as f64), anchor)?;
-            table.moments_nmm.push(self.axes.components_nmm(&e.moment_nmm));
-            table.arclength_mm.push(e.arclength_mm);
-        }
-        Some(table)
     }
 
     fn slip_tables(&self, mechanics: &Mechanics) -> Option<Arc<Vec<Option<SlipTable>>>> {

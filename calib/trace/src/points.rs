@@ -1,40 +1,23 @@
 //! Few readings on a line: the rod is solved at each of them instead of on a table's grid.
 
-use crate::mechanics::{ANCHORS, Bench, Mechanics, NEAR};
+use crate::mechanics::{Bench, Mechanics};
 use crate::path::Node;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
-use wcal_rod::{Anchor, Rod};
-
-/// Equilibria of a wire that was walked from first touch along one line, by stage position.
-struct Walked {
-    mechanics: Mechanics,
-    nodes: Vec<(f64, Anchor)>,
-}
+use wcal_rod::{Equilibrium, Rod};
 
 /// Moments at the nodes of one path, N mm.
 type Moments = Arc<Vec<[f64; 2]>>;
 
-/// What is kept of solved points.
-pub(crate) struct PointStore {
-    walked: Vec<Mutex<Vec<Arc<Walked>>>>,
-    solved: Mutex<HashMap<Vec<u64>, Moments>>,
-}
+/// Moments by stage positions and wire.
+#[derive(Default)]
+pub(crate) struct PointStore(Mutex<HashMap<Vec<u64>, Moments>>);
 
 /// Sets of stage positions and wires whose moments are kept.
 const SOLVED_SETS: usize = 256;
 /// Largest gap between the equilibria of a walked wire, mm.
 const LARGEST_GAP_MM: f64 = 2.0;
-
-impl PointStore {
-    pub(crate) fn new(lines: usize) -> Self {
-        Self {
-            walked: (0..lines).map(|_| Mutex::new(Vec::new())).collect(),
-            solved: Mutex::new(HashMap::new()),
-        }
-    }
-}
 
 /// Distinct loaded stage positions on every line, ascending.
 pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<f64>> {
@@ -61,7 +44,7 @@ impl Bench {
     ) -> Option<Moments> {
         let mut key = mechanics.key();
         key.extend(xs_mm.iter().map(|x| x.to_bits()));
-        if let Some(found) = self.points.solved.lock().ok()?.get(&key) {
+        if let Some(found) = self.points.0.lock().ok()?.get(&key) {
             return Some(found.clone());
         }
         let rod = self.rod(mechanics)?;
@@ -79,7 +62,7 @@ impl Bench {
             });
         }
         let out = Arc::new(out);
-        let mut kept = self.points.solved.lock().ok()?;
+        let mut kept = self.points.0.lock().ok()?;
         if kept.len() >= SOLVED_SETS {
             kept.clear();
         }
@@ -95,41 +78,15 @@ impl Bench {
         let loaded = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
         let mut out = vec![[0.0; 2]; loaded];
         let rest = &xs[loaded..];
-        match self.near_neighbour(rod, l, mechanics, rest) {
-            Some(near) => out.extend(near),
-            None => out.extend(self.walk(rod, l, mechanics, touch_mm, rest)?),
-        }
+        let equilibria = match self.near_known(rod, l, mechanics, touch_mm, rest) {
+            Some(near) => near,
+            None => self.walk(rod, l, mechanics, touch_mm, rest)?,
+        };
+        out.extend(equilibria.iter().map(|e| self.axes.components_nmm(&e.moment_nmm)));
         Some(out)
     }
 
-    /// Moments at `xs` from the nearest wire already walked; none where that is not near enough.
-    fn near_neighbour(
-        &self,
-        rod: &Rod,
-        l: usize,
-        mechanics: &Mechanics,
-        xs: &[f64],
-    ) -> Option<Vec<[f64; 2]>> {
-        let walked = {
-            let kept = self.points.walked[l].lock().ok()?;
-            let (distance, nearest) = kept
-                .iter()
-                .map(|w| (mechanics.distance(&w.mechanics), w))
-                .min_by(|a, b| a.0.total_cmp(&b.0))?;
-            (distance <= NEAR).then(|| nearest.clone())?
-        };
-        let line = self.line(l, mechanics);
-        xs.iter()
-            .map(|x| {
-                let gap = |n: &&(f64, Anchor)| (n.0 - x).abs();
-                let (_, anchor) = walked.nodes.iter().min_by(|a, b| gap(a).total_cmp(&gap(b)))?;
-                let e = rod.solve_near(&line.point(*x), anchor)?;
-                Some(self.axes.components_nmm(&e.moment_nmm))
-            })
-            .collect()
-    }
-
-    /// Moments at `xs` by following the branch from first touch; the equilibria are kept for neighbours.
+    /// Equilibria at `xs` by following the branch from first touch; kept for neighbours.
     fn walk(
         &self,
         rod: &Rod,
@@ -137,7 +94,7 @@ impl Bench {
         mechanics: &Mechanics,
         touch_mm: f64,
         xs: &[f64],
-    ) -> Option<Vec<[f64; 2]>> {
+    ) -> Option<Vec<Equilibrium>> {
         let mut stops = Vec::new();
         let mut from = touch_mm;
         for &x in xs {
@@ -148,25 +105,12 @@ impl Bench {
             );
             from = x;
         }
-        let followed = rod.follow(&self.line(l, mechanics), &stops);
-        let mut nodes = Vec::with_capacity(stops.len());
-        let mut out = Vec::with_capacity(xs.len());
-        for (x, outcome) in stops.iter().zip(&followed) {
-            let e = outcome.equilibrium()?;
-            if xs.binary_search_by(|w| w.total_cmp(x)).is_ok() {
-                out.push(self.axes.components_nmm(&e.moment_nmm));
-            }
-            if let Some(anchor) = rod.anchor(e) {
-                nodes.push((*x, anchor));
-            }
-        }
-        let mut kept = self.points.walked[l].lock().ok()?;
-        if kept.len() >= ANCHORS {
-            // The first is the nominal wire.
-            kept.remove(1);
-        }
-        kept.push(Arc::new(Walked { mechanics: *mechanics, nodes }));
-        Some(out)
+        let outcomes = rod.follow(&self.line(l, mechanics), &stops);
+        let followed: Vec<(f64, Equilibrium)> =
+            stops.iter().zip(&outcomes).map(|(x, o)| Some((*x, *o.equilibrium()?))).collect::<Option<_>>()?;
+        self.keep_walked(rod, l, mechanics, touch_mm, &followed);
+        let wanted = |x: &f64| xs.binary_search_by(|w| w.total_cmp(x)).is_ok();
+        Some(followed.into_iter().filter(|f| wanted(&f.0)).map(|f| f.1).collect())
     }
 }
 

@@ -95,21 +95,22 @@ fn tangent_at(fit: &PairFit, shape: &RodShape, arc_mm: f64) -> Vector3<f64> {
 }
 
 /// Where the wire lies in the groove's section across it.
-struct Place {
+pub struct Place {
     /// From the vertex position to the wire's centre, mm.
-    away: Vector3<f64>,
+    pub away: Vector3<f64>,
     /// Covariance of that, mm^2; of unit size along the wire.
-    covariance: Matrix3<f64>,
+    pub covariance: Matrix3<f64>,
     /// Direction in which the groove pushes; none where the wire is not deflected enough to tell.
-    push: Option<Vector3<f64>>,
+    pub push: Option<Vector3<f64>>,
     /// Change of the wire's tangent over the groove's width.
-    turn: Vector3<f64>,
+    pub turn: Vector3<f64>,
 }
 
 impl Place {
     /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims; `out-of-vertex`: on one flank;
     /// `none`: clear of both.
-    fn contact(&self, groove: &RigGroove, diameter_mm: f64) -> &'static str {
+    #[must_use]
+    pub fn contact(&self, groove: &RigGroove, diameter_mm: f64) -> &'static str {
         let inverse = self.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
         // 13.8: 99.9 % of chi2 with 2 degrees of freedom.
         let agrees = |with: Vector3<f64>| {
@@ -185,44 +186,4 @@ fn tag_position_covariance(
     }
     let noise = nalgebra::Matrix6::from_iterator(noise.iter().copied());
     covariance + by_base * noise * by_base.transpose()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -> &'static str {
-        let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 1e-4, 1e-4));
-        let groove = RigGroove {
-            tag: 1,
-            position_in_tag_mm: Vector3::zeros(),
-            half_angle_deg: 45.0,
-            width_along_wire_mm: 3.0,
-        };
-        Place { away, covariance, push, turn }.contact(&groove, 0.3)
-    }
-
-    #[test]
-    fn the_four_kinds_of_contact_are_told_apart() {
-        let (up, none) = (Vector3::z(), Vector3::zeros());
-        assert_eq!(contact(up * 0.02, Some(up), none), "vertex");
-        // A bend of 0.05 / mm over 3 mm that arches away from the vertex: 0.056 mm.
-        let arched = -up * 0.15;
-        assert_eq!(contact(up * 0.056, Some(up), arched), "double");
-        assert_eq!(
-            contact(up * 0.056, Some(up), -arched),
-            "none",
-            "bent the other way it touches in the middle"
-        );
-        assert_eq!(contact(up * 0.4, Some(up), arched), "none");
-        let flank = Vector3::new(0.0, 1.0, 1.0).normalize();
-        assert_eq!(contact(flank * 0.4, Some(up), none), "out-of-vertex");
-        assert_eq!(
-            contact(-up * 0.2, Some(up), none),
-            "out-of-vertex",
-            "inside the block: the rig's geometry is off"
-        );
-        assert_eq!(contact(up * 0.2, None, none), "out-of-vertex");
-        assert_eq!(contact(up * 0.5, None, none), "none");
-    }
 }

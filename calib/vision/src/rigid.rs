@@ -59,21 +59,3 @@ pub fn pose_from_rows(m: &[[f64; 4]; 4]) -> Option<Isometry3<f64>> {
         && m.iter().flatten().all(|v| v.is_finite());
     rigid.then(|| pose_from_parts(&r, &Vector3::new(m[0][3], m[1][3], m[2][3])))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_round_trip_also_for_a_half_turn() {
-        let m = [[1.0, 0.0, 0.0, 3.0], [0.0, -1.0, 0.0, 2.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
-        let back = rows(&pose_from_rows(&m).unwrap());
-        assert!(back.iter().flatten().zip(m.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12));
-    }
-
-    #[test]
-    fn a_mirror_is_refused() {
-        let m = [[-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
-        assert!(pose_from_rows(&m).is_none());
-    }
-}

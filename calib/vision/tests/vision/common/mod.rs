@@ -1,5 +1,4 @@
 //! A small renderer for tests (simulated pictures): area sampling by 6x6 points a pixel, Gaussian blur, Gaussian noise.
-#![allow(dead_code)]
 
 pub mod bench;
 

@@ -1,7 +1,6 @@
 //! Pictures and files that cannot be used: one clear reason each, the rest of the batch goes on.
 
-mod common;
-
+use crate::common;
 use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
 use wcal_vision::chessboard::BoardSize;
 use wcal_vision::document::StereoDocument;

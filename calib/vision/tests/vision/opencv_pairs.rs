@@ -1,7 +1,6 @@
 //! OpenCV's 13 real stereo pairs (measured), against cv2's and mrcal's published numbers.
 
-mod common;
-
+use crate::common;
 use nalgebra::Vector2;
 use wcal_vision::bundle::BoardView;
 use wcal_vision::calibrate::{board_points, calibrate_stereo};

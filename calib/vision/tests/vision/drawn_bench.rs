@@ -1,9 +1,8 @@
 //! The whole way from pictures to shapes on a bench that the tests draw themselves (simulated), with cameras that are known only
 //! as well as a calibration from noisy corners knows them: does the stated region hold the true wire?
 
-mod common;
-
-use common::bench;
+use crate::common;
+use crate::common::bench;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -1,7 +1,5 @@
 //! The stated standard deviations of a calibration against the scatter of many noisy ones (simulated corners).
 
-mod common;
-
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -1,8 +1,7 @@
 //! ChArUco boards and AprilGrids, whole and partly hidden, on drawn pictures (simulated): the cameras come back as drawn.
 
-mod common;
-
-use common::bench::cameras;
+use crate::common;
+use crate::common::bench::cameras;
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector2, Vector3};
 use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
 use opencv::core::{Mat, Size};
@@ -64,13 +63,14 @@ fn write_pairs(folder: &std::path::Path, print: &Print) {
     (0..PAIRS).into_par_iter().for_each(|k| {
         let t = k as f64;
         let tilt = Vector3::new(0.4 * (1.9 * t).sin(), 0.4 * (1.1 * t + 1.0).cos() - 0.2, 0.1 * t);
-        let place = Vector3::new(4.0 * (1.3 * t).sin(), 4.0 * (2.1 * t).cos(), 280.0 + 12.0 * (0.7 * t).sin());
+        let place =
+            Vector3::new(4.0 * (1.3 * t).sin(), 4.0 * (2.1 * t).cos(), 280.0 + 12.0 * (0.7 * t).sin());
         let left = Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt));
         for (camera, side) in ["left", "right"].into_iter().enumerate() {
             let pose = if camera == 0 { left } else { right_from_left() * left };
-            let eye = cameras()[camera];
+            let eye = &cameras()[camera];
             let picture = common::draw(WIDTH, HEIGHT, 0.75, 1.2, 10 * k + camera as u64, |x, y| {
-                let Some(p) = common::on_plane(&eye, &pose, x, y) else { return 120.0 };
+                let Some(p) = common::on_plane(eye, &pose, x, y) else { return 120.0 };
                 if p.x.abs() > 34.0 || p.y.abs() > 26.0 || (k % 3 == 0 && p.x > 14.0) {
                     return 120.0;
                 }

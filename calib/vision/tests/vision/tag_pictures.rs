@@ -1,7 +1,6 @@
 //! Tags on the three photographs (measured) and on drawn pictures (simulated).
 
-mod common;
-
+use crate::common;
 use nalgebra::Vector2;
 use wcal_vision::apriltag_ffi::{detect, draw_tag};
 use wcal_vision::picture::Picture;

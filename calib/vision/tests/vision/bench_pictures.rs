@@ -1,7 +1,6 @@
 //! The whole way on ray-traced pictures of the bench (simulated by an outside renderer): against what was drawn.
 
-mod common;
-
+use crate::common;
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;

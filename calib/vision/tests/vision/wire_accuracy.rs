@@ -1,7 +1,6 @@
 //! The wire's centre on drawn lines (simulated): against the Cramer-Rao bound, Steger's method's published errors, and uneven backgrounds.
 
-mod common;
-
+use crate::common;
 use nalgebra::{DMatrix, DVector, Vector2};
 use wcal_vision::look::fit_look;
 use wcal_vision::picture::Picture;

@@ -1,0 +1,12 @@
+//! All tests of wcal-vision, one program: each would link OpenCV and AprilTag anew.
+
+mod bad_input;
+mod bench_pictures;
+mod common;
+mod drawn_bench;
+mod marker_boards;
+mod opencv_pairs;
+mod parts;
+mod tag_pictures;
+mod uncertainty;
+mod wire_accuracy;

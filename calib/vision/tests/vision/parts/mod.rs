@@ -1,0 +1,12 @@
+//! The parts one by one; here rather than beside them so that the library is compiled once.
+
+mod camera;
+mod exchange;
+mod groove;
+mod page;
+mod pairs;
+mod profile;
+mod rig;
+mod rigid;
+mod rod;
+mod wire;

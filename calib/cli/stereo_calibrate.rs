@@ -32,7 +32,7 @@ pub struct StereoCalibrateArgs {
     pub left: String,
     /// Right pictures, paired with the left ones by the number in their names
     pub right: String,
-    /// Inner corners, columns x rows (for an AprilGrid: tags)
+    /// Inner corners, columns x rows (for an AprilGrid: upright tags, numbered row by row from the lower left as Kalibr does)
     #[arg(long, value_name = "CxR", value_parser = board_size)]
     pub board: BoardSize,
     /// Side of a square, mm (for an AprilGrid: of a tag)

@@ -64,6 +64,7 @@ pub fn calibrate_folders(
     let mut rejected = Vec::new();
     let (points, views, image_size, refinement, chosen) = match &board.pattern {
         Pattern::Chessboard => {
+            check_size(&files, board.size)?;
             let (views, size) = usable(&files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
             let points = board_points(board.size.columns, board.size.rows, board.square_mm);
             let (refined, tried, chosen) = choose_refinement(&points, board.size, &views, size, progress)?;
@@ -135,6 +136,9 @@ fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
     counts.into_iter().max_by_key(|c| c.1).map(|c| c.0)
 }
 
+/// Width to which pictures are reduced where only the board's size is in question, px.
+const PROBE_PX: usize = 800;
+
 /// Coarse corners of one side's picture, or why it is of no use.
 type CornerReader<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
 
@@ -199,30 +203,59 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
             "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
         )),
     };
-    if let Some(points) = find(size, Finder::Classic)? {
-        return whole(points);
-    }
-    // Another board that is found whole tells a wrong size from a board that is cut off or absent.
-    let (c, r) = (size.columns, size.rows);
-    for (columns, rows) in
-        [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)]
-    {
-        let other = BoardSize { columns, rows };
-        if columns < 3 || rows < 3 {
-            continue;
-        }
-        if let Some(points) = find(other, Finder::Classic)?
-            && continues_beyond(picture, other, &points).is_none()
-        {
-            return Err(format!(
-                "{side} picture: wrong board size, or cut off? expected {size} inner corners, found a board of {other}"
-            ));
-        }
-    }
-    match find(size, Finder::Sectors)? {
+    let found = match find(size, Finder::Classic)? {
+        Some(points) => Some(points),
+        None => find(size, Finder::Sectors)?,
+    };
+    match found {
         Some(points) => whole(points),
         None => Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)")),
     }
+}
+
+/// Left pictures that are looked at before the size is doubted.
+const PROBES: usize = 3;
+
+/// Refuses a size that the first pictures do not show while they show another: the finders take minutes to fail on a whole folder.
+fn check_size(files: &[PairFiles], size: BoardSize) -> Result<(), VisionError> {
+    let probes: Vec<(&PairFiles, Picture)> = files
+        .iter()
+        .filter_map(|f| Some((f, read_pair(f).ok()?[0].reduced(PROBE_PX))))
+        .take(PROBES)
+        .collect();
+    let shown: Result<Vec<bool>, VisionError> = probes
+        .par_iter()
+        .map(|(_, picture)| Ok(find_chessboard(picture, size, Finder::Classic)?.is_some()))
+        .collect();
+    if shown?.contains(&true) {
+        return Ok(());
+    }
+    let (c, r) = (size.columns as i64, size.rows as i64);
+    let others = [
+        (c - 1, r),
+        (c, r - 1),
+        (c - 1, r - 1),
+        (c + 1, r),
+        (c, r + 1),
+        (c + 1, r + 1),
+        (c - 2, r),
+        (c, r - 2),
+    ];
+    for (file, picture) in &probes {
+        for (columns, rows) in others.into_iter().filter(|(c, r)| c.min(r) >= &3) {
+            let other = BoardSize { columns: columns as usize, rows: rows as usize };
+            if let Some(points) = find_chessboard(picture, other, Finder::Classic)?
+                && continues_beyond(picture, other, &points).is_none()
+            {
+                return Err(VisionError::result(
+                    "find the board",
+                    format!("{size} inner corners"),
+                    format!("a whole board of {other} in {}: wrong board size?", file.name),
+                ));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn marker_views(

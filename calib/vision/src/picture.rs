@@ -75,6 +75,23 @@ impl Picture {
         Self::new(width, height, data)
     }
 
+    /// The picture halved (means of 2x2 pixels) until it is no wider than `width_px`.
+    #[must_use]
+    pub fn reduced(&self, width_px: usize) -> Self {
+        let mut small = self.clone();
+        while small.width > width_px && small.height > 1 {
+            let (width, height) = (small.width / 2, small.height / 2);
+            let mean = |k: usize| {
+                let at = 2 * (k / width) * small.width + 2 * (k % width);
+                let below = at + small.width;
+                let sum: u16 = [at, at + 1, below, below + 1].map(|p| u16::from(small.data[p])).iter().sum();
+                ((sum + 2) / 4) as u8
+            };
+            small = Self { width, height, data: (0..width * height).map(mean).collect() };
+        }
+        small
+    }
+
     /// Grey value of a pixel; the border is continued outwards.
     #[must_use]
     pub fn at(&self, x: i64, y: i64) -> f64 {

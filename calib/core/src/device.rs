@@ -1,0 +1,319 @@
+//! The three device roles of a bench. Real, virtual and replayed devices are the same to every caller.
+//!
+//! A reading carries what was commanded (where a device can be commanded), what was measured, and two clocks.
+
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use thiserror::Error;
+
+/// What went wrong, coarse enough for a caller to decide between retry, stop and refuse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DeviceErrorKind {
+    /// No answer in time; a retry may help.
+    Timeout,
+    /// The link is gone; reconnect before anything else.
+    Disconnected,
+    /// An answer that does not follow the protocol.
+    Protocol,
+    /// The device refused the command.
+    Rejected,
+    /// The position has no reference.
+    NotHomed,
+    /// The motor stalled.
+    Stalled,
+    /// The carriage was moved from outside.
+    Displaced,
+    /// The motor driver is off.
+    DriverOff,
+    /// A fault that only the device's maker can explain.
+    CriticalFault,
+    /// A target outside the travel or the limits of the rig.
+    OutOfRange,
+    /// The device marks its own data as invalid.
+    DataInvalid,
+    /// A grating has no peak, or two gratings cannot be told apart.
+    PeakLost,
+    /// The device says that it is too hot, too cold or out of calibration.
+    Health,
+    /// The device cannot do this.
+    Unsupported,
+    /// The user stopped the run.
+    Interrupted,
+    /// Names, ports or files that do not fit.
+    Configuration,
+}
+
+impl DeviceErrorKind {
+    /// The name used in sessions and reports, e.g. `not-homed`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Timeout => "timeout",
+            Self::Disconnected => "disconnected",
+            Self::Protocol => "protocol",
+            Self::Rejected => "rejected",
+            Self::NotHomed => "not-homed",
+            Self::Stalled => "stalled",
+            Self::Displaced => "displaced",
+            Self::DriverOff => "driver-off",
+            Self::CriticalFault => "critical-fault",
+            Self::OutOfRange => "out-of-range",
+            Self::DataInvalid => "data-invalid",
+            Self::PeakLost => "peak-lost",
+            Self::Health => "health",
+            Self::Unsupported => "unsupported",
+            Self::Interrupted => "interrupted",
+            Self::Configuration => "configuration",
+        }
+    }
+
+    /// Whether the same request may succeed when it is sent again.
+    #[must_use]
+    pub const fn may_retry(self) -> bool {
+        matches!(self, Self::Timeout | Self::Protocol)
+    }
+}
+
+/// Failure of one action on one device.
+#[derive(Debug, Clone, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[error("{device}: {action}: expected {expected}, found {found} [{}]", kind.name())]
+pub struct DeviceError {
+    /// Class of the failure.
+    pub kind: DeviceErrorKind,
+    /// Device, e.g. `stage /dev/ttyUSB0`.
+    pub device: String,
+    /// What was being done.
+    pub action: String,
+    /// What the caller needed.
+    pub expected: String,
+    /// What came instead.
+    pub found: String,
+}
+
+impl DeviceError {
+    /// A failure with all its parts.
+    pub fn new(
+        kind: DeviceErrorKind,
+        device: impl Into<String>,
+        action: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self {
+            kind,
+            device: device.into(),
+            action: action.into(),
+            expected: expected.into(),
+            found: found.into(),
+        }
+    }
+}
+
+/// When a reading was made, by the two clocks that saw it.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Clocks {
+    /// Host time at arrival, s since the Unix epoch (times the clock scale of a virtual bench).
+    pub host_s: f64,
+    /// The device's own time, s on its own scale; absent where it has none.
+    pub device_s: Option<f64>,
+}
+
+/// What a unit says of itself.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct DeviceIdentity {
+    /// Driver that spoke to it, e.g. `zaber-ascii`.
+    pub driver: String,
+    /// Model or device number.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Firmware version.
+    pub firmware: String,
+    /// Settings read from the unit, in the order read.
+    pub settings: Vec<(String, String)>,
+}
+
+/// Position of a stage at one instant.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct StageReading {
+    /// Target of the last move, mm; absent before the first.
+    pub commanded_mm: Option<f64>,
+    /// Position read back, mm.
+    pub measured_mm: f64,
+    /// Whether the stage says that it moves.
+    pub moving: bool,
+    /// Warning flags that the unit shows, e.g. `NC`.
+    pub flags: Vec<String>,
+    /// Clocks.
+    pub clocks: Clocks,
+}
+
+/// A linear axis. Moves start and return at once: the caller polls `read`, so that it can watch other devices too.
+pub trait Stage {
+    /// Model, serial number, firmware and settings, read from the unit.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit does not answer.
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError>;
+    /// Travel, mm: lowest and highest position.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit does not answer.
+    fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError>;
+    /// Starts the reference search.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit refuses.
+    fn start_home(&mut self) -> Result<(), DeviceError>;
+    /// Starts a move to an absolute position (mm) at a speed (mm/s).
+    ///
+    /// # Errors
+    /// `NotHomed`, `OutOfRange`, or what the link reports.
+    fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError>;
+    /// Position, motion and flags. A flag that forbids measuring is an error of its kind.
+    ///
+    /// # Errors
+    /// `Stalled`, `Displaced`, `DriverOff`, `CriticalFault`, `NotHomed`, or what the link reports.
+    fn read(&mut self) -> Result<StageReading, DeviceError>;
+    /// Decelerates to standstill; must be tried whatever happened before.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the stop could not be confirmed.
+    fn stop(&mut self) -> Result<(), DeviceError>;
+}
+
+/// State bits that an interrogator sends with its data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct InterrogatorHealth {
+    /// The internal wavelength reference failed.
+    pub calibration_fault: bool,
+    /// A fan stands still.
+    pub fan_fault: bool,
+    /// Light source over temperature.
+    pub soa_thermal: bool,
+    /// Light source over current.
+    pub soa_current: bool,
+    /// Thermo-electric cooler over temperature.
+    pub tec_over: bool,
+    /// Thermo-electric cooler under temperature.
+    pub tec_under: bool,
+    /// Error code of the unit, 0 when good, 9 when the data are invalid.
+    pub error_code: u8,
+    /// How full the unit's buffer is, percent.
+    pub buffer_percent: u8,
+}
+
+impl InterrogatorHealth {
+    /// Names of all faults shown; empty when the data can be used.
+    #[must_use]
+    pub fn faults(&self) -> Vec<&'static str> {
+        let all = [
+            (self.calibration_fault, "calibration-fault"),
+            (self.fan_fault, "fan-fault"),
+            (self.soa_thermal, "soa-thermal"),
+            (self.soa_current, "soa-current"),
+            (self.tec_over, "tec-over-temperature"),
+            (self.tec_under, "tec-under-temperature"),
+            (self.error_code != 0, "error-code"),
+        ];
+        all.iter().filter(|(on, _)| *on).map(|(_, name)| *name).collect()
+    }
+}
+
+/// One scan: the peaks of every optical channel. A passive sensor: nothing is commanded.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct FbgReading {
+    /// Running number of the scan; a jump means lost scans.
+    pub serial: u64,
+    /// Wavelengths, nm, ascending, one list an optical channel.
+    pub peaks_nm: Vec<Vec<f64>>,
+    /// State of the unit.
+    pub health: InterrogatorHealth,
+    /// Clocks.
+    pub clocks: Clocks,
+}
+
+/// A source of wavelength scans.
+pub trait Interrogator {
+    /// Model, serial number, firmware and settings, read from the unit.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit does not answer.
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError>;
+    /// Scan rate, Hz.
+    fn rate_hz(&self) -> f64;
+    /// Starts streaming.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit refuses.
+    fn start(&mut self) -> Result<(), DeviceError>;
+    /// Scans that arrived, waiting at most `timeout` for the first; empty when none came.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the link broke or the frames cannot be understood.
+    fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError>;
+    /// Stops streaming.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the stop could not be confirmed.
+    fn stop(&mut self) -> Result<(), DeviceError>;
+}
+
+/// One picture, 8-bit grey.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CameraFrame {
+    /// Number of the trigger that made it; both frames of a pair carry the same.
+    pub trigger: u64,
+    /// Exposure that was asked for, ms; absent where it cannot be set.
+    pub commanded_exposure_ms: Option<f64>,
+    /// Exposure reported by the camera, ms.
+    pub measured_exposure_ms: Option<f64>,
+    /// Width, px.
+    pub width_px: u32,
+    /// Height, px.
+    pub height_px: u32,
+    /// Row-major grey values.
+    pub grey: Vec<u8>,
+    /// Clocks; the device clock is the start of exposure.
+    pub clocks: Clocks,
+}
+
+/// A camera of a pair.
+pub trait Camera {
+    /// Model, serial number and settings.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the unit does not answer.
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError>;
+    /// Sets exposure (ms) and gain (dB); `None` leaves one alone.
+    ///
+    /// # Errors
+    /// `Unsupported` where the camera cannot.
+    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError>;
+    /// The next picture, waiting at most `timeout`.
+    ///
+    /// # Errors
+    /// `Timeout` when none came, `Disconnected` at the end of a folder.
+    fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_states_action_expectation_and_finding() {
+        let error =
+            DeviceError::new(DeviceErrorKind::NotHomed, "stage", "move to 3 mm", "a homed axis", "WH");
+        assert_eq!(error.to_string(), "stage: move to 3 mm: expected a homed axis, found WH [not-homed]");
+        assert!(!error.kind.may_retry() && DeviceErrorKind::Timeout.may_retry());
+    }
+
+    #[test]
+    fn health_lists_every_fault_and_nothing_when_good() {
+        assert!(InterrogatorHealth::default().faults().is_empty());
+        let bad = InterrogatorHealth { calibration_fault: true, error_code: 9, ..Default::default() };
+        assert_eq!(bad.faults(), ["calibration-fault", "error-code"]);
+    }
+}

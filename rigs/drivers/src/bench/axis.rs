@@ -1,0 +1,274 @@
+//! One stepper axis of the virtual bench: motion, reference, flags. Knows nothing of protocols.
+
+use super::motion::Motion;
+use crate::zaber::units::Microsteps;
+use std::collections::BTreeSet;
+
+/// Flags in the order in which a unit shows them: faults before warnings before notices.
+const PRIORITY: [&str; 17] =
+    ["FF", "FN", "FZ", "FO", "FD", "FQ", "FS", "FE", "WR", "WH", "WL", "WV", "WT", "WM", "WS", "NC", "NI"];
+/// Flags that only a reference search takes away.
+const UNTIL_HOME: [&str; 2] = ["WR", "WH"];
+
+/// Fixed properties of an axis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisSpec {
+    /// Microstep size.
+    pub unit: Microsteps,
+    /// Highest position, microsteps.
+    pub limit_steps: i64,
+    /// Default and highest speed, mm/s.
+    pub max_speed_mm_s: f64,
+    /// Acceleration, mm/s^2.
+    pub acceleration_mm_s2: f64,
+}
+
+/// Why a command was refused, in the protocol's words.
+pub type Refusal = &'static str;
+
+/// State of one axis at bench time.
+#[derive(Debug, Clone)]
+pub struct Axis {
+    /// Fixed properties.
+    pub spec: AxisSpec,
+    motion: Motion,
+    speed_mm_s: f64,
+    homing_until_s: Option<f64>,
+    sticky: BTreeSet<&'static str>,
+    stall_armed: bool,
+    busy_seen: bool,
+}
+
+impl Axis {
+    /// At `x_mm`, with or without a reference.
+    #[must_use]
+    pub fn new(spec: AxisSpec, x_mm: f64, homed: bool) -> Self {
+        let motion = Motion::at_rest(x_mm, spec.acceleration_mm_s2);
+        let sticky = if homed { BTreeSet::new() } else { BTreeSet::from(["WR"]) };
+        Self {
+            speed_mm_s: spec.max_speed_mm_s,
+            spec,
+            motion,
+            homing_until_s: None,
+            sticky,
+            stall_armed: false,
+            busy_seen: false,
+        }
+    }
+
+    /// Brings the state to `t_s`; true when a motion ended since the last call.
+    pub fn update(&mut self, t_s: f64) -> bool {
+        if self.homing_until_s.is_some_and(|end| t_s >= end) {
+            self.homing_until_s = None;
+            UNTIL_HOME.iter().for_each(|f| {
+                self.sticky.remove(f);
+            });
+        }
+        if self.stall_armed && self.busy(t_s) {
+            self.stall_armed = false;
+            self.stop_dead(t_s, "FS");
+        }
+        let busy = self.busy(t_s);
+        let ended = self.busy_seen && !busy;
+        self.busy_seen = busy;
+        ended
+    }
+
+    /// True position (mm) and speed (mm/s), also for the recent past.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> (f64, f64) {
+        self.motion.at(t_s)
+    }
+
+    /// Position as the unit counts it, microsteps.
+    #[must_use]
+    pub fn steps(&self, t_s: f64) -> i64 {
+        self.spec.unit.from_mm(self.at(t_s).0)
+    }
+
+    /// Whether it moves.
+    #[must_use]
+    pub fn busy(&self, t_s: f64) -> bool {
+        t_s < self.motion.end_s()
+    }
+
+    /// Whether the position has a reference.
+    #[must_use]
+    pub fn homed(&self) -> bool {
+        !UNTIL_HOME.iter().any(|f| self.sticky.contains(f))
+    }
+
+    /// Flags shown, highest priority first.
+    #[must_use]
+    pub fn flags(&self) -> Vec<&'static str> {
+        PRIORITY.iter().copied().filter(|f| self.sticky.contains(f)).collect()
+    }
+
+    /// What `warnings clear` takes away.
+    pub fn clear_flags(&mut self) {
+        self.sticky.retain(|f| UNTIL_HOME.contains(f) || *f == "FF" || *f == "FD");
+    }
+
+    /// Shows a flag from now on.
+    pub fn raise(&mut self, flag: &'static str) {
+        self.sticky.insert(flag);
+    }
+
+    /// Reference search: to the home switch at 0.
+    pub fn home(&mut self, t_s: f64) -> Result<(), Refusal> {
+        self.begin(t_s)?;
+        self.motion.go(t_s, 0.0, self.speed_mm_s);
+        self.homing_until_s = Some(self.motion.end_s());
+        Ok(())
+    }
+
+    /// Move to a position in microsteps, at the given speed or the set one (mm/s).
+    pub fn move_to(&mut self, t_s: f64, steps: i64, speed_mm_s: Option<f64>) -> Result<(), Refusal> {
+        if !(0..=self.spec.limit_steps).contains(&steps) {
+            return Err("BADDATA");
+        }
+        self.begin(t_s)?;
+        let speed = speed_mm_s.unwrap_or(self.speed_mm_s).min(self.spec.max_speed_mm_s);
+        self.motion.go(t_s, self.spec.unit.to_mm(steps as f64), speed);
+        Ok(())
+    }
+
+    /// Constant speed (mm/s, signed) until a limit.
+    pub fn move_velocity(&mut self, t_s: f64, speed_mm_s: f64) -> Result<(), Refusal> {
+        if speed_mm_s.abs() > self.spec.max_speed_mm_s * (1.0 + 1e-6) {
+            return Err("BADDATA");
+        }
+        if speed_mm_s == 0.0 {
+            self.stop(t_s);
+            return Ok(());
+        }
+        self.begin(t_s)?;
+        let end = if speed_mm_s > 0.0 { self.spec.unit.to_mm(self.spec.limit_steps as f64) } else { 0.0 };
+        self.motion.go(t_s, end, speed_mm_s.abs());
+        Ok(())
+    }
+
+    /// Decelerates to rest.
+    pub fn stop(&mut self, t_s: f64) {
+        if self.busy(t_s) {
+            self.interrupt();
+            self.motion.halt(t_s);
+        }
+    }
+
+    /// Speed of moves that name none, mm/s.
+    pub fn set_speed(&mut self, speed_mm_s: f64) -> Result<(), Refusal> {
+        if !(speed_mm_s > 0.0 && speed_mm_s <= self.spec.max_speed_mm_s * 1.001) {
+            return Err("BADDATA");
+        }
+        self.speed_mm_s = speed_mm_s;
+        Ok(())
+    }
+
+    /// Speed of moves that name none, mm/s.
+    #[must_use]
+    pub fn speed_mm_s(&self) -> f64 {
+        self.speed_mm_s
+    }
+
+    /// Acceleration of moves, mm/s^2.
+    pub fn set_acceleration(&mut self, mm_s2: f64) {
+        self.motion.set_acceleration(mm_s2);
+    }
+
+    /// Acceleration of moves, mm/s^2.
+    #[must_use]
+    pub fn acceleration_mm_s2(&self) -> f64 {
+        self.motion.acceleration_mm_s2()
+    }
+
+    /// The next (or present) motion stalls.
+    pub fn arm_stall(&mut self) {
+        self.stall_armed = true;
+    }
+
+    /// Stops without a ramp and shows `flag`.
+    pub fn stop_dead(&mut self, t_s: f64, flag: &'static str) {
+        self.homing_until_s = None;
+        self.motion.freeze(t_s);
+        self.sticky.insert(flag);
+    }
+
+    /// Power lost and back: standing where it was, reference gone.
+    pub fn power_cycle(&mut self, t_s: f64) {
+        self.motion.freeze(t_s);
+        self.motion.set_acceleration(self.spec.acceleration_mm_s2);
+        self.sticky = BTreeSet::from(["WR"]);
+        self.homing_until_s = None;
+        self.speed_mm_s = self.spec.max_speed_mm_s;
+    }
+
+    fn begin(&mut self, t_s: f64) -> Result<(), Refusal> {
+        if self.sticky.contains("FD") || self.sticky.contains("FF") {
+            return Err("DRIVERDISABLED");
+        }
+        self.sticky.remove("NI");
+        if self.busy(t_s) {
+            self.interrupt();
+        }
+        Ok(())
+    }
+
+    fn interrupt(&mut self) {
+        self.sticky.insert("NI");
+        // A reference search that did not finish leaves no reference.
+        if self.homing_until_s.take().is_some() {
+            self.sticky.insert("WH");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(homed: bool) -> Axis {
+        let unit = Microsteps { size_um: 0.047_625 };
+        let spec = AxisSpec { unit, limit_steps: 2_133_333, max_speed_mm_s: 7.0, acceleration_mm_s2: 100.0 };
+        Axis::new(spec, 10.0, homed)
+    }
+
+    #[test]
+    fn homing_gives_a_reference_only_when_it_ends() {
+        let mut a = axis(false);
+        a.home(0.0).unwrap();
+        a.update(0.5);
+        assert_eq!(a.flags(), ["WR"]);
+        assert!(a.update(3.0));
+        assert!(a.flags().is_empty() && a.steps(3.0) == 0);
+        let mut interrupted = axis(false);
+        interrupted.home(0.0).unwrap();
+        interrupted.stop(0.5);
+        interrupted.update(9.0);
+        assert_eq!(interrupted.flags(), ["WR", "WH", "NI"]);
+    }
+
+    #[test]
+    fn a_stall_a_limit_and_a_dead_driver_have_their_flags() {
+        let mut a = axis(true);
+        a.move_to(0.0, 1_000_000, None).unwrap();
+        a.arm_stall();
+        a.update(1.0);
+        assert_eq!(a.flags(), ["FS"]);
+        assert!(!a.busy(1.0));
+        a.clear_flags();
+        assert!(a.flags().is_empty());
+        a.raise("FD");
+        assert_eq!(a.move_to(2.0, 5, None), Err("DRIVERDISABLED"));
+        assert_eq!(axis(true).move_to(0.0, 2_133_334, None), Err("BADDATA"));
+        assert_eq!(axis(true).move_to(0.0, -1, None), Err("BADDATA"));
+    }
+
+    #[test]
+    fn a_power_cut_in_the_middle_of_a_move_leaves_the_carriage_there_without_reference() {
+        let mut a = axis(true);
+        a.move_to(0.0, 1_000_000, None).unwrap();
+        a.power_cycle(1.0);
+        assert!(!a.homed() && (a.at(5.0).0 - 16.755).abs() < 0.1);
+    }
+}

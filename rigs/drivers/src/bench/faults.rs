@@ -1,0 +1,128 @@
+//! Faults of the virtual bench, from the scenario or on command.
+
+use serde::Deserialize;
+
+/// One thing that goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Fault {
+    /// The next motion of the stage stalls.
+    Stall,
+    /// The limit switch triggers at once.
+    Limit,
+    /// Somebody pushes the standing carriage.
+    Displaced,
+    /// The motor driver switches off.
+    DriverOff,
+    /// Critical system fault.
+    Critical,
+    /// Stage power lost and back: reference gone, silent for a second.
+    PowerCut,
+    /// Stage cable out.
+    UnplugStage,
+    /// Stage cable back in.
+    PlugStage,
+    /// The next reply of the stage is lost.
+    LoseReply,
+    /// The next reply has a wrong bit.
+    CorruptReply,
+    /// The next reply comes in pieces.
+    SplitReply,
+    /// The next reply comes twice.
+    DoubleReply,
+    /// Noise before the next reply.
+    NoiseReply,
+    /// Scans that are never sent.
+    LostSamples {
+        /// How many.
+        count: u64,
+    },
+    /// The stream pauses; what the buffer cannot hold is lost.
+    StreamGap {
+        /// Length, s.
+        seconds: f64,
+    },
+    /// Garbage bytes in the stream.
+    StreamGarbage,
+    /// Calibration fault bit on or off.
+    CalibrationFault {
+        /// Set or cleared.
+        on: bool,
+    },
+    /// Cooler over temperature.
+    TecFault {
+        /// Set or cleared.
+        on: bool,
+    },
+    /// Error code 9, data invalid.
+    DataInvalid {
+        /// Set or cleared.
+        on: bool,
+    },
+    /// A grating has no peak: 0 reference, 1 and 2 sensing.
+    PeakLost {
+        /// Which grating.
+        grating: usize,
+        /// Set or cleared.
+        on: bool,
+    },
+    /// Grating 1 is shifted onto grating 2.
+    PeakCrossing {
+        /// Set or cleared.
+        on: bool,
+    },
+    /// Interrogator cable out.
+    UnplugInterrogator,
+    /// Interrogator cable back in.
+    PlugInterrogator,
+    /// The second camera repeats its last picture.
+    FrozenCamera {
+        /// Set or cleared.
+        on: bool,
+    },
+    /// The second camera lags.
+    CameraSkew {
+        /// Delay, ms.
+        ms: f64,
+    },
+    /// The room warms at once.
+    TemperatureStep {
+        /// Step, K.
+        degc: f64,
+    },
+}
+
+/// A fault and its bench time.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct ScheduledFault {
+    /// Bench time, s.
+    pub at_s: f64,
+    /// What happens.
+    #[serde(flatten)]
+    pub fault: Fault,
+}
+
+/// A fault from a line of text: its name (`stall`), or a JSON object with a `kind`.
+///
+/// # Errors
+/// What was expected and what was found.
+pub fn parse(line: &str) -> Result<Fault, String> {
+    let line = line.trim();
+    let text = if line.starts_with('{') { line.to_owned() } else { format!("{{\"kind\":\"{line}\"}}") };
+    serde_json::from_str(&text).map_err(|e| format!("expected a fault such as stall, found {line:?}: {e}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_by_name_and_as_json() {
+        assert_eq!(parse("stall").unwrap(), Fault::Stall);
+        assert_eq!(
+            parse("{\"kind\":\"lost-samples\",\"count\":7}").unwrap(),
+            Fault::LostSamples { count: 7 }
+        );
+        assert!(parse("earthquake").is_err() && parse("").is_err() && parse("{").is_err());
+    }
+}

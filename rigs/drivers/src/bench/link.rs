@@ -1,0 +1,173 @@
+//! Byte links of the virtual bench, and what can go wrong on them.
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::collections::VecDeque;
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::os::fd::OwnedFd;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// What happens to one of the next replies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReplyFault {
+    /// Never sent.
+    Lose,
+    /// One bit is wrong.
+    Corrupt,
+    /// Sent in pieces with pauses.
+    Split,
+    /// Sent twice.
+    Double,
+    /// Preceded by noise.
+    Noise,
+}
+
+/// State of one cable.
+#[derive(Debug, Default)]
+pub struct Cable {
+    unplugged: AtomicBool,
+    next: Mutex<VecDeque<ReplyFault>>,
+}
+
+impl Cable {
+    /// Pulls or plugs the cable.
+    pub fn unplug(&self, out: bool) {
+        self.unplugged.store(out, Ordering::SeqCst);
+    }
+
+    /// Whether the cable is out.
+    #[must_use]
+    pub fn is_out(&self) -> bool {
+        self.unplugged.load(Ordering::SeqCst)
+    }
+
+    /// Queues a fault for one of the next replies.
+    pub fn disturb(&self, fault: ReplyFault) {
+        if let Ok(mut queue) = self.next.lock() {
+            queue.push_back(fault);
+        }
+    }
+
+    /// Sends a reply as the cable lets it through.
+    ///
+    /// # Errors
+    /// What the link reports.
+    pub fn send(&self, wire: &mut dyn Wire, bytes: &[u8]) -> io::Result<()> {
+        let fault = self.next.lock().ok().and_then(|mut q| q.pop_front());
+        match fault {
+            None => wire.send(bytes),
+            Some(ReplyFault::Lose) => Ok(()),
+            Some(ReplyFault::Corrupt) => {
+                let mut wrong = bytes.to_vec();
+                let middle = wrong.len() / 2;
+                if let Some(b) = wrong.get_mut(middle) {
+                    *b ^= 1;
+                }
+                wire.send(&wrong)
+            }
+            Some(ReplyFault::Split) => bytes.chunks(3).try_for_each(|part| {
+                std::thread::sleep(Duration::from_millis(2));
+                wire.send(part)
+            }),
+            Some(ReplyFault::Double) => wire.send(&[bytes, bytes].concat()),
+            Some(ReplyFault::Noise) => wire.send(&[&b"\x00\xffx~"[..], bytes].concat()),
+        }
+    }
+}
+
+/// A link on which reads wait at most a few milliseconds.
+pub trait Wire {
+    /// Bytes that arrived; 0 when none did in time.
+    ///
+    /// # Errors
+    /// `UnexpectedEof` when the peer is gone.
+    fn receive(&mut self, into: &mut [u8]) -> io::Result<usize>;
+    /// Sends everything.
+    ///
+    /// # Errors
+    /// When the peer is gone.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
+    /// Line speed the peer has set, where there is one.
+    fn baud(&self) -> Option<u32> {
+        None
+    }
+}
+
+/// How long a read waits, so that alerts and shutdown are seen.
+const PATIENCE: Duration = Duration::from_millis(5);
+
+impl Wire for TcpStream {
+    fn receive(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.set_read_timeout(Some(PATIENCE))?;
+        match self.read(into) {
+            Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
+            Err(e) if matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => Ok(0),
+            other => other,
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.write_all(bytes)
+    }
+}
+
+/// A pseudo-terminal whose slave is raw and stays open: without a client the master would read EIO.
+#[derive(Debug)]
+pub struct Pty {
+    master: OwnedFd,
+    slave: OwnedFd,
+    path: String,
+}
+
+impl Pty {
+    /// Opens a new pair.
+    ///
+    /// # Errors
+    /// What the system reports.
+    pub fn open() -> io::Result<Self> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let path = ptsname(&master, Vec::new())?.to_string_lossy().into_owned();
+        let slave = open(&*path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
+        Ok(Self { master, slave, path })
+    }
+
+    /// Path of the slave, e.g. `/dev/pts/3`.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+}
+
+impl Wire for Pty {
+    fn receive(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let wait = Timespec { tv_sec: 0, tv_nsec: PATIENCE.as_nanos() as i64 };
+        let mut fds = [PollFd::new(&self.master, PollFlags::IN)];
+        if poll(&mut fds, Some(&wait))? == 0 {
+            return Ok(0);
+        }
+        Ok(rustix::io::read(&self.master, into)?)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let sent = rustix::io::write(&self.master, rest)?;
+            rest = &rest[sent..];
+        }
+        Ok(())
+    }
+
+    fn baud(&self) -> Option<u32> {
+        tcgetattr(&self.slave).ok().map(|t| t.output_speed())
+    }
+}

@@ -1,0 +1,203 @@
+//! The virtual bench: stage, interrogators and cameras that speak the devices' own protocols, driven by one plant.
+//!
+//! The program under test meets it only through sockets and a pseudo-terminal.
+
+pub mod ascii;
+pub mod axis;
+pub mod binary;
+mod camera_server;
+pub mod clock;
+pub mod faults;
+mod hyperion_server;
+pub mod link;
+pub mod motion;
+pub mod plant;
+pub mod scenario;
+mod sm130_server;
+mod stage_server;
+pub mod unit;
+pub mod world;
+
+use faults::Fault;
+use link::Pty;
+use plant::Plant;
+use scenario::Scenario;
+use serde::Serialize;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+use world::Shared;
+
+/// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Addresses {
+    /// Path of the stage's pseudo-terminal.
+    pub stage_pty: String,
+    /// The stage on TCP.
+    pub stage_tcp: SocketAddr,
+    /// The sm130.
+    pub sm130: SocketAddr,
+    /// The Hyperion.
+    pub hyperion: HyperionAddresses,
+    /// Picture streams.
+    pub cameras: Vec<SocketAddr>,
+}
+
+/// Ports of the Hyperion.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct HyperionAddresses {
+    /// Commands.
+    pub commands: SocketAddr,
+    /// Streamed peaks.
+    pub peaks: SocketAddr,
+}
+
+/// A running bench; it ends when dropped.
+pub struct VirtualBench {
+    shared: Arc<Shared>,
+    addresses: Addresses,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl VirtualBench {
+    /// Starts all devices on loopback ports chosen by the system; `plant` replaces the built-in cantilever.
+    ///
+    /// # Errors
+    /// When a port or the pseudo-terminal cannot be opened.
+    pub fn start(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> io::Result<Self> {
+        let camera_count = scenario.cameras.count;
+        let shared = Shared::new(scenario, plant);
+        let mut threads = Vec::new();
+        let pty = Pty::open()?;
+        let stage_pty = pty.path().to_owned();
+        threads.push(serve_pty(&shared, pty));
+        let stage_tcp =
+            listen(&shared, &mut threads, Cord::Stage, |s, mut link| stage_server::serve(s, &mut link))?;
+        let sm130 = listen(&shared, &mut threads, Cord::Interrogator, sm130_server::serve)?;
+        let commands = listen(&shared, &mut threads, Cord::Interrogator, hyperion_server::serve)?;
+        let peaks = listen(&shared, &mut threads, Cord::Interrogator, hyperion_server::serve)?;
+        let mut cameras = Vec::new();
+        for index in 0..camera_count {
+            let serve = move |s: &Shared, link| camera_server::serve(s, link, index);
+            cameras.push(listen(&shared, &mut threads, Cord::None, serve)?);
+        }
+        threads.push(scanner(&shared));
+        let hyperion = HyperionAddresses { commands, peaks };
+        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras };
+        Ok(Self { shared, addresses, threads })
+    }
+
+    /// Where the devices answer.
+    #[must_use]
+    pub fn addresses(&self) -> &Addresses {
+        &self.addresses
+    }
+
+    /// Makes something go wrong now.
+    pub fn inject(&self, fault: Fault) {
+        self.shared.inject(fault);
+    }
+
+    /// True stage position (mm) and speed (mm/s) now; for tests of what a fault left behind.
+    #[must_use]
+    pub fn true_stage(&self) -> (f64, f64) {
+        let t_s = self.shared.clock.now_s();
+        self.shared.world().units.first().map_or((0.0, 0.0), |u| u.axis.at(t_s))
+    }
+
+    /// Bench time, s.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.shared.clock.now_s()
+    }
+}
+
+impl Drop for VirtualBench {
+    fn drop(&mut self) {
+        self.shared.shut_down();
+        for thread in self.threads.drain(..) {
+            // A server that panicked has already said so.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Which cable a port hangs on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Cord {
+    Stage,
+    Interrogator,
+    None,
+}
+
+impl Cord {
+    fn is_out(self, shared: &Shared) -> bool {
+        match self {
+            Self::Stage => shared.stage_cable.is_out(),
+            Self::Interrogator => shared.interrogator_cable.is_out(),
+            Self::None => false,
+        }
+    }
+}
+
+fn listen<F>(
+    shared: &Arc<Shared>,
+    threads: &mut Vec<JoinHandle<()>>,
+    cord: Cord,
+    serve: F,
+) -> io::Result<SocketAddr>
+where
+    F: Fn(&Shared, TcpStream) -> io::Result<()> + Send + Sync + Clone + 'static,
+{
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let address = listener.local_addr()?;
+    listener.set_nonblocking(true)?;
+    let shared = Arc::clone(shared);
+    threads.push(std::thread::spawn(move || {
+        let mut clients: Vec<JoinHandle<()>> = Vec::new();
+        while !shared.stopping() {
+            match listener.accept() {
+                // A pulled cable accepts nobody.
+                Ok((link, _)) if !cord.is_out(&shared) => {
+                    let (shared, serve) = (Arc::clone(&shared), serve.clone());
+                    clients.push(std::thread::spawn(move || {
+                        if link.set_nonblocking(false).and_then(|()| link.set_nodelay(true)).is_ok() {
+                            // Clients come and go; the end of a link is no event for the bench.
+                            let _ = serve(&shared, link);
+                        }
+                    }));
+                }
+                Ok(_) => {}
+                Err(_) => std::thread::sleep(Duration::from_millis(3)),
+            }
+            clients.retain(|c| !c.is_finished());
+        }
+        clients.into_iter().for_each(|c| {
+            let _ = c.join();
+        });
+    }));
+    Ok(address)
+}
+
+fn serve_pty(shared: &Arc<Shared>, mut pty: Pty) -> JoinHandle<()> {
+    let shared = Arc::clone(shared);
+    std::thread::spawn(move || {
+        while !shared.stopping() {
+            // Ends when the cable is pulled: the pair is kept, but silent.
+            let _ = stage_server::serve(&shared, &mut pty);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    })
+}
+
+fn scanner(shared: &Arc<Shared>) -> JoinHandle<()> {
+    let shared = Arc::clone(shared);
+    std::thread::spawn(move || {
+        while !shared.stopping() {
+            shared.scan();
+            std::thread::sleep(Duration::from_millis(4));
+        }
+    })
+}

@@ -1,0 +1,247 @@
+//! What the sensor does when the stage presses it. Shares no code with the program that fits it.
+
+use super::scenario::{Scenario, WhiskerScenario};
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Lead of the LSM100A's screw, mm.
+const SCREW_LEAD_MM: f64 = 0.6096;
+/// Temperature at which the nominal wavelengths hold, deg C.
+const NOMINAL_DEGC: f64 = 21.0;
+/// Pieces of the wire in the compliance integral.
+const PIECES: usize = 600;
+
+/// Base moment of the wire at a depth of the groove; another model can be plugged in.
+pub trait Plant: Send {
+    /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact (negative: none).
+    fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2];
+}
+
+/// Centre line at an arc length (mm): point and unit tangent.
+#[must_use]
+pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) {
+    let turn = ((s_mm - whisker.straight_mm) / whisker.arc_radius_mm).max(0.0);
+    let (sin, cos) = turn.sin_cos();
+    let x = s_mm.min(whisker.straight_mm) + whisker.arc_radius_mm * sin;
+    ([x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)], [cos, 0.0, -sin])
+}
+
+/// First-order compliance of the curved wire (Castigliano) with a cubic term: quasi-static, frictionless.
+#[derive(Debug, Clone)]
+pub struct Cantilever {
+    paths: Vec<(u32, Path)>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Path {
+    /// Base moment per unit force, mm.
+    arm_mm: [f64; 2],
+    /// Deflection along the path per unit force, mm/N.
+    compliance_mm_per_n: f64,
+    /// Length that makes the cubic term, mm.
+    reach_mm: f64,
+}
+
+/// Stiffening of a cantilever that is pressed sideways, per (depth / reach)^2.
+const CUBIC: f64 = 0.6;
+
+impl Cantilever {
+    /// The wire and paths of a scenario.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        let w = &scenario.whisker;
+        // Second moments of a round wire, mm^4; E in N/mm^2.
+        let i = std::f64::consts::PI * w.diameter_mm.powi(4) / 64.0;
+        let (bending, torsion) = (w.youngs_gpa * 1e3 * i, w.shear_gpa * 1e3 * 2.0 * i);
+        let trajectories = scenario.trajectories();
+        let paths = trajectories.iter().map(|t| {
+            let origin = Vector3::from(t.origin_mm);
+            let push = Vector3::from(t.direction).normalize();
+            // Arc length of the nearest point of the resting wire.
+            let contact = (0..=PIECES)
+                .map(|k| w.length_mm * k as f64 / PIECES as f64)
+                .min_by(|a, b| {
+                    let far = |s: &f64| (Vector3::from(rest_point(w, *s).0) - origin).norm();
+                    far(a).total_cmp(&far(b))
+                })
+                .unwrap_or(w.length_mm);
+            let ds = contact / PIECES as f64;
+            let compliance = (0..PIECES)
+                .map(|k| {
+                    let (point, tangent) = rest_point(w, (k as f64 + 0.5) * ds);
+                    let m = (origin - Vector3::from(point)).cross(&push);
+                    let twist = m.dot(&Vector3::from(tangent));
+                    ((m.norm_squared() - twist * twist) / bending + twist * twist / torsion) * ds
+                })
+                .sum();
+            let arm = origin.cross(&push);
+            let path =
+                Path { arm_mm: [arm.y, arm.z], compliance_mm_per_n: compliance, reach_mm: origin.norm() };
+            (t.id, path)
+        });
+        Self { paths: paths.collect() }
+    }
+}
+
+impl Plant for Cantilever {
+    fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2] {
+        let Some((_, path)) = self.paths.iter().find(|(p, _)| *p == id).filter(|_| depth_mm > 0.0) else {
+            return [0.0; 2];
+        };
+        let stretch = depth_mm / path.reach_mm;
+        let force_n = depth_mm / path.compliance_mm_per_n * (1.0 + CUBIC * stretch * stretch);
+        path.arm_mm.map(|a| a * force_n)
+    }
+}
+
+/// The sensor in its surroundings: stage errors, plant, memory, temperature, noise. Stepped once a scan.
+pub struct Physics {
+    scenario: Scenario,
+    plant: Box<dyn Plant>,
+    rng: ChaCha8Rng,
+    last_s: f64,
+    carriage_mm: Option<f64>,
+    lagged_mm: Option<f64>,
+    crept_nmm: [f64; 2],
+    temperature_step_degc: f64,
+}
+
+impl Physics {
+    /// The sensor of a scenario with its own cantilever or another plant.
+    #[must_use]
+    pub fn new(scenario: &Scenario, plant: Option<Box<dyn Plant>>) -> Self {
+        Self {
+            plant: plant.unwrap_or_else(|| Box::new(Cantilever::new(scenario))),
+            rng: ChaCha8Rng::seed_from_u64(scenario.seed),
+            scenario: scenario.clone(),
+            last_s: 0.0,
+            carriage_mm: None,
+            lagged_mm: None,
+            crept_nmm: [0.0; 2],
+            temperature_step_degc: 0.0,
+        }
+    }
+
+    /// The room warms at once, K.
+    pub fn step_temperature(&mut self, degc: f64) {
+        self.temperature_step_degc += degc;
+    }
+
+    /// Temperature at `t_s`, deg C.
+    #[must_use]
+    pub fn temperature_degc(&self, t_s: f64) -> f64 {
+        let t = &self.scenario.temperature;
+        let swing = t.swing_degc * (std::f64::consts::TAU * t_s / t.swing_period_s.max(1e-3)).sin();
+        t.start_degc + t.drift_degc_per_h * t_s / 3600.0 + swing + self.temperature_step_degc
+    }
+
+    /// Wavelengths (nm) of reference, first and second sensing grating with the stage at `stage_mm`.
+    pub fn step(&mut self, t_s: f64, trajectory: u32, stage_mm: f64) -> [f64; 3] {
+        let dt = (t_s - self.last_s).max(0.0);
+        self.last_s = t_s;
+        let depth_mm = self.depth_mm(stage_mm, dt);
+        let elastic = self.plant.moment_nmm(trajectory, depth_mm);
+        let moment = self.creep(elastic, dt);
+        let (fbg, effects) = (&self.scenario.fbg, &self.scenario.effects);
+        let rise = self.temperature_degc(t_s) - NOMINAL_DEGC;
+        let mut out = [0.0; 3];
+        let noise = self.scenario.interrogator.noise_pm;
+        let mut draw = || {
+            noise * {
+                let z: f64 = StandardNormal.sample(&mut self.rng);
+                z
+            }
+        };
+        out[0] = fbg.reference_nominal_nm + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
+        for g in 0..2 {
+            let linear = fbg.k_pm_per_nmm[g][0] * moment[0] + fbg.k_pm_per_nmm[g][1] * moment[1];
+            let size = (moment[0] * moment[0] + moment[1] * moment[1]).sqrt();
+            let pm = linear * (1.0 + effects.quadratic_fraction * size)
+                + fbg.zero_pm[g]
+                + fbg.temperature_pm_per_degc[g] * rise
+                + effects.zero_drift_pm_per_min * t_s / 60.0;
+            out[g + 1] = fbg.nominal_nm[g] + (pm + draw()) * 1e-3;
+        }
+        out
+    }
+
+    /// Depth of the groove: screw errors, play, delay.
+    fn depth_mm(&mut self, stage_mm: f64, dt: f64) -> f64 {
+        let e = &self.scenario.effects;
+        let zero_mm = self.scenario.stage.contact_mm();
+        let screw = (stage_mm - zero_mm) * (1.0 + e.stage_scale)
+            + e.periodic_um * 1e-3 * (std::f64::consts::TAU * stage_mm / SCREW_LEAD_MM).sin();
+        // Play operator: the carriage follows the nut only once the play is used up.
+        let half = e.backlash_um * 5e-4;
+        let carriage = self.carriage_mm.unwrap_or(screw).clamp(screw - half, screw + half);
+        self.carriage_mm = Some(carriage);
+        // First-order delay of the reading behind the carriage.
+        let share = if e.lag_ms > 0.0 { 1.0 - (-dt * 1e3 / e.lag_ms).exp() } else { 1.0 };
+        let lagged = self.lagged_mm.unwrap_or(carriage);
+        let lagged = lagged + share * (carriage - lagged);
+        self.lagged_mm = Some(lagged);
+        // Loading direction is the reference of the play.
+        lagged + if e.backlash_um > 0.0 { half } else { 0.0 }
+    }
+
+    /// One Prony term: the moment relaxes by a share of its slow part.
+    fn creep(&mut self, elastic: [f64; 2], dt: f64) -> [f64; 2] {
+        let e = &self.scenario.effects;
+        if e.creep_fraction == 0.0 || e.creep_s <= 0.0 {
+            return elastic;
+        }
+        let share = 1.0 - (-dt / e.creep_s).exp();
+        std::array::from_fn(|k| {
+            self.crept_nmm[k] += share * (elastic[k] - self.crept_nmm[k]);
+            elastic[k] + e.creep_fraction * self.crept_nmm[k]
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scenario(extra: &str) -> Scenario {
+        Scenario::parse(&format!("format = \"wcal-scenario/1\"\n{extra}")).unwrap()
+    }
+
+    #[test]
+    fn a_straight_wire_has_the_textbook_stiffness() {
+        let s = scenario("");
+        let mut plant = Cantilever::new(&s);
+        // m = 3 E I d / L^2 at 18 mm; E I = 29.82 N mm^2.
+        let ei = 75e3 * std::f64::consts::PI * 0.3_f64.powi(4) / 64.0;
+        let m = plant.moment_nmm(1, 0.01);
+        assert!((m[0] + 3.0 * ei * 0.01 / 324.0).abs() < 1e-5, "{m:?}");
+        assert_eq!(plant.moment_nmm(1, -0.1), [0.0; 2]);
+        assert_eq!(plant.moment_nmm(99, 1.0), [0.0; 2]);
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_scans_and_another_does_not() {
+        let run = |seed: u64| {
+            let mut p = Physics::new(&scenario(&format!("seed = {seed}")), None);
+            (0..50).map(|k| p.step(f64::from(k) * 5e-4, 1, 22.0)).collect::<Vec<_>>()
+        };
+        assert_eq!(run(3), run(3));
+        assert_ne!(run(3), run(4));
+    }
+
+    #[test]
+    fn backlash_shows_after_a_reversal_and_only_then() {
+        let quiet = "[interrogator]\nnoise_pm = 0\n[temperature]\ndrift_degc_per_h = 0\nswing_degc = 0\n";
+        let shift = |effects: &str| {
+            let mut p = Physics::new(&scenario(&format!("{quiet}[effects]\n{effects}")), None);
+            let path = |k: i32| 20.0 + 0.01 * f64::from(if k <= 200 { k } else { 400 - k });
+            let all: Vec<f64> = (0..=300).map(|k| p.step(f64::from(k) * 0.01, 1, path(k))[1]).collect();
+            (all[100], all[300])
+        };
+        let (up, down) = shift("backlash_um = 40");
+        let (clean_up, clean_down) = shift("");
+        assert!((up - clean_up).abs() < 1e-9 && (clean_up - clean_down).abs() < 1e-9);
+        assert!((down - up).abs() > 0.5e-3, "{up} {down}");
+    }
+}

@@ -1,0 +1,362 @@
+//! The scenario file: the truth of a virtual bench. Only the bench reads it, never the program under test.
+
+use super::faults::ScheduledFault;
+use super::unit::UnitSpec;
+use serde::Deserialize;
+
+/// `format` of the scenario file.
+pub const FORMAT: &str = "wcal-scenario/1";
+
+/// A whole scenario; every part has defaults.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scenario {
+    /// `wcal-scenario/1`.
+    pub format: String,
+    /// Seed of every random draw.
+    #[serde(default)]
+    pub seed: u64,
+    /// Bench seconds per wall second.
+    #[serde(default = "one")]
+    pub speed: f64,
+    /// The linear stage.
+    #[serde(default)]
+    pub stage: StageScenario,
+    /// The motorised mount that turns the whisker to a trajectory.
+    #[serde(default)]
+    pub mount: MountScenario,
+    /// Interrogators: scan rate, noise, framing.
+    #[serde(default)]
+    pub interrogator: InterrogatorScenario,
+    /// Gratings.
+    #[serde(default)]
+    pub fbg: FbgScenario,
+    /// Wire.
+    #[serde(default)]
+    pub whisker: WhiskerScenario,
+    /// Paths of the groove; empty: the nine of the default rig.
+    #[serde(default)]
+    pub trajectory: Vec<TrajectoryScenario>,
+    /// Temperature of the room.
+    #[serde(default)]
+    pub temperature: TemperatureScenario,
+    /// What the declared model does not know.
+    #[serde(default)]
+    pub effects: EffectsScenario,
+    /// Cameras.
+    #[serde(default)]
+    pub cameras: CameraScenario,
+    /// What goes wrong, and when.
+    #[serde(default)]
+    pub fault: Vec<ScheduledFault>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+impl Scenario {
+    /// Parses a scenario and checks its ranges.
+    ///
+    /// # Errors
+    /// Field, what was expected and what was found.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let scenario: Self = toml::from_str(text).map_err(|e| e.to_string())?;
+        let positive = [
+            ("speed", scenario.speed),
+            ("interrogator.rate_hz", scenario.interrogator.rate_hz),
+            ("whisker.diameter_mm", scenario.whisker.diameter_mm),
+            ("stage.unit.microstep_um", scenario.stage.unit.microstep_um),
+        ];
+        if scenario.format != FORMAT {
+            return Err(format!("format: expected {FORMAT}, found {}", scenario.format));
+        }
+        if let Some((name, value)) = positive.iter().find(|(_, v)| !(*v > 0.0 && v.is_finite())) {
+            return Err(format!("{name}: expected a number above 0, found {value}"));
+        }
+        if let Some(t) = scenario.trajectory.iter().find(|t| norm(t.direction) < 1e-6) {
+            return Err(format!("trajectory {}: expected a direction, found a zero vector", t.id));
+        }
+        Ok(scenario)
+    }
+
+    /// Trajectories, the default nine where none are given.
+    #[must_use]
+    pub fn trajectories(&self) -> Vec<TrajectoryScenario> {
+        if self.trajectory.is_empty() { default_trajectories(&self.whisker) } else { self.trajectory.clone() }
+    }
+}
+
+fn norm(v: [f64; 3]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Protocol that the stage speaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StageProtocol {
+    /// X-series.
+    #[default]
+    Ascii,
+    /// T-series.
+    Binary,
+}
+
+/// The stage and its links.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageScenario {
+    /// Protocol.
+    pub protocol: StageProtocol,
+    /// Line speed on the pseudo-terminal; a client at another speed is not understood. Absent: any.
+    pub baud: Option<u32>,
+    /// The unit.
+    pub unit: UnitSpec,
+    /// Stage position at which the groove touches the wire, mm.
+    pub zero_mm: Option<f64>,
+}
+
+impl StageScenario {
+    /// Stage position at first contact, mm.
+    #[must_use]
+    pub fn contact_mm(&self) -> f64 {
+        self.zero_mm.unwrap_or(20.0)
+    }
+}
+
+/// A second unit on the chain: position `steps_per_trajectory * id` presents trajectory `id`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MountScenario {
+    /// Whether the chain has it.
+    pub present: bool,
+    /// Microsteps between two trajectories.
+    pub steps_per_trajectory: i64,
+}
+
+impl Default for MountScenario {
+    fn default() -> Self {
+        Self { present: true, steps_per_trajectory: 10_000 }
+    }
+}
+
+/// Where the frame token counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TokenPlace {
+    /// In the stated length.
+    #[default]
+    Inside,
+    /// After it.
+    Outside,
+}
+
+/// Interrogators.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InterrogatorScenario {
+    /// Scan rate, Hz.
+    pub rate_hz: f64,
+    /// Noise of a single scan, pm.
+    pub noise_pm: f64,
+    /// Framing of the stream.
+    pub token: TokenPlace,
+    /// Cut what is sent into pieces of this many bytes; 0: as it comes.
+    pub split_bytes: usize,
+    /// Scans kept for a slow client before they are lost.
+    pub buffer: usize,
+    /// Offset of the unit's clock from the host's, s.
+    pub clock_offset_s: f64,
+    /// Drift of the unit's clock, parts per million.
+    pub clock_drift_ppm: f64,
+}
+
+impl Default for InterrogatorScenario {
+    fn default() -> Self {
+        Self {
+            rate_hz: 2000.0,
+            noise_pm: 1.0,
+            token: TokenPlace::Inside,
+            split_bytes: 0,
+            buffer: 60_000,
+            clock_offset_s: 0.0,
+            clock_drift_ppm: 0.0,
+        }
+    }
+}
+
+/// Gratings and their sensitivities.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FbgScenario {
+    /// Sensing gratings, nm.
+    pub nominal_nm: [f64; 2],
+    /// Strain-isolated grating, nm.
+    pub reference_nominal_nm: f64,
+    /// Shift per moment, pm/(N mm): one row a grating.
+    pub k_pm_per_nmm: [[f64; 2]; 2],
+    /// Temperature coefficients of the sensing gratings, pm/K.
+    pub temperature_pm_per_degc: [f64; 2],
+    /// Temperature coefficient of the reference, pm/K.
+    pub reference_temperature_pm_per_degc: f64,
+    /// Unloaded shift from nominal, pm.
+    pub zero_pm: [f64; 2],
+}
+
+impl Default for FbgScenario {
+    fn default() -> Self {
+        Self {
+            nominal_nm: [1541.2, 1535.8],
+            reference_nominal_nm: 1537.3,
+            k_pm_per_nmm: [[72.0, 9.0], [-6.0, 78.0]],
+            temperature_pm_per_degc: [10.0, 10.0],
+            reference_temperature_pm_per_degc: 10.0,
+            zero_pm: [3.0, -2.0],
+        }
+    }
+}
+
+/// Wire, straight and then bent toward -z.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WhiskerScenario {
+    /// Diameter, mm.
+    pub diameter_mm: f64,
+    /// Length, mm.
+    pub length_mm: f64,
+    /// Straight part, mm.
+    pub straight_mm: f64,
+    /// Arc radius, mm.
+    pub arc_radius_mm: f64,
+    /// Young's modulus, GPa.
+    pub youngs_gpa: f64,
+    /// Shear modulus, GPa.
+    pub shear_gpa: f64,
+}
+
+impl Default for WhiskerScenario {
+    fn default() -> Self {
+        Self {
+            diameter_mm: 0.3,
+            length_mm: 60.0,
+            straight_mm: 30.0,
+            arc_radius_mm: 20.0,
+            youngs_gpa: 75.0,
+            shear_gpa: 28.2,
+        }
+    }
+}
+
+/// A straight path of the groove.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrajectoryScenario {
+    /// Identifier.
+    pub id: u32,
+    /// Groove centre at first contact, mm, base frame.
+    pub origin_mm: [f64; 3],
+    /// Direction of travel.
+    pub direction: [f64; 3],
+}
+
+/// Three contact arc lengths, three directions each (SYSTEM.md: 9 linear trajectories).
+fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
+    let mut list = Vec::new();
+    for arclength_mm in [18.0, 31.0, 45.0] {
+        let (origin_mm, tangent) = super::plant::rest_point(whisker, arclength_mm);
+        let normal = [-tangent[2], 0.0, tangent[0]];
+        for turn_deg in [0.0_f64, -60.0, 60.0] {
+            let (sin, cos) = turn_deg.to_radians().sin_cos();
+            let direction = [normal[0] * cos, sin, normal[2] * cos];
+            list.push(TrajectoryScenario { id: list.len() as u32 + 1, origin_mm, direction });
+        }
+    }
+    list
+}
+
+/// Temperature of the room.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TemperatureScenario {
+    /// At the start, deg C; the gratings' nominal wavelengths hold at 21.
+    pub start_degc: f64,
+    /// Linear drift, K/h.
+    pub drift_degc_per_h: f64,
+    /// Amplitude of a slow oscillation, K.
+    pub swing_degc: f64,
+    /// Its period, s.
+    pub swing_period_s: f64,
+}
+
+impl Default for TemperatureScenario {
+    fn default() -> Self {
+        Self { start_degc: 21.0, drift_degc_per_h: 0.3, swing_degc: 0.05, swing_period_s: 600.0 }
+    }
+}
+
+/// Physical effects; zero is none.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EffectsScenario {
+    /// Play after a reversal, um.
+    pub backlash_um: f64,
+    /// Scale error of the screw.
+    pub stage_scale: f64,
+    /// Periodic error of the screw, um.
+    pub periodic_um: f64,
+    /// Delay of the signal behind the stage, ms.
+    pub lag_ms: f64,
+    /// Drift of both zeros, pm/min.
+    pub zero_drift_pm_per_min: f64,
+    /// Relaxed share of the moment that creeps.
+    pub creep_fraction: f64,
+    /// Time constant of creep, s.
+    pub creep_s: f64,
+    /// Quadratic share of the response at 1 N mm.
+    pub quadratic_fraction: f64,
+}
+
+/// Cameras.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraScenario {
+    /// How many: 0 or 2.
+    pub count: usize,
+    /// Pictures per second.
+    pub rate_hz: f64,
+    /// Width and height, px.
+    pub size_px: [u32; 2],
+    /// Delay of the second camera, ms.
+    pub skew_ms: f64,
+}
+
+impl Default for CameraScenario {
+    fn default() -> Self {
+        Self { count: 2, rate_hz: 10.0, size_px: [320, 240], skew_ms: 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Scenario;
+
+    #[test]
+    fn the_shortest_scenario_has_nine_trajectories() {
+        let scenario = Scenario::parse("format = \"wcal-scenario/1\"").unwrap();
+        assert_eq!(scenario.trajectories().len(), 9);
+    }
+
+    #[test]
+    fn unknown_keys_wrong_formats_and_absurd_numbers_are_refused() {
+        for bad in [
+            "",
+            "format = \"wcal-scenario/9\"",
+            "format = \"wcal-scenario/1\"\nsped = 2",
+            "format = \"wcal-scenario/1\"\nspeed = 0",
+            "format = \"wcal-scenario/1\"\n[[trajectory]]\nid = 1\norigin_mm = [1, 0, 0]\ndirection = [0, 0, 0]",
+            "format = \"wcal-scenario/1\"\n[[fault]]\nat_s = 1\nkind = \"earthquake\"",
+        ] {
+            assert!(Scenario::parse(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Serves the chain of units on a pseudo-terminal and on TCP.
+
+use super::ascii;
+use super::binary::{BinaryUnit, Message};
+use super::link::Wire;
+use super::scenario::StageProtocol;
+use super::world::Shared;
+use std::io;
+
+/// A line longer than this is noise.
+const MAX_LINE: usize = 512;
+
+/// Answers until the peer is gone, the cable is pulled, or the bench ends.
+///
+/// # Errors
+/// Why the link ended.
+pub fn serve(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+    match shared.scenario.stage.protocol {
+        StageProtocol::Ascii => serve_ascii(shared, wire),
+        StageProtocol::Binary => serve_binary(shared, wire),
+    }
+}
+
+fn open(shared: &Shared) -> bool {
+    !shared.stopping() && !shared.stage_cable.is_out()
+}
+
+fn serve_ascii(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+    let mut line = Vec::new();
+    let mut bytes = [0_u8; 256];
+    while open(shared) {
+        let count = wire.receive(&mut bytes)?;
+        let alerts: Vec<String> = {
+            let t_s = shared.clock.now_s();
+            shared.world().units.iter_mut().filter_map(|u| u.update(t_s)).collect()
+        };
+        for alert in alerts {
+            wire.send(alert.as_bytes())?;
+        }
+        if wrong_speed(shared, wire) {
+            line.clear();
+            continue;
+        }
+        for byte in &bytes[..count] {
+            if *byte != b'\n' {
+                line.push(*byte);
+                continue;
+            }
+            let command = ascii::parse(&line);
+            line.clear();
+            let Some(command) = command else { continue };
+            let t_s = shared.clock.now_s();
+            let replies: Vec<String> = {
+                let mut world = shared.world();
+                let hearing = world.units.iter_mut().filter(|u| u.hears(&command, t_s));
+                hearing.map(|u| u.execute(&command, t_s).concat()).collect()
+            };
+            for reply in replies {
+                shared.stage_cable.send(wire, reply.as_bytes())?;
+            }
+        }
+        if line.len() > MAX_LINE {
+            line.clear();
+        }
+    }
+    Ok(())
+}
+
+fn serve_binary(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+    let spec = &shared.scenario.stage.unit;
+    let mut face = BinaryUnit::new(1, spec.device_id, 513, spec.serial);
+    let mut pending = Vec::new();
+    let mut bytes = [0_u8; 256];
+    while open(shared) {
+        let count = wire.receive(&mut bytes)?;
+        if wrong_speed(shared, wire) {
+            pending.clear();
+            continue;
+        }
+        pending.extend_from_slice(&bytes[..count]);
+        let mut answers = Vec::new();
+        {
+            let t_s = shared.clock.now_s();
+            let mut world = shared.world();
+            let Some(stage) = world.units.first_mut() else { break };
+            answers.extend(face.update(&mut stage.axis, t_s));
+            while let Some((six, rest)) = pending.split_first_chunk::<6>() {
+                answers.extend(face.execute(&mut stage.axis, Message::from_bytes(*six), t_s));
+                pending = rest.to_vec();
+            }
+        }
+        for answer in answers {
+            shared.stage_cable.send(wire, &answer.bytes())?;
+        }
+    }
+    Ok(())
+}
+
+fn wrong_speed(shared: &Shared, wire: &dyn Wire) -> bool {
+    let speeds = shared.scenario.stage.baud.zip(wire.baud());
+    speeds.is_some_and(|(own, peer)| own != peer)
+}

@@ -1,0 +1,241 @@
+//! Finds frames and text replies in the byte stream, however TCP has cut it.
+
+use super::frame::{self, Frame, HEADER};
+
+/// Digits of the length before every reply.
+const PREFIX: usize = 10;
+/// Ends a streamed frame; inside or outside the stated length, by source.
+const TOKEN: &[u8; 8] = b"XXXXXXXX";
+/// Ends the answer to "stop streaming".
+const STOP_TOKEN: &[u8; 8] = b"ZZZZZZZZ";
+/// Every text reply about streaming starts so.
+const STREAM_TEXT: &[u8] = b"Streaming data";
+/// Longer text replies are not known (a spectrum is 65,536 bytes and is binary).
+const MAX_TEXT: usize = 4096;
+
+/// What the stream held next.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Item {
+    /// A data frame.
+    Frame(Frame),
+    /// A text reply.
+    Text(String),
+    /// The end of streaming.
+    Stopped,
+}
+
+/// Incremental decoder; resynchronises byte by byte.
+#[derive(Debug, Default)]
+pub struct StreamDecoder {
+    buffer: Vec<u8>,
+    at: usize,
+    skipped: u64,
+    streaming: bool,
+}
+
+/// Outcome of one look at the buffer.
+enum Look {
+    Found(usize, Item),
+    Token(usize),
+    NeedMore,
+    Garbage,
+}
+
+impl StreamDecoder {
+    /// Appends bytes as they came.
+    pub fn push(&mut self, bytes: &[u8]) {
+        if self.at > 64 * 1024 {
+            self.buffer.drain(..self.at);
+            self.at = 0;
+        }
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// While frames stream, the only text is about streaming: noise that looks like a short text is noise.
+    pub fn set_streaming(&mut self, on: bool) {
+        self.streaming = on;
+    }
+
+    /// Bytes that belonged to no frame.
+    #[must_use]
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// The next item; `None` until more bytes come.
+    pub fn next_item(&mut self) -> Option<Item> {
+        loop {
+            match look(&self.buffer[self.at..], self.streaming) {
+                Look::Found(length, item) => {
+                    self.at += length;
+                    return Some(item);
+                }
+                Look::Token(length) => self.at += length,
+                Look::NeedMore => return None,
+                Look::Garbage => {
+                    self.at += 1;
+                    self.skipped += 1;
+                }
+            }
+        }
+    }
+}
+
+fn look(rest: &[u8], streaming: bool) -> Look {
+    for token in [TOKEN, STOP_TOKEN] {
+        let known = rest.len().min(token.len());
+        if known > 0 && rest[..known] == token[..known] {
+            return match (known == token.len(), token == STOP_TOKEN) {
+                (false, _) => Look::NeedMore,
+                (true, false) => Look::Token(known),
+                (true, true) => Look::Found(known, Item::Stopped),
+            };
+        }
+    }
+    if rest.len() < PREFIX {
+        let possible = rest.iter().all(|b| b.is_ascii_digit() || *b == b' ');
+        return if possible { Look::NeedMore } else { Look::Garbage };
+    }
+    let Some(stated) = prefix_length(&rest[..PREFIX]) else { return Look::Garbage };
+    let body = &rest[PREFIX..];
+    if stated >= HEADER {
+        if body.len() < HEADER {
+            // Text of this length would show itself by its first bytes; a frame starts with a binary header.
+            return Look::NeedMore;
+        }
+        if let Ok(length) = frame::frame_length(body)
+            && (stated == length || stated == length + TOKEN.len())
+        {
+            if body.len() < stated {
+                return Look::NeedMore;
+            }
+            return match frame::decode(body) {
+                Ok(frame) => Look::Found(PREFIX + stated, Item::Frame(frame)),
+                Err(_) => Look::Garbage,
+            };
+        }
+    }
+    if stated == 0 || stated > MAX_TEXT || !body.iter().take(stated).all(|b| is_text(*b)) {
+        return Look::Garbage;
+    }
+    let known = body.len().min(STREAM_TEXT.len());
+    if streaming && (stated < STREAM_TEXT.len() || body[..known] != STREAM_TEXT[..known]) {
+        return Look::Garbage;
+    }
+    if body.len() < stated {
+        return Look::NeedMore;
+    }
+    let text = &body[..stated];
+    // Where the stop token counts as part of the reply, leave it for the next look.
+    let text = text.strip_suffix(STOP_TOKEN).unwrap_or(text);
+    Look::Found(PREFIX + text.len(), Item::Text(String::from_utf8_lossy(text).into_owned()))
+}
+
+fn is_text(b: u8) -> bool {
+    b.is_ascii_graphic() || matches!(b, b' ' | b'\n' | b'\r' | b'\t')
+}
+
+/// The decimal length, padded with zeros or spaces on either side.
+fn prefix_length(prefix: &[u8]) -> Option<usize> {
+    std::str::from_utf8(prefix).ok()?.trim_matches(' ').parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::frame::tests::sample_frame;
+    use super::*;
+
+    fn framed(payload: &[u8], token: &str) -> Vec<u8> {
+        let (stated, tail): (usize, &[u8]) = match token {
+            "inside" => (payload.len() + 8, TOKEN),
+            "outside" => (payload.len(), TOKEN),
+            _ => (payload.len(), b""),
+        };
+        [format!("{stated:010}").as_bytes(), payload, tail].concat()
+    }
+
+    fn drain(decoder: &mut StreamDecoder) -> Vec<u32> {
+        let mut serials = Vec::new();
+        while let Some(item) = decoder.next_item() {
+            if let Item::Frame(f) = item {
+                serials.push(f.serial);
+            }
+        }
+        serials
+    }
+
+    #[test]
+    fn frames_decode_for_every_token_position_padding_and_split() {
+        for token in ["inside", "outside", "none"] {
+            for spaces in [false, true] {
+                let mut stream: Vec<u8> = (0..20).flat_map(|k| framed(&sample_frame(k), token)).collect();
+                if spaces {
+                    let text =
+                        format!("{:10}", sample_frame(0).len() + if token == "inside" { 8 } else { 0 });
+                    stream[..10].copy_from_slice(text.as_bytes());
+                }
+                for chunk in [1, 2, 3, 7, 97, 98, 99, 1000, 100_000] {
+                    let mut decoder = StreamDecoder::default();
+                    let mut serials = Vec::new();
+                    for part in stream.chunks(chunk) {
+                        decoder.push(part);
+                        serials.extend(drain(&mut decoder));
+                    }
+                    assert_eq!(serials, (0..20).collect::<Vec<_>>(), "{token} {chunk}");
+                    assert_eq!(decoder.skipped(), 0);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn garbage_between_frames_costs_only_the_garbage() {
+        let mut stream = Vec::new();
+        for k in 0..10 {
+            stream.extend(framed(&sample_frame(k), "outside"));
+            stream.extend(&[b'X', 0, 255, b'0', b'0', b'9', b'Z'][..(k as usize % 8).min(7)]);
+        }
+        let mut decoder = StreamDecoder::default();
+        decoder.set_streaming(true);
+        decoder.push(&stream);
+        assert_eq!(drain(&mut decoder), (0..10).collect::<Vec<_>>());
+        assert!(decoder.skipped() > 0);
+    }
+
+    #[test]
+    fn a_truncated_frame_is_lost_alone() {
+        let mut stream = framed(&sample_frame(0), "inside");
+        stream.extend(&framed(&sample_frame(1), "inside")[..60]);
+        stream.extend(framed(&sample_frame(2), "inside"));
+        stream.extend(framed(&sample_frame(3), "inside"));
+        let mut decoder = StreamDecoder::default();
+        decoder.push(&stream);
+        assert_eq!(drain(&mut decoder), [0, 2, 3]);
+        assert_eq!(decoder.skipped(), 60);
+    }
+
+    #[test]
+    fn text_replies_and_the_end_of_streaming_are_found_among_frames() {
+        let mut stream = framed(b"Streaming data enabled.\n", "none");
+        stream.extend(framed(&sample_frame(5), "inside"));
+        stream.extend(framed(b"Streaming data disabled.\n", "none"));
+        stream.extend(STOP_TOKEN);
+        let mut decoder = StreamDecoder::default();
+        decoder.push(&stream);
+        assert_eq!(decoder.next_item(), Some(Item::Text("Streaming data enabled.\n".to_owned())));
+        assert!(matches!(decoder.next_item(), Some(Item::Frame(_))));
+        assert_eq!(decoder.next_item(), Some(Item::Text("Streaming data disabled.\n".to_owned())));
+        assert_eq!(decoder.next_item(), Some(Item::Stopped));
+        assert_eq!(decoder.next_item(), None);
+    }
+
+    #[test]
+    fn a_corrupt_header_never_yields_a_frame() {
+        let mut bad = sample_frame(1);
+        bad[72..76].fill(0);
+        let mut decoder = StreamDecoder::default();
+        decoder.push(&framed(&bad, "inside"));
+        assert_eq!(decoder.next_item(), None);
+        assert!(decoder.skipped() > 0);
+    }
+}

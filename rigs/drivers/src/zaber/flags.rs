@@ -1,0 +1,59 @@
+//! Warning flags by their meaning for a measurement (firmware-notes/zaber-lsm100a.md).
+
+use wcal_core::device::DeviceErrorKind;
+
+/// What a flag forbids, and its name; `None` for notices.
+#[must_use]
+pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
+    use DeviceErrorKind as Kind;
+    Some(match flag {
+        "WR" => (Kind::NotHomed, "no reference position"),
+        "WH" => (Kind::NotHomed, "not homed"),
+        "FS" => (Kind::Stalled, "stalled and stopped"),
+        "WS" => (Kind::Stalled, "stalled and recovered"),
+        "WM" => (Kind::Displaced, "displaced when stationary"),
+        "FD" => (Kind::DriverOff, "driver disabled"),
+        "FO" => (Kind::DriverOff, "driver disabled until enabled"),
+        "FE" => (Kind::OutOfRange, "limit error"),
+        "WL" => (Kind::OutOfRange, "unexpected limit trigger"),
+        "FF" => (Kind::CriticalFault, "critical system error"),
+        "FQ" => (Kind::CriticalFault, "encoder error"),
+        "WV" => (Kind::Health, "supply voltage out of range"),
+        "WT" => (Kind::Health, "controller too hot"),
+        other if other.starts_with('F') => (Kind::CriticalFault, "a fault this program does not know"),
+        other if other.starts_with('W') => (Kind::Health, "a warning this program does not know"),
+        _ => return None,
+    })
+}
+
+/// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
+#[must_use]
+pub fn worst<'a>(flags: &'a [String], homing: bool) -> Option<(&'a str, DeviceErrorKind, &'static str)> {
+    flags.iter().find_map(|flag| {
+        let (kind, text) = meaning(flag)?;
+        let excused = homing && kind == DeviceErrorKind::NotHomed;
+        (!excused).then_some((flag.as_str(), kind, text))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn notices_pass_faults_do_not_and_unknown_faults_are_faults() {
+        assert_eq!(meaning("NC"), None);
+        assert_eq!(meaning("--"), None);
+        assert_eq!(meaning("FS").unwrap().0, DeviceErrorKind::Stalled);
+        assert_eq!(meaning("FZ").unwrap().0, DeviceErrorKind::CriticalFault);
+        assert_eq!(meaning("WX").unwrap().0, DeviceErrorKind::Health);
+    }
+
+    #[test]
+    fn a_missing_reference_is_excused_only_while_homing() {
+        let flags = ["WR".to_owned(), "NI".to_owned()];
+        assert!(worst(&flags, true).is_none());
+        assert_eq!(worst(&flags, false).unwrap().1, DeviceErrorKind::NotHomed);
+        assert_eq!(worst(&["WR".to_owned(), "FS".to_owned()], true).unwrap().0, "FS");
+    }
+}

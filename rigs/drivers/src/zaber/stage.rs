@@ -1,0 +1,175 @@
+//! A linear stage on a chain of ASCII units.
+
+use super::chain::{Answer, Chain};
+use super::flags;
+use super::units::Microsteps;
+use crate::host::HostClock;
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
+
+/// Settings that are read from a unit and kept with the session.
+const SETTINGS: [&str; 7] =
+    ["limit.min", "limit.max", "maxspeed", "accel", "resolution", "comm.alert", "system.voltage"];
+/// Longest wait for standstill after `stop`.
+const HALT: Duration = Duration::from_secs(3);
+/// Pause between polls: the line carries some 500 questions a second.
+const POLL: Duration = Duration::from_millis(5);
+
+/// One axis of a chain, in mm.
+#[derive(Debug)]
+pub struct ZaberStage {
+    chain: Rc<RefCell<Chain>>,
+    address: u8,
+    axis: u8,
+    unit: Microsteps,
+    limit_steps: i64,
+    clock: HostClock,
+    commanded_mm: Option<f64>,
+    homing: bool,
+}
+
+impl ZaberStage {
+    /// An axis of an open chain with its microstep size (the protocol does not tell it; rig.toml does).
+    ///
+    /// # Errors
+    /// When the unit does not answer or its limit is no number.
+    pub fn new(
+        chain: Rc<RefCell<Chain>>,
+        address: u8,
+        axis: u8,
+        unit: Microsteps,
+        clock: HostClock,
+    ) -> Result<Self, DeviceError> {
+        let mut stage =
+            Self { chain, address, axis, unit, limit_steps: 0, clock, commanded_mm: None, homing: false };
+        stage.limit_steps = stage.number("get limit.max")?;
+        Ok(stage)
+    }
+
+    /// The chain, for a second axis and for its statistics.
+    #[must_use]
+    pub fn chain(&self) -> Rc<RefCell<Chain>> {
+        Rc::clone(&self.chain)
+    }
+
+    fn ask(&mut self, command: &str) -> Result<Answer, DeviceError> {
+        self.chain.borrow_mut().ask(self.address, self.axis, command)
+    }
+
+    fn number(&mut self, command: &str) -> Result<i64, DeviceError> {
+        let answer = self.ask(command)?;
+        answer
+            .data
+            .parse()
+            .map_err(|_| self.fail(DeviceErrorKind::Protocol, command, "a number", &answer.data))
+    }
+
+    fn fail(&self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) -> DeviceError {
+        DeviceError::new(kind, self.chain.borrow().name(), action, expected, found)
+    }
+
+    /// All flags shown; one question only when there is one.
+    fn flags(&mut self, highest: &str) -> Result<Vec<String>, DeviceError> {
+        if highest == "--" {
+            return Ok(Vec::new());
+        }
+        let answer = self.ask("warnings")?;
+        let mut list: Vec<String> = answer.data.split_whitespace().skip(1).map(str::to_owned).collect();
+        if list.is_empty() {
+            list.push(highest.to_owned());
+        }
+        Ok(list)
+    }
+
+    /// Refuses what the flags forbid.
+    fn judge(&self, action: &str, flags: &[String]) -> Result<(), DeviceError> {
+        match flags::worst(flags, self.homing) {
+            None => Ok(()),
+            Some((flag, kind, text)) => {
+                Err(self.fail(kind, action, "no fault or warning", &format!("{flag}: {text}")))
+            }
+        }
+    }
+}
+
+impl Stage for ZaberStage {
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+        let mut get = |name: &str| self.ask(&format!("get {name}")).map(|a| a.data);
+        let (model, serial) = (get("deviceid")?, get("system.serial")?);
+        let firmware = get("version")?;
+        let mut settings = Vec::new();
+        for name in SETTINGS {
+            // Older firmware lacks some of them.
+            match get(name) {
+                Ok(value) => settings.push((name.to_owned(), value)),
+                Err(e) if e.kind == DeviceErrorKind::Rejected => {}
+                Err(e) => return Err(e),
+            }
+        }
+        settings.push(("microstep_um".to_owned(), self.unit.size_um.to_string()));
+        Ok(DeviceIdentity { driver: "zaber-ascii".to_owned(), model, serial, firmware, settings })
+    }
+
+    fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError> {
+        Ok([0.0, self.unit.to_mm(self.limit_steps as f64)])
+    }
+
+    fn start_home(&mut self) -> Result<(), DeviceError> {
+        self.homing = true;
+        self.commanded_mm = Some(0.0);
+        self.ask("home").map(|_| ())
+    }
+
+    fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+        let action = format!("move to {target_mm:.4} mm");
+        let steps = self.unit.from_mm(target_mm);
+        if !(0..=self.limit_steps).contains(&steps) || !target_mm.is_finite() {
+            let limit = format!("a target in 0..{:.3} mm", self.unit.to_mm(self.limit_steps as f64));
+            return Err(self.fail(DeviceErrorKind::OutOfRange, &action, &limit, &format!("{target_mm}")));
+        }
+        let answer = self.ask("")?;
+        let flags = self.flags(&answer.flag)?;
+        self.judge(&action, &flags)?;
+        self.ask(&format!("set maxspeed {}", self.unit.speed_data(speed_mm_s)))?;
+        self.ask(&format!("move abs {steps}"))?;
+        // What was commanded is the microstep, not the wish.
+        self.commanded_mm = Some(self.unit.to_mm(steps as f64));
+        Ok(())
+    }
+
+    fn read(&mut self) -> Result<StageReading, DeviceError> {
+        let answer = self.ask("get pos")?;
+        let host_s = self.clock.now_s();
+        let steps: f64 = answer
+            .data
+            .parse()
+            .map_err(|_| self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data))?;
+        let flags = self.flags(&answer.flag)?;
+        self.judge("read position", &flags)?;
+        if !answer.busy {
+            self.homing = false;
+        }
+        Ok(StageReading {
+            commanded_mm: self.commanded_mm,
+            measured_mm: self.unit.to_mm(steps),
+            moving: answer.busy,
+            flags,
+            clocks: Clocks { host_s, device_s: None },
+        })
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.homing = false;
+        self.ask("stop")?;
+        let end = Instant::now() + HALT;
+        while self.ask("")?.busy {
+            if Instant::now() > end {
+                return Err(self.fail(DeviceErrorKind::Timeout, "stop", "standstill", "still moving"));
+            }
+            std::thread::sleep(POLL);
+        }
+        Ok(())
+    }
+}

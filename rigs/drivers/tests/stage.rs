@@ -1,0 +1,167 @@
+//! The stage driver against the virtual stage, over TCP and the pseudo-terminal, in good and bad weather.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::Duration;
+use wcal_core::device::{DeviceErrorKind, Stage};
+use wcal_drivers::HostClock;
+use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
+use wcal_drivers::zaber::units::Microsteps;
+use wcal_drivers::zaber::{Chain, Port, ZaberBinary, ZaberStage};
+
+const UNIT: Microsteps = Microsteps { size_um: 0.047_625 };
+
+fn bench(extra: &str) -> VirtualBench {
+    let text = format!("format = \"wcal-scenario/1\"\nspeed = 10\n{extra}");
+    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+}
+
+fn tcp(bench: &VirtualBench) -> ZaberStage {
+    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string())).unwrap())
+}
+
+fn on(chain: Chain) -> ZaberStage {
+    ZaberStage::new(Rc::new(RefCell::new(chain)), 1, 1, UNIT, HostClock::start(10.0)).unwrap()
+}
+
+fn settle(stage: &mut dyn Stage) -> f64 {
+    loop {
+        let reading = stage.read().unwrap();
+        if !reading.moving {
+            return reading.measured_mm;
+        }
+        std::thread::sleep(Duration::from_millis(3));
+    }
+}
+
+const HOMED: &str = "[stage.unit]\nhomed = true";
+
+#[test]
+fn an_unreferenced_stage_is_refused_homed_and_then_moves() {
+    let bench = bench("");
+    for path in ["tcp", "pty"] {
+        let mut stage = match path {
+            "tcp" => tcp(&bench),
+            _ => on(Chain::open(&Port::Serial(bench.addresses().stage_pty.clone(), 115_200)).unwrap()),
+        };
+        if path == "tcp" {
+            assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
+            assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::NotHomed);
+        }
+        stage.start_home().unwrap();
+        assert_eq!(settle(&mut stage), 0.0);
+        stage.start_move(12.5, 20.0).unwrap();
+        assert!((settle(&mut stage) - 12.5).abs() < 2.4e-5);
+        assert_eq!(stage.start_move(120.0, 7.0).unwrap_err().kind, DeviceErrorKind::OutOfRange);
+        let identity = stage.identity().unwrap();
+        assert_eq!((identity.serial.as_str(), identity.firmware.as_str()), ("67890", "7.38"));
+        assert!((stage.travel_mm().unwrap()[1] - 101.6).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn every_flag_has_its_kind() {
+    for (fault, kind) in [
+        (Fault::Stall, DeviceErrorKind::Stalled),
+        (Fault::Limit, DeviceErrorKind::OutOfRange),
+        (Fault::Displaced, DeviceErrorKind::Displaced),
+        (Fault::DriverOff, DeviceErrorKind::DriverOff),
+        (Fault::Critical, DeviceErrorKind::CriticalFault),
+    ] {
+        let bench = bench(HOMED);
+        let mut stage = tcp(&bench);
+        stage.start_move(60.0, 5.0).unwrap();
+        stage.read().unwrap();
+        bench.inject(fault);
+        std::thread::sleep(Duration::from_millis(20));
+        assert_eq!(stage.read().unwrap_err().kind, kind, "{fault:?}");
+        stage.stop().unwrap();
+        assert_eq!(bench.true_stage().1, 0.0);
+    }
+}
+
+#[test]
+fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
+    let bench = bench(HOMED);
+    let mut stage = tcp(&bench);
+    for fault in
+        [Fault::LoseReply, Fault::CorruptReply, Fault::SplitReply, Fault::DoubleReply, Fault::NoiseReply]
+    {
+        bench.inject(fault);
+        for _ in 0..3 {
+            assert!((stage.read().unwrap().measured_mm - 37.0).abs() < 1e-4, "{fault:?}");
+        }
+    }
+    let repeats = stage.chain().borrow().repeats();
+    assert!((2..=6).contains(&repeats), "{repeats} repeats");
+    // Without faults nothing is asked twice.
+    for _ in 0..100 {
+        stage.read().unwrap();
+    }
+    assert_eq!(stage.chain().borrow().repeats(), repeats);
+}
+
+#[test]
+fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
+    let bench = bench(HOMED);
+    let mut stage = tcp(&bench);
+    stage.start_move(60.0, 5.0).unwrap();
+    bench.inject(Fault::PowerCut);
+    std::thread::sleep(Duration::from_millis(150));
+    assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::NotHomed);
+    bench.inject(Fault::UnplugStage);
+    std::thread::sleep(Duration::from_millis(30));
+    assert_eq!(stage.read().unwrap_err().kind, DeviceErrorKind::Disconnected);
+    assert!(stage.stop().is_err());
+}
+
+#[test]
+fn the_speed_of_the_line_is_found() {
+    let bench = bench("[stage]\nbaud = 9600");
+    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty).unwrap();
+    assert_eq!(baud, 9600);
+    assert!(on(chain).identity().is_ok());
+    let deaf = self::bench("[stage]\nbaud = 19200");
+    assert_eq!(Chain::probe(&deaf.addresses().stage_pty).unwrap_err().kind, DeviceErrorKind::Timeout);
+}
+
+#[test]
+fn a_binary_stage_homes_moves_and_names_its_stall() {
+    let bench = bench("[stage]\nprotocol = \"binary\"");
+    let port = Port::Tcp(bench.addresses().stage_tcp.to_string());
+    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0)).unwrap();
+    assert_eq!(stage.identity().unwrap().serial, "67890");
+    assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
+    stage.start_home().unwrap();
+    assert_eq!(settle(&mut stage), 0.0);
+    stage.start_move(10.0, 20.0).unwrap();
+    assert!((settle(&mut stage) - 10.0).abs() < 2.4e-5);
+    bench.inject(Fault::Stall);
+    stage.start_move(30.0, 20.0).unwrap();
+    let error = loop {
+        match stage.read() {
+            Ok(_) => std::thread::sleep(Duration::from_millis(5)),
+            Err(e) => break e,
+        }
+    };
+    assert_eq!(error.kind, DeviceErrorKind::Stalled);
+    stage.stop().unwrap();
+}
+
+/// 10^5 commands without a lost reply; run with `--ignored` (under a minute).
+#[test]
+#[ignore = "takes a minute"]
+fn a_hundred_thousand_commands_lose_no_reply() {
+    let bench = bench(HOMED);
+    let mut stage = tcp(&bench);
+    let start = std::time::Instant::now();
+    for k in 0..100_000 {
+        if k % 100 == 0 {
+            stage.start_move(30.0 + f64::from(k % 1000) * 0.01, 20.0).unwrap();
+        }
+        stage.read().unwrap();
+    }
+    let repeats = stage.chain().borrow().repeats();
+    println!("103000 commands, {repeats} repeated, {:.1} s", start.elapsed().as_secs_f64());
+    assert_eq!(repeats, 0);
+}

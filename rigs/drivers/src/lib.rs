@@ -3,8 +3,11 @@
 //! What is known of each device, what is assumed, and the test that pins it: `firmware-notes/`.
 
 pub mod bench;
+pub mod bench_files;
+pub mod cameras;
 pub mod host;
 pub mod hyperion;
+pub mod record;
 pub mod sm130;
 pub mod zaber;
 

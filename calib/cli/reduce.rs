@@ -1,0 +1,56 @@
+//! `wcal reduce`: rebuilds the tables of a session from its recordings.
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_session::recording::reduce::{Reduction, reduce};
+
+/// Rebuild points.csv, holdout.csv and session.toml of a recorded session from its raw streams
+#[derive(Debug, Args)]
+pub struct ReduceArgs {
+    /// Session folder with rig.toml, run.json and recording.mcap
+    pub session: PathBuf,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Reduces and reports; exit code 3 when scans were lost or a recording was cut off.
+///
+/// # Errors
+/// When the session cannot be read or written.
+pub fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
+    let result = reduce(&arguments.session)?;
+    report(&result, arguments.json)?;
+    Ok(ExitCode::from(if result.lost > 0 || result.cut_off > 0 { 3 } else { 0 }))
+}
+
+/// One line for people on stderr, or a JSON document on stdout.
+pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
+    if as_json {
+        let document = json!({
+            "format": "wcal-reduction/1", "rows": result.rows, "holdout": result.holdout,
+            "scans": result.scans, "lost_scans": result.lost, "outliers": result.outliers,
+            "cut_off": result.cut_off, "lag_s": result.lag_s,
+            "clocks": result.clocks.iter().map(|c| json!({
+                "device_minus_host_s": c.offset_s, "drift_ppm": c.drift * 1e6, "scatter_ms": c.scatter_s * 1e3
+            })).collect::<Vec<_>>(),
+        });
+        writeln!(std::io::stdout(), "{document}")?;
+        return Ok(());
+    }
+    writeln!(
+        std::io::stderr(),
+        "{} rows, {} holdout rows from {} scans ({} lost, {} marked, {} recordings cut off)",
+        result.rows,
+        result.holdout,
+        result.scans,
+        result.lost,
+        result.outliers,
+        result.cut_off
+    )?;
+    Ok(())
+}

@@ -1,0 +1,224 @@
+//! `wcal stage-sweep`: drives the stage, records all streams, reduces to points.
+
+use crate::reduce;
+use anyhow::{Context, Result, anyhow};
+use clap::Args;
+use serde_json::json;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use wcal_core::device::{DeviceError, DeviceErrorKind};
+use wcal_drivers::record::{Order, Recorded, plan_only, record};
+use wcal_session::recording::plan::{Step, draw, duration_s};
+use wcal_session::recording::sweep::{Ending, Mount, Progress};
+
+/// Drive the stage through a plan, record every stream, and reduce to a session
+#[derive(Debug, Args)]
+pub struct StageSweepArgs {
+    /// Rig file
+    #[arg(long, value_name = "rig.toml")]
+    pub rig: PathBuf,
+    /// Plan file
+    #[arg(long, value_name = "plan.toml")]
+    pub plan: PathBuf,
+    /// Session folder to make
+    #[arg(long, value_name = "SESSION", required_unless_present_any = ["resume", "dry_run"])]
+    pub out: Option<PathBuf>,
+    /// Go on with a session that was stopped
+    #[arg(long, value_name = "SESSION", conflicts_with = "out")]
+    pub resume: Option<PathBuf>,
+    /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
+    #[arg(long, value_name = "ADDRESSES.json")]
+    pub bench: Option<PathBuf>,
+    /// Search the stage's reference where it has none (moves to the home switch)
+    #[arg(long)]
+    pub home: bool,
+    /// Check limits and print the path; nothing moves
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or Ctrl-C (the session is intact), 3 finished with lost scans or
+/// windows that did not settle.
+///
+/// # Errors
+/// When rig, plan, folder or devices cannot be used.
+pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
+    let read = |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let (mut rig, plan) = (read(&arguments.rig)?, read(&arguments.plan)?);
+    if let Some(bench) = &arguments.bench {
+        rig = with_addresses(&rig, &read(bench)?).with_context(|| format!("addresses in {}", bench.display()))?;
+    }
+    if arguments.dry_run {
+        return dry_run(&rig, &plan, arguments.json);
+    }
+    let (resume, folder) = match (&arguments.resume, &arguments.out) {
+        (Some(folder), _) => (true, folder.clone()),
+        (None, Some(folder)) => (false, folder.clone()),
+        (None, None) => return Err(anyhow!("expected --out SESSION or --resume SESSION, found neither")),
+    };
+    let interrupt = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupt);
+    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
+    let order = Order {
+        rig,
+        plan,
+        folder,
+        resume,
+        home: arguments.home,
+        created: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+        command: std::env::args().collect(),
+    };
+    let mut view = View::new();
+    let recorded = record(&order, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    view.end();
+    report(&recorded, arguments.json)?;
+    Ok(ExitCode::from(recorded.sweep.exit_code()))
+}
+
+/// Puts the addresses of a virtual bench into a rig.
+fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
+    let addresses: serde_json::Value = serde_json::from_str(addresses)?;
+    let text = |pointer: &str| {
+        let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);
+        value.map(str::to_owned).ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
+    };
+    let mut rig: toml::Table = rig.parse()?;
+    let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
+        let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
+        value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
+    };
+    let mut stage = table(&mut rig, "stage")?;
+    stage.insert("port".to_owned(), format!("tcp://{}", text("/stage_tcp")?).into());
+    let mut interrogator = table(&mut rig, "interrogator")?;
+    if interrogator.get("driver").and_then(toml::Value::as_str) == Some("hyperion") {
+        interrogator.insert("address".to_owned(), text("/hyperion/commands")?.into());
+        interrogator.insert("peaks_address".to_owned(), text("/hyperion/peaks")?.into());
+    } else {
+        interrogator.insert("address".to_owned(), text("/sm130")?.into());
+    }
+    rig.insert("stage".to_owned(), stage.into());
+    rig.insert("interrogator".to_owned(), interrogator.into());
+    Ok(toml::to_string(&rig)?)
+}
+
+fn dry_run(rig: &str, plan: &str, as_json: bool) -> Result<ExitCode> {
+    let (rig, plan, steps) = plan_only(rig, plan)?;
+    let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
+    let time_s = duration_s(&steps, &rig, &plan);
+    if as_json {
+        let document = json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
+        writeln!(std::io::stdout(), "{document}")?;
+    } else {
+        let mut out = std::io::stderr();
+        write!(out, "{}", draw(&steps, &rig))?;
+        writeln!(out, "{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn report(recorded: &Recorded, as_json: bool) -> Result<()> {
+    let sweep = &recorded.sweep;
+    let (ending, cause) = match &sweep.ending {
+        Ending::Finished => ("finished", None),
+        Ending::Stopped { cause, .. } => ("stopped", Some(cause)),
+    };
+    if as_json {
+        let document = json!({
+            "format": "wcal-sweep/1", "ending": ending,
+            "cause": cause.map(|c| json!({"kind": c.kind.name(), "text": c.to_string()})),
+            "stage_stopped": match sweep.ending { Ending::Stopped { stage_stopped, .. } => stage_stopped, Ending::Finished => true },
+            "steps_done": sweep.done, "unsettled": sweep.unsettled, "scans": sweep.counts.scans,
+            "gaps": sweep.counts.gaps, "lost_scans": sweep.counts.lost, "stage_repeats": recorded.repeats,
+            "rows": recorded.reduction.as_ref().map(|r| r.rows), "holdout": recorded.reduction.as_ref().map(|r| r.holdout),
+            "lag_s": recorded.reduction.as_ref().map(|r| &r.lag_s),
+        });
+        writeln!(std::io::stdout(), "{document}")?;
+        return Ok(());
+    }
+    let mut out = std::io::stderr();
+    if let Some(cause) = cause {
+        writeln!(out, "stopped: {cause}")?;
+        writeln!(out, "go on with: wcal stage-sweep --resume SESSION (same rig and plan)")?;
+    }
+    writeln!(
+        out,
+        "{} steps; {} scans, {} lost in {} gaps; {} windows not settled; {} questions to the stage repeated",
+        sweep.done, sweep.counts.scans, sweep.counts.lost, sweep.counts.gaps, sweep.unsettled, recorded.repeats
+    )?;
+    recorded.reduction.as_ref().map_or(Ok(()), |r| reduce::report(r, false))
+}
+
+/// A mount that a person turns.
+struct ByHand;
+
+impl Mount for ByHand {
+    fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
+        let refuse = |kind, found: &str| {
+            DeviceError::new(kind, "mount", "turn by hand", "a person at the terminal", found)
+        };
+        if !std::io::stdin().is_terminal() {
+            return Err(refuse(DeviceErrorKind::Configuration, "an input that is no terminal"));
+        }
+        let prompt = format!("\nturn the mount to trajectory {trajectory}, then press Enter ");
+        // Without a terminal to write to there is nobody to read it either.
+        let _ = std::io::stderr().write_all(prompt.as_bytes());
+        let mut line = String::new();
+        match std::io::stdin().lock().read_line(&mut line) {
+            Ok(n) if n > 0 => Ok(()),
+            _ => Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
+        }
+    }
+}
+
+/// Terminal view: position, wavelengths, rate, losses, time left.
+struct View {
+    start: Instant,
+    shown: Option<Instant>,
+    first: Option<(Instant, u64)>,
+    live: bool,
+}
+
+impl View {
+    fn new() -> Self {
+        Self { start: Instant::now(), shown: None, first: None, live: std::io::stderr().is_terminal() }
+    }
+
+    fn show(&mut self, p: &Progress) {
+        let period = if self.live { Duration::from_millis(200) } else { Duration::from_secs(10) };
+        if self.shown.is_some_and(|t| t.elapsed() < period) {
+            return;
+        }
+        self.shown = Some(Instant::now());
+        let (since, scans) = *self.first.get_or_insert((Instant::now(), p.counts.scans));
+        let rate = (p.counts.scans - scans) as f64 / since.elapsed().as_secs_f64().max(1e-3);
+        let left = match p.step {
+            0 => "?".to_owned(),
+            step => {
+                let each = self.start.elapsed().as_secs_f64() / step as f64;
+                format!("{:.0} s", each * (p.steps - step) as f64)
+            }
+        };
+        let nm = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |nm| format!("{nm:.4}"));
+        let [reference, first, second] = p.wavelengths_nm.map(nm);
+        let line = format!(
+            "step {}/{} at {:+.3} mm  ref {reference} fbg {first} {second} nm  {rate:.0}/s  {} lost  {left} left",
+            p.step, p.steps, p.stage_mm, p.counts.lost
+        );
+        let text = if self.live { format!("\r{line}\x1b[K") } else { format!("{line}\n") };
+        // A view that cannot be shown must not stop a sweep.
+        let _ = std::io::stderr().write_all(text.as_bytes());
+    }
+
+    fn end(&self) {
+        if self.live {
+            let _ = std::io::stderr().write_all(b"\n");
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
+
+use super::assign::ChannelMap;
+use super::clocks::{ClockFit, ClockPair};
+use super::error::RecordingError;
+use super::lag;
+use super::message::{StagePosition, SweepEvent};
+use super::replay::{End, Message, read};
+use super::rig::Rig;
+use super::run_file::RunFile;
+use super::tables::{self, Row};
+use super::windows::Samples;
+use crate::write_atomic;
+use std::path::{Path, PathBuf};
+
+/// Length of the window of a row on the fly, s.
+const MOVING_WINDOW_S: f64 = 0.02;
+
+/// What a reduction made.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Reduction {
+    /// Rows of points.csv by role: rest, calibration, verification.
+    pub rows: usize,
+    /// Rows of holdout.csv.
+    pub holdout: usize,
+    /// Scans read.
+    pub scans: u64,
+    /// Scans missing by their running number.
+    pub lost: u64,
+    /// Marked samples.
+    pub outliers: usize,
+    /// Recordings that were cut off.
+    pub cut_off: usize,
+    /// Delay of the interrogator behind the stage at each sync move, s.
+    pub lag_s: Vec<f64>,
+    /// Clock fits, one a recording.
+    pub clocks: Vec<ClockFit>,
+}
+
+/// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
+#[must_use]
+pub fn recordings(folder: &Path) -> Vec<PathBuf> {
+    let first = std::iter::once(folder.join("recording.mcap"));
+    let later = (2..1000).map(|k| folder.join(format!("recording-{k}.mcap")));
+    first.chain(later).take_while(|p| p.exists()).collect()
+}
+
+/// Rebuilds the tables of a recorded session.
+///
+/// # Errors
+/// When rig, run file or recording cannot be read, or nothing was recorded.
+pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read_to_string(&path).map_err(RecordingError::io("reading", &path))
+    };
+    let rig = Rig::parse("rig.toml", &text("rig.toml")?)?;
+    let run = RunFile::parse(&text("run.json")?)?;
+    let parts = recordings(folder);
+    if parts.is_empty() {
+        let place = folder.display().to_string();
+        return Err(RecordingError::input(place, "recording.mcap", "none"));
+    }
+    let mut result = Reduction::default();
+    let mut rows = Vec::new();
+    let mut origin_s = None;
+    for part in &parts {
+        reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?;
+    }
+    let files = tables::write_tables(&rig, &rows)?;
+    for (name, bytes) in &files {
+        write_atomic(&folder.join(name), bytes).map_err(|e| RecordingError::Recorder(e.to_string()))?;
+    }
+    let names: Vec<String> =
+        parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
+    let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
+    let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
+    write_atomic(&folder.join("session.toml"), session.as_bytes())
+        .map_err(|e| RecordingError::Recorder(e.to_string()))?;
+    result.holdout = rows.iter().filter(|r| r.role == "holdout").count();
+    result.rows = rows.len() - result.holdout;
+    result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
+    Ok(result)
+}
+
+/// A window in device time, waiting for its samples.
+struct Window {
+    begin_s: f64,
+    end_s: f64,
+    event: usize,
+    samples: Samples,
+}
+
+fn reduce_part(
+    path: &Path,
+    rig: &Rig,
+    origin_s: &mut Option<f64>,
+    rows: &mut Vec<Row>,
+    result: &mut Reduction,
+) -> Result<(), RecordingError> {
+    // First pass: what was done, where the stage was, how the clocks ran.
+    let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::default());
+    let mut next_serial: Option<u64> = None;
+    let end = read(path, |message| match message {
+        Message::Scan(scan) => {
+            clocks.add(scan.host_s, scan.device_s);
+            origin_s.get_or_insert(scan.device_s);
+            result.scans += 1;
+            result.lost += next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
+            next_serial = Some(scan.serial + 1);
+        }
+        Message::Stage(reading) => stage.push(reading),
+        Message::Event(event) => events.push(event),
+        Message::Other(..) => {}
+    })?;
+    result.cut_off += usize::from(end != End::Closed);
+    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(()) };
+    result.clocks.push(fit);
+    let track = Track::new(&stage, &fit, rig.stage.zero_mm);
+    let mut windows = windows_of(&events);
+    windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+    // Second pass: samples into their windows.
+    let map = ChannelMap::new(rig);
+    let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
+    let mut sync_signals = vec![Vec::new(); syncs.len()];
+    read(path, |message| {
+        let Message::Scan(scan) = message else { return };
+        let t_s = scan.device_s;
+        for (sync, signal) in syncs.iter().zip(&mut sync_signals) {
+            if (sync.begin_s..=sync.end_s).contains(&t_s)
+                && let Some([a, b]) = map.assign(&scan.reading()).usable()
+            {
+                signal.push((t_s, a, b));
+            }
+        }
+        let from = windows.partition_point(|w| w.end_s < t_s);
+        // Windows on the fly may touch each other; none is longer than a settled one.
+        for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
+            if t_s > window.end_s {
+                continue;
+            }
+            let assigned = map.assign(&scan.reading());
+            match assigned.usable() {
+                Some(sensing) => {
+                    window.samples.serials.push(scan.serial);
+                    window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
+                    window.samples.sensing_nm[0].push(sensing[0]);
+                    window.samples.sensing_nm[1].push(sensing[1]);
+                }
+                None => window.samples.unusable += 1,
+            }
+        }
+    })?;
+    for signal in &sync_signals {
+        result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
+    }
+    for window in windows {
+        let event = &events[window.event];
+        rows.extend(row_of(rig, event, &window, &track, origin_s));
+    }
+    Ok(())
+}
+
+fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
+    let mut windows = Vec::new();
+    for (index, event) in events.iter().enumerate() {
+        match event.kind.as_str() {
+            "window" => windows.push(Window {
+                begin_s: event.begin_s,
+                end_s: event.end_s,
+                event: index,
+                samples: Samples::default(),
+            }),
+            "moving" if event.rows_hz > 0.0 => {
+                let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
+                let mut centre_s = event.begin_s + half_s;
+                while centre_s + half_s <= event.end_s {
+                    windows.push(Window {
+                        begin_s: centre_s - half_s,
+                        end_s: centre_s + half_s,
+                        event: index,
+                        samples: Samples::default(),
+                    });
+                    centre_s += 1.0 / event.rows_hz;
+                }
+            }
+            _ => {}
+        }
+    }
+    windows
+}
+
+fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_s: f64) -> Option<Row> {
+    let mean = window.samples.mean()?;
+    let moving = event.kind == "moving";
+    let (t_s, stage_mm, speed_mm_s) = if moving {
+        let centre_s = (window.begin_s + window.end_s) / 2.0;
+        let (mm, speed) = track.at(centre_s)?;
+        (centre_s, mm, speed.abs())
+    } else {
+        (window.end_s, track.mean(window.begin_s, window.end_s)?, 0.0)
+    };
+    let loaded = event.role != "rest" && stage_mm >= 0.0;
+    Some(Row {
+        role: event.role.clone(),
+        trajectory: event.trajectory,
+        replicate: event.replicate,
+        t_s: t_s - origin_s,
+        stage_mm,
+        direction: event.direction,
+        speed_mm_s,
+        dwell_s: if moving { 0.0 } else { window.end_s - event.arrived_s },
+        groove_mm: rig.trajectory(event.trajectory).filter(|_| loaded).map(|t| t.groove_mm(stage_mm)),
+        settled: event.settled || moving,
+        unusable: window.samples.unusable,
+        serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
+        mean,
+    })
+}
+
+/// Stage depth (mm) in device time.
+struct Track {
+    points: Vec<(f64, f64)>,
+}
+
+impl Track {
+    fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
+        let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
+        Self { points }
+    }
+
+    /// Depth (mm) and speed (mm/s) by interpolation; `None` outside the recording.
+    fn at(&self, t_s: f64) -> Option<(f64, f64)> {
+        let after = self.points.partition_point(|p| p.0 <= t_s);
+        let (a, b) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
+        let speed = (b.1 - a.1) / (b.0 - a.0);
+        Some((a.1 + speed * (t_s - a.0), speed))
+    }
+
+    /// Mean depth over a window, or the nearest reading before its end, mm.
+    fn mean(&self, begin_s: f64, end_s: f64) -> Option<f64> {
+        let (from, to) =
+            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
+        if from < to {
+            let inside = &self.points[from..to];
+            return Some(inside.iter().map(|p| p.1).sum::<f64>() / inside.len() as f64);
+        }
+        self.points.get(to.saturating_sub(1)).map(|p| p.1)
+    }
+}

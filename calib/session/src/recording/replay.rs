@@ -1,0 +1,111 @@
+//! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
+
+use super::error::RecordingError;
+use super::message::{Scan, StagePosition, SweepEvent, topic};
+use mcap::sans_io::linear_reader::LinearReaderOptions;
+use mcap::sans_io::message_reader::{MessageReadEvent, MessageReader};
+use prost::Message as _;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// One message of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message {
+    /// A scan.
+    Scan(Scan),
+    /// A stage reading.
+    Stage(StagePosition),
+    /// An event of the sweep.
+    Event(SweepEvent),
+    /// Anything else: topic and host time, s.
+    Other(String, f64),
+}
+
+/// How a recording ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum End {
+    /// Closed properly.
+    Closed,
+    /// Cut off; everything before was given.
+    CutOff(String),
+}
+
+/// Gives every message in file order to `take`.
+///
+/// # Errors
+/// When the file cannot be opened, is no MCAP file, or holds a message that cannot be decoded.
+pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, RecordingError> {
+    let mut file = File::open(path).map_err(RecordingError::io("opening", path))?;
+    let mut reader =
+        MessageReader::new_with_options(LinearReaderOptions::default().with_validate_chunk_crcs(true));
+    let mut any = false;
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(MessageReadEvent::ReadRequest(need)) => {
+                let count = file.read(reader.insert(need)).map_err(RecordingError::io("reading", path))?;
+                any |= count > 0;
+                reader.notify_read(count);
+            }
+            Ok(MessageReadEvent::Message(message)) => {
+                take(decode(path, &message)?);
+            }
+            Err(mcap::McapError::BadMagic) if !any => {
+                let found = "a file that does not begin like one".to_owned();
+                return Err(RecordingError::input(path.display().to_string(), "an MCAP file", found));
+            }
+            Err(e @ mcap::McapError::BadMagic) => {
+                let size = file.metadata().map(|m| m.len()).unwrap_or(0);
+                if size < 16 || !begins_like_mcap(path) {
+                    return Err(RecordingError::input(
+                        path.display().to_string(),
+                        "an MCAP file",
+                        "other bytes",
+                    ));
+                }
+                return Ok(End::CutOff(e.to_string()));
+            }
+            Err(e) => return Ok(End::CutOff(e.to_string())),
+        }
+    }
+    Ok(End::Closed)
+}
+
+fn begins_like_mcap(path: &Path) -> bool {
+    let mut magic = [0_u8; 8];
+    File::open(path).and_then(|mut f| f.read_exact(&mut magic)).is_ok() && magic == *mcap::MAGIC
+}
+
+fn decode(path: &Path, message: &mcap::Message<'_>) -> Result<Message, RecordingError> {
+    let topic = message.channel.topic.as_str();
+    let bytes = &*message.data;
+    let bad = |e: prost::DecodeError| {
+        RecordingError::input(
+            format!("{}: {topic}", path.display()),
+            "a message of its schema",
+            e.to_string(),
+        )
+    };
+    Ok(match topic {
+        topic::SCAN => Message::Scan(Scan::decode(bytes).map_err(bad)?),
+        topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
+        topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
+        other => Message::Other(other.to_owned(), message.log_time as f64 * 1e-9),
+    })
+}
+
+/// Steps that a recording has completed; a sweep that is resumed leaves them out.
+///
+/// # Errors
+/// As for [`read`].
+pub fn completed_steps(path: &Path) -> Result<Vec<u32>, RecordingError> {
+    let mut done = Vec::new();
+    read(path, |message| {
+        if let Message::Event(event) = message
+            && event.kind == "done"
+        {
+            done.push(event.step);
+        }
+    })?;
+    Ok(done)
+}

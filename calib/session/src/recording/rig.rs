@@ -1,0 +1,328 @@
+//! `rig.toml`: what stands on the bench. Parts that belong to the session are copied into it as they are.
+
+use super::error::RecordingError;
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+/// `format` of a rig file.
+pub const RIG_FORMAT: &str = "wcal-rig/1";
+
+/// A rig; keys of other programs (tags, groove, camera calibration) are kept, not read.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Rig {
+    /// `wcal-rig/1`.
+    pub format: String,
+    /// Name.
+    pub name: String,
+    /// Host seconds per wall second; other than 1 only beside an accelerated virtual bench.
+    #[serde(default = "unity")]
+    pub clock_scale: f64,
+    /// Linear stage.
+    pub stage: StageRig,
+    /// How the whisker is turned to a trajectory.
+    #[serde(default)]
+    pub mount: MountRig,
+    /// Interrogator and gratings.
+    pub interrogator: InterrogatorRig,
+    /// Cameras, in pairs.
+    #[serde(default)]
+    pub camera: Vec<CameraRig>,
+    /// Largest skew within a pair, ms.
+    #[serde(default = "default_skew_ms")]
+    pub camera_skew_limit_ms: f64,
+    /// Paths of the groove.
+    pub trajectory: Vec<TrajectoryRig>,
+    /// `[whisker]` of the session.
+    pub whisker: toml::Table,
+    /// `[moments]` of the session.
+    #[serde(default)]
+    pub moments: Option<toml::Table>,
+    /// Temperature coefficients for `[fbg]` of the session.
+    #[serde(default)]
+    pub fbg: toml::Table,
+}
+
+fn unity() -> f64 {
+    1.0
+}
+
+fn default_skew_ms() -> f64 {
+    2.0
+}
+
+/// The linear stage.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageRig {
+    /// `zaber-ascii` or `zaber-binary`.
+    pub driver: String,
+    /// `tcp://host:port` or the path of a serial port.
+    pub port: String,
+    /// Line speed; absent: probed.
+    pub baud: Option<u32>,
+    /// Address on the chain.
+    #[serde(default = "first")]
+    pub address: u8,
+    /// Axis.
+    #[serde(default = "first")]
+    pub axis: u8,
+    /// Microstep size, um.
+    pub microstep_um: f64,
+    /// Travel, mm; compared with what the unit says.
+    pub travel_mm: f64,
+    /// Positions the rig allows, mm of the stage's own scale.
+    pub soft_limits_mm: [f64; 2],
+    /// Stage position at `stage_mm = 0` of the session, mm.
+    pub zero_mm: f64,
+    /// Highest speed, mm/s.
+    pub speed_mm_s: f64,
+    /// `one-sided`: arrive from the retracted side always; `direct`.
+    #[serde(default)]
+    pub approach: Approach,
+    /// Overshoot of a one-sided approach, mm.
+    #[serde(default = "half")]
+    pub approach_mm: f64,
+    /// Safe retract, mm relative to the zero (negative: away from the wire).
+    pub retract_mm: f64,
+}
+
+fn first() -> u8 {
+    1
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+/// How a position is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Approach {
+    /// Straight to the target.
+    #[default]
+    Direct,
+    /// Targets that lie behind are passed and approached again in the direction of loading.
+    OneSided,
+}
+
+/// How the whisker is turned.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Default)]
+pub enum MountRig {
+    /// By hand, on request.
+    #[default]
+    Manual,
+    /// A second unit on the stage's chain.
+    Zaber {
+        /// Address.
+        address: u8,
+        /// Microsteps of trajectory 1, 2, ...: `id * steps_per_trajectory`.
+        steps_per_trajectory: i64,
+        /// Microstep size, um.
+        microstep_um: f64,
+        /// Speed, mm/s.
+        speed_mm_s: f64,
+    },
+}
+
+/// The interrogator.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InterrogatorRig {
+    /// `sm130` or `hyperion`.
+    pub driver: String,
+    /// `host:port` of the commands.
+    pub address: String,
+    /// `host:port` of the Hyperion's peaks.
+    pub peaks_address: Option<String>,
+    /// Scan rate, Hz.
+    pub rate_hz: f64,
+    /// Gratings: `fbg_ref`, `fbg_1`, `fbg_2`.
+    pub grating: Vec<GratingRig>,
+}
+
+/// A grating.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GratingRig {
+    /// `fbg_ref`, `fbg_1` or `fbg_2`.
+    pub name: String,
+    /// Optical channel, from 1.
+    pub channel: usize,
+    /// Wavelength at rest, nm.
+    pub nominal_nm: f64,
+    /// Farthest a peak may be from the nominal wavelength, nm.
+    pub window_nm: f64,
+}
+
+/// A camera.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraRig {
+    /// `folder`, `net` or `v4l2`.
+    pub driver: String,
+    /// Folder, `host:port` or device path.
+    pub source: String,
+    /// Exposure, ms.
+    pub exposure_ms: Option<f64>,
+    /// Gain, dB.
+    pub gain_db: Option<f64>,
+    /// Calibration file.
+    pub calibration: Option<String>,
+}
+
+/// A path of the groove, base frame.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrajectoryRig {
+    /// Identifier.
+    pub id: u32,
+    /// Groove centre at stage zero, mm.
+    pub origin_mm: [f64; 3],
+    /// Direction of travel.
+    pub direction: [f64; 3],
+    /// Arc length of first contact, mm.
+    pub nominal_arclength_mm: Option<f64>,
+}
+
+impl TrajectoryRig {
+    /// Groove centre (mm, base frame) at a depth of `stage_mm`.
+    #[must_use]
+    pub fn groove_mm(&self, stage_mm: f64) -> Vector3<f64> {
+        Vector3::from(self.origin_mm) + Vector3::from(self.direction).normalize() * stage_mm
+    }
+}
+
+impl Rig {
+    /// Parses and checks a rig.
+    ///
+    /// # Errors
+    /// Field, what was expected and what was found; `place` names the file.
+    pub fn parse(place: &str, text: &str) -> Result<Self, RecordingError> {
+        let rig: Self = toml::from_str(text)
+            .map_err(|e| RecordingError::input(place, "a rig file", e.to_string().trim()))?;
+        let fail = |field: &str, expected: &str, found: String| {
+            Err(RecordingError::input(format!("{place}: {field}"), expected, found))
+        };
+        let s = &rig.stage;
+        let [low, high] = s.soft_limits_mm;
+        if rig.format != RIG_FORMAT {
+            return fail("format", RIG_FORMAT, rig.format);
+        }
+        if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
+            return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
+        }
+        if !(s.speed_mm_s > 0.0 && s.microstep_um > 0.0 && rig.clock_scale > 0.0) {
+            return fail("stage", "speed, microstep and clock scale above 0", format!("{s:?}"));
+        }
+        for name in ["fbg_1", "fbg_2"] {
+            if rig.grating(name).is_none() {
+                return fail("interrogator.grating", "gratings fbg_1 and fbg_2", format!("no {name}"));
+            }
+        }
+        if let Some(odd) = rig.interrogator.grating.iter().find(|g| g.channel == 0 || g.window_nm <= 0.0) {
+            return fail("interrogator.grating", "a channel from 1 and a window above 0", odd.name.clone());
+        }
+        for (k, t) in rig.trajectory.iter().enumerate() {
+            if !(Vector3::from(t.direction).norm() > 1e-6) {
+                return fail("trajectory.direction", "a direction", format!("{:?}", t.direction));
+            }
+            if rig.trajectory[..k].iter().any(|other| other.id == t.id) {
+                return fail("trajectory.id", "different identifiers", t.id.to_string());
+            }
+        }
+        Ok(rig)
+    }
+
+    /// A grating by name.
+    #[must_use]
+    pub fn grating(&self, name: &str) -> Option<&GratingRig> {
+        self.interrogator.grating.iter().find(|g| g.name == name)
+    }
+
+    /// A trajectory by identifier.
+    #[must_use]
+    pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
+        self.trajectory.iter().find(|t| t.id == id)
+    }
+
+    /// Checks a depth (mm from the zero) against the soft limits and the unit's travel.
+    ///
+    /// # Errors
+    /// What is allowed and what was asked for.
+    pub fn check_depth(&self, what: &str, depth_mm: f64, travel_mm: [f64; 2]) -> Result<(), RecordingError> {
+        let position = self.stage.zero_mm + depth_mm;
+        let low = self.stage.soft_limits_mm[0].max(travel_mm[0]);
+        let high = self.stage.soft_limits_mm[1].min(travel_mm[1]);
+        if (low..=high).contains(&position) {
+            return Ok(());
+        }
+        let expected = format!("a stage position in {low:.3}..{high:.3} mm");
+        Err(RecordingError::input(what, expected, format!("{position:.3} mm")))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) const RIG: &str = r#"
+format = "wcal-rig/1"
+name = "virtual"
+[stage]
+driver = "zaber-ascii"
+port = "tcp://127.0.0.1:1"
+microstep_um = 0.047625
+travel_mm = 101.6
+soft_limits_mm = [0, 40]
+zero_mm = 20
+speed_mm_s = 7
+retract_mm = -2
+[interrogator]
+driver = "sm130"
+address = "127.0.0.1:2"
+rate_hz = 2000
+grating = [
+  { name = "fbg_ref", channel = 1, nominal_nm = 1537.3, window_nm = 0.7 },
+  { name = "fbg_1", channel = 1, nominal_nm = 1541.2, window_nm = 1.5 },
+  { name = "fbg_2", channel = 1, nominal_nm = 1535.8, window_nm = 0.7 },
+]
+[[trajectory]]
+id = 1
+origin_mm = [18, 0, 0]
+direction = [0, 0, 1]
+[whisker]
+diameter_mm = 0.3
+length_mm = 60.0
+straight_mm = 30.0
+arc_radius_mm = 20.0
+youngs_gpa = 75.0
+shear_gpa = 28.2
+"#;
+
+    #[test]
+    fn a_rig_is_read_and_its_limits_hold() {
+        let rig = Rig::parse("rig.toml", RIG).unwrap();
+        assert!(rig.check_depth("x", 20.0, [0.0, 101.6]).is_ok());
+        assert!(rig.check_depth("x", 20.1, [0.0, 101.6]).is_err());
+        assert!(rig.check_depth("x", 15.0, [0.0, 30.0]).is_err());
+        assert_eq!(rig.trajectory(1).unwrap().groove_mm(2.0), Vector3::new(18.0, 0.0, 2.0));
+    }
+
+    #[test]
+    fn rigs_that_make_no_sense_are_refused_by_field() {
+        for (from, to, field) in [
+            ("wcal-rig/1", "wcal-rig/2", "format"),
+            ("[0, 40]", "[40, 0]", "soft_limits_mm"),
+            ("[0, 40]", "[0, 400]", "soft_limits_mm"),
+            ("\"fbg_2\"", "\"fbg_9\"", "grating"),
+            ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
+            ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
+            ("retract_mm = -2", "retrct_mm = -2", "rig file"),
+        ] {
+            let error = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(field), "{field}: {error}");
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! `run.json`: who recorded a session, with what, and when. Written before the first move.
+
+use super::error::RecordingError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use wcal_core::device::DeviceIdentity;
+
+/// `format` of the file.
+pub const RUN_FORMAT: &str = "wcal-run/1";
+
+/// Everything about a run that the raw streams do not hold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunFile {
+    /// `wcal-run/1`.
+    pub format: String,
+    /// Session identifier.
+    pub id: String,
+    /// Medium.
+    pub medium: String,
+    /// Time of creation, RFC 3339.
+    pub created: String,
+    /// Program and version.
+    pub program: String,
+    /// Command line.
+    pub command: Vec<String>,
+    /// Hash of rig.toml.
+    pub rig_sha256: String,
+    /// Hash of plan.toml.
+    pub plan_sha256: String,
+    /// Devices by role.
+    pub devices: BTreeMap<String, DeviceIdentity>,
+    /// Host seconds per wall second; other than 1: recorded on a virtual bench.
+    pub clock_scale: f64,
+}
+
+impl RunFile {
+    /// Parses the file.
+    ///
+    /// # Errors
+    /// What was expected and what was found.
+    pub fn parse(text: &str) -> Result<Self, RecordingError> {
+        let run: Self = serde_json::from_str(text)
+            .map_err(|e| RecordingError::input("run.json", "a run file", e.to_string()))?;
+        if run.format == RUN_FORMAT {
+            return Ok(run);
+        }
+        Err(RecordingError::input("run.json: format", RUN_FORMAT, run.format))
+    }
+}

@@ -1,0 +1,126 @@
+//! Samples of one averaging window: mean, spread, marked outliers.
+
+/// A sample farther than this many robust standard deviations from the median is marked, not averaged.
+const OUTLIER_SIGMA: f64 = 8.0;
+/// Median absolute deviation to standard deviation of a normal distribution.
+const MAD_TO_SD: f64 = 1.4826;
+
+/// Samples of one window: scan number, reference and sensing gratings, nm.
+#[derive(Debug, Clone, Default)]
+pub struct Samples {
+    /// Scan numbers.
+    pub serials: Vec<u64>,
+    /// Reference grating; NaN where it has no peak.
+    pub reference_nm: Vec<f64>,
+    /// Sensing gratings.
+    pub sensing_nm: [Vec<f64>; 2],
+    /// Scans without both sensing gratings.
+    pub unusable: u32,
+}
+
+/// Mean of a window.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WindowMean {
+    /// Reference grating, nm, where there is one.
+    pub reference_nm: Option<f64>,
+    /// Spread of its single samples, pm.
+    pub reference_sd_pm: f64,
+    /// Sensing gratings, nm.
+    pub sensing_nm: [f64; 2],
+    /// Spread of single samples, pm.
+    pub sensing_sd_pm: [f64; 2],
+    /// Samples averaged.
+    pub samples: usize,
+    /// Indices of marked samples.
+    pub outliers: Vec<usize>,
+}
+
+impl Samples {
+    /// The mean; `None` without two samples.
+    #[must_use]
+    pub fn mean(&self) -> Option<WindowMean> {
+        let mut marked = vec![false; self.serials.len()];
+        for values in &self.sensing_nm {
+            mark(values, &mut marked);
+        }
+        let keep = |values: &[f64]| -> Vec<f64> {
+            values.iter().zip(&marked).filter(|(v, m)| !**m && v.is_finite()).map(|(v, _)| *v).collect()
+        };
+        let sensing = [keep(&self.sensing_nm[0]), keep(&self.sensing_nm[1])];
+        if sensing[0].len() < 2 {
+            return None;
+        }
+        let (a, b) = (mean_sd(&sensing[0]), mean_sd(&sensing[1]));
+        let reference = keep(&self.reference_nm);
+        let r = (reference.len() >= 2).then(|| mean_sd(&reference));
+        Some(WindowMean {
+            reference_nm: r.map(|r| r.0),
+            reference_sd_pm: r.map_or(0.0, |r| r.1 * 1e3),
+            sensing_nm: [a.0, b.0],
+            sensing_sd_pm: [a.1 * 1e3, b.1 * 1e3],
+            samples: sensing[0].len(),
+            outliers: (0..marked.len()).filter(|k| marked[*k]).collect(),
+        })
+    }
+}
+
+fn mark(values: &[f64], marked: &mut [bool]) {
+    let centre = median(values.to_vec());
+    let deviation = median(values.iter().map(|v| (v - centre).abs()).collect());
+    // Quantised data can have a deviation of zero; then nothing stands out.
+    let limit = OUTLIER_SIGMA * MAD_TO_SD * deviation;
+    if limit > 0.0 {
+        for (value, mark) in values.iter().zip(marked) {
+            *mark |= (value - centre).abs() > limit;
+        }
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+fn mean_sd(values: &[f64]) -> (f64, f64) {
+    // About the first value: absolute wavelengths leave few digits for picometres.
+    let first = values[0];
+    let n = values.len() as f64;
+    let mean = values.iter().map(|v| v - first).sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - first - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (first + mean, variance.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Samples;
+
+    fn samples(spike_pm: f64) -> Samples {
+        let wave = |k: usize, nm: f64| nm + 1e-3 * ((k * 37 % 101) as f64 / 50.0 - 1.0);
+        let mut s = Samples {
+            serials: (0..200).collect(),
+            reference_nm: (0..200).map(|k| wave(k, 1537.3)).collect(),
+            sensing_nm: [1541.2, 1535.8].map(|nm| (0..200).map(|k| wave(k + 3, nm)).collect()),
+            unusable: 0,
+        };
+        s.sensing_nm[1][50] += spike_pm * 1e-3;
+        s
+    }
+
+    #[test]
+    fn a_spike_is_marked_and_leaves_the_mean_alone() {
+        let clean = samples(0.0).mean().unwrap();
+        let spiked = samples(300.0).mean().unwrap();
+        assert!(clean.outliers.is_empty());
+        assert_eq!((spiked.outliers, spiked.samples), (vec![50], 199));
+        assert!((spiked.sensing_nm[1] - clean.sensing_nm[1]).abs() < 2e-5);
+        assert!((clean.sensing_sd_pm[0] - 0.58).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_window_without_samples_has_no_mean() {
+        assert!(Samples::default().mean().is_none());
+    }
+}

@@ -1,0 +1,11 @@
+//! Cameras: folders of pictures, the network stream of the virtual bench, and pairs with their skew.
+//!
+//! What is assumed of each: firmware-notes/cameras.md.
+
+pub mod folder;
+pub mod net;
+pub mod pair;
+
+pub use folder::FolderCamera;
+pub use net::NetCamera;
+pub use pair::{CameraPair, FramePair};

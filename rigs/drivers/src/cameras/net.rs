@@ -1,0 +1,116 @@
+//! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
+
+use crate::host::{HostClock, io_error, is_timeout};
+use std::io::Read;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+use wcal_core::device::{
+    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
+};
+
+/// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
+const HEADER: usize = 40;
+const MAGIC: &[u8; 4] = b"WCAM";
+/// Larger pictures are not believed, px.
+const MAX_SIDE: u32 = 16_384;
+
+/// A connected camera.
+#[derive(Debug)]
+pub struct NetCamera {
+    link: TcpStream,
+    name: String,
+    clock: HostClock,
+    buffer: Vec<u8>,
+}
+
+impl NetCamera {
+    /// Connects.
+    ///
+    /// # Errors
+    /// `Disconnected` when nothing listens there.
+    pub fn connect(address: &str, clock: HostClock) -> Result<Self, DeviceError> {
+        let name = format!("camera {address}");
+        let link = TcpStream::connect(address).map_err(|e| io_error(&name, "connect", &e))?;
+        Ok(Self { link, name, clock, buffer: Vec::new() })
+    }
+
+    /// Length of the frame in the buffer, once its header is there.
+    fn frame_length(&self) -> Result<Option<usize>, DeviceError> {
+        if self.buffer.len() < HEADER {
+            return Ok(None);
+        }
+        let [width, height] = [4, 8].map(|at| u32_at(&self.buffer, at));
+        if &self.buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
+            let found = format!("{:?}, {width} x {height}", &self.buffer[..4]);
+            let kind = DeviceErrorKind::Protocol;
+            return Err(DeviceError::new(kind, &self.name, "grab", "a WCAM header", found));
+        }
+        Ok(Some(HEADER + width as usize * height as usize))
+    }
+}
+
+fn u32_at(b: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
+}
+
+fn u64_at(b: &[u8], at: usize) -> u64 {
+    u64::from(u32_at(b, at)) | u64::from(u32_at(b, at + 4)) << 32
+}
+
+impl Camera for NetCamera {
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+        Ok(DeviceIdentity {
+            driver: "net".to_owned(),
+            model: "virtual camera".to_owned(),
+            ..DeviceIdentity::default()
+        })
+    }
+
+    fn configure(&mut self, exposure_ms: Option<f64>, gain_db: Option<f64>) -> Result<(), DeviceError> {
+        if exposure_ms.is_none() && gain_db.is_none() {
+            return Ok(());
+        }
+        let (kind, expected) = (DeviceErrorKind::Unsupported, "no exposure and gain: the stream has none");
+        Err(DeviceError::new(kind, &self.name, "configure", expected, "a setting"))
+    }
+
+    fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
+        let end = Instant::now() + timeout;
+        loop {
+            if let Some(length) = self.frame_length()?
+                && self.buffer.len() >= length
+            {
+                let b: Vec<u8> = self.buffer.drain(..length).collect();
+                return Ok(CameraFrame {
+                    trigger: u64_at(&b, 16),
+                    commanded_exposure_ms: None,
+                    measured_exposure_ms: Some(f64::from_bits(u64_at(&b, 32))),
+                    width_px: u32_at(&b, 4),
+                    height_px: u32_at(&b, 8),
+                    grey: b[HEADER..].to_vec(),
+                    clocks: Clocks {
+                        host_s: self.clock.now_s(),
+                        device_s: Some(f64::from_bits(u64_at(&b, 24))),
+                    },
+                });
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                let kind = DeviceErrorKind::Timeout;
+                return Err(DeviceError::new(kind, &self.name, "grab", "a picture", "none in time"));
+            }
+            let fail = |e: std::io::Error| io_error(&self.name, "grab", &e);
+            self.link.set_read_timeout(Some(left)).map_err(fail)?;
+            let mut bytes = [0_u8; 64 * 1024];
+            match self.link.read(&mut bytes) {
+                Ok(0) => {
+                    let (kind, found) = (DeviceErrorKind::Disconnected, "the camera closed the connection");
+                    return Err(DeviceError::new(kind, &self.name, "grab", "a picture", found));
+                }
+                Ok(count) => self.buffer.extend_from_slice(&bytes[..count]),
+                Err(e) if is_timeout(&e) => {}
+                Err(e) => return Err(io_error(&self.name, "grab", &e)),
+            }
+        }
+    }
+}

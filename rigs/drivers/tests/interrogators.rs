@@ -1,0 +1,175 @@
+//! sm130 and Hyperion clients, and the cameras, against the virtual bench.
+
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+use wcal_core::device::{Camera, DeviceErrorKind, FbgReading, Interrogator};
+use wcal_drivers::HostClock;
+use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
+use wcal_drivers::cameras::{CameraPair, NetCamera};
+use wcal_drivers::hyperion::Hyperion;
+use wcal_drivers::sm130::Sm130;
+
+fn bench(extra: &str) -> VirtualBench {
+    let text = format!("format = \"wcal-scenario/1\"\n{extra}");
+    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+}
+
+fn sm130(bench: &VirtualBench) -> Sm130 {
+    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0)).unwrap()
+}
+
+fn collect(unit: &mut dyn Interrogator, seconds: f64) -> Vec<FbgReading> {
+    let start = Instant::now();
+    let mut all = Vec::new();
+    while start.elapsed().as_secs_f64() < seconds {
+        all.extend(unit.read(Duration::from_millis(50)).unwrap());
+    }
+    all
+}
+
+fn gaps(readings: &[FbgReading]) -> u64 {
+    readings.windows(2).map(|w| w[1].serial - w[0].serial - 1).sum()
+}
+
+#[test]
+fn two_thousand_scans_a_second_come_without_a_gap_in_every_framing() {
+    for framing in ["token = \"inside\"", "token = \"outside\"", "split_bytes = 7", "token = \"outside\"\nsplit_bytes = 61"] {
+        let bench = bench(&format!("[interrogator]\n{framing}"));
+        let mut unit = sm130(&bench);
+        assert!(unit.identity().unwrap().model.contains("sm130"));
+        assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
+        unit.start().unwrap();
+        let readings = collect(&mut unit, 1.0);
+        unit.stop().unwrap();
+        assert!(readings.len() > 1200, "{framing}: {}", readings.len());
+        assert_eq!((gaps(&readings), unit.skipped_bytes()), (0, 0), "{framing}");
+        let spacing = readings[100].clocks.device_s.unwrap() - readings[99].clocks.device_s.unwrap();
+        assert!((spacing - 5e-4).abs() < 2e-6);
+        // After streaming the unit answers commands again.
+        assert_eq!(unit.command("#GET_SN").unwrap().trim(), "VIR130");
+    }
+}
+
+#[test]
+fn lost_scans_garbage_and_a_pulled_cable_are_seen() {
+    let bench = bench("");
+    let mut unit = sm130(&bench);
+    unit.start().unwrap();
+    collect(&mut unit, 0.2);
+    bench.inject(Fault::LostSamples { count: 11 });
+    bench.inject(Fault::StreamGarbage);
+    let readings = collect(&mut unit, 0.5);
+    assert_eq!(gaps(&readings), 11);
+    assert!(unit.skipped_bytes() > 0);
+    bench.inject(Fault::UnplugInterrogator);
+    let error = loop {
+        if let Err(e) = unit.read(Duration::from_millis(50)) {
+            break e;
+        }
+    };
+    assert_eq!(error.kind, DeviceErrorKind::Disconnected);
+}
+
+#[test]
+fn a_slow_reader_loses_only_what_the_buffer_cannot_hold() {
+    let bench = bench("[interrogator]\nbuffer = 400");
+    let mut unit = sm130(&bench);
+    unit.start().unwrap();
+    bench.inject(Fault::StreamGap { seconds: 0.6 });
+    let readings = collect(&mut unit, 1.0);
+    let lost = gaps(&readings);
+    assert!((400..1400).contains(&lost), "{lost} lost of some 1200 made in the pause");
+}
+
+#[test]
+fn silence_is_a_timeout_and_nobody_there_is_a_disconnection() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let mute = std::thread::spawn(move || {
+        let (mut link, _) = listener.accept().unwrap();
+        let mut bytes = [0; 64];
+        while link.read(&mut bytes).is_ok_and(|n| n > 0) {}
+        let _ = link.write_all(b"late");
+    });
+    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap();
+    assert_eq!(unit.identity().unwrap_err().kind, DeviceErrorKind::Timeout);
+    drop(unit);
+    mute.join().unwrap();
+    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap_err();
+    assert_eq!(nobody.kind, DeviceErrorKind::Disconnected);
+}
+
+#[test]
+fn a_hyperion_streams_the_same_scans_without_a_gap() {
+    let bench = bench("");
+    let h = &bench.addresses().hyperion;
+    let clock = HostClock::start(1.0);
+    let mut unit = Hyperion::connect(&h.commands.to_string(), &h.peaks.to_string(), 2000.0, clock).unwrap();
+    assert_eq!(unit.identity().unwrap().serial, "VIR155");
+    assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
+    unit.start().unwrap();
+    let readings = collect(&mut unit, 1.0);
+    assert!(readings.len() > 1200 && gaps(&readings) == 0, "{}", readings.len());
+    unit.stop().unwrap();
+    assert!(unit.read(Duration::from_millis(10)).is_err());
+}
+
+fn pair(bench: &VirtualBench) -> CameraPair {
+    let open = |k: usize| -> Box<dyn Camera> {
+        let address = bench.addresses().cameras[k].to_string();
+        Box::new(NetCamera::connect(&address, HostClock::start(1.0)).unwrap())
+    };
+    CameraPair::new([open(0), open(1)], 2.0)
+}
+
+const WAIT: Duration = Duration::from_secs(3);
+
+#[test]
+fn pairs_are_of_one_trigger_and_their_skew_is_measured() {
+    let bench = bench("[cameras]\nrate_hz = 20\nskew_ms = 0.7");
+    let mut pair = pair(&bench);
+    for _ in 0..5 {
+        let p = pair.grab(WAIT).unwrap();
+        assert_eq!(p.frames[0].trigger, p.frames[1].trigger);
+        // Device times are seconds since 1970 as f64: some 0.2 us.
+        assert!((p.skew_ms - 0.7).abs() < 1e-3, "{}", p.skew_ms);
+        assert_eq!(p.frames[0].grey.len(), 320 * 240);
+        assert!(p.frames[0].grey.iter().any(|g| *g < 100), "the wire is in the picture");
+    }
+    assert_eq!(pair.refused(), 0);
+}
+
+#[test]
+fn pairs_past_the_limit_and_a_frozen_camera_are_refused() {
+    let bench = bench("[cameras]\nrate_hz = 20");
+    let mut pair = pair(&bench);
+    pair.grab(WAIT).unwrap();
+    bench.inject(Fault::CameraSkew { ms: 5.0 });
+    let refused = (0..20).find_map(|_| pair.grab(WAIT).err()).unwrap();
+    assert!(refused.kind == DeviceErrorKind::DataInvalid && refused.found.contains("5.0"), "{refused}");
+    bench.inject(Fault::CameraSkew { ms: 0.0 });
+    bench.inject(Fault::FrozenCamera { on: true });
+    let frozen = (0..40).filter_map(|_| pair.grab(WAIT).err()).find(|e| e.expected.contains("new picture"));
+    assert!(frozen.is_some());
+}
+
+/// Ten minutes at 2 kHz; run with `--ignored`.
+#[test]
+#[ignore = "takes ten minutes"]
+fn ten_minutes_at_two_kilohertz_without_a_gap() {
+    let bench = bench("");
+    let mut unit = sm130(&bench);
+    unit.start().unwrap();
+    let (start, mut next, mut lost, mut count) = (Instant::now(), None::<u64>, 0, 0_u64);
+    while start.elapsed() < Duration::from_secs(600) {
+        for r in unit.read(Duration::from_millis(100)).unwrap() {
+            lost += next.map_or(0, |n| r.serial - n);
+            next = Some(r.serial + 1);
+            count += 1;
+        }
+    }
+    println!("{count} scans in 600 s, {lost} lost, {} bytes skipped", unit.skipped_bytes());
+    assert_eq!(lost, 0);
+    assert!(count > 1_190_000);
+}

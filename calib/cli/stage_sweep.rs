@@ -50,10 +50,12 @@ pub struct StageSweepArgs {
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
 pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
-    let read = |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let read =
+        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
     let (mut rig, plan) = (read(&arguments.rig)?, read(&arguments.plan)?);
     if let Some(bench) = &arguments.bench {
-        rig = with_addresses(&rig, &read(bench)?).with_context(|| format!("addresses in {}", bench.display()))?;
+        rig = with_addresses(&rig, &read(bench)?)
+            .with_context(|| format!("addresses in {}", bench.display()))?;
     }
     if arguments.dry_run {
         return dry_run(&rig, &plan, arguments.json);
@@ -113,7 +115,8 @@ fn dry_run(rig: &str, plan: &str, as_json: bool) -> Result<ExitCode> {
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
     if as_json {
-        let document = json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
+        let document =
+            json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
         writeln!(std::io::stdout(), "{document}")?;
     } else {
         let mut out = std::io::stderr();
@@ -150,7 +153,12 @@ fn report(recorded: &Recorded, as_json: bool) -> Result<()> {
     writeln!(
         out,
         "{} steps; {} scans, {} lost in {} gaps; {} windows not settled; {} questions to the stage repeated",
-        sweep.done, sweep.counts.scans, sweep.counts.lost, sweep.counts.gaps, sweep.unsettled, recorded.repeats
+        sweep.done,
+        sweep.counts.scans,
+        sweep.counts.lost,
+        sweep.counts.gaps,
+        sweep.unsettled,
+        recorded.repeats
     )?;
     recorded.reduction.as_ref().map_or(Ok(()), |r| reduce::report(r, false))
 }

@@ -29,10 +29,12 @@ pub struct VirtualBenchArgs {
 pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     let place = arguments.scenario.display();
     let text = std::fs::read_to_string(&arguments.scenario).with_context(|| format!("reading {place}"))?;
-    let mut scenario =
-        Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
+    let mut scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
     if let Some(speed) = arguments.speed {
-        anyhow::ensure!(speed > 0.0 && speed.is_finite(), "--speed: expected a number above 0, found {speed}");
+        anyhow::ensure!(
+            speed > 0.0 && speed.is_finite(),
+            "--speed: expected a number above 0, found {speed}"
+        );
         scenario.speed = speed;
     }
     scenario.seed = arguments.seed.unwrap_or(scenario.seed);

@@ -44,9 +44,7 @@ pub fn open_stage(rig: &StageRig, clock: HostClock) -> Result<OpenStage, DeviceE
             let stage = ZaberStage::new(Rc::clone(&chain), rig.address, rig.axis, unit, clock)?;
             (Box::new(stage), Some(chain))
         }
-        "zaber-binary" => {
-            (Box::new(ZaberBinary::open(&port(rig, 9600), rig.address, unit, clock)?), None)
-        }
+        "zaber-binary" => (Box::new(ZaberBinary::open(&port(rig, 9600), rig.address, unit, clock)?), None),
         other => return Err(unknown("stage", "driver zaber-ascii or zaber-binary", other)),
     };
     let travel = stage.travel_mm()?;
@@ -92,7 +90,11 @@ impl ZaberMount {
     ///
     /// # Errors
     /// What the unit reports.
-    pub fn open(rig: &MountRig, chain: Rc<RefCell<Chain>>, clock: HostClock) -> Result<Option<Self>, DeviceError> {
+    pub fn open(
+        rig: &MountRig,
+        chain: Rc<RefCell<Chain>>,
+        clock: HostClock,
+    ) -> Result<Option<Self>, DeviceError> {
         let MountRig::Zaber { address, steps_per_trajectory, microstep_um, speed_mm_s } = rig else {
             return Ok(None);
         };

@@ -151,13 +151,19 @@ fn same(folder: &Path, name: &str, text: &str) -> Result<(), RecordingError> {
     let io = |source| RecordingError::Io { action: "reading", path: path.clone(), source };
     let old = std::fs::read_to_string(&path).map_err(io)?;
     let bare = |t: &str| -> String {
-        let keep = |l: &&str| !["port ", "port=", "address ", "address="].iter().any(|k| l.starts_with(k));
+        let keep = |l: &&str| {
+            !["port ", "port=", "address ", "address=", "peaks_address"].iter().any(|k| l.starts_with(k))
+        };
         t.lines().filter(keep).collect::<Vec<_>>().join("\n")
     };
     if bare(&old) == bare(text) {
         return Ok(());
     }
-    Err(RecordingError::input(path.display().to_string(), "the same content as when the session was begun", "other content"))
+    Err(RecordingError::input(
+        path.display().to_string(),
+        "the same content as when the session was begun",
+        "other content",
+    ))
 }
 
 fn save(path: &Path, text: &str) -> Result<(), RecordingError> {
@@ -190,5 +196,9 @@ fn describe(
     if !path.exists() {
         save(&path, &text)?;
     }
-    Ok(BTreeMap::from([("run".to_owned(), text), ("rig".to_owned(), order.rig.clone()), ("plan".to_owned(), order.plan.clone())]))
+    Ok(BTreeMap::from([
+        ("run".to_owned(), text),
+        ("rig".to_owned(), order.rig.clone()),
+        ("plan".to_owned(), order.plan.clone()),
+    ]))
 }

@@ -34,7 +34,12 @@ fn gaps(readings: &[FbgReading]) -> u64 {
 
 #[test]
 fn two_thousand_scans_a_second_come_without_a_gap_in_every_framing() {
-    for framing in ["token = \"inside\"", "token = \"outside\"", "split_bytes = 7", "token = \"outside\"\nsplit_bytes = 61"] {
+    for framing in [
+        "token = \"inside\"",
+        "token = \"outside\"",
+        "split_bytes = 7",
+        "token = \"outside\"\nsplit_bytes = 61",
+    ] {
         let bench = bench(&format!("[interrogator]\n{framing}"));
         let mut unit = sm130(&bench);
         assert!(unit.identity().unwrap().model.contains("sm130"));

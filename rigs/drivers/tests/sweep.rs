@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use wcal_core::device::{DeviceError, DeviceErrorKind as Kind};
 use wcal_core::{Role, SessionData};
+use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::record::{Order, Recorded, record};
 use wcal_session::recording::RecordingError;
 use wcal_session::recording::sweep::{Ending, Mount};
@@ -80,7 +80,7 @@ fn rows(folder: &Path) -> wcal_core::WhiskerData {
 fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     let (bench, dir) = (bench("clock_offset_s = 120.0\nclock_drift_ppm = 200"), tempfile::tempdir().unwrap());
     let plan = format!(
-        "{PLAN}unloading = true\non_the_fly_hz = 20\n[[block]]\nrole = \"holdout\"\ntrajectories = [1]\n\
+        "{PLAN}unloading = true\nspeeds_mm_s = [1.0]\non_the_fly_hz = 10\n[[block]]\nrole = \"holdout\"\ntrajectories = [1]\n\
          depths_mm = [2.2]\ndwell_s = 0.3\naverage_s = 0.4\n"
     );
     let order = order(&bench, &plan, dir.path());
@@ -112,11 +112,11 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     for row in data.rows.iter().filter(|r| r.role == Role::Verification && r.trajectory == Some(1)) {
         let m = wcal_drivers::bench::plant::Plant::moment_nmm(&mut plant, 1, row.stage_mm.unwrap());
         let off = row.shift_pm[0] - row.reference_shift_pm.unwrap() - (72.0 * m[0] + 9.0 * m[1] + 3.0);
-        assert!(off.abs() < 12.0, "{off} pm at {:?} mm", row.stage_mm);
+        assert!(off.abs() < 20.0, "{off} pm at {:?} mm", row.stage_mm);
     }
     // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll.
     assert!(reduction.clocks[0].offset_s > 60.0, "{:?}", reduction.clocks);
-    assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.15), "{:?}", reduction.lag_s);
+    assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.25), "{:?}", reduction.lag_s);
     let again = wcal_session::recording::reduce::reduce(&order.folder).unwrap();
     assert_eq!(again.rows, reduction.rows, "reducing twice gives the same");
     assert!(go(&order).is_err(), "a session is never overwritten");
@@ -214,7 +214,8 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let data = rows(&order.folder);
     assert_eq!(data.rows.len(), 6, "{before} rows before");
     assert!(before < 6 && second.sweep.done < 8);
-    let mut poses: Vec<_> = data.rows.iter().map(|r| (r.trajectory, (r.stage_mm.unwrap() * 10.0).round() as i64)).collect();
+    let mut poses: Vec<_> =
+        data.rows.iter().map(|r| (r.trajectory, (r.stage_mm.unwrap() * 10.0).round() as i64)).collect();
     poses.sort_unstable();
     poses.dedup();
     assert_eq!(poses.len(), 6, "no pose twice");

@@ -232,6 +232,9 @@ pub struct SweepEvent {
     /// Further detail.
     #[prost(string, tag = "14")]
     pub detail: String,
+    /// The rows belong to the holdout file.
+    #[prost(bool, tag = "15")]
+    pub sealed: bool,
 }
 
 impl Recorded for SweepEvent {
@@ -251,6 +254,7 @@ impl Recorded for SweepEvent {
         ("rows_hz", 12, Type::Double, false),
         ("settled", 13, Type::Bool, false),
         ("detail", 14, Type::String, false),
+        ("sealed", 15, Type::Bool, false),
     ];
 }
 

@@ -153,6 +153,8 @@ pub struct Pose {
     pub dwell_s: f64,
     /// Averaging window, s.
     pub average_s: f64,
+    /// Belongs to the holdout file; its rest reading too.
+    pub sealed: bool,
 }
 
 impl Plan {
@@ -261,10 +263,10 @@ impl Block {
                     speed_mm_s: *speed,
                     dwell_s: self.dwell_s,
                     average_s: self.average_s,
+                    sealed: self.role == Role::Holdout,
                 };
                 if self.rest {
-                    let role = if self.role == Role::Holdout { Role::Holdout } else { Role::Rest };
-                    steps.push(Step::Settled(Pose { role, ..pose(rig.stage.retract_mm, 1) }));
+                    steps.push(Step::Settled(Pose { role: Role::Rest, ..pose(rig.stage.retract_mm, 1) }));
                 }
                 let depths = self.depths(trajectory);
                 steps.extend(depths.iter().map(|d| Step::Settled(pose(*d, 1))));

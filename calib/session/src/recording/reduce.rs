@@ -77,7 +77,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
     let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
     write_atomic(&folder.join("session.toml"), session.as_bytes())
         .map_err(|e| RecordingError::Recorder(e.to_string()))?;
-    result.holdout = rows.iter().filter(|r| r.role == "holdout").count();
+    result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
     Ok(result)
@@ -203,6 +203,7 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
     let loaded = event.role != "rest" && stage_mm >= 0.0;
     Some(Row {
         role: event.role.clone(),
+        sealed: event.sealed,
         trajectory: event.trajectory,
         replicate: event.replicate,
         t_s: t_s - origin_s,

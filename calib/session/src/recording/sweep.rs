@@ -336,6 +336,7 @@ impl Sweep<'_, '_, '_> {
             target_mm: pose.stage_mm,
             direction: pose.direction,
             speed_mm_s: pose.speed_mm_s,
+            sealed: pose.sealed,
             ..SweepEvent::default()
         }
     }

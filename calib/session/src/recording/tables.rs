@@ -39,6 +39,8 @@ const COMPENSATION: [&str; 8] =
 pub struct Row {
     /// Role.
     pub role: String,
+    /// Belongs to the holdout file.
+    pub sealed: bool,
     /// Trajectory.
     pub trajectory: u32,
     /// Repetition.
@@ -78,7 +80,7 @@ fn csv_text(
 /// # Errors
 /// Practically none: text goes to memory.
 pub fn write_tables(rig: &Rig, rows: &[Row]) -> Result<Vec<(String, Vec<u8>)>, RecordingError> {
-    let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.role == "holdout");
+    let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.sealed);
     let mut files = vec![("points.csv".to_owned(), table(&points)?)];
     if !holdout.is_empty() {
         files.push(("holdout.csv".to_owned(), table(&holdout)?));

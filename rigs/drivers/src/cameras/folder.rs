@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use wcal_core::device::{
-    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
-};
+use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// Pictures of a folder, first to last.
 #[derive(Debug)]
@@ -146,8 +144,11 @@ mod tests {
     fn pictures_come_in_the_order_of_their_numbers() {
         let dir = tempfile::tempdir().unwrap();
         for n in [10, 2, 1] {
-            std::fs::write(dir.path().join(format!("left{n}.pgm")), [&b"P5\n# c\n2 1\n255\n"[..], &[n, 7]].concat())
-                .unwrap();
+            std::fs::write(
+                dir.path().join(format!("left{n}.pgm")),
+                [&b"P5\n# c\n2 1\n255\n"[..], &[n, 7]].concat(),
+            )
+            .unwrap();
         }
         std::fs::write(dir.path().join("notes.txt"), "x").unwrap();
         let mut camera = FolderCamera::open(dir.path(), 0.1).unwrap();

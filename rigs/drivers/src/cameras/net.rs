@@ -4,9 +4,7 @@ use crate::host::{HostClock, io_error, is_timeout};
 use std::io::Read;
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
-use wcal_core::device::{
-    Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity,
-};
+use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
 const HEADER: usize = 40;

@@ -1,2 +1,91 @@
-//! The `wcal` program.
-fn main() {}
+//! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
+
+mod artefact;
+mod demo;
+mod doctor;
+mod fit_gpr;
+mod import;
+mod init;
+mod labels;
+mod picture_output;
+mod predict;
+mod progress;
+mod reduce;
+mod report_input;
+mod stage_sweep;
+mod stereo_calibrate;
+mod stereo_shape;
+mod verify;
+mod virtual_bench;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Calibrates whisker touch sensors and closes the loop between bench and simulation.
+#[derive(Debug, Parser)]
+#[command(name = "wcal", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[allow(clippy::large_enum_variant, reason = "one a program run")]
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// The residual loop: find what the model lacks, add it, show the held-out error
+    Verify(verify::VerifyArgs),
+    /// Wavelength-to-moment map of a session
+    FitGpr(fit_gpr::FitGprArgs),
+    /// Moments at new readings
+    Predict(predict::PredictArgs),
+    /// The whole loop on the recordings that come with the program
+    Demo(demo::DemoArgs),
+    /// Turn a plain table into a session
+    Import(import::ImportArgs),
+    /// Check a session
+    Doctor(doctor::DoctorArgs),
+    /// Both cameras from pairs of pictures of a board
+    StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
+    /// The wire's shape and the groove's contact from pairs of pictures
+    StereoShape(stereo_shape::StereoShapeArgs),
+    /// Drive the stage through a plan, record every stream, reduce to a session
+    StageSweep(stage_sweep::StageSweepArgs),
+    /// Rebuild the tables of a recorded session from its raw streams
+    Reduce(reduce::ReduceArgs),
+    /// Serve simulated devices that speak the real ones' protocols
+    VirtualBench(virtual_bench::VirtualBenchArgs),
+    /// Write commented templates
+    Init(init::InitArgs),
+    /// Shell completions on stdout
+    Completions {
+        /// Shell
+        shell: clap_complete::Shell,
+    },
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match &cli.command {
+        Command::Verify(args) => verify::run(args),
+        Command::FitGpr(args) => fit_gpr::run(args),
+        Command::Predict(args) => predict::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Import(args) => import::run(args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::StereoCalibrate(args) => stereo_calibrate::run(args),
+        Command::StereoShape(args) => stereo_shape::run(args),
+        Command::StageSweep(args) => stage_sweep::run(args),
+        Command::Reduce(args) => reduce::run(args),
+        Command::VirtualBench(args) => virtual_bench::run(args),
+        Command::Init(args) => init::run(args),
+        Command::Completions { shell } => {
+            clap_complete::generate(*shell, &mut Cli::command(), "wcal", &mut std::io::stdout());
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    result.unwrap_or_else(|error| {
+        eprintln!("wcal: {error:#}");
+        ExitCode::from(1)
+    })
+}

@@ -151,6 +151,8 @@ pub struct WhiskerRow {
     pub shift_sd_pm: Option<[f64; 2]>,
     /// Samples averaged.
     pub samples: Option<u32>,
+    /// 0 for the session itself; added sessions count up. The whisker was seated anew, so the gratings' zero may differ.
+    pub seating: u32,
 }
 
 impl WhiskerRow {

@@ -206,3 +206,35 @@ pub struct VerifyDocument {
     #[serde(default)]
     pub notes: Vec<String>,
 }
+
+impl VerifyDocument {
+    /// The document of data that cannot be used; `inputs` are left to the caller.
+    #[must_use]
+    pub fn refused(
+        session: impl Into<String>,
+        kind: impl Into<String>,
+        reason: impl Into<String>,
+        seed: u64,
+    ) -> Self {
+        Self {
+            format: VERIFY_FORMAT.to_owned(),
+            session: session.into(),
+            kind: kind.into(),
+            verdict: Verdict::Refused,
+            reason: reason.into(),
+            twin: TwinCheck::default(),
+            effects: Vec::new(),
+            alternatives: Vec::new(),
+            unknown: None,
+            noise_floor: NoiseFloor { source: "none".into(), ..NoiseFloor::default() },
+            before: None,
+            after: None,
+            coverage95: None,
+            next_measurement: None,
+            detectable: Vec::new(),
+            seed,
+            inputs: Vec::new(),
+            notes: Vec::new(),
+        }
+    }
+}

@@ -1,1 +1,33 @@
-//! wcal-report
+//! Renders the results of a session to one self-contained HTML page that reads well offline, in print, in light and in dark.
+//!
+//! The crate computes nothing: it shows what other crates computed. The only arithmetic is that of display: scaling of
+//! axes, the difference measured − predicted, and the ratio of an error to the noise floor.
+//!
+//! - [`render`]: the page of one session, from a [`ReportInput`].
+//! - [`render_many`]: several sessions on one page, an overview table at the top.
+//! - [`render_index`]: an overview page that links to reports beside it.
+//!
+//! ```
+//! # use wcal_core::verify_document::*;
+//! # let verify = VerifyDocument { format: VERIFY_FORMAT.into(), session: "s".into(), kind: "axis".into(),
+//! #     verdict: Verdict::Adequate, reason: "Nothing is left.".into(), twin: TwinCheck::default(), effects: vec![],
+//! #     alternatives: vec![], unknown: None, noise_floor: NoiseFloor::default(), before: None, after: None,
+//! #     coverage95: None, next_measurement: None, detectable: vec![], seed: 1, inputs: vec![], notes: vec![] };
+//! let input = wcal_report::ReportInput::new(verify, wcal_core::Provenance::default());
+//! let page = wcal_report::render(&input);
+//! assert!(page.starts_with("<!DOCTYPE html>"));
+//! ```
+
+mod input;
+mod markup;
+mod number;
+mod page;
+mod plot;
+mod sections;
+
+pub use input::{
+    CoverageCurve, EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError,
+    ReportInput, RodBranch, TwinMark, TwinTrajectory,
+};
+pub use number::{number, p_value, percent, with_interval};
+pub use page::{render, render_index, render_many};

@@ -9,12 +9,16 @@ pub mod dual;
 mod error;
 pub mod integrate;
 pub mod material;
+pub mod near;
 pub mod path;
 pub mod shape;
 pub mod solve;
+pub mod stability;
 
 pub use error::RodError;
 pub use material::{Section, Softening};
+pub use near::Anchor;
 pub use path::{Line, Outcome, Touch, Tracker};
 pub use shape::Shape;
 pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
+pub use stability::{Hold, Loss, LossKind, StabilityScan};

@@ -61,39 +61,57 @@ pub struct Touch {
     pub gap_mm: f64,
 }
 
+/// Spacing of the samples of the wire in the search for first touch, mm.
+const TOUCH_GRID_MM: f64 = 0.05;
+/// Approaches within this of the closest one are caught by the groove's mouth, mm: wider than the contact offsets of a bench (0.1-1.5 mm).
+const MOUTH_MM: f64 = 2.0;
+
+/// Golden-section search for the smallest gap around a sample.
+fn polished(at: impl Fn(f64) -> Touch, sample: Touch, grid_mm: f64, length_mm: f64) -> Touch {
+    let (mut a, mut b) =
+        ((sample.arclength_mm - grid_mm).max(0.0), (sample.arclength_mm + grid_mm).min(length_mm));
+    for _ in 0..60 {
+        let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
+        if at(c).gap_mm < at(d).gap_mm { b = d } else { a = c }
+    }
+    let found = at(0.5 * (a + b));
+    if found.gap_mm <= sample.gap_mm { found } else { sample }
+}
+
 const FIRST_STEP_MM: f64 = 0.5;
 const LONGEST_STEP_MM: f64 = 4.0;
 const SHORTEST_STEP_MM: f64 = 1e-4;
 
 impl Rod {
-    /// First approach of `line` to the unloaded wire at a stage position in [-`back_mm`, `reach_mm`].
+    /// First approach of `line` to the unloaded wire along the travel, at a stage position in [-`back_mm`, `reach_mm`].
+    ///
+    /// A bent wire can be met twice: of the local minima of the gap that the groove's mouth would catch, the earliest counts.
+    /// Where the travel ends before the wire, the closest point stands in.
     #[must_use]
     pub fn first_touch(&self, line: &Line, back_mm: f64, reach_mm: f64) -> Touch {
-        let mut best = Touch { x_mm: 0.0, arclength_mm: self.shape.length_mm, gap_mm: f64::INFINITY };
-        let samples = (self.shape.length_mm / 0.05).ceil() as usize;
-        for k in 1..=samples {
-            let s = self.shape.length_mm * k as f64 / samples as f64;
-            let r = self.shape.rest_point(s);
-            let x = (r - line.origin_mm).dot(&line.direction).clamp(-back_mm, reach_mm);
-            let gap_mm = (line.point(x) - r).norm();
-            if gap_mm < best.gap_mm {
-                best = Touch { x_mm: x, arclength_mm: s, gap_mm };
-            }
-        }
-        // Golden-section polish: the samples are 0.05 mm apart.
-        let (mut a, mut b) = (best.arclength_mm - 0.05, (best.arclength_mm + 0.05).min(self.shape.length_mm));
+        let samples = (self.shape.length_mm / TOUCH_GRID_MM).ceil() as usize;
+        let grid_mm = self.shape.length_mm / samples as f64;
         let at = |s: f64| {
-            let r = self.shape.rest_point(s);
-            let x = (r - line.origin_mm).dot(&line.direction).clamp(-back_mm, reach_mm);
-            (x, (line.point(x) - r).norm())
+            let wire = self.shape.rest_point(s);
+            let x_mm = (wire - line.origin_mm).dot(&line.direction).clamp(-back_mm, reach_mm);
+            Touch { x_mm, arclength_mm: s, gap_mm: (line.point(x_mm) - wire).norm() }
         };
-        for _ in 0..60 {
-            let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
-            if at(c).1 < at(d).1 { b = d } else { a = c }
-        }
-        let s = 0.5 * (a + b);
-        let (x_mm, gap_mm) = at(s);
-        if gap_mm <= best.gap_mm { Touch { x_mm, arclength_mm: s, gap_mm } } else { best }
+        let sampled: Vec<Touch> = (1..=samples).map(|k| at(grid_mm * k as f64)).collect();
+        let gap = |k: usize| sampled.get(k).map_or(f64::INFINITY, |t| t.gap_mm);
+        let minima: Vec<Touch> = (0..samples)
+            .filter(|&k| (k == 0 || gap(k) <= gap(k - 1)) && gap(k) < gap(k + 1))
+            .map(|k| polished(at, sampled[k], grid_mm, self.shape.length_mm))
+            .collect();
+        let closest = minima.iter().map(|t| t.gap_mm).fold(f64::INFINITY, f64::min);
+        minima
+            .into_iter()
+            .filter(|t| t.gap_mm <= closest + MOUTH_MM)
+            // The end of the travel is an approach only if nothing else is.
+            .min_by(|a, b| {
+                let beyond = |t: &Touch| t.x_mm >= reach_mm && t.gap_mm > closest;
+                beyond(a).cmp(&beyond(b)).then(a.x_mm.total_cmp(&b.x_mm))
+            })
+            .unwrap_or_else(|| at(self.shape.length_mm))
     }
 
     /// Frictionless branch at the stage positions `xs_mm` (any order); positions before first touch are `NotTouched`.
@@ -147,6 +165,18 @@ impl<'a> Tracker<'a> {
             step_mm: FIRST_STEP_MM,
             end: None,
         })
+    }
+
+    /// The last equilibrium on the branch: where it ended, once it has.
+    #[must_use]
+    pub fn last_held(&self) -> &Equilibrium {
+        &self.last.1
+    }
+
+    /// Smallest eigenvalue of the second variation at the last equilibrium, N: near zero where the branch ended in a snap.
+    #[must_use]
+    pub fn smallest_eigenvalue(&self) -> f64 {
+        self.rod.smallest_eigenvalue(self.last_held())
     }
 
     /// Equilibrium at `x_mm`, which must not lie before the last one.

@@ -8,7 +8,7 @@ use crate::shape::Shape;
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
 use wcal_core::observation::WhiskerSpec;
 
-/// Default mesh interval, mm: base moments are right to about 1e-7 of their size there (tests/acceptance.rs).
+/// Default mesh interval, mm: base moments are right to about 1e-7 of their size there (tests/acceptance/).
 pub const WORKING_STEP_MM: f64 = 2.0;
 
 /// The wire, its clamp and its surroundings.
@@ -111,7 +111,8 @@ impl Rod {
         self
     }
 
-    fn root<T: Scalar>(&self, load: &Load<T>) -> Pose<T> {
+    /// Clamp of the loaded wire, turned by the root's compliance.
+    pub(crate) fn root<T: Scalar>(&self, load: &Load<T>) -> Pose<T> {
         let frame = rows_of(&self.shape.root);
         let frame = [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::constant(frame[i][j])));
         let position = [T::constant(0.0); 3];
@@ -197,7 +198,7 @@ impl Rod {
     }
 
     /// Residual (mm; the fourth scaled to mm), its derivatives by (force / scale, s), and the tangent at the contact.
-    fn equations(
+    pub(crate) fn equations(
         &self,
         point_mm: &Vector3<f64>,
         force: &Vector3<f64>,
@@ -271,9 +272,21 @@ impl Rod {
     /// Nodes of the loaded wire from root to tip: (arc length, position, frame).
     #[must_use]
     pub fn loaded_shape(&self, equilibrium: &Equilibrium) -> Vec<(f64, Vector3<f64>, Matrix3<f64>)> {
-        let table = (self.weight_n_per_mm.norm() > 0.0)
-            .then(|| self.weight_moments(&equilibrium.point_mm, &Guess::from(equilibrium), None));
-        self.nodes(&equilibrium.point_mm, &Guess::from(equilibrium), table.as_ref())
+        let guess = Guess::from(equilibrium);
+        let table = self.settled_weight(&equilibrium.point_mm, &guess);
+        self.nodes(&equilibrium.point_mm, &guess, table.as_ref())
+    }
+
+    /// Moments of the weight on the shape that it and the contact give the wire; none without weight.
+    pub(crate) fn settled_weight(&self, point: &Vector3<f64>, held: &Guess) -> Option<MomentTable> {
+        if self.weight_n_per_mm.norm() == 0.0 {
+            return None;
+        }
+        let mut table = self.weight_moments(point, held, None);
+        for _ in 0..4 {
+            table = self.weight_moments(point, held, Some(&table));
+        }
+        Some(table)
     }
 
     fn nodes(

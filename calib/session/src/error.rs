@@ -85,6 +85,8 @@ impl fmt::Display for Defect {
     }
 }
 
+impl std::error::Error for Defect {}
+
 /// Why a session could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {

@@ -2,7 +2,7 @@
 
 use crate::session::LoadedSession;
 use serde::Serialize;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use wcal_core::{AxisData, Role, SessionData, TransducerData, WhiskerData};
 
 /// How much a finding matters.
@@ -11,6 +11,8 @@ use wcal_core::{AxisData, Role, SessionData, TransducerData, WhiskerData};
 pub enum Severity {
     /// As it should be.
     Ok,
+    /// As it is; limits what can be traced.
+    Note,
     /// Usable, with something lost.
     Warn,
     /// Not usable for its purpose.
@@ -43,7 +45,7 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
             list.add(Severity::Ok, "columns", format!("{} is present", column.name));
         } else {
             list.add(
-                Severity::Warn,
+                Severity::Note,
                 "columns",
                 format!("{} is absent: {} cannot be traced", column.name, column.hides),
             );
@@ -197,9 +199,15 @@ fn noise(data: &SessionData, list: &mut Findings) {
         }
     };
     let degrees: usize = poses.values().map(|n| n - 1).sum();
+    let again = repeated_trajectories(data);
     if degrees > 0 {
         let message =
             format!("{degrees} degrees of freedom of noise from repeated poses ({} poses)", poses.len());
+        list.add(Severity::Ok, "noise", message);
+    } else if again > 0 {
+        let message = format!(
+            "{again} trajectories were run again at other poses: noise from neighbours and from rest"
+        );
         list.add(Severity::Ok, "noise", message);
     } else if single_sd {
         let message = "no pose is repeated; only the spread within a reading is known".to_owned();
@@ -209,6 +217,18 @@ fn noise(data: &SessionData, list: &mut Findings) {
             "no pose is repeated: the noise floor comes from neighbours and every verdict is provisional";
         list.add(Severity::Warn, "noise", message.to_owned());
     }
+}
+
+/// Trajectories with more than one replicate number.
+fn repeated_trajectories(data: &SessionData) -> usize {
+    let SessionData::Whisker(data) = data else { return 0 };
+    let mut replicates: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    for row in data.rows.iter().filter(|r| r.role != Role::Rest) {
+        if let (Some(id), Some(replicate)) = (row.trajectory, row.replicate) {
+            replicates.entry(id).or_default().insert(replicate);
+        }
+    }
+    replicates.values().filter(|numbers| numbers.len() > 1).count()
 }
 
 fn time(session: &LoadedSession, list: &mut Findings) {

@@ -1,4 +1,4 @@
-//! A holdout that is given apart from its session: another session, or a table of the same kind.
+//! Sessions taken together: a holdout that is given apart, or a later session of the same sensor that is fitted too.
 
 use crate::error::{Defect, SessionError};
 use crate::session::{LoadedSession, check_covariates, load};
@@ -21,11 +21,47 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
     let before = session.inputs.len();
     if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
         let other = load(path)?;
-        attach_session(session, other)?;
+        attach_session(session, other, Use::Holdout)?;
     } else {
         attach_table(session, path)?;
     }
     refuse_reuse(session, before)
+}
+
+/// Adds a later session of the same sensor to the fit: its points to the points, its holdout to the holdout.
+///
+/// The rows get a seating number of their own (the gratings' zero may differ after re-seating) and times an hour after the last reading,
+/// the wire at rest in between. Labels of its twin, if any, are not taken over (a warning says so).
+///
+/// # Errors
+/// As [`attach_holdout`].
+pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), SessionError> {
+    let before = session.inputs.len();
+    let other = load(folder)?;
+    attach_session(session, other, Use::Fit)?;
+    refuse_reuse(session, before)
+}
+
+/// What the rows of another session are for.
+#[derive(Clone, Copy, PartialEq)]
+enum Use {
+    Holdout,
+    Fit,
+}
+
+/// Pause between sessions, s: creep of the wire has died out.
+const PAUSE_S: f64 = 3600.0;
+
+fn place_after(data: &WhiskerData, added: &mut WhiskerData) {
+    let all = || data.rows.iter().chain(&data.holdout);
+    let end_s = all().filter_map(|r| r.t_s).fold(0.0, f64::max);
+    let seating = 1 + all().map(|r| r.seating).max().unwrap_or(0);
+    let own = || added.rows.iter().chain(&added.holdout).filter_map(|r| r.t_s);
+    let shift_s = end_s + PAUSE_S - own().fold(f64::INFINITY, f64::min).min(0.0);
+    for row in added.rows.iter_mut().chain(&mut added.holdout) {
+        row.seating = seating;
+        row.t_s = row.t_s.map(|t| t + shift_s);
+    }
 }
 
 /// The same bytes cannot be fitted and held out.
@@ -70,7 +106,11 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     Ok(())
 }
 
-fn attach_session(session: &mut LoadedSession, other: LoadedSession) -> Result<(), SessionError> {
+fn attach_session(
+    session: &mut LoadedSession,
+    other: LoadedSession,
+    purpose: Use,
+) -> Result<(), SessionError> {
     let folder = other.folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let renamed = |name: &str| format!("{folder}/{name}");
     let differs = |what: &str| {
@@ -88,25 +128,38 @@ fn attach_session(session: &mut LoadedSession, other: LoadedSession) -> Result<(
             }
             merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
             merge_nominals(data, &mut added);
-            for mut row in added.rows.into_iter().chain(added.holdout) {
+            for row in added.rows.iter_mut().chain(&mut added.holdout) {
                 row.source = renamed(&row.source);
-                data.holdout.push(row);
             }
+            if purpose == Use::Fit {
+                if !added.twin.is_empty() {
+                    session.warnings.push(format!("{folder}: labels of its twin are not used"));
+                }
+                place_after(data, &mut added);
+                data.rows.append(&mut added.rows);
+            }
+            data.holdout.extend(added.rows.into_iter().chain(added.holdout));
         }
         (SessionData::Transducer(data), SessionData::Transducer(added)) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
                 return Err(differs("units").field("transducer").into());
             }
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
-            for mut row in added.rows.into_iter().chain(added.holdout) {
-                row.source = renamed(&row.source);
-                data.holdout.push(row);
+            for row in added.rows {
+                let row = wcal_core::TransducerRow { source: renamed(&row.source), ..row };
+                if purpose == Use::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+            }
+            for row in added.holdout {
+                data.holdout.push(wcal_core::TransducerRow { source: renamed(&row.source), ..row });
             }
         }
         (SessionData::Axis(data), SessionData::Axis(added)) => {
-            for mut row in added.rows.into_iter().chain(added.holdout) {
-                row.source = renamed(&row.source);
-                data.holdout.push(row);
+            for row in added.rows {
+                let row = wcal_core::AxisRow { source: renamed(&row.source), ..row };
+                if purpose == Use::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+            }
+            for row in added.holdout {
+                data.holdout.push(wcal_core::AxisRow { source: renamed(&row.source), ..row });
             }
         }
         _ => return Err(differs("kind").field("kind").into()),

@@ -23,7 +23,7 @@ mod write;
 
 pub use error::{Defect, DefectFields, SessionError};
 pub use findings::{Finding, Severity, duplicated_readings, examine};
-pub use holdout::attach_holdout;
+pub use holdout::{add_session, attach_holdout};
 pub use session::{CLOCK_PROBLEM, LoadedSession, SESSION_FORMAT, load};
 pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
 pub use whisker::{ReadingTable, load_table};

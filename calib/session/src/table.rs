@@ -3,26 +3,12 @@
 use crate::error::{Defect, SessionError, quote};
 use crate::row::Row;
 use crate::units::split_unit;
-use csv::{ByteRecord, Reader, ReaderBuilder};
+use csv::ByteRecord;
 use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use wcal_core::InputFile;
-
-/// Hashes what passes through.
-struct Hashing<R> {
-    inner: R,
-    digest: Sha256,
-}
-
-impl<R: Read> Read for Hashing<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let n = self.inner.read(buffer)?;
-        self.digest.update(&buffer[..n]);
-        Ok(n)
-    }
-}
 
 /// A column that was found.
 #[derive(Debug, Clone, Copy)]
@@ -36,7 +22,7 @@ pub(crate) struct Table {
     file: String,
     columns: Vec<String>,
     used: Vec<bool>,
-    reader: Reader<Hashing<BufReader<File>>>,
+    lines: Lines,
     record: ByteRecord,
     rows: usize,
 }
@@ -53,16 +39,14 @@ impl Table {
         if wide {
             return Err(Defect::new(name, "UTF-8 text", "UTF-16 text").hint("save as CSV UTF-8").into());
         }
-        let hashing = Hashing { inner: file, digest: Sha256::new() };
-        let mut reader = ReaderBuilder::new().has_headers(false).flexible(true).from_reader(hashing);
+        let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
         let mut record = ByteRecord::new();
-        let any = reader.read_byte_record(&mut record).map_err(|e| csv_error(path, name, e))?;
-        if !any {
+        if !lines.next_record(&mut record).map_err(|e| SessionError::io("reading", path, e))? {
             return Err(Defect::new(name, "a header line and rows", "an empty file").into());
         }
         let columns = header(name, &record)?;
         let used = vec![false; columns.len()];
-        Ok(Self { file: name.to_owned(), columns, used, reader, record, rows: 0 })
+        Ok(Self { file: name.to_owned(), columns, used, lines, record, rows: 0 })
     }
 
     /// File name as used in messages.
@@ -127,11 +111,11 @@ impl Table {
 
     /// The next row, or none at the end.
     pub(crate) fn next_row(&mut self) -> Result<Option<Row<'_>>, SessionError> {
-        let more = self.reader.read_byte_record(&mut self.record);
-        if !more.map_err(|e| csv_error(Path::new(&self.file), &self.file, e))? {
+        let more = self.lines.next_record(&mut self.record);
+        if !more.map_err(|e| SessionError::io("reading", Path::new(&self.file), e))? {
             return Ok(None);
         }
-        let line = self.record.position().map_or(0, csv::Position::line) as usize;
+        let line = self.lines.line;
         if self.record.len() != self.columns.len() {
             return Err(self.wrong_width(line).into());
         }
@@ -155,7 +139,7 @@ impl Table {
         if self.rows == 0 {
             return Err(Defect::new(&self.file, "at least one row below the header", "an empty table"));
         }
-        let digest = self.reader.into_inner().digest.finalize();
+        let digest = self.lines.digest.finalize();
         let sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
         Ok(InputFile { path: self.file, sha256 })
     }
@@ -208,9 +192,44 @@ fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> Sessio
     SessionError::io("reading", path, error)
 }
 
-fn csv_error(path: &Path, name: &str, error: csv::Error) -> SessionError {
-    match error.into_kind() {
-        csv::ErrorKind::Io(source) => SessionError::io("reading", path, source),
-        other => Defect::new(name, "a CSV table", format!("{other:?}")).into(),
+/// Records of a file, one a line: hashed as read, blank lines skipped, line numbers exact for any line ending.
+struct Lines {
+    file: BufReader<File>,
+    digest: Sha256,
+    text: Vec<u8>,
+    /// Line of the latest record, from 1.
+    line: usize,
+}
+
+impl Lines {
+    /// The next line that is not blank, split at its commas; false at the end of the file.
+    fn next_record(&mut self, record: &mut ByteRecord) -> std::io::Result<bool> {
+        loop {
+            self.text.clear();
+            if self.file.read_until(b'\n', &mut self.text)? == 0 {
+                return Ok(false);
+            }
+            self.digest.update(&self.text);
+            self.line += 1;
+            let text = self.text.trim_ascii_end();
+            if !text.is_empty() {
+                split_line(text, b',', record);
+                return Ok(true);
+            }
+        }
+    }
+}
+
+/// Splits one line into fields; quotes as in RFC 4180, within the line.
+pub(crate) fn split_line(text: &[u8], separator: u8, record: &mut ByteRecord) {
+    record.clear();
+    if !text.contains(&b'"') {
+        text.split(|byte| *byte == separator).for_each(|field| record.push_field(field));
+        return;
+    }
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).delimiter(separator).from_reader(text);
+    // Reading from memory cannot fail; an open quote ends with the line and shows as a wrong number of fields.
+    if !matches!(reader.read_byte_record(record), Ok(true)) {
+        record.clear();
     }
 }

@@ -1,6 +1,7 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
 use crate::error::{Defect, SessionError, quote};
+use crate::table::split_line;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
 
@@ -56,7 +57,7 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     let text = std::str::from_utf8(&bytes).map_err(|_| Defect::new(&file, "UTF-8 text", "other bytes"))?;
     let text = text.trim_start_matches('\u{feff}');
     let start = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
-    let records = split(&file, &text[start..], layout.separator, layout.skip_lines)?;
+    let records = split(&text[start..], layout.separator, layout.skip_lines);
     let mut records = records.into_iter();
     let columns = match &layout.columns {
         Some(names) => names.clone(),
@@ -73,35 +74,25 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     Ok(table)
 }
 
-fn split(
-    file: &str,
-    text: &str,
-    separator: Separator,
-    skipped: usize,
-) -> Result<Vec<(usize, Vec<String>)>, Defect> {
+fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<String>)> {
     let delimiter = match separator {
         Separator::Whitespace => {
             let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
             let cells = |line: &str| line.split_whitespace().map(str::to_owned).collect();
-            return Ok(lines.map(|(i, line)| (skipped + i + 1, cells(line))).collect());
+            return lines.map(|(i, line)| (skipped + i + 1, cells(line))).collect();
         }
         Separator::Comma => b',',
         Separator::Semicolon => b';',
         Separator::Tab => b'\t',
     };
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .delimiter(delimiter)
-        .trim(csv::Trim::All)
-        .from_reader(text.as_bytes());
+    let mut record = csv::ByteRecord::new();
     let mut out = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|e| Defect::new(file, "a table", e.to_string()))?;
-        let line = record.position().map_or(0, csv::Position::line) as usize;
-        out.push((skipped + line, record.iter().map(str::to_owned).collect()));
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        split_line(line.as_bytes(), delimiter, &mut record);
+        let cells = record.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
+        out.push((skipped + index + 1, cells.collect()));
     }
-    Ok(out)
+    out
 }
 
 impl TextTable {

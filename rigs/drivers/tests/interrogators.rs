@@ -121,7 +121,7 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
 }
 
 fn pair(bench: &VirtualBench) -> CameraPair {
-    let open = |k: usize| -> Box<dyn Camera> {
+    let open = |k: usize| -> Box<dyn Camera + Send> {
         let address = bench.addresses().cameras[k].to_string();
         Box::new(NetCamera::connect(&address, HostClock::start(1.0)).unwrap())
     };

@@ -1,0 +1,33 @@
+# `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium
+export DEBIAN_FRONTEND := noninteractive
+
+.PHONY: demo test setup check exam peers
+
+setup:
+	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
+	if [ -n "$$missing" ]; then $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
+
+demo: setup
+	cargo build --release --locked --bin wcal
+	./target/release/wcal demo --out demo-out
+
+test: setup check
+	cargo test --workspace --locked
+
+check:
+	cargo fmt --all --check
+	cargo clippy --workspace --lib --bins --locked -- -D warnings
+
+exam:
+	cargo build --release --locked --bin wcal --example exam
+	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
+
+# Side by side with scipy and scikit-learn in one run each; prints tables and writes peers-*.json.
+peers: setup
+	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
+	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
+	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn
+	tests/peers/.venv/bin/python tests/peers/rod_peers.py --json peers-rod.json
+	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json

@@ -1,0 +1,95 @@
+//! calibration.json: what it may hold, how it is sealed, read and judged.
+
+use anyhow::{Context, bail};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::{CalibrationFile, InputFile, Provenance, VerificationStatus};
+use wcal_map::MapArtefact;
+use wcal_trace::scalar::ScalarModel;
+use wcal_trace::verify::PhysicalModel;
+
+/// The model in a calibration, told apart by `kind`.
+#[allow(clippy::large_enum_variant, reason = "one a program run")]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum CalibrationModel {
+    /// A wavelength-to-moment map of `fit-gpr`.
+    Map(MapArtefact),
+    /// Sensitivity with accepted effects, of `verify`.
+    Physical(PhysicalModel),
+    /// Response or position error with accepted effects, of `verify` on a transducer or axis session.
+    Scalar(ScalarModel),
+}
+
+/// Program, command, time, seed and files.
+pub fn provenance(inputs: &[InputFile], seed: u64) -> Provenance {
+    Provenance {
+        program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
+        command: std::env::args().collect(),
+        created: jiff::Timestamp::now().to_string(),
+        seed,
+        inputs: inputs.to_vec(),
+    }
+}
+
+/// A calibration with its content hash.
+pub fn seal(
+    session: &str,
+    verification: VerificationStatus,
+    model: CalibrationModel,
+    provenance: Provenance,
+) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
+    let mut file = CalibrationFile {
+        format: CALIBRATION_FORMAT.to_owned(),
+        session: session.to_owned(),
+        verification,
+        expires: None,
+        // Through JSON once, so that the hash is that of what is written.
+        model: serde_json::from_str(&serde_json::to_string(&model)?)?,
+        provenance,
+        content_sha256: String::new(),
+    };
+    file.content_sha256 = file.compute_hash()?;
+    Ok(file)
+}
+
+/// Reads the file and checks format and content hash.
+pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
+    let name = path.display();
+    let bytes = std::fs::read(path).with_context(|| format!("reading {name}"))?;
+    let raw: CalibrationFile<serde_json::Value> =
+        serde_json::from_slice(&bytes).with_context(|| format!("{name}: expected a calibration in JSON"))?;
+    if raw.format != CALIBRATION_FORMAT {
+        bail!("{name}: field `format`: expected {CALIBRATION_FORMAT:?}, found {:?}", raw.format);
+    }
+    let found = raw.compute_hash()?;
+    if found != raw.content_sha256 {
+        bail!(
+            "{name}: field `content_sha256`: expected {found}, found {}: the file was changed",
+            raw.content_sha256
+        );
+    }
+    serde_json::from_slice(&bytes)
+        .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))
+}
+
+/// What speaks against using the calibration now.
+pub fn standing(
+    file: &CalibrationFile<CalibrationModel>,
+    now: jiff::Timestamp,
+) -> anyhow::Result<Vec<String>> {
+    let mut doubts = Vec::new();
+    if let Some(expires) = &file.expires {
+        let until: jiff::Timestamp = expires.parse().with_context(|| {
+            format!("calibration: field `expires`: expected an RFC 3339 time, found {expires:?}")
+        })?;
+        if now > until {
+            doubts.push(format!("the calibration expired at {expires}"));
+        }
+    }
+    if file.verification == VerificationStatus::Failed {
+        doubts.push("the calibration failed its verification".to_owned());
+    }
+    Ok(doubts)
+}

@@ -1,0 +1,181 @@
+//! `wcal fit-gpr`: the wavelength-to-moment map of a session.
+
+use crate::artefact::{CalibrationModel, provenance, seal};
+use crate::labels::{LabelSource, MomentLabels, moment_labels};
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_core::map_document::MapDocument;
+use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
+use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};
+use wcal_session::{load, write_atomic};
+
+/// Arguments of `wcal fit-gpr`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal fit-gpr fixtures/whiskerfbg --labels twin --out calibration
+  wcal fit-gpr fixtures/whiskerfbg --preset released --out as-released
+
+Fits calibration and rest rows only. Exit code 3: a map was fitted, but the readings barely determine a moment,
+or rows had no label.")]
+pub struct FitGprArgs {
+    /// Session folder (kind \"whisker\")
+    pub session: PathBuf,
+    /// Folder for calibration.json and fit-gpr.json
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Where the moments come from [default: twin where the session has twin.csv, else rod]
+    #[arg(long, value_enum)]
+    pub labels: Option<LabelSource>,
+    /// Reproduce the released code's map instead of choosing one
+    #[arg(long, value_enum)]
+    pub preset: Option<MapPreset>,
+    /// What the hyperparameters maximise
+    #[arg(long, value_enum, default_value = "evidence")]
+    pub hyperparameters: Hyperparameters,
+    /// Margin of the valid region, as a share of the readings' diameter
+    #[arg(long, value_name = "SHARE", default_value_t = wcal_map::DEFAULT_MARGIN)]
+    pub margin: f64,
+    /// Thin-plate radius in pm [default: the smallest safe one]
+    #[arg(long, value_name = "PM")]
+    pub radius_pm: Option<f64>,
+    /// Print fit-gpr.json on stdout
+    #[arg(long)]
+    pub json: bool,
+    /// Seed, kept in the provenance; the fit itself draws nothing
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// Named settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MapPreset {
+    /// Thin plate as in the code released with arXiv 2410.14005
+    Released,
+}
+
+/// Criterion of the hyperparameters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Hyperparameters {
+    /// Restricted likelihood
+    Evidence,
+    /// Leave-one-out log density
+    Loo,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A session, label source or setting that cannot be used, or a file that cannot be written.
+pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
+    if !(args.margin.is_finite() && args.margin >= 0.0) {
+        bail!("--margin: expected a share of at least 0, found {}", args.margin);
+    }
+    let session = load(&args.session)?;
+    for warning in &session.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let SessionData::Whisker(data) = &session.data else {
+        bail!("fit-gpr: expected a session of kind \"whisker\", found {:?}", session.kind);
+    };
+    let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
+    let labels = moment_labels(data, args.labels.unwrap_or(default))?;
+    let (training, unlabelled) = training_set(data, &labels);
+    for point in &unlabelled {
+        eprintln!("warning: point {point} has no label in {}; not fitted", labels.source);
+    }
+    let options = FitOptions {
+        released: args.preset.is_some(),
+        criterion: match args.hyperparameters {
+            Hyperparameters::Evidence => Criterion::Evidence,
+            Hyperparameters::Loo => Criterion::LeaveOneOut,
+        },
+        margin: args.margin,
+        radius_pm: args.radius_pm,
+        labels: labels.source.clone(),
+        fbg: data.fbg.clone(),
+        ..FitOptions::default()
+    };
+    let fit = fit_map(&training, &options).with_context(|| format!("session {:?}", session.id))?;
+    let poses = training.trajectory.iter().flatten().count();
+    let result = document(&fit, &training, poses);
+    let calibration = seal(
+        &session.id,
+        VerificationStatus::Unverified,
+        CalibrationModel::Map(fit.artefact),
+        provenance(&session.inputs, args.seed),
+    )?;
+
+    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
+    write_atomic(&args.out.join("calibration.json"), &serde_json::to_vec_pretty(&calibration)?)?;
+    write_atomic(&args.out.join("fit-gpr.json"), &serde_json::to_vec_pretty(&result)?)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&result)?);
+    } else {
+        print_text(&result);
+    }
+    for warning in &result.identifiability.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let matters = !result.identifiability.warnings.is_empty() || !unlabelled.is_empty();
+    Ok(ExitCode::from(if matters { 3 } else { 0 }))
+}
+
+/// Calibration and rest rows with their labels; readings of one pose share a group, and so do all rest readings.
+fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, Vec<i64>) {
+    let mut out = MapTraining::default();
+    let mut unlabelled = Vec::new();
+    let mut poses: Vec<Option<(u32, i64)>> = Vec::new();
+    let mut noise: Vec<[f64; 2]> = Vec::new();
+    for (row, label) in data.rows.iter().zip(&labels.moments_nmm) {
+        if !matches!(row.role, Role::Calibration | Role::Rest) {
+            continue;
+        }
+        let Some(moment_nmm) = *label else {
+            unlabelled.push(row.point);
+            continue;
+        };
+        let pose = pose_of(row);
+        let group = poses.iter().position(|p| *p == pose).unwrap_or_else(|| {
+            poses.push(pose);
+            poses.len() - 1
+        });
+        out.shifts_pm.push(row.compensated_pm(&data.fbg));
+        out.moments_nmm.push(moment_nmm);
+        out.trajectory.push(if row.role == Role::Rest { None } else { row.trajectory });
+        out.pose.push(u32::try_from(group).unwrap_or(u32::MAX));
+        out.point.push(row.point);
+        if let (Some(sd), Some(samples)) = (row.shift_sd_pm, row.samples) {
+            noise.push(sd.map(|s| s * s / f64::from(samples.max(1))));
+        }
+    }
+    // Samples of one window are averaged, so the reading's own noise is sd / sqrt(samples).
+    if !noise.is_empty() && noise.len() == out.len() {
+        let n = noise.len() as f64;
+        out.noise_sd_pm = Some([0, 1].map(|g| (noise.iter().map(|v| v[g]).sum::<f64>() / n).sqrt()));
+    }
+    (out, unlabelled)
+}
+
+/// Trajectory and place on it to 1 um; none at rest. A row without stage position is a pose of its own (by point).
+fn pose_of(row: &WhiskerRow) -> Option<(u32, i64)> {
+    let trajectory = row.trajectory.filter(|_| row.role != Role::Rest)?;
+    Some((trajectory, row.stage_mm.map_or(i64::MIN + row.point, |s| (s * 1e3).round() as i64)))
+}
+
+fn print_text(result: &MapDocument) {
+    println!("{} poses, labels from {}; errors in N mm (moment 1, moment 2)", result.points, result.labels);
+    println!("{:<22}{:>20}{:>20}{:>18}", "map", "leave-one-out", "leave-traj.-out", "coverage of 95 %");
+    for c in &result.candidates {
+        let pair = |v: [f64; 2]| format!("{:.4} / {:.4}", v[0], v[1]);
+        println!(
+            "{:<22}{:>20}{:>20}{:>18}",
+            if c.name == result.chosen { format!("{} (chosen)", c.name) } else { c.name.clone() },
+            pair(c.loo_rmse_nmm),
+            c.loto_rmse_nmm.map_or_else(|| "-".to_owned(), pair),
+            format!("{:.2} / {:.2}", c.coverage95[0], c.coverage95[1]),
+        );
+    }
+    println!("condition number of wavelength from moment: {:.2}", result.identifiability.condition);
+}

@@ -1,0 +1,202 @@
+//! `wcal import`: a foreign table becomes a session.
+
+mod columns;
+mod description;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
+
+/// Arguments of `wcal import`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear \\
+      --stimulus-unit N --response-unit V --out sessions/cell
+  wcal import PONTIUS.DAT --skip-lines 25 --whitespace --columns y,x --kind transducer \\
+      --stimulus x --response y --model linear --out sessions/pontius
+  wcal import ballbar.csv --kind axis --commanded cmd_mm --measured laser_um --scale measured_mm=0.001 \\
+      --time t_s --out sessions/axis-x")]
+pub struct ImportArgs {
+    /// Table to import (CSV, or text in columns)
+    pub file: PathBuf,
+    /// Kind of the session
+    #[arg(long, value_enum)]
+    pub kind: Kind,
+    /// Folder of the new session; must not exist yet
+    #[arg(long, value_name = "SESSION")]
+    pub out: PathBuf,
+    /// Identifier of the session [default: the folder's name]
+    #[arg(long)]
+    pub id: Option<String>,
+    /// Surrounding medium
+    #[arg(long, default_value = "air")]
+    pub medium: String,
+    /// Table of sealed readings with the same layout
+    #[arg(long, value_name = "FILE")]
+    pub holdout: Option<PathBuf>,
+
+    /// Column of the stimulus (transducer); without it the number of the observation, for --model constant only
+    #[arg(long, value_name = "COL")]
+    pub stimulus: Option<String>,
+    /// Column of the response (transducer)
+    #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
+    pub response: Option<String>,
+    /// Declared model (transducer)
+    #[arg(long, value_enum, required_if_eq("kind", "transducer"))]
+    pub model: Option<Model>,
+    /// Unit of the stimulus (transducer)
+    #[arg(long, value_name = "UNIT", default_value = "1")]
+    pub stimulus_unit: String,
+    /// Unit of the response (transducer)
+    #[arg(long, value_name = "UNIT", default_value = "1")]
+    pub response_unit: String,
+    /// Further covariate (transducer), as COL or NAME=COL; may be repeated
+    #[arg(long = "covariate", value_name = "NAME=COL")]
+    pub covariates: Vec<String>,
+    /// Column of the commanded position (axis)
+    #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
+    pub commanded: Option<String>,
+    /// Column of the measured position (axis)
+    #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
+    pub measured: Option<String>,
+    /// Session description with [whisker], [fbg], [moments] and [[trajectory]] (whisker)
+    #[arg(long, value_name = "TOML", required_if_eq("kind", "whisker"))]
+    pub meta: Option<PathBuf>,
+
+    /// Column of the time, s
+    #[arg(long, value_name = "COL")]
+    pub time: Option<String>,
+    /// Column of the direction, +1 or -1
+    #[arg(long, value_name = "COL")]
+    pub direction: Option<String>,
+    /// Column of the temperature, deg C
+    #[arg(long, value_name = "COL")]
+    pub temperature: Option<String>,
+    /// Column of the cycle (axis)
+    #[arg(long, value_name = "COL")]
+    pub cycle: Option<String>,
+    /// Column of the repetition
+    #[arg(long, value_name = "COL")]
+    pub replicate: Option<String>,
+    /// Column of the point number [default: the order of the rows]
+    #[arg(long, value_name = "COL")]
+    pub point: Option<String>,
+    /// Column of the role [default: every row is "calibration"]
+    #[arg(long, value_name = "COL")]
+    pub role: Option<String>,
+    /// Any column of the session by its name, e.g. groove_x_mm=gx; may be repeated. Columns of a whisker table that have
+    /// the session's names already need no mapping
+    #[arg(long = "map", value_name = "NAME=COL")]
+    pub map: Vec<String>,
+    /// Factor applied to a column of the session, e.g. t_s=0.001 for milliseconds; may be repeated
+    #[arg(long = "scale", value_name = "NAME=FACTOR")]
+    pub scale: Vec<String>,
+
+    /// Lines before the table (25 for NIST Dataplot files, 60 for NIST StRD files)
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub skip_lines: usize,
+    /// Names of the columns, in order, for a table without a header line
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub columns: Option<Vec<String>>,
+    /// What stands between fields
+    #[arg(long, value_enum, default_value_t = SeparatorName::Comma)]
+    pub separator: SeparatorName,
+    /// Short for --separator whitespace
+    #[arg(long, conflicts_with = "separator")]
+    pub whitespace: bool,
+    /// Decimals are written with a comma
+    #[arg(long)]
+    pub decimal_comma: bool,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Kind of session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// One stimulus, one response.
+    Transducer,
+    /// Commanded against measured position.
+    Axis,
+    /// Whisker pressed by a V-groove.
+    Whisker,
+}
+
+/// Declared model of a transducer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Model {
+    /// response = b0
+    Constant,
+    /// response = b0 + b1 stimulus
+    Linear,
+    /// response = b0 + b1 stimulus + b2 stimulus^2
+    Quadratic,
+}
+
+/// Name of a separator on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SeparatorName {
+    /// `,`
+    Comma,
+    /// `;`
+    Semicolon,
+    /// Tab.
+    Tab,
+    /// Any run of blanks.
+    Whitespace,
+}
+
+fn name_of(value: impl ValueEnum) -> String {
+    value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
+}
+
+/// Runs the command: exit code 0, or 3 where the new session carries warnings.
+///
+/// # Errors
+/// Where the table or the resulting session cannot be used; nothing is written then.
+pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+    let layout = layout(args);
+    let table = read_text_table(&args.file, &layout)?;
+    let mut files = SessionFiles::default();
+    files.tables.push(("points.csv".to_owned(), columns::convert(args, &table)?));
+    let mut sources = vec![&table];
+    let holdout = args.holdout.as_deref().map(|path| read_text_table(path, &layout)).transpose()?;
+    if let Some(holdout) = &holdout {
+        files.tables.push(("holdout.csv".to_owned(), columns::convert(args, holdout)?));
+        sources.push(holdout);
+    }
+    let (text, more) = description::write(args, &sources)?;
+    files.session_toml = text;
+    files.tables.extend(more);
+    let session = write_session(&args.out, &files)
+        .with_context(|| format!("importing {} as a session", args.file.display()))?;
+    let rows = table.rows.len();
+    if args.json {
+        let kind = name_of(args.kind);
+        let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
+            "folder": args.out, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
+            "warnings": session.warnings, "inputs": session.inputs });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else {
+        println!("{}: {rows} rows, session {:?}", args.out.display(), session.id);
+    }
+    for warning in &session.warnings {
+        eprintln!("warning: {warning}");
+    }
+    Ok(ExitCode::from(if session.warnings.is_empty() { 0 } else { 3 }))
+}
+
+fn layout(args: &ImportArgs) -> TextTableLayout {
+    let separator = match args.separator {
+        _ if args.whitespace => Separator::Whitespace,
+        SeparatorName::Comma => Separator::Comma,
+        SeparatorName::Semicolon => Separator::Semicolon,
+        SeparatorName::Tab => Separator::Tab,
+        SeparatorName::Whitespace => Separator::Whitespace,
+    };
+    let columns = args.columns.clone();
+    TextTableLayout { skip_lines: args.skip_lines, columns, separator, decimal_comma: args.decimal_comma }
+}

@@ -1,0 +1,163 @@
+//! Column mapping: cells of the foreign table under the session's names.
+
+use super::{ImportArgs, Kind, Model};
+use anyhow::{Context, bail, ensure};
+use std::collections::BTreeMap;
+use wcal_session::TextTable;
+
+/// Columns of a whisker table, as in the session's reference.
+const WHISKER_COLUMNS: &[&str] = &[
+    "point",
+    "role",
+    "trajectory",
+    "replicate",
+    "t_s",
+    "stage_mm",
+    "direction",
+    "speed_mm_s",
+    "dwell_s",
+    "groove_x_mm",
+    "groove_y_mm",
+    "groove_z_mm",
+    "temperature_degc",
+    "fbg_ref_nm",
+    "fbg_1_nm",
+    "fbg_2_nm",
+    "fbg_ref_shift_nm",
+    "fbg_1_shift_nm",
+    "fbg_2_shift_nm",
+    "fbg_1_sd_pm",
+    "fbg_2_sd_pm",
+    "samples",
+];
+
+/// Columns whose cells are not numbers.
+const TEXT_COLUMNS: &[&str] = &["role"];
+
+/// Where a column of the session comes from.
+enum Source {
+    /// A column of the foreign table, times a factor where one was given.
+    Column { index: usize, factor: Option<f64> },
+    /// Number of the row, from 1.
+    Order,
+    /// The role "calibration".
+    Calibration,
+}
+
+/// The session's table as CSV.
+///
+/// # Errors
+/// Where a column is missing, a mapping is malformed, or a cell is not what its column needs.
+pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<u8>> {
+    let plan = plan(args, table)?;
+    let mut out = plan.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
+    out.push('\n');
+    for row in 0..table.rows.len() {
+        for (position, (name, source)) in plan.iter().enumerate() {
+            if position > 0 {
+                out.push(',');
+            }
+            match source {
+                Source::Order => out.push_str(&(row + 1).to_string()),
+                Source::Calibration => out.push_str("calibration"),
+                Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
+                    let text = table.rows[row].1[*index].trim();
+                    ensure!(!text.contains([',', '"', '\n']), "{}: role {text:?} is not a word", table.file);
+                    out.push_str(text);
+                }
+                Source::Column { index, factor } => {
+                    // `{}` prints the shortest text that reads back as the same number: nothing is lost.
+                    if let Some(value) = table.number(row, *index)? {
+                        out.push_str(&format!("{}", value * factor.unwrap_or(1.0)));
+                    }
+                }
+            }
+        }
+        out.push('\n');
+    }
+    Ok(out.into_bytes())
+}
+
+fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Source)>> {
+    let wanted = wanted(args, table)?;
+    let mut factors = BTreeMap::new();
+    for text in &args.scale {
+        let (name, factor) = pair("scale", text)?;
+        let value: f64 =
+            factor.parse().with_context(|| format!("--scale {text}: expected a number, found {factor:?}"))?;
+        ensure!(value.is_finite() && value != 0.0, "--scale {text}: expected a finite factor other than 0");
+        ensure!(
+            wanted.iter().any(|(n, _)| n == name),
+            "--scale {text}: {name} is not among the imported columns"
+        );
+        factors.insert(name.to_owned(), value);
+    }
+    let mut plan = Vec::new();
+    for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
+        if !wanted.iter().any(|(n, _)| n == name) {
+            plan.push((name.to_owned(), fallback));
+        }
+    }
+    if args.kind == Kind::Transducer && args.stimulus.is_none() {
+        ensure!(
+            args.model == Some(Model::Constant),
+            "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
+        );
+        plan.push(("stimulus".to_owned(), Source::Order));
+    }
+    for (name, column) in wanted {
+        let source = Source::Column { index: table.column(&column)?, factor: factors.get(&name).copied() };
+        plan.push((name, source));
+    }
+    Ok(plan)
+}
+
+/// Name in the session and name in the foreign table of every column to import.
+fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, String)>> {
+    let flags = [
+        ("point", &args.point),
+        ("role", &args.role),
+        ("stimulus", &args.stimulus),
+        ("response", &args.response),
+        ("commanded_mm", &args.commanded),
+        ("measured_mm", &args.measured),
+        ("t_s", &args.time),
+        ("direction", &args.direction),
+        ("temperature_degc", &args.temperature),
+        ("cycle", &args.cycle),
+        ("replicate", &args.replicate),
+    ];
+    let given = flags.iter().filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
+    let mut wanted: Vec<(String, String)> = given.collect();
+    for text in &args.covariates {
+        let (name, column) = text.split_once('=').unwrap_or((text, text));
+        wanted.push((name.to_owned(), column.to_owned()));
+    }
+    for text in &args.map {
+        let (name, column) = pair("map", text)?;
+        wanted.push((name.to_owned(), column.to_owned()));
+    }
+    if args.kind == Kind::Whisker {
+        for name in WHISKER_COLUMNS {
+            let here = table.columns.iter().any(|c| c == name);
+            if here && !wanted.iter().any(|(n, _)| n == name) {
+                wanted.push(((*name).to_owned(), (*name).to_owned()));
+            }
+        }
+    }
+    for (position, (name, _)) in wanted.iter().enumerate() {
+        if wanted[..position].iter().any(|(n, _)| n == name) {
+            bail!("column {name} of the session is given twice");
+        }
+        ensure!(
+            !name.is_empty() && !name.contains([',', '"', '\n', ';']),
+            "{name:?} cannot name a column: expected letters, digits and _"
+        );
+    }
+    Ok(wanted)
+}
+
+/// `NAME=VALUE`, split.
+fn pair<'a>(flag: &str, text: &'a str) -> anyhow::Result<(&'a str, &'a str)> {
+    text.split_once('=').with_context(|| format!("--{flag} {text}: expected NAME=VALUE, found no \"=\""))
+}

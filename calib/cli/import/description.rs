@@ -1,0 +1,104 @@
+//! `session.toml` of an imported session.
+
+use super::{ImportArgs, Kind, Model, name_of};
+use anyhow::{Context, ensure};
+use std::path::Path;
+use toml::{Table, Value};
+use wcal_session::{SESSION_FORMAT, TextTable};
+
+/// Tables of a whisker's description that are taken over.
+const TAKEN_OVER: &[&str] = &["whisker", "moments", "fbg", "trajectory", "devices", "note", "whisker_id"];
+
+/// Files beside `session.toml`: name and content.
+type Tables = Vec<(String, Vec<u8>)>;
+
+/// Text of `session.toml`, and further files that it names.
+pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result<(String, Tables)> {
+    let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
+    let id = args.id.clone().or(folder).context("--out: expected the name of a new folder")?;
+    let mut more = Vec::new();
+    let mut top = Table::new();
+    let mut text = |key: &str, value: &str| top.insert(key.to_owned(), Value::from(value));
+    text("format", SESSION_FORMAT);
+    text("id", &id);
+    text("kind", &name_of(args.kind));
+    text("medium", &args.medium);
+    text("created", &created()?);
+    let mut files = Table::new();
+    files.insert("points".to_owned(), Value::from("points.csv"));
+    if sources.len() > 1 {
+        files.insert("holdout".to_owned(), Value::from("holdout.csv"));
+    }
+    if let Some(meta) = &args.meta {
+        take_over(meta, &mut top, &mut files, &mut more)?;
+    }
+    top.insert("files".to_owned(), Value::Table(files));
+    if args.kind == Kind::Transducer {
+        top.insert("transducer".to_owned(), Value::Table(transducer(args)));
+    }
+    top.insert("provenance".to_owned(), Value::Table(provenance(sources)));
+    Ok((toml::to_string(&top)?, more))
+}
+
+/// Now, or the time in SOURCE_DATE_EPOCH, so that an import can be repeated to the byte.
+fn created() -> anyhow::Result<String> {
+    let stamp = match std::env::var("SOURCE_DATE_EPOCH") {
+        Ok(seconds) => {
+            let seconds = seconds
+                .parse()
+                .with_context(|| format!("SOURCE_DATE_EPOCH: expected seconds, found {seconds:?}"))?;
+            jiff::Timestamp::from_second(seconds)?
+        }
+        Err(_) => jiff::Timestamp::now(),
+    };
+    Ok(stamp.strftime("%Y-%m-%dT%H:%M:%SZ").to_string())
+}
+
+fn transducer(args: &ImportArgs) -> Table {
+    let counted = args.stimulus.is_none();
+    let stimulus_unit = if counted { "observation" } else { args.stimulus_unit.as_str() };
+    let model = name_of(args.model.unwrap_or(Model::Linear));
+    [("stimulus_unit", stimulus_unit), ("response_unit", &args.response_unit), ("model", &model)]
+        .into_iter()
+        .map(|(key, value)| (key.to_owned(), Value::from(value)))
+        .collect()
+}
+
+fn provenance(sources: &[&TextTable]) -> Table {
+    let short = |path: &str| {
+        Path::new(path).file_name().map_or(path.to_owned(), |n| n.to_string_lossy().into_owned())
+    };
+    let inputs = sources.iter().map(|source| {
+        let entry = [("path", short(&source.file)), ("sha256", source.sha256.clone())];
+        Value::Table(entry.into_iter().map(|(key, value)| (key.to_owned(), Value::from(value))).collect())
+    });
+    let mut table = Table::new();
+    table.insert("program".to_owned(), Value::from(format!("wcal {}", env!("CARGO_PKG_VERSION"))));
+    table.insert("command".to_owned(), std::env::args().skip(1).collect::<Vec<_>>().into());
+    table.insert("inputs".to_owned(), Value::Array(inputs.collect()));
+    table
+}
+
+/// Takes the whisker's tables from another description, its rest shape with it.
+fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let meta: Table = text.parse().with_context(|| format!("{}: expected valid TOML", path.display()))?;
+    for key in TAKEN_OVER {
+        if let Some(value) = meta.get(*key) {
+            top.insert((*key).to_owned(), value.clone());
+        }
+    }
+    ensure!(
+        top.contains_key("whisker") && top.contains_key("trajectory"),
+        "{}: expected [whisker] and [[trajectory]], found neither or only one",
+        path.display()
+    );
+    let shape = meta.get("files").and_then(|f| f.get("rest_shape")).and_then(Value::as_str);
+    if let Some(name) = shape {
+        let source = path.parent().unwrap_or(Path::new(".")).join(name);
+        let bytes = std::fs::read(&source).with_context(|| format!("reading {}", source.display()))?;
+        files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv"));
+        more.push(("rest_shape.csv".to_owned(), bytes));
+    }
+    Ok(())
+}

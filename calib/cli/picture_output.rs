@@ -1,0 +1,32 @@
+//! What the picture commands share: files written whole, and where a result came from.
+
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+use wcal_core::{InputFile, Provenance};
+use wcal_session::write_atomic;
+
+/// Writes a file into the output folder, which is made where it is missing.
+pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf> {
+    std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    let path = folder.join(name);
+    write_atomic(&path, bytes)?;
+    Ok(path)
+}
+
+/// Program, command line, time and the hashes of the files read. A file that cannot be read is rejected elsewhere, with its reason.
+pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
+    let hash = |path: &Path| {
+        let bytes = std::fs::read(path).ok()?;
+        Some(InputFile {
+            path: path.display().to_string(),
+            sha256: wcal_core::provenance::sha256_hex(&bytes),
+        })
+    };
+    Provenance {
+        program: concat!("wcal ", env!("CARGO_PKG_VERSION")).into(),
+        command: std::env::args().collect(),
+        created: jiff::Timestamp::now().to_string(),
+        seed: 0,
+        inputs: files.into_iter().filter_map(hash).collect(),
+    }
+}

@@ -1,0 +1,185 @@
+//! `wcal predict`: moments, responses or position errors at new readings.
+
+mod scalar;
+
+use crate::artefact::{CalibrationModel, read_calibration, standing};
+use anyhow::{Context, bail};
+use clap::Args;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_core::CalibrationFile;
+use wcal_map::{MapArtefact, MapPredictor};
+use wcal_session::{load_table, write_atomic};
+use wcal_trace::path::WhiskerPath;
+use wcal_trace::verify::PhysicalModel;
+
+/// Arguments of `wcal predict`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal predict readings.csv --calibration calibration/calibration.json --out moments.csv
+
+For a whisker TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present. For a
+transducer it needs stimulus (the response follows) or response alone (the stimulus follows); for an axis commanded_mm.
+Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
+Exit code 4: readings outside the valid region (written, and marked), or a calibration that expired or failed
+verification; --force turns these into warnings.")]
+pub struct PredictArgs {
+    /// Table of readings
+    pub table: PathBuf,
+    /// calibration.json of fit-gpr or verify
+    #[arg(long, value_name = "FILE")]
+    pub calibration: PathBuf,
+    /// Table to write
+    #[arg(long, value_name = "CSV")]
+    pub out: PathBuf,
+    /// Exit with 0 although the calibration does not vouch for the result
+    #[arg(long)]
+    pub force: bool,
+    /// Print a summary as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A table or calibration that cannot be read, or a file that cannot be written.
+pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
+    let file = read_calibration(&args.calibration)?;
+    match &file.model {
+        CalibrationModel::Map(artefact) => by_map(args, &file, artefact),
+        CalibrationModel::Physical(model) => by_model(args, &file, model),
+        CalibrationModel::Scalar(model) => scalar::by_scalar(args, &file, model),
+    }
+}
+
+/// Through a fitted map.
+fn by_map(
+    args: &PredictArgs,
+    file: &CalibrationFile<CalibrationModel>,
+    artefact: &MapArtefact,
+) -> anyhow::Result<ExitCode> {
+    let mut predictor =
+        MapPredictor::new(artefact).with_context(|| args.calibration.display().to_string())?;
+    let table = load_table(&args.table, &artefact.fbg)?;
+    for warning in &table.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let mut csv = String::from(
+        "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
+         moment_1_half95_nmm,moment_2_half95_nmm,fbg_1_fitted_pm,fbg_2_fitted_pm,outside_valid_region,outside_by_pm\n",
+    );
+    let (mut outside, mut first) = (0_usize, None);
+    for row in &table.rows {
+        let shift_pm = row.compensated_pm(&artefact.fbg);
+        let p = predictor.predict(shift_pm);
+        if !p.is_valid() {
+            outside += 1;
+            first.get_or_insert((row.line, p.outside_by_pm));
+        }
+        let fitted = artefact.law.shift_pm(p.moment_nmm);
+        write!(csv, "{},{:.4},{:.4}", row.point, shift_pm[0], shift_pm[1])?;
+        for pair in [p.moment_nmm, p.sd_nmm, p.half95_nmm] {
+            write!(csv, ",{:.6},{:.6}", pair[0], pair[1])?;
+        }
+        writeln!(
+            csv,
+            ",{:.4},{:.4},{},{:.3}",
+            fitted[0],
+            fitted[1],
+            u8::from(!p.is_valid()),
+            p.outside_by_pm
+        )?;
+    }
+    write_atomic(&args.out, csv.as_bytes())?;
+    let outside = first.map(|(line, by_pm)| {
+        format!(
+            "{outside} of {} readings lie outside the valid region, first in line {line} by {by_pm:.1} pm",
+            table.rows.len()
+        )
+    });
+    finish(args, file, &artefact.name, table.rows.len(), outside)
+}
+
+/// Through the sensitivity and the accepted effects; memory effects run over the table's own history.
+fn by_model(
+    args: &PredictArgs,
+    file: &CalibrationFile<CalibrationModel>,
+    model: &PhysicalModel,
+) -> anyhow::Result<ExitCode> {
+    let table = load_table(&args.table, &model.fbg)?;
+    for warning in &table.warnings {
+        eprintln!("warning: {warning}");
+    }
+    // New readings belong to the last seating that the calibration saw.
+    let last = model.seatings.saturating_sub(1);
+    let table_rows: Vec<_> =
+        table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
+    let rows: Vec<_> = table_rows.iter().collect();
+    let path = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None);
+    for effect in &model.effects {
+        let absent = match effect.id.as_str() {
+            "temperature-mismatch" => (!path.columns.temperature).then_some("a temperature or fbg_ref_nm"),
+            "zero-drift" | "creep" => (!path.columns.time).then_some("t_s"),
+            _ => None,
+        };
+        if let Some(column) = absent {
+            bail!(
+                "{}: the calibration carries {}: expected {column} in every row, found none",
+                args.table.display(),
+                effect.id
+            );
+        }
+    }
+    let inferred = model.infer(&path, None);
+    let mut order: Vec<usize> = (0..rows.len()).collect();
+    order.sort_by_key(|&i| path.rows[i]);
+    let mut csv = String::from(
+        "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n",
+    );
+    let mut outside = 0_usize;
+    for i in order {
+        let (shift, m) = (path.readings[i].shift_pm, &inferred[i]);
+        outside += usize::from(!m.valid);
+        writeln!(
+            csv,
+            "{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.6},{}",
+            rows[path.rows[i]].point,
+            shift[0],
+            shift[1],
+            m.moment_nmm[0],
+            m.moment_nmm[1],
+            m.sd_nmm[0],
+            m.sd_nmm[1],
+            u8::from(!m.valid)
+        )?;
+    }
+    write_atomic(&args.out, csv.as_bytes())?;
+    let doubt = (outside > 0).then(|| {
+        format!("{outside} of {} readings ask for moments beyond those that were fitted", rows.len())
+    });
+    finish(args, file, "physical", rows.len(), doubt)
+}
+
+/// Says what speaks against the result and picks the exit code.
+fn finish(
+    args: &PredictArgs,
+    file: &CalibrationFile<CalibrationModel>,
+    name: &str,
+    rows: usize,
+    outside: Option<String>,
+) -> anyhow::Result<ExitCode> {
+    let mut doubts = standing(file, jiff::Timestamp::now())?;
+    doubts.extend(outside.map(|o| format!("{}: {o}; marked in outside_valid_region", args.table.display())));
+    for doubt in &doubts {
+        eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });
+    }
+    if args.json {
+        let summary = serde_json::json!({
+            "format": "wcal-predict/1", "rows": rows, "map": name, "doubts": doubts, "out": args.out,
+        });
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    }
+    Ok(ExitCode::from(if doubts.is_empty() || args.force { 0 } else { 4 }))
+}

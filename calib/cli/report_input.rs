@@ -1,0 +1,219 @@
+//! Fills the report from what the other crates computed.
+
+use wcal_core::verify_document::VerifyDocument;
+use wcal_core::{Provenance, Role, WhiskerData};
+use wcal_report::{
+    EvidenceRow, Explanation, Fact, GateTest, Isolability, NamedError, ReportInput, RodBranch, TwinMark,
+    TwinTrajectory,
+};
+use wcal_session::LoadedSession;
+use wcal_trace::engine::search::{BEHIND_LIMIT, Evidence};
+use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
+use wcal_trace::verify::WhiskerVerification;
+
+fn versions() -> Vec<Fact> {
+    vec![Fact::new("wcal", env!("CARGO_PKG_VERSION"))]
+}
+
+/// A report with nothing but the document.
+pub fn of_document(session: &LoadedSession, document: VerifyDocument, provenance: Provenance) -> ReportInput {
+    ReportInput { title: session.id.clone(), versions: versions(), ..ReportInput::new(document, provenance) }
+}
+
+/// The report of a whisker session.
+pub fn of_whisker(
+    session: &LoadedSession,
+    data: &WhiskerData,
+    done: &WhiskerVerification,
+    provenance: Provenance,
+) -> ReportInput {
+    let count = |role: Role| data.rows.iter().chain(&data.holdout).filter(|r| r.role == role).count();
+    let found = &done.found;
+    ReportInput {
+        title: session.id.clone(),
+        facts: vec![
+            Fact::new("medium", data.medium.clone()),
+            Fact::new(
+                "wire",
+                format!(
+                    "{} mm, E {} GPa, G {} GPa",
+                    data.whisker.diameter_mm, data.whisker.youngs_gpa, data.whisker.shear_gpa
+                ),
+            ),
+            Fact::new(
+                "readings",
+                format!(
+                    "{} calibration, {} verification, {} rest, {} held out",
+                    count(Role::Calibration),
+                    count(Role::Verification),
+                    count(Role::Rest),
+                    count(Role::Holdout)
+                ),
+            ),
+        ],
+        residuals: done.residuals.clone(),
+        further_errors: done
+            .further
+            .iter()
+            .map(|(name, error)| NamedError { name: name.clone(), error: error.clone() })
+            .collect(),
+        gate: gates([found.first_gate.families(), found.last_gate.families()]),
+        twin: twin(done),
+        evidence: evidence(&found.evidence),
+        isolability: (done.isolability.0.len() > 1)
+            .then(|| Isolability { names: done.isolability.0.clone(), cosine: done.isolability.1.clone() }),
+        explanations: explanations(&found.evidence),
+        versions: versions(),
+        ..ReportInput::new(done.document.clone(), provenance)
+    }
+}
+
+/// The report of a transducer or axis session.
+pub fn of_scalar(
+    session: &LoadedSession,
+    data: ScalarData<'_>,
+    done: &ScalarVerification,
+    provenance: Provenance,
+) -> ReportInput {
+    let (rows, sealed) = data.rows();
+    let (stimulus, response) = data.units();
+    let model = match data.declared() {
+        Declared::Axis => "measured = commanded + constant".to_owned(),
+        Declared::Polynomial(0) => "response = b0".to_owned(),
+        Declared::Polynomial(1) => "response = b0 + b1 stimulus".to_owned(),
+        Declared::Polynomial(_) => "response = b0 + b1 stimulus + b2 stimulus^2".to_owned(),
+    };
+    let mut facts = vec![
+        Fact::new("declared model", model),
+        Fact::new("units", format!("stimulus {stimulus}, response {response}")),
+        Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed.len())),
+    ];
+    for (name, p) in [("declared", &done.declared), ("accepted", &done.accepted)] {
+        if let Some(p) = p {
+            let terms = p.coefficients.iter().zip(&p.standard_errors).enumerate();
+            let terms: Vec<String> = terms.map(|(k, (b, se))| format!("b{k} = {b:.9e} ± {se:.2e}")).collect();
+            facts.push(Fact::new(
+                format!("coefficients, {name}"),
+                format!("{}; residual sd {:.6e}", terms.join(", "), p.residual_sd),
+            ));
+        }
+    }
+    let mut gate = done.gates.map_or(Vec::new(), gates);
+    for (name, lack) in [("declared", done.lack_of_fit_before), ("accepted", done.lack_of_fit_after)] {
+        if let Some(l) = lack {
+            gate.push(GateTest {
+                name: format!("{name} model, lack of fit F"),
+                statistic: Some(l.f),
+                p_value: Some(l.p_value),
+                detail: format!("against repetitions, {} and {} degrees of freedom", l.dof, l.pure_dof),
+            });
+        }
+    }
+    if let Some(s) = &done.spread {
+        gate.push(GateTest {
+            name: "spread against stimulus".to_owned(),
+            statistic: Some(s.correlation),
+            p_value: Some(s.p_value),
+            detail: "correlation of the residuals' size with the stimulus, by permutation".to_owned(),
+        });
+    }
+    if let Some(s) = &done.steadiness {
+        gate.push(GateTest {
+            name: "steadiness of the period".to_owned(),
+            statistic: Some(s.z),
+            p_value: None,
+            detail: "difference between the halves of the session in standard errors".to_owned(),
+        });
+    }
+    ReportInput {
+        title: session.id.clone(),
+        facts,
+        residuals: done.residuals.clone(),
+        gate,
+        evidence: evidence(&done.evidence),
+        explanations: explanations(&done.evidence),
+        versions: versions(),
+        ..ReportInput::new(done.document.clone(), provenance)
+    }
+}
+
+/// The gate's families on the declared and on the accepted model.
+fn gates(p_values: [[f64; 3]; 2]) -> Vec<GateTest> {
+    let families = [
+        ("catalogue", "smallest p over all signatures, family-wise by simulation"),
+        ("generic drivers", "any covariate, family-wise by simulation"),
+        ("serial correlation", "neighbouring readings of a sweep"),
+    ];
+    let of_model = |(model, p_values): (&str, [f64; 3])| {
+        let test = move |((family, detail), p): ((&str, &str), f64)| GateTest {
+            name: format!("{model} model, {family}"),
+            statistic: None,
+            p_value: Some(p),
+            detail: detail.to_owned(),
+        };
+        families.into_iter().zip(p_values).map(test).collect::<Vec<_>>()
+    };
+    ["declared", "accepted"].into_iter().zip(p_values).flat_map(of_model).collect()
+}
+
+fn explanations(found: &[Evidence]) -> Vec<Explanation> {
+    found
+        .iter()
+        .map(|e| Explanation {
+            effects: e.effects.clone(),
+            log_likelihood_ratio: -0.5 * e.behind,
+            p_value: None,
+            survives: e.behind <= BEHIND_LIMIT,
+        })
+        .collect()
+}
+
+fn evidence(found: &[Evidence]) -> Vec<EvidenceRow> {
+    found
+        .iter()
+        .map(|e| EvidenceRow {
+            id: e.effects.join(" + "),
+            law: e.laws.join(" + "),
+            parameters: Vec::new(),
+            chi2_gain: Some(e.gain),
+            degrees_of_freedom: e.parameters,
+            p_adjusted: None,
+            log_likelihood_ratio: Some(-0.5 * e.behind),
+            status: if e.behind <= 0.0 {
+                "best".into()
+            } else if e.behind <= BEHIND_LIMIT {
+                "survives".into()
+            } else {
+                "rejected".into()
+            },
+            why: String::new(),
+        })
+        .collect()
+}
+
+fn twin(done: &WhiskerVerification) -> Vec<TwinTrajectory> {
+    done.branches
+        .iter()
+        .map(|(id, stage_mm, moment_nmm)| TwinTrajectory {
+            id: *id,
+            branches: vec![RodBranch {
+                name: "rod, followed from first touch".to_owned(),
+                stage_mm: stage_mm.clone(),
+                moment_nmm: moment_nmm.clone(),
+            }],
+            labels: done
+                .labels
+                .checks
+                .iter()
+                .filter(|c| c.trajectory == *id)
+                .map(|c| TwinMark {
+                    point: c.point,
+                    stage_mm: c.stage_mm,
+                    moment_nmm: c.label_nmm,
+                    fault: c.fault.map(str::to_owned),
+                })
+                .collect(),
+            snaps_mm: Vec::new(),
+        })
+        .collect()
+}

@@ -1,0 +1,123 @@
+//! `wcal stereo-calibrate`: both cameras from pairs of pictures of a board.
+
+use crate::picture_output::{provenance, write};
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
+use wcal_vision::chessboard::BoardSize;
+use wcal_vision::pairs::list_pictures;
+
+/// What is on the board.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum PatternName {
+    /// Plain squares.
+    Chessboard,
+    /// Squares with ArUco markers.
+    Charuco,
+    /// A grid of AprilTags.
+    Aprilgrid,
+}
+
+/// Arguments of `wcal stereo-calibrate`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal stereo-calibrate board/left board/right --board 9x6 --square-mm 6 --out calibration
+
+Writes stereo.json and the same cameras as OpenCV YAML, Kalibr YAML and ROS camera_info.
+Exit code 3: calibrated, with views left out or warnings that matter; 1: refused, nothing written.")]
+pub struct StereoCalibrateArgs {
+    /// Left pictures: a folder, or a pattern such as `pictures/left*.jpg`
+    pub left: String,
+    /// Right pictures, paired with the left ones by the number in their names
+    pub right: String,
+    /// Inner corners, columns x rows (for an AprilGrid: tags)
+    #[arg(long, value_name = "CxR", value_parser = board_size)]
+    pub board: BoardSize,
+    /// Side of a square, mm (for an AprilGrid: of a tag)
+    #[arg(long, value_name = "MM")]
+    pub square_mm: f64,
+    /// What is on the board
+    #[arg(long, value_enum, default_value_t = PatternName::Chessboard)]
+    pub pattern: PatternName,
+    /// Side of a marker, mm (ChArUco); gap between tags, mm (AprilGrid)
+    #[arg(long, value_name = "MM")]
+    pub marker_mm: Option<f64>,
+    /// Dictionary (ChArUco) or family (AprilGrid)
+    #[arg(long, value_name = "NAME")]
+    pub dictionary: Option<String>,
+    /// Folder for stereo.json and its exports
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Print stereo.json on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn board_size(text: &str) -> Result<BoardSize, String> {
+    let (columns, rows) = text.split_once(['x', 'X']).ok_or("expected CxR, e.g. 9x6")?;
+    let number = |t: &str| t.trim().parse::<usize>().map_err(|e| format!("{t}: {e}"));
+    let size = BoardSize { columns: number(columns)?, rows: number(rows)? };
+    if size.columns < 2 || size.rows < 2 || size.columns > 100 || size.rows > 100 {
+        return Err(format!("expected 2 to 100 columns and rows, found {size}"));
+    }
+    Ok(size)
+}
+
+/// Runs the command: 0, or 3 where views were left out or warnings matter.
+///
+/// # Errors
+/// Where the pictures cannot be used or the calibration is refused.
+pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
+    anyhow::ensure!(
+        args.square_mm.is_finite() && args.square_mm > 0.0,
+        "--square-mm: expected a length > 0, found {}",
+        args.square_mm
+    );
+    let marker = || args.marker_mm.context("--marker-mm is needed for this pattern");
+    let pattern = match args.pattern {
+        PatternName::Chessboard => Pattern::Chessboard,
+        PatternName::Charuco => Pattern::Charuco {
+            marker_mm: marker()?,
+            dictionary: args
+                .dictionary
+                .clone()
+                .context("--dictionary is needed for ChArUco boards, e.g. DICT_4X4_50")?,
+        },
+        PatternName::Aprilgrid => Pattern::AprilGrid {
+            gap_mm: marker()?,
+            family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
+        },
+    };
+    let board = Board { size: args.board, square_mm: args.square_mm, pattern };
+    let (mut document, _) = calibrate_folders(&args.left, &args.right, &board, &|message| {
+        eprintln!("stereo-calibrate: {message}")
+    })?;
+    let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
+    document.provenance = provenance(pictures.iter().map(PathBuf::as_path));
+    let text = serde_json::to_string_pretty(&document)?;
+    // The exports first: where stereo.json lies, all of them do.
+    for (name, content) in wcal_vision::exchange::exports(&document)? {
+        write(&args.out, &name, content.as_bytes())?;
+    }
+    write(&args.out, "stereo.json", text.as_bytes())?;
+    for view in &document.rejected_views {
+        eprintln!("stereo-calibrate: {} left out: {}", view.view, view.why);
+    }
+    for warning in &document.warnings {
+        eprintln!("stereo-calibrate: warning: {warning}");
+    }
+    eprintln!(
+        "stereo-calibrate: {} pairs, RMS {:.4} px, held-out epipolar distance {:.4} px (95 %: {:.4})",
+        document.views.len(),
+        document.rms_px,
+        document.held_out.epipolar_mean_px,
+        document.held_out.epipolar_p95_px
+    );
+    if args.json {
+        println!("{text}");
+    }
+    let clean = document.rejected_views.is_empty() && document.warnings.is_empty();
+    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}

@@ -1,0 +1,99 @@
+//! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
+
+use crate::picture_output::{provenance, write};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use wcal_vision::document::StereoDocument;
+use wcal_vision::overlay::overlay_png;
+use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
+use wcal_vision::picture::Picture;
+use wcal_vision::rig::Rig;
+use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
+
+/// Arguments of `wcal stereo-shape`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --overlays
+
+Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
+pub struct StereoShapeArgs {
+    /// Left pictures: a folder or a pattern
+    pub left: String,
+    /// Right pictures
+    pub right: String,
+    /// Calibration of the cameras
+    #[arg(long, value_name = "stereo.json")]
+    pub cameras: PathBuf,
+    /// Rig: whisker, tags, groove
+    #[arg(long, value_name = "rig.toml")]
+    pub rig: PathBuf,
+    /// Folder for shapes.json and the overlays
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Draw what was found into the pictures (overlay-*.png beside shapes.json)
+    #[arg(long)]
+    pub overlays: bool,
+    /// Print shapes.json on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command: 0, or 3 where pairs were rejected or warnings matter.
+///
+/// # Errors
+/// Where the files cannot be read or no pair can be used.
+pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
+    let stereo = StereoDocument::read(&args.cameras)?
+        .stereo_cameras()
+        .map_err(|why| anyhow::anyhow!("{}: {why}", args.cameras.display()))?;
+    let rig = Rig::read(&args.rig)?;
+    let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
+    let mut result = shapes_of_pairs(&stereo, &rig, &files, &|name| eprintln!("stereo-shape: {name}"));
+    let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
+    let read = [&args.cameras, &args.rig].into_iter().chain(pictures);
+    result.document.provenance = provenance(read.map(PathBuf::as_path));
+    let text = serde_json::to_string_pretty(&result.document)?;
+    let path = write(&args.out, "shapes.json", text.as_bytes())?;
+    if args.overlays {
+        write_overlays(&result, &files, &args.out)?;
+    }
+    let mut clean = result.document.warnings.is_empty();
+    for warning in &result.document.warnings {
+        eprintln!("stereo-shape: warning: {warning}");
+    }
+    let mut good = 0;
+    for pair in &result.document.pairs {
+        clean &= pair.status == "ok" && pair.warnings.is_empty();
+        good += usize::from(pair.status == "ok");
+        if pair.status != "ok" {
+            eprintln!("stereo-shape: {} rejected: {}", pair.name, pair.why);
+        }
+        for warning in &pair.warnings {
+            eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
+        }
+    }
+    eprintln!("stereo-shape: {good} of {} pairs", result.document.pairs.len());
+    if args.json {
+        println!("{text}");
+    }
+    anyhow::ensure!(
+        good > 0,
+        "expected at least one usable pair, found none; {} states each reason",
+        path.display()
+    );
+    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// Overlays of every usable pair: `overlay-NAME-left.png` and `-right.png`.
+fn write_overlays(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyhow::Result<()> {
+    for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
+        let Some(fit) = fit else { continue };
+        for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
+            let Some(source) = source else { continue };
+            let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
+            write(out, &format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), &png)?;
+        }
+    }
+    Ok(())
+}

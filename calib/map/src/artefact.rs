@@ -1,0 +1,154 @@
+//! The fitted map as it is stored.
+
+use crate::candidate::CandidateFit;
+use crate::error::MapError;
+use crate::identifiability::WavelengthFromMoment;
+use crate::kernel::Kernel;
+use crate::process::Process;
+use crate::region::ValidRegion;
+use crate::trend::Trend;
+use serde::{Deserialize, Serialize};
+use wcal_core::FbgSpec;
+
+/// Version of [`MapArtefact`] that this program writes.
+pub const ARTEFACT_VERSION: u32 = 1;
+
+/// A wavelength-to-moment map that can be evaluated without a refit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MapArtefact {
+    /// Always [`ARTEFACT_VERSION`].
+    pub version: u32,
+    /// Name of the candidate.
+    pub name: String,
+    /// Where the labels came from.
+    pub labels: String,
+    /// Shift at scaled input 0, pm.
+    pub centre_pm: [f64; 2],
+    /// Shift per unit of scaled input, pm.
+    pub scale_pm: f64,
+    /// Readings that it was fitted to, pm.
+    pub training_pm: Vec<[f64; 2]>,
+    /// Each moment's process.
+    pub outputs: [OutputMap; 2],
+    /// Where it may be used.
+    pub valid_region: ValidRegion,
+    /// Affine law of the shifts, for the wavelengths that a moment should show.
+    pub law: WavelengthFromMoment,
+    /// Gratings, for tables of absolute wavelengths and for temperature.
+    pub fbg: FbgSpec,
+}
+
+/// One moment: mean = offset + trend(z) beta + k(z) alpha.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OutputMap {
+    /// Mean's basis.
+    pub trend: Trend,
+    /// Correlation, scaled input units.
+    pub kernel: Kernel,
+    /// Noise variance over signal variance.
+    pub nugget: f64,
+    /// Signal variance, (N mm)^2.
+    pub variance_nmm2: f64,
+    /// Degrees of freedom of the variance; none: normal.
+    pub dof: Option<f64>,
+    /// Factor on the standard deviations, from left-out coverage.
+    pub inflation: f64,
+    /// Added to the mean, N mm.
+    pub offset_nmm: f64,
+    /// Trend coefficients, N mm.
+    pub beta: Vec<f64>,
+    /// Weights of the readings, N mm; empty without a kernel.
+    pub alpha: Vec<f64>,
+}
+
+impl OutputMap {
+    pub(crate) fn new(fit: &Process, inflation: f64, offset_nmm: f64) -> Self {
+        let plain = fit.model.kernel == Kernel::None;
+        Self {
+            trend: fit.model.trend,
+            kernel: fit.model.kernel,
+            nugget: fit.model.nugget,
+            variance_nmm2: fit.variance,
+            dof: fit.dof,
+            inflation,
+            offset_nmm,
+            beta: fit.beta.as_slice().to_vec(),
+            alpha: if plain { Vec::new() } else { fit.alpha.as_slice().to_vec() },
+        }
+    }
+
+    /// Noise standard deviation, N mm, before inflation.
+    #[must_use]
+    pub fn noise_sd_nmm(&self) -> f64 {
+        (self.variance_nmm2 * self.nugget).sqrt()
+    }
+
+    /// Signal standard deviation, N mm; 0 without a kernel.
+    #[must_use]
+    pub fn signal_sd_nmm(&self) -> f64 {
+        (self.variance_nmm2 * self.kernel.at_zero()).sqrt()
+    }
+}
+
+impl MapArtefact {
+    pub(crate) fn outputs_of(candidate: &CandidateFit, offset_nmm: f64) -> [OutputMap; 2] {
+        [0, 1].map(|m| OutputMap::new(&candidate.fits[m], candidate.inflation[m], offset_nmm))
+    }
+
+    /// Checks version, sizes, finiteness and the kernel's radius.
+    ///
+    /// # Errors
+    /// [`MapError::Version`], [`MapError::Artefact`] or [`MapError::RadiusTooSmall`].
+    pub fn check(&self) -> Result<(), MapError> {
+        if self.version != ARTEFACT_VERSION {
+            return Err(MapError::Version { expected: ARTEFACT_VERSION, found: self.version });
+        }
+        let require = |sound: bool, expected: &str, found: String| {
+            if sound { Ok(()) } else { Err(MapError::Artefact { expected: expected.into(), found }) }
+        };
+        let scale = self.scale_pm;
+        require(scale.is_finite() && scale > 0.0, "`scale_pm` above 0", scale.to_string())?;
+        require(!self.training_pm.is_empty(), "`training_pm` with readings", "none".into())?;
+        let numbers =
+            || self.training_pm.iter().chain(&self.valid_region.vertices_pm).chain([&self.centre_pm]);
+        require(finite(numbers().flatten().copied()), "finite shifts", "NaN or infinity".into())?;
+        let margin = self.valid_region.margin_pm;
+        require(margin.is_finite() && margin >= 0.0, "`margin_pm` of at least 0", margin.to_string())?;
+        require(!self.valid_region.vertices_pm.is_empty(), "`vertices_pm` with vertices", "none".into())?;
+        for (m, out) in self.outputs.iter().enumerate() {
+            let weights = if out.kernel == Kernel::None { 0 } else { self.training_pm.len() };
+            let count = |name: &str| format!("`outputs[{m}].{name}`");
+            require(
+                out.beta.len() == out.trend.terms(),
+                &format!("{} of {} numbers", count("beta"), out.trend.terms()),
+                out.beta.len().to_string(),
+            )?;
+            require(
+                out.alpha.len() == weights,
+                &format!("{} of {weights} numbers", count("alpha")),
+                out.alpha.len().to_string(),
+            )?;
+            let sizes = [out.nugget, out.variance_nmm2, out.inflation];
+            let sound = finite(sizes) && sizes.iter().all(|v| *v >= 0.0) && out.nugget > 0.0;
+            require(sound, &format!("outputs[{m}] with variances of at least 0"), format!("{sizes:?}"))?;
+            let shape = out.kernel.shape().unwrap_or(1.0);
+            require(
+                shape.is_finite() && shape > 0.0,
+                &format!("{} above 0", count("kernel")),
+                shape.to_string(),
+            )?;
+            let coefficients = out.beta.iter().chain(&out.alpha).copied().chain([out.offset_nmm]);
+            require(
+                finite(coefficients),
+                &format!("finite coefficients in outputs[{m}]"),
+                "NaN or infinity".into(),
+            )?;
+            out.kernel.check_radius(self.valid_region.diameter_pm() / scale)?;
+        }
+        Ok(())
+    }
+}
+
+fn finite(values: impl IntoIterator<Item = f64>) -> bool {
+    values.into_iter().all(f64::is_finite)
+}

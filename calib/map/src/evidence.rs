@@ -1,0 +1,251 @@
+//! Hyperparameters by restricted likelihood or by leave-one-out density.
+
+use crate::error::MapError;
+use crate::kernel::Kernel;
+use crate::process::{Process, ProcessModel};
+use crate::student::log_density;
+use crate::trend::Trend;
+use nalgebra::{DMatrix, DVector, SymmetricTridiagonal};
+
+/// What the hyperparameters maximise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Criterion {
+    /// Restricted likelihood with s2 profiled out (Patterson & Thompson 1971): invariant to the trend coefficients.
+    #[default]
+    Evidence,
+    /// Mean leave-one-out log predictive density.
+    LeaveOneOut,
+}
+
+/// Range of noise over signal variance. The upper end is "no correlated part to be seen", the lower one keeps C well conditioned.
+const LOG10_NUGGET: [f64; 2] = [-9.0, 6.0];
+
+/// Range of the shape parameter that is searched, and the number of grid points on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShapeSearch {
+    /// Smallest value, scaled input units.
+    pub low: f64,
+    /// Largest value, scaled input units.
+    pub high: f64,
+    /// Grid points before refinement.
+    pub steps: usize,
+}
+
+impl ShapeSearch {
+    /// A bracket of a factor 3 either way about a value, inside the range: folds start from the full fit.
+    #[must_use]
+    pub fn about(&self, value: f64) -> Self {
+        Self { low: (value / 3.0).max(self.low), high: (value * 3.0).min(self.high), steps: 3 }
+    }
+}
+
+/// Residual contrasts of one output: the data with the trend projected off, in the basis that makes K tridiagonal.
+struct Contrasts {
+    diagonal: DVector<f64>,
+    off: DVector<f64>,
+    y: DVector<f64>,
+}
+
+/// Householder reflectors that carry the trend's columns to the first coordinates.
+pub(crate) struct TrendNull {
+    reflectors: Vec<DVector<f64>>,
+    terms: usize,
+}
+
+impl TrendNull {
+    pub(crate) fn new(trend: Trend, inputs: &[[f64; 2]]) -> Self {
+        let mut h = trend.matrix(inputs);
+        let n = h.nrows();
+        let mut reflectors = Vec::with_capacity(h.ncols());
+        for j in 0..h.ncols() {
+            let mut v = DVector::zeros(n);
+            for i in j..n {
+                v[i] = h[(i, j)];
+            }
+            let norm = v.norm();
+            v[j] += norm.copysign(v[j]);
+            let length = v.norm();
+            if length > 0.0 {
+                v /= length;
+            }
+            let w = h.tr_mul(&v) * 2.0;
+            h.ger(-1.0, &v, &w, 1.0);
+            reflectors.push(v);
+        }
+        Self { terms: reflectors.len(), reflectors }
+    }
+
+    fn project_vector(&self, y: &[f64]) -> DVector<f64> {
+        let mut out = DVector::from_column_slice(y);
+        for v in &self.reflectors {
+            let w = 2.0 * v.dot(&out);
+            out.axpy(-w, v, 1.0);
+        }
+        out.rows(self.terms, y.len() - self.terms).into_owned()
+    }
+
+    fn project_matrix(&self, mut k: DMatrix<f64>) -> DMatrix<f64> {
+        for v in &self.reflectors {
+            // H K H with H = I - 2 v v': a symmetric rank-two update.
+            let kv = &k * v;
+            let w = &kv * 2.0 - v * (2.0 * v.dot(&kv));
+            k.ger(-1.0, v, &w, 1.0);
+            k.ger(-1.0, &w, v, 1.0);
+        }
+        let free = k.nrows() - self.terms;
+        k.view((self.terms, self.terms), (free, free)).into_owned()
+    }
+}
+
+impl Contrasts {
+    fn new(null: &TrendNull, kernel: &Kernel, inputs: &[[f64; 2]], y: &[f64]) -> Self {
+        let projected = null.project_matrix(kernel.matrix(inputs));
+        let y = null.project_vector(y);
+        if y.len() < 2 {
+            return Self { diagonal: projected.diagonal(), off: DVector::zeros(0), y };
+        }
+        let (q, diagonal, off) = SymmetricTridiagonal::new(projected).unpack();
+        Self { diagonal, off, y: q.tr_mul(&y) }
+    }
+
+    /// Restricted log likelihood with s2 profiled out, in O(n); none where the matrix is not positive definite.
+    fn log_evidence(&self, nugget: f64) -> Option<f64> {
+        let n = self.y.len();
+        let (mut log_det, mut square, mut pivot, mut carried) = (0.0, 0.0, 1.0, 0.0);
+        for i in 0..n {
+            let below = if i == 0 { 0.0 } else { self.off[i - 1] };
+            let factor = if i == 0 { 0.0 } else { below / pivot };
+            carried = self.y[i] - factor * carried;
+            pivot = self.diagonal[i] + nugget - factor * below;
+            if pivot.is_nan() || pivot <= 0.0 {
+                return None;
+            }
+            log_det += pivot.ln();
+            square += carried * carried / pivot;
+        }
+        Some(profiled(n, square, log_det))
+    }
+}
+
+/// -1/2 [n ln(2 pi s2) + n + ln det] with s2 = square / n.
+fn profiled(n: usize, square: f64, log_det: f64) -> f64 {
+    let free = n as f64;
+    let variance = (square / free).max(f64::MIN_POSITIVE);
+    -0.5 * (free * ((2.0 * std::f64::consts::PI * variance).ln() + 1.0) + log_det)
+}
+
+/// Restricted log likelihood of a model with s2 profiled out; none where it is not positive definite.
+#[must_use]
+pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Option<f64> {
+    let null = TrendNull::new(model.trend, inputs);
+    if model.kernel == Kernel::None {
+        let free = null.project_vector(y);
+        let log_det = free.len() as f64 * model.nugget.ln();
+        return Some(profiled(free.len(), free.norm_squared() / model.nugget, log_det));
+    }
+    Contrasts::new(&null, &model.kernel, inputs, y).log_evidence(model.nugget)
+}
+
+/// Best noise ratio (log10) and criterion at one kernel.
+fn best_nugget(
+    criterion: Criterion,
+    null: &TrendNull,
+    trend: Trend,
+    kernel: Kernel,
+    inputs: &[[f64; 2]],
+    y: &[f64],
+) -> (f64, f64) {
+    match criterion {
+        Criterion::Evidence => {
+            let contrasts = Contrasts::new(null, &kernel, inputs, y);
+            maximise(
+                |p| contrasts.log_evidence(10f64.powf(p)).unwrap_or(f64::NEG_INFINITY),
+                LOG10_NUGGET,
+                46,
+                20,
+            )
+        }
+        Criterion::LeaveOneOut => {
+            let single: Vec<Vec<usize>> = (0..inputs.len()).map(|i| vec![i]).collect();
+            let density = |p: f64| {
+                let model = ProcessModel { trend, kernel, nugget: 10f64.powf(p), fixed_variance: None };
+                Process::fit(model, inputs, y).map_or(f64::NEG_INFINITY, |fit| {
+                    let left = fit.leave_out(&single);
+                    left.iter().map(|e| log_density(e.error / e.sd, e.dof) - e.sd.ln()).sum::<f64>()
+                })
+            };
+            maximise(density, LOG10_NUGGET, 31, 10)
+        }
+    }
+}
+
+/// Chooses noise ratio and, where a range is given, the kernel's shape parameter.
+///
+/// # Errors
+/// [`MapError::NotPositiveDefinite`] where no admissible value gives a positive definite matrix.
+pub fn choose_hyperparameters(
+    criterion: Criterion,
+    trend: Trend,
+    kernel: Kernel,
+    search: Option<ShapeSearch>,
+    inputs: &[[f64; 2]],
+    y: &[f64],
+) -> Result<ProcessModel, MapError> {
+    if kernel == Kernel::None {
+        return Ok(ProcessModel { trend, kernel, nugget: 1.0, fixed_variance: None });
+    }
+    let null = TrendNull::new(trend, inputs);
+    let best = |shape: f64| best_nugget(criterion, &null, trend, kernel.with_shape(shape), inputs, y);
+    let shape = match (search, kernel.shape()) {
+        (Some(s), _) => {
+            let (log_shape, _) = maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);
+            log_shape.exp()
+        }
+        (None, Some(shape)) => shape,
+        (None, None) => 1.0,
+    };
+    let (log_nugget, value) = best(shape);
+    if value == f64::NEG_INFINITY {
+        return Err(MapError::NotPositiveDefinite { readings: inputs.len() });
+    }
+    Ok(ProcessModel {
+        trend,
+        kernel: kernel.with_shape(shape),
+        nugget: 10f64.powf(log_nugget),
+        fixed_variance: None,
+    })
+}
+
+/// Largest value on a grid of `steps` points, refined by golden section between its neighbours.
+fn maximise(mut f: impl FnMut(f64) -> f64, range: [f64; 2], steps: usize, refinements: usize) -> (f64, f64) {
+    let spacing = (range[1] - range[0]) / (steps.max(2) - 1) as f64;
+    let mut best = (range[0], f64::NEG_INFINITY);
+    for i in 0..steps.max(2) {
+        let x = range[0] + spacing * i as f64;
+        let value = f(x);
+        if value > best.1 {
+            best = (x, value);
+        }
+    }
+    let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
+    let (mut low, mut high) = ((best.0 - spacing).max(range[0]), (best.0 + spacing).min(range[1]));
+    let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
+    let (mut fa, mut fb) = (f(a), f(b));
+    for _ in 0..refinements {
+        if fa > fb {
+            (high, b, fb) = (b, a, fa);
+            a = high - golden * (high - low);
+            fa = f(a);
+        } else {
+            (low, a, fa) = (a, b, fb);
+            b = low + golden * (high - low);
+            fb = f(b);
+        }
+    }
+    for (x, value) in [(a, fa), (b, fb)] {
+        if value > best.1 {
+            best = (x, value);
+        }
+    }
+    best
+}

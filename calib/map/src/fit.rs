@@ -1,0 +1,144 @@
+//! From a training set to a chosen map.
+
+use crate::artefact::{ARTEFACT_VERSION, MapArtefact};
+use crate::candidate::{Candidate, CandidateFit, Fixed, Scaled, Searched, fit_candidate};
+use crate::choose::{Choice, choose};
+use crate::error::MapError;
+use crate::evidence::Criterion;
+use crate::identifiability::{IdentifiabilityReport, identify};
+use crate::region::{DEFAULT_MARGIN, ValidRegion};
+use crate::released;
+use crate::training::MapTraining;
+use wcal_core::FbgSpec;
+
+/// Readings above which the processes are left to the polynomial rivals: their cost grows with the cube.
+pub const MAX_PROCESS_READINGS: usize = 800;
+
+/// How to fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitOptions {
+    /// Candidates, simplest first.
+    pub candidates: Vec<Candidate>,
+    /// What the hyperparameters maximise.
+    pub criterion: Criterion,
+    /// The released code's map instead of the candidates.
+    pub released: bool,
+    /// Margin of the valid region as a share of the readings' diameter.
+    pub margin: f64,
+    /// Further points of the declared domain, pm.
+    pub domain_pm: Vec<[f64; 2]>,
+    /// Thin-plate radius, pm; none: the smallest safe one.
+    pub radius_pm: Option<f64>,
+    /// Where the labels came from.
+    pub labels: String,
+    /// Gratings, kept in the artefact.
+    pub fbg: FbgSpec,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            candidates: Candidate::ALL.to_vec(),
+            criterion: Criterion::Evidence,
+            released: false,
+            margin: DEFAULT_MARGIN,
+            domain_pm: Vec::new(),
+            radius_pm: None,
+            labels: "unnamed".into(),
+            fbg: FbgSpec::default(),
+        }
+    }
+}
+
+/// Everything that a fit found.
+#[derive(Debug, Clone)]
+pub struct MapFit {
+    /// The chosen map.
+    pub artefact: MapArtefact,
+    /// Every candidate that could be fitted, in the given order.
+    pub candidates: Vec<CandidateFit>,
+    /// The choice.
+    pub choice: Choice,
+    /// What the readings determine.
+    pub identifiability: IdentifiabilityReport,
+    /// Candidates that could not be fitted, with the reason.
+    pub skipped: Vec<(&'static str, String)>,
+}
+
+/// Fits every candidate, chooses one and keeps it as an artefact.
+///
+/// # Errors
+/// A training set that cannot be used, a radius that is too small, or no candidate that can be fitted: [`MapError`].
+pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, MapError> {
+    training.validate()?;
+    let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, options.margin);
+    let (centre_pm, scale_pm, offset_nmm) = if options.released {
+        ([released::SHIFT_OFFSET_PM; 2], released::SHIFT_SCALE_PM, released::MOMENT_OFFSET_NMM)
+    } else {
+        let (centre, scale) = training.input_scaling();
+        (centre, scale, 0.0)
+    };
+    let (candidates, skipped) = fit_all(training, options, &valid_region, centre_pm, scale_pm)?;
+    if candidates.is_empty() {
+        let reasons: Vec<String> = skipped.iter().map(|(name, why)| format!("{name}: {why}")).collect();
+        return Err(MapError::NoCandidate { reasons: reasons.join("; ") });
+    }
+    let choice = choose(&candidates, training);
+    let chosen = &candidates[choice.chosen];
+    let identifiability = identify(training, chosen.loo.each_ref().map(|s| s.rmse_nmm))?;
+    let artefact = MapArtefact {
+        version: ARTEFACT_VERSION,
+        name: chosen.name.into(),
+        labels: options.labels.clone(),
+        centre_pm,
+        scale_pm,
+        training_pm: training.shifts_pm.clone(),
+        outputs: MapArtefact::outputs_of(chosen, offset_nmm),
+        valid_region,
+        law: identifiability.law,
+        fbg: options.fbg.clone(),
+    };
+    artefact.check()?;
+    Ok(MapFit { artefact, candidates, choice, identifiability, skipped })
+}
+
+type Fitted = (Vec<CandidateFit>, Vec<(&'static str, String)>);
+
+fn fit_all(
+    training: &MapTraining,
+    options: &FitOptions,
+    region: &ValidRegion,
+    centre_pm: [f64; 2],
+    scale_pm: f64,
+) -> Result<Fitted, MapError> {
+    let (mut candidates, mut skipped) = (Vec::new(), Vec::new());
+    if options.released {
+        let scaled = released::scale(training, region.diameter_pm())?;
+        let mut fit = fit_candidate("released", &Fixed(released::model()), &scaled, training)?;
+        // The released map is reproduced as it is, its deviations too.
+        fit.inflation = [1.0; 2];
+        return Ok((vec![fit], skipped));
+    }
+    let scaled = Scaled::new(training, centre_pm, scale_pm, region.diameter_pm(), options.radius_pm)?;
+    for candidate in &options.candidates {
+        if candidate.is_process() && training.len() > MAX_PROCESS_READINGS {
+            let why = format!(
+                "{} readings, more than the {MAX_PROCESS_READINGS} that it is fitted to",
+                training.len()
+            );
+            skipped.push((candidate.name(), why));
+            continue;
+        }
+        let recipe = Searched {
+            candidate: *candidate,
+            criterion: options.criterion,
+            diameter: scaled.diameter,
+            radius: scaled.radius,
+        };
+        match fit_candidate(candidate.name(), &recipe, &scaled, training) {
+            Ok(fit) => candidates.push(fit),
+            Err(why) => skipped.push((candidate.name(), why.to_string())),
+        }
+    }
+    Ok((candidates, skipped))
+}

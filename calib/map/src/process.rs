@@ -1,0 +1,195 @@
+//! One output: generalised least squares with a trend and a correlated part, its leave-out errors and its predictions.
+
+use crate::error::MapError;
+use crate::kernel::Kernel;
+use crate::trend::Trend;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Trend, correlation and noise of one output.
+///
+/// y = H b + f + e with cov(f) = s2 K and cov(e) = s2 nugget I; s2 is profiled out unless it is given.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProcessModel {
+    /// Mean.
+    pub trend: Trend,
+    /// Correlation of the deviation from the mean.
+    pub kernel: Kernel,
+    /// Noise variance over signal variance; 1 where there is no kernel.
+    pub nugget: f64,
+    /// Signal variance where it is not estimated.
+    pub fixed_variance: Option<f64>,
+}
+
+/// A process conditioned on data.
+#[derive(Debug, Clone)]
+pub struct Process {
+    /// Model.
+    pub model: ProcessModel,
+    /// Scaled inputs.
+    pub inputs: Vec<[f64; 2]>,
+    /// Trend coefficients.
+    pub beta: DVector<f64>,
+    /// C^-1 (y - H beta).
+    pub alpha: DVector<f64>,
+    /// Signal variance s2, output units squared.
+    pub variance: f64,
+    /// Degrees of freedom of s2; none where it was given.
+    pub dof: Option<f64>,
+    factor: Factor,
+}
+
+/// Cholesky factor of C = K + nugget I, G = L^-1 H, and the Cholesky factor of G'G.
+#[derive(Debug, Clone)]
+pub(crate) struct Factor {
+    pub(crate) l: DMatrix<f64>,
+    pub(crate) g: DMatrix<f64>,
+    pub(crate) a: Option<Cholesky<f64, Dyn>>,
+}
+
+impl Factor {
+    pub(crate) fn new(model: &ProcessModel, inputs: &[[f64; 2]]) -> Result<Self, MapError> {
+        let readings = inputs.len();
+        let h = model.trend.matrix(inputs);
+        let l = if model.kernel == Kernel::None {
+            DMatrix::from_diagonal_element(readings, readings, model.nugget.sqrt())
+        } else {
+            let mut c = model.kernel.matrix(inputs);
+            for i in 0..readings {
+                c[(i, i)] += model.nugget;
+            }
+            Cholesky::new(c).ok_or(MapError::NotPositiveDefinite { readings })?.unpack()
+        };
+        let g = l.solve_lower_triangular(&h).ok_or(MapError::NotPositiveDefinite { readings })?;
+        let a = if model.trend.terms() == 0 {
+            None
+        } else {
+            let deficient = MapError::RankDeficient { trend: model.trend.name(), readings };
+            let gram = g.transpose() * &g;
+            // Columns differ in size, so rank is judged on the correlation of the basis functions.
+            let size = gram.diagonal().map(f64::sqrt);
+            let scaled =
+                DMatrix::from_fn(gram.nrows(), gram.ncols(), |i, j| gram[(i, j)] / (size[i] * size[j]));
+            let smallest = scaled.symmetric_eigenvalues().min();
+            if smallest.is_nan() || smallest < 1e-10 {
+                return Err(deficient);
+            }
+            Some(Cholesky::new(gram).ok_or(deficient)?)
+        };
+        Ok(Self { l, g, a })
+    }
+}
+
+/// Leave-out error of one group at fixed hyperparameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LeftOut {
+    /// Reading.
+    pub index: usize,
+    /// Measured minus predicted, output units.
+    pub error: f64,
+    /// Scale of its t (or normal) distribution, noise included.
+    pub sd: f64,
+    /// Degrees of freedom of that scale.
+    pub dof: Option<f64>,
+}
+
+impl Process {
+    /// Conditions the model on data (n scaled inputs, n outputs).
+    ///
+    /// # Errors
+    /// [`MapError::NotPositiveDefinite`], [`MapError::RankDeficient`] or, with too few readings for the trend, [`MapError::TooFew`].
+    pub fn fit(model: ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Result<Self, MapError> {
+        let terms = model.trend.terms();
+        if inputs.len() < terms + 2 {
+            return Err(MapError::TooFew { expected: terms + 2, found: inputs.len() });
+        }
+        let factor = Factor::new(&model, inputs)?;
+        let readings = inputs.len();
+        let lost = MapError::NotPositiveDefinite { readings };
+        let yt = factor.l.solve_lower_triangular(&DVector::from_column_slice(y)).ok_or(lost.clone())?;
+        let beta = match &factor.a {
+            Some(a) => a.solve(&(factor.g.transpose() * &yt)),
+            None => DVector::zeros(0),
+        };
+        let whitened = &yt - &factor.g * &beta;
+        let alpha = factor.l.tr_solve_lower_triangular(&whitened).ok_or(lost)?;
+        let free = (readings - terms) as f64;
+        let (variance, dof) = match model.fixed_variance {
+            Some(v) => (v, None),
+            None => (whitened.norm_squared() / free, Some(free)),
+        };
+        Ok(Self { model, inputs: inputs.to_vec(), beta, alpha, variance, dof, factor })
+    }
+
+    /// Noise variance, output units squared.
+    #[must_use]
+    pub fn noise_variance(&self) -> f64 {
+        self.variance * self.model.nugget
+    }
+
+    /// Mean at a scaled input and the variances of the mean without and with noise, output units squared.
+    #[must_use]
+    pub fn predict(&self, z: [f64; 2]) -> (f64, f64, f64) {
+        let kernel = &self.model.kernel;
+        let k = DVector::from_iterator(
+            self.inputs.len(),
+            self.inputs.iter().map(|x| kernel.at(crate::geometry::distance(*x, z))),
+        );
+        let h = DVector::from_column_slice(&self.model.trend.basis(z)[..self.model.trend.terms()]);
+        let mean = h.dot(&self.beta) + k.dot(&self.alpha);
+        let v = self.factor.l.solve_lower_triangular(&k).unwrap_or(k);
+        let mut spread = kernel.at_zero() - v.norm_squared();
+        if let Some(a) = &self.factor.a {
+            let u = h - self.factor.g.transpose() * v;
+            spread += u.dot(&a.solve(&u));
+        }
+        let spread = self.variance * spread.max(0.0);
+        (mean, spread, spread + self.noise_variance())
+    }
+
+    /// P = C^-1 - C^-1 H (H'C^-1 H)^-1 H'C^-1, n x n.
+    fn projection(&self) -> DMatrix<f64> {
+        let n = self.inputs.len();
+        let linv = self
+            .factor
+            .l
+            .solve_lower_triangular(&DMatrix::identity(n, n))
+            .unwrap_or_else(|| DMatrix::zeros(n, n));
+        let mut p = linv.transpose() * &linv;
+        if let Some(a) = &self.factor.a {
+            let b = linv.transpose() * &self.factor.g;
+            p -= &b * a.solve(&b.transpose());
+        }
+        p
+    }
+
+    /// Errors of each group when it is left out, from the inverse alone (Dubrule 1983; Rasmussen & Williams 2006, eq. 5.12):
+    /// e_g = (P_gg)^-1 (P y)_g. Hyperparameters stay; trend and, where it is estimated, s2 are those of the rest.
+    #[must_use]
+    pub fn leave_out(&self, groups: &[Vec<usize>]) -> Vec<LeftOut> {
+        let p = self.projection();
+        let total = self.dof.map_or(0.0, |nu| nu * self.variance);
+        let mut out = Vec::with_capacity(self.inputs.len());
+        for group in groups {
+            let m = group.len();
+            let block = DMatrix::from_fn(m, m, |i, j| p[(group[i], group[j])]);
+            // A group that alone determines a trend coefficient cannot be predicted from the rest.
+            let Some(inverse) = Cholesky::new(block).map(|c| c.inverse()) else { continue };
+            let py = DVector::from_iterator(m, group.iter().map(|i| self.alpha[*i]));
+            let error = &inverse * &py;
+            let dof = self.dof.map(|nu| nu - m as f64).filter(|nu| *nu > 0.0);
+            let variance = match dof {
+                Some(nu) => ((total - py.dot(&error)) / nu).max(0.0),
+                None => self.variance,
+            };
+            for (at, index) in group.iter().enumerate() {
+                out.push(LeftOut {
+                    index: *index,
+                    error: error[at],
+                    sd: (variance * inverse[(at, at)]).sqrt(),
+                    dof,
+                });
+            }
+        }
+        out
+    }
+}

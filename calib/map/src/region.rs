@@ -1,0 +1,44 @@
+//! Where the map may be used.
+
+use crate::geometry::{convex_hull, diameter, distance_to_polygon};
+use serde::{Deserialize, Serialize};
+
+/// Default margin of the valid region as a share of the diameter of the readings.
+pub const DEFAULT_MARGIN: f64 = 0.1;
+
+/// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a margin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ValidRegion {
+    /// Always `hull`.
+    pub kind: String,
+    /// Hull vertices, counter-clockwise, pm.
+    pub vertices_pm: Vec<[f64; 2]>,
+    /// A reading up to this far outside the hull is still valid, pm.
+    pub margin_pm: f64,
+}
+
+impl ValidRegion {
+    /// Hull of `readings` and `declared` (pm), grown by `margin` times its diameter.
+    #[must_use]
+    pub fn new(readings: &[[f64; 2]], declared: &[[f64; 2]], margin: f64) -> Self {
+        let all: Vec<[f64; 2]> = readings.iter().chain(declared).copied().collect();
+        let vertices_pm = convex_hull(&all);
+        let margin_pm = margin * diameter(&vertices_pm);
+        Self { kind: "hull".into(), vertices_pm, margin_pm }
+    }
+
+    /// How far a reading lies outside the grown hull, pm; 0 inside. No allocation.
+    #[must_use]
+    pub fn outside_by_pm(&self, shift_pm: [f64; 2]) -> f64 {
+        if !shift_pm.iter().all(|v| v.is_finite()) {
+            return f64::INFINITY;
+        }
+        (distance_to_polygon(&self.vertices_pm, shift_pm) - self.margin_pm).max(0.0)
+    }
+
+    /// Largest distance between two valid readings, pm.
+    #[must_use]
+    pub fn diameter_pm(&self) -> f64 {
+        diameter(&self.vertices_pm) + 2.0 * self.margin_pm
+    }
+}

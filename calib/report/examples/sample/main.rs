@@ -1,0 +1,25 @@
+//! Writes sample pages from invented data, to look at: `cargo run -p wcal-report --example sample -- FOLDER`.
+
+#![allow(clippy::print_stdout)]
+
+mod data;
+
+use std::{env, fs, io, path::PathBuf};
+use wcal_report::{IndexEntry, render, render_index, render_many};
+
+fn main() -> io::Result<()> {
+    let folder = PathBuf::from(env::args().nth(1).unwrap_or_else(|| ".".into()));
+    fs::create_dir_all(&folder)?;
+    let sessions = data::all();
+    let mut entries = Vec::new();
+    for input in &sessions {
+        let name = format!("{}.html", input.verify.session);
+        fs::write(folder.join(&name), render(input))?;
+        entries.push(IndexEntry::of(input, name));
+    }
+    let introduction = ["Invented sessions that show what a report looks like."];
+    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;
+    fs::write(folder.join("many.html"), render_many("Sample sessions", &introduction, &sessions))?;
+    println!("{}", folder.join("index.html").display());
+    Ok(())
+}

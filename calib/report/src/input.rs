@@ -1,0 +1,245 @@
+//! What a report is made of: plain data that other crates computed.
+//!
+//! Everything is public and serialisable; an empty list means "not part of this run" and the section says so.
+
+use serde::{Deserialize, Serialize};
+use wcal_core::map_document::MapDocument;
+use wcal_core::verify_document::{EffectParameter, HeldOutError, VerifyDocument};
+use wcal_core::{Provenance, ResidualRecord};
+
+/// Everything that the page of one session shows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ReportInput {
+    /// Heading, e.g. `Calibration of whisker 3`; empty: the session identifier stands for it.
+    pub title: String,
+    /// How the data was simulated; `None` for measured data. The page carries a SIMULATED badge where it is given.
+    pub simulated: Option<String>,
+    /// Name and value of what the reader should know of the session: wire, medium, rows by role, devices.
+    pub facts: Vec<Fact>,
+    /// Result of `verify`.
+    pub verify: VerifyDocument,
+    /// Result of `fit-gpr`.
+    pub map: Option<MapDocument>,
+    /// Every reading with its residuals, in time order.
+    pub residuals: Vec<ResidualRecord>,
+    /// Further held-out errors beside `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
+    pub further_errors: Vec<NamedError>,
+    /// Stages in the order in which they ran, with their outcome in words.
+    pub steps: Vec<Fact>,
+    /// Tests of the omnibus gate.
+    pub gate: Vec<GateTest>,
+    /// Names of the two moments, e.g. `x moment` and `z moment`; used by the twin check, the map table and the errors.
+    pub moment_names: [String; 2],
+    /// Twin check, one entry a trajectory.
+    pub twin: Vec<TwinTrajectory>,
+    /// Candidates that were tested, best first.
+    pub evidence: Vec<EvidenceRow>,
+    /// Cosines between the projected signatures.
+    pub isolability: Option<Isolability>,
+    /// Explanations that were refitted, best first.
+    pub explanations: Vec<Explanation>,
+    /// Observed against nominal coverage of the stated intervals.
+    pub coverage: Vec<CoverageCurve>,
+    /// Program, command, seed and files by hash.
+    pub provenance: Provenance,
+    /// Versions of what took part, e.g. `rustc` and `1.95.0`.
+    pub versions: Vec<Fact>,
+}
+
+impl ReportInput {
+    /// A report of `verify` alone; fill the other fields as far as they are known.
+    #[must_use]
+    pub fn new(verify: VerifyDocument, provenance: Provenance) -> Self {
+        Self {
+            title: String::new(),
+            simulated: None,
+            facts: Vec::new(),
+            verify,
+            map: None,
+            residuals: Vec::new(),
+            further_errors: Vec::new(),
+            steps: Vec::new(),
+            gate: Vec::new(),
+            moment_names: ["moment 1".into(), "moment 2".into()],
+            twin: Vec::new(),
+            evidence: Vec::new(),
+            isolability: None,
+            explanations: Vec::new(),
+            coverage: Vec::new(),
+            provenance,
+            versions: Vec::new(),
+        }
+    }
+
+    /// Title, or the session identifier where there is none.
+    #[must_use]
+    pub fn heading(&self) -> &str {
+        if self.title.is_empty() { &self.verify.session } else { &self.title }
+    }
+
+    /// Unit of the response as the residual records give it; empty for kinds that name their unit themselves.
+    pub(crate) fn response_unit(&self) -> &str {
+        let own = self.verify.kind == "transducer";
+        self.residuals.first().filter(|_| own).map_or("", |r| r.unit.as_str())
+    }
+}
+
+impl IndexEntry {
+    /// The line of a session whose report lies at `href`.
+    #[must_use]
+    pub fn of(input: &ReportInput, href: impl Into<String>) -> Self {
+        Self {
+            href: href.into(),
+            title: input.heading().to_owned(),
+            simulated: input.simulated.clone(),
+            response_unit: input.response_unit().to_owned(),
+            verify: input.verify.clone(),
+        }
+    }
+}
+
+/// A name and what is said of it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fact {
+    /// Name.
+    pub name: String,
+    /// Value with its unit, ready to print.
+    pub value: String,
+}
+
+impl Fact {
+    /// Pairs a name with a printable value.
+    pub fn new(name: impl Into<String>, value: impl Into<String>) -> Self {
+        Self { name: name.into(), value: value.into() }
+    }
+}
+
+/// Held-out errors of one more model or of another split.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedError {
+    /// What was judged, e.g. `black-box GP (rival)`.
+    pub name: String,
+    /// Its errors.
+    pub error: HeldOutError,
+}
+
+/// One test of the omnibus gate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GateTest {
+    /// Test, e.g. `lack of fit F`.
+    pub name: String,
+    /// Statistic, dimensionless.
+    pub statistic: Option<f64>,
+    /// p-value.
+    pub p_value: Option<f64>,
+    /// Remark, e.g. degrees of freedom.
+    pub detail: String,
+}
+
+/// Twin check along one trajectory.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TwinTrajectory {
+    /// Trajectory as in the points table.
+    pub id: u32,
+    /// Branches that the rod followed.
+    pub branches: Vec<RodBranch>,
+    /// Labels of the outside twin.
+    pub labels: Vec<TwinMark>,
+    /// Stage positions at which the rod snaps, mm.
+    pub snaps_mm: Vec<f64>,
+}
+
+/// One equilibrium branch of the rod along a trajectory.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RodBranch {
+    /// Name, e.g. `followed from first touch`.
+    pub name: String,
+    /// Stage positions in order, mm.
+    pub stage_mm: Vec<f64>,
+    /// Moments at those positions, N mm, same length.
+    pub moment_nmm: Vec<[f64; 2]>,
+}
+
+/// One label of the outside twin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TwinMark {
+    /// Point number.
+    pub point: i64,
+    /// Stage position, mm.
+    pub stage_mm: f64,
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Kind of fault; `None` for a good label.
+    pub fault: Option<String>,
+}
+
+/// One candidate that was tested.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EvidenceRow {
+    /// Effect identifier.
+    pub id: String,
+    /// Law, e.g. `position lags by b after a reversal`.
+    pub law: String,
+    /// Fitted parameters; empty where it was not fitted.
+    pub parameters: Vec<EffectParameter>,
+    /// Chi-square gained over the declared model.
+    pub chi2_gain: Option<f64>,
+    /// Parameters that it spends.
+    pub degrees_of_freedom: usize,
+    /// p-value adjusted for the whole catalogue.
+    pub p_adjusted: Option<f64>,
+    /// ln(likelihood / likelihood of the best), zero for the best, else negative.
+    pub log_likelihood_ratio: Option<f64>,
+    /// `accepted`, `survives`, `rejected`, `at bound`, `absorbed`, `not tested`, ...
+    pub status: String,
+    /// Reason in words; may be empty.
+    pub why: String,
+}
+
+/// Cosines between projected signatures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Isolability {
+    /// Effect identifiers, n of them.
+    pub names: Vec<String>,
+    /// n rows of n cosines, -1 to 1; NaN where a signature is absorbed.
+    pub cosine: Vec<Vec<f64>>,
+}
+
+/// One explanation: a set of effects that was refitted through the full model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Explanation {
+    /// Effects; empty: the declared model alone.
+    pub effects: Vec<String>,
+    /// ln(likelihood / likelihood of the best), zero for the best, else negative.
+    pub log_likelihood_ratio: f64,
+    /// Bootstrap p-value of that ratio.
+    pub p_value: Option<f64>,
+    /// Not rejected.
+    pub survives: bool,
+}
+
+/// Observed against nominal coverage of one model's intervals.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CoverageCurve {
+    /// Model.
+    pub name: String,
+    /// Nominal coverages, 0 to 1.
+    pub nominal: Vec<f64>,
+    /// Observed coverages, same length.
+    pub observed: Vec<f64>,
+}
+
+/// A line of the overview page.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct IndexEntry {
+    /// Link to the session's report, relative to the overview page; `#...` within one page; empty: no link.
+    pub href: String,
+    /// Heading of the session's report.
+    pub title: String,
+    /// How the data was simulated; `None` for measured data.
+    pub simulated: Option<String>,
+    /// Unit of the response (kind transducer); empty for the other kinds.
+    pub response_unit: String,
+    /// The result.
+    pub verify: VerifyDocument,
+}

@@ -1,0 +1,145 @@
+//! Whole pages: head, verdict, contents, sections, overview.
+
+use crate::input::{Fact, IndexEntry, ReportInput};
+use crate::markup::{Cell, Table, escape, paragraph};
+use crate::sections::{self, before_after, verdict};
+use std::fmt::Write;
+
+const STYLE: &str = include_str!("style.css");
+
+/// The page of one session.
+#[must_use]
+pub fn render(input: &ReportInput) -> String {
+    document(input.heading(), input.simulated.is_some(), &session(input, "", "h1"))
+}
+
+/// Several sessions on one page: `title`, an introduction of plain paragraphs, an overview table, then each session.
+#[must_use]
+pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -> String {
+    let entry = |(k, input): (usize, &ReportInput)| IndexEntry::of(input, format!("#s{}-top", k + 1));
+    let entries: Vec<IndexEntry> = inputs.iter().enumerate().map(entry).collect();
+    let mut body = overview(title, introduction, &entries);
+    for (k, input) in inputs.iter().enumerate() {
+        body += &session(input, &format!("s{}-", k + 1), "h2");
+    }
+    document(title, inputs.iter().any(|i| i.simulated.is_some()), &body)
+}
+
+/// An overview page that links to session reports beside it.
+#[must_use]
+pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
+    let simulated = entries.iter().any(|e| e.simulated.is_some());
+    document(title, simulated, &overview(title, introduction, entries))
+}
+
+/// Every page is well-formed XML too, so that a strict parser can check it.
+fn document(title: &str, simulated: bool, body: &str) -> String {
+    let mark = if simulated { " (simulated data)" } else { "" };
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>{}{mark}</title>\n<style>\n{STYLE}</style></head>\n<body><main>\n{body}</main></body></html>\n",
+        escape(title)
+    )
+}
+
+/// Header with the verdict, contents and all sections of one session; `prefix` keeps anchors apart.
+fn session(input: &ReportInput, prefix: &str, heading: &str) -> String {
+    let (below, sections) = (if heading == "h1" { "h2" } else { "h3" }, sections::all(input));
+    let mut out = format!("<article id=\"{prefix}top\">\n<header>\n{}", headline(input, heading));
+    let _ = write!(out, "{}<nav aria-label=\"Contents\"><ul>", banner(input));
+    for section in &sections {
+        let _ = write!(out, "<li><a href=\"#{prefix}{}\">{}</a></li>", section.id, escape(section.title));
+    }
+    out.push_str("</ul></nav>\n</header>\n");
+    for section in &sections {
+        // Cards carry h5 for brevity in the sections; here they get the level below the section's own.
+        let body = section.body.replace("h5>", if below == "h2" { "h3>" } else { "h4>" });
+        let _ = write!(
+            out,
+            "<section id=\"{prefix}{id}\" aria-labelledby=\"{prefix}{id}-h\"><{below} id=\"{prefix}{id}-h\">{}</{below}>\n{body}</section>\n",
+            escape(section.title),
+            id = section.id
+        );
+    }
+    out + "</article>\n"
+}
+
+fn headline(input: &ReportInput, heading: &str) -> String {
+    let verify = &input.verify;
+    let badge = match &input.simulated {
+        Some(_) => "<span class=\"pill sim\">SIMULATED</span>",
+        None => "",
+    };
+    let mut out = format!(
+        "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<{heading}>{}</{heading}>\n",
+        escape(&verify.kind),
+        escape(&verify.session),
+        escape(input.heading())
+    );
+    if let Some(how) = &input.simulated {
+        out += &format!("<p class=\"simulated\">Simulated data, not a measurement: {}</p>\n", escape(how));
+    }
+    out + &facts(&input.facts)
+}
+
+fn banner(input: &ReportInput) -> String {
+    let (class, short, meaning) = verdict::words(input.verify.verdict);
+    let mut out = format!(
+        "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
+        paragraph(&input.verify.reason)
+    );
+    if let Some([name, before, after, floor]) = before_after::summary(&input.verify, input.response_unit()) {
+        let cell = |head: &str, value: &str| format!("<div><dt>{head}</dt><dd>{}</dd></div>", escape(value));
+        let _ = write!(
+            out,
+            "<dl><div class=\"wide\"><dt>held-out error</dt><dd>{}</dd></div>{}{}{}</dl>",
+            escape(&name),
+            cell("before", &before),
+            cell("after", &after),
+            cell("noise floor", &floor)
+        );
+    }
+    out + "</div>\n"
+}
+
+fn facts(facts: &[Fact]) -> String {
+    if facts.is_empty() {
+        return String::new();
+    }
+    let rows: String = facts
+        .iter()
+        .map(|f| format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(&f.name), escape(&f.value)))
+        .collect();
+    format!("<dl class=\"facts\">{rows}</dl>\n")
+}
+
+fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
+    let mut out = format!("<header><p class=\"over\">Overview</p><h1>{}</h1>\n", escape(title));
+    for text in introduction {
+        out += &paragraph(text);
+    }
+    out += "</header>\n<section id=\"overview\" aria-label=\"Overview\">";
+    let mut table = Table::new(
+        "Sessions with their verdict and held-out error",
+        &["session", "data", "verdict", "found", "quantity", "#before", "#after", "#noise floor"],
+    );
+    for entry in entries {
+        let (class, short, _) = verdict::words(entry.verify.verdict);
+        let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
+            .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
+        let data = match entry.simulated {
+            Some(_) => Cell::Badge("sim", "simulated".into()),
+            None => Cell::Text("measured".into()),
+        };
+        table.row(vec![
+            Cell::Link(entry.href.clone(), entry.title.clone()),
+            data,
+            Cell::Badge(class, short.into()),
+            Cell::Text(entry.verify.reason.clone()),
+            Cell::Text(name),
+            Cell::Number(before),
+            Cell::Number(after),
+            Cell::Number(floor),
+        ]);
+    }
+    out + &table.html() + "</section>\n"
+}

@@ -1,0 +1,223 @@
+//! Held-out errors beside the noise floor: table and picture.
+
+use crate::input::ReportInput;
+use crate::markup::{Cell, Table};
+use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
+use crate::plot::{Axis, Mark, RowChart, RowItem};
+use wcal_core::verify_document::{HeldOutError, NoiseFloor, VerifyDocument};
+
+/// One column: an error and the floor that it is held against.
+struct Quantity {
+    /// Key in `HeldOutError::rmse`, or `moment 1` and `moment 2` of the pair.
+    key: String,
+    /// Name as printed.
+    name: String,
+    /// Unit as printed.
+    unit: String,
+    /// Noise floor in the same unit.
+    floor: Option<f64>,
+    /// Index into `moment_rmse_nmm_each`.
+    each: Option<usize>,
+}
+
+impl Quantity {
+    /// Value and interval in one model's errors.
+    fn of(&self, error: &HeldOutError) -> (Option<f64>, Option<[f64; 2]>) {
+        match self.each {
+            Some(k) => (error.moment_rmse_nmm_each.map(|pair| pair[k]), None),
+            None => (error.rmse.get(&self.key).copied(), error.interval95.get(&self.key).copied()),
+        }
+    }
+}
+
+/// Errors of one model under its name and colour.
+struct Model<'a> {
+    name: String,
+    class: &'static str,
+    error: &'a HeldOutError,
+}
+
+/// Every model with an error, the declared one first.
+fn models(input: &ReportInput) -> Vec<Model<'_>> {
+    let model = |name: &str, class, error| Model { name: name.to_owned(), class, error };
+    let before = input.verify.before.iter().map(|e| model("before: declared model", "s2", e));
+    let after = input.verify.after.iter().map(|e| model("after: accepted model", "s1", e));
+    let further = input.further_errors.iter().map(|e| model(&e.name, "s3", &e.error));
+    before.chain(after).chain(further).collect()
+}
+
+/// Every quantity that some model has an error for, in the order wavelength, moments, others.
+fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
+    let floor = &input.verify.noise_floor;
+    let mut keys: Vec<&String> = errors.iter().flat_map(|e| e.rmse.keys()).collect();
+    keys.sort_by_key(|key| (!key.starts_with("wavelength"), key.as_str()));
+    keys.dedup();
+    let response_unit = input.response_unit();
+    let mut out: Vec<Quantity> = keys
+        .into_iter()
+        .map(|key| {
+            let (name, unit, floor) = describe(key, floor, response_unit);
+            Quantity { key: key.clone(), name, unit, floor, each: None }
+        })
+        .collect();
+    if errors.iter().any(|e| e.moment_rmse_nmm_each.is_some()) {
+        out.extend((0..2).map(|k| Quantity {
+            key: String::new(),
+            name: input.moment_names[k].clone(),
+            unit: "N\u{a0}mm".into(),
+            floor: floor.moment_nmm,
+            each: Some(k),
+        }));
+    }
+    out
+}
+
+fn describe(key: &str, floor: &NoiseFloor, response_unit: &str) -> (String, String, Option<f64>) {
+    match key {
+        "wavelength_rmse_pm" => ("wavelength".into(), "pm".into(), floor.wavelength_pm),
+        "moment_rmse_nmm" => ("moments, pooled".into(), "N\u{a0}mm".into(), floor.moment_nmm),
+        "response_rmse" => ("response".into(), crate::number::unit_text(response_unit), floor.response),
+        "error_rmse_um" => ("position error".into(), "µm".into(), floor.error_um),
+        other => (other.replace('_', " "), String::new(), None),
+    }
+}
+
+/// Value and, where there is one, its interval.
+fn value_text(value: f64, interval: Option<[f64; 2]>) -> (String, Option<String>) {
+    match interval {
+        Some(interval) => {
+            let (value, interval) = with_interval(value, interval);
+            (value, Some(interval))
+        }
+        None => (number(value), None),
+    }
+}
+
+fn ratio_text(value: f64, floor: Option<f64>) -> Option<String> {
+    let ratio = value / floor.filter(|f| *f > 0.0)?;
+    let decimals = if ratio < 10.0 { 2 } else { 1 };
+    ratio.is_finite().then(|| format!("{ratio:.decimals$} × floor"))
+}
+
+/// Table and picture.
+pub(super) fn body(input: &ReportInput) -> String {
+    let models = models(input);
+    if models.is_empty() {
+        return super::absent("No held-out error was computed in this run.");
+    }
+    let errors: Vec<&HeldOutError> = models.iter().map(|m| m.error).collect();
+    let quantities = quantities(input, &errors);
+    let mut out = table(input, &models, &quantities);
+    if let Some(coverage) = input.verify.coverage95 {
+        out += &format!(
+            "<p>The stated 95 % intervals hold <strong>{}</strong> of the held-out readings.</p>",
+            percent(coverage)
+        );
+    }
+    let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
+    if !charts.is_empty() {
+        out += &super::figure(
+            input,
+            "forest",
+            &charts,
+            "Held-out root-mean-square errors with their 95 % intervals, logarithmic scale. Dashed: noise floor.",
+        );
+    }
+    out
+}
+
+fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> String {
+    let with_unit = |q: &Quantity| match q.unit.as_str() {
+        "" => format!("#{}", q.name),
+        unit => format!("#{} ({unit})", q.name),
+    };
+    let heads: Vec<String> = quantities.iter().map(with_unit).collect();
+    let mut columns = vec!["model", "split", "#points"];
+    columns.extend(heads.iter().map(String::as_str));
+    let mut table = Table::new("Held-out error (root mean square) with 95 % intervals", &columns);
+    for Model { name, error, .. } in models {
+        let mut cells = vec![
+            Cell::Text(name.clone()),
+            Cell::Text(split_words(&error.split).into()),
+            Cell::Number(error.points.to_string()),
+        ];
+        for quantity in quantities {
+            let (value, interval) = quantity.of(error);
+            cells.push(value.map_or(Cell::Number("–".into()), |value| {
+                let (text, interval) = value_text(value, interval);
+                let mut notes: Vec<String> = interval.into_iter().collect();
+                notes.extend(ratio_text(value, quantity.floor));
+                Cell::NumberWithNotes(text, notes)
+            }));
+        }
+        table.row(cells);
+    }
+    let source = input.verify.noise_floor.source.as_str();
+    let name = if source.is_empty() { "noise floor".into() } else { format!("noise floor ({source})") };
+    let mut cells = vec![Cell::Text(name), Cell::Text("–".into()), Cell::Number("–".into())];
+    let floor = |q: &Quantity| q.floor.map_or("unknown".into(), number);
+    cells.extend(quantities.iter().map(|q| Cell::Number(floor(q))));
+    table.marked_row("floor", cells);
+    table.html()
+}
+
+fn split_words(split: &str) -> &str {
+    match split {
+        "holdout" => "sealed holdout",
+        "loto" => "leave one trajectory out",
+        "loo" => "leave one out",
+        "" => NOT_AVAILABLE,
+        other => other,
+    }
+}
+
+/// Errors of one quantity over a logarithmic axis; none where no model has a positive one.
+fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
+    let mut rows = Vec::new();
+    let mut reach: Vec<f64> = quantity.floor.into_iter().collect();
+    for model in models {
+        let (value, interval) = quantity.of(model.error);
+        let Some(value) = value.filter(|v| *v > 0.0 && v.is_finite()) else { continue };
+        reach.push(value);
+        reach.extend(interval.into_iter().flatten());
+        rows.push(RowItem {
+            label: format!("{} ({})", model.name, model.error.split),
+            value: join_unit(&value_text(value, interval).0, &quantity.unit),
+            class: model.class,
+            mark: Mark::Dot(value, interval),
+        });
+    }
+    if rows.is_empty() {
+        return None;
+    }
+    let label = if quantity.unit.is_empty() { "error".into() } else { format!("error ({})", quantity.unit) };
+    let floor = quantity.floor.filter(|f| *f > 0.0);
+    let chart = RowChart {
+        title: capitalised(&quantity.name),
+        description: format!(
+            "Held-out error of the {} for every model, beside the noise floor",
+            quantity.name
+        ),
+        axis: Axis::log_covering(label, reach),
+        rows,
+        rules: floor.map(|f| (f, "noise floor".into())).into_iter().collect(),
+    };
+    Some(chart.svg())
+}
+
+/// First letter in upper case.
+fn capitalised(name: &str) -> String {
+    let mut letters = name.chars();
+    letters.next().map_or(String::new(), |c| c.to_uppercase().chain(letters).collect())
+}
+
+/// One line for the overview: quantity, before, after and floor with their unit.
+pub(crate) fn summary(verify: &VerifyDocument, response_unit: &str) -> Option<[String; 4]> {
+    let before = verify.before.as_ref()?;
+    let after = verify.after.as_ref()?;
+    let key = before.rmse.keys().max_by_key(|key| key.starts_with("wavelength"))?;
+    let (name, unit, floor) = describe(key, &verify.noise_floor, response_unit);
+    let text = |error: &HeldOutError| error.rmse.get(key).map(|v| join_unit(&number(*v), &unit));
+    let floor = floor.map_or("unknown".into(), |v| join_unit(&number(v), &unit));
+    Some([name, text(before)?, text(after)?, floor])
+}

@@ -1,0 +1,169 @@
+//! Evidence: gate, candidates, isolability, ambiguity picture, smallest detectable sizes.
+
+use super::{absent, figure};
+use crate::input::{EvidenceRow, Isolability, ReportInput};
+use crate::markup::{Cell, Table};
+use crate::number::{join_unit, number, p_value, quantity, split_unit, unit_text, with_interval};
+use crate::plot::{Axis, HeatMap, Mark, RowChart, RowItem};
+
+/// Cosine from which two effects are one class on this data.
+const SAME_CLASS: f64 = 0.995;
+
+/// Gate, candidates, isolability and ambiguity.
+pub(super) fn body(input: &ReportInput) -> String {
+    let mut out = steps(input) + &gate(input);
+    match input.evidence.as_slice() {
+        [] => out += &absent("No candidate was tested in this run."),
+        rows => out += &candidates(rows),
+    }
+    out += &ambiguity(input);
+    if let Some(matrix) = &input.isolability {
+        out += &isolability(input, matrix);
+    }
+    out
+}
+
+fn steps(input: &ReportInput) -> String {
+    let mut table = Table::new("How the verdict was reached", &["stage", "outcome"]);
+    for step in &input.steps {
+        table.row(vec![Cell::Text(step.name.clone()), Cell::Text(step.value.clone())]);
+    }
+    if table.is_empty() { String::new() } else { table.html() }
+}
+
+fn gate(input: &ReportInput) -> String {
+    let mut table =
+        Table::new("Is anything left beyond the noise?", &["test", "#statistic", "#p-value", "remark"]);
+    for test in &input.gate {
+        table.row(vec![
+            Cell::Text(test.name.clone()),
+            Cell::Number(test.statistic.map_or("–".into(), number)),
+            Cell::Number(test.p_value.map_or("–".into(), p_value)),
+            Cell::Text(test.detail.clone()),
+        ]);
+    }
+    if table.is_empty() { String::new() } else { table.html() }
+}
+
+fn status_class(status: &str) -> &'static str {
+    match status {
+        "accepted" | "best" => "named",
+        "survives" => "open",
+        "at bound" | "out of range" => "bad",
+        _ => "plain",
+    }
+}
+
+fn candidates(rows: &[EvidenceRow]) -> String {
+    let mut table = Table::new(
+        "Candidates, best first",
+        &[
+            "effect",
+            "status",
+            "law",
+            "parameters [95 %]",
+            "#chi-square gain",
+            "#p, adjusted",
+            "#ln L − ln L best",
+            "why",
+        ],
+    );
+    for row in rows {
+        let parameter = |p: &wcal_core::verify_document::EffectParameter| {
+            let (value, interval) = with_interval(p.value, p.interval95);
+            format!("{} = {}", split_unit(&p.name).0, join_unit(&format!("{value} {interval}"), &p.unit))
+        };
+        let parameters: Vec<String> = row.parameters.iter().map(parameter).collect();
+        let gain = row.chi2_gain.map_or(Cell::Number("–".into()), |gain| {
+            Cell::NumberWithNotes(number(gain), vec![format!("for {}", row.degrees_of_freedom)])
+        });
+        table.row(vec![
+            Cell::Code(row.id.clone()),
+            Cell::Badge(status_class(&row.status), row.status.clone()),
+            Cell::Text(row.law.clone()),
+            Cell::Text(parameters.join("; ")),
+            gain,
+            Cell::Number(row.p_adjusted.map_or("–".into(), p_value)),
+            Cell::Number(row.log_likelihood_ratio.map_or("–".into(), number)),
+            Cell::Text(row.why.clone()),
+        ]);
+    }
+    table.html()
+}
+
+fn ambiguity(input: &ReportInput) -> String {
+    if input.explanations.is_empty() {
+        return String::new();
+    }
+    let row = |e: &crate::input::Explanation| {
+        let name = if e.effects.is_empty() { "declared model alone".into() } else { e.effects.join(" + ") };
+        let p = e.p_value.map_or(String::new(), |p| format!(", p {}", p_value(p)));
+        let word = if e.survives { "survives" } else { "rejected" };
+        RowItem {
+            label: name,
+            value: format!("{}{p}, {word}", number(e.log_likelihood_ratio)),
+            class: if e.survives { "s1" } else { "out" },
+            mark: Mark::Bar(e.log_likelihood_ratio.abs()),
+        }
+    };
+    let finite = input.explanations.iter().map(|e| e.log_likelihood_ratio.abs()).filter(|v| v.is_finite());
+    let high = finite.fold(1.0, f64::max);
+    let chart = RowChart {
+        title: "How much worse than the best explanation".into(),
+        description: "Log likelihood ratio of every refitted explanation to the best one".into(),
+        axis: Axis::fixed("ln L of the best − ln L (0 = the best)", 0.0, 1.04 * high),
+        rows: input.explanations.iter().map(row).collect(),
+        rules: Vec::new(),
+    };
+    figure(
+        input,
+        "forest",
+        &chart.svg(),
+        "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
+    )
+}
+
+fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
+    let map = HeatMap {
+        title: "Isolability matrix".into(),
+        description: "Cosines between the projected signatures of the effects".into(),
+        names: &matrix.names,
+        values: &matrix.cosine,
+        outline_from: SAME_CLASS,
+    };
+    figure(
+        input,
+        "wide",
+        &format!(
+            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"Isolability matrix\">{}</div>",
+            map.svg()
+        ),
+        "Isolability: cosines between the signatures once the nuisance parameters have taken their part. Outlined pairs (0.995 and above) are one class on this data; a dash stands for a signature that is absorbed.",
+    )
+}
+
+/// Smallest size of each effect that this data could have shown.
+pub(super) fn detectable(input: &ReportInput) -> String {
+    let rows = &input.verify.detectable;
+    if rows.is_empty() {
+        return absent("No smallest detectable sizes were computed in this run.");
+    }
+    let mut table = Table::new(
+        "Smallest size found with 90 % probability",
+        &["effect", "status", "#smallest size", "why"],
+    );
+    for d in rows {
+        let class = if d.status == "testable" { "good" } else { "plain" };
+        let size = d.smallest.map_or("–".into(), |v| match unit_text(&d.unit) {
+            u if u.is_empty() => number(v),
+            _ => quantity(v, &d.unit),
+        });
+        table.row(vec![
+            Cell::Code(d.id.clone()),
+            Cell::Badge(class, d.status.clone()),
+            Cell::Number(size),
+            Cell::Text(d.why.clone()),
+        ]);
+    }
+    table.html()
+}

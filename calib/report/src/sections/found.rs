@@ -1,0 +1,133 @@
+//! What was found: effects, ambiguity, unknown driver, next measurement.
+
+use super::{absent, joined, residuals};
+use crate::input::ReportInput;
+use crate::markup::{Cell, Table, escape, paragraph};
+use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
+use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
+
+/// The section.
+pub(super) fn body(input: &ReportInput) -> String {
+    let verify = &input.verify;
+    let mut out = String::new();
+    for effect in &verify.effects {
+        out += &one_effect(effect);
+    }
+    if verify.effects.is_empty() {
+        out += &absent("No effect of the catalogue was added to the declared model.");
+    }
+    out += &ambiguity(input);
+    if let Some(unknown) = &verify.unknown {
+        let period = match unknown.period {
+            Some(period) => {
+                format!(" with period {}", quantity(period, &residuals::unit_of(&unknown.driver)))
+            }
+            None => String::new(),
+        };
+        out += &format!(
+            "<div class=\"card\"><h5>Unknown effect</h5><p>What is left follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
+            escape(&residuals::label_of(&unknown.driver)),
+            escape(&unknown.shape),
+            escape(&period),
+            escape(
+                &unknown.drivers_ranked.iter().map(|d| residuals::label_of(d)).collect::<Vec<_>>().join(", ")
+            ),
+            residuals::driver_figure(input, &unknown.driver)
+        );
+    }
+    if !verify.twin.faults.is_empty() {
+        out += "<p>Faulty labels of the twin are listed under the twin check.</p>";
+    }
+    if let Some(next) = &verify.next_measurement {
+        out += &next_measurement(next);
+    }
+    out
+}
+
+fn one_effect(effect: &NamedEffect) -> String {
+    let mut out = format!("<div class=\"card\"><h5><code>{}</code></h5>", escape(&effect.id));
+    if !effect.sentence.is_empty() {
+        out += &paragraph(&effect.sentence);
+    }
+    let mut table = Table::new(
+        &format!("Parameters of {}", effect.id),
+        &["parameter", "#value", "#95 % interval", "unit"],
+    );
+    for p in &effect.parameters {
+        let (value, interval) = with_interval(p.value, p.interval95);
+        table.row(vec![
+            Cell::Text(split_unit(&p.name).0),
+            Cell::Number(value),
+            Cell::Number(interval),
+            Cell::Text(if p.unit == "1" { "dimensionless".into() } else { unit_text(&p.unit) }),
+        ]);
+    }
+    if !table.is_empty() {
+        out += &table.html();
+    }
+    out += &format!("<p>Adjusted for the whole catalogue: p {}.", with_sign(&p_value(effect.p_value)));
+    let others: Vec<String> = effect.class.iter().filter(|id| **id != effect.id).cloned().collect();
+    if !others.is_empty() {
+        out +=
+            &format!(" This data cannot tell it apart from {}, even in principle.", escape(&joined(&others)));
+    }
+    out + "</p></div>"
+}
+
+/// `= 0.02` or `< 0.0001`, ready for HTML.
+fn with_sign(p: &str) -> String {
+    if p.starts_with('<') { escape(p) } else { format!("= {}", escape(p)) }
+}
+
+fn ambiguity(input: &ReportInput) -> String {
+    let sets = &input.verify.alternatives;
+    if sets.is_empty() {
+        return String::new();
+    }
+    let name = |set: &Vec<String>| match set.as_slice() {
+        [] => "declared model alone".to_owned(),
+        some => some.join(" + "),
+    };
+    let rows: String =
+        sets.iter().map(|set| format!("<li><code>{}</code></li>", escape(&name(set)))).collect();
+    let lead = match (input.verify.verdict, sets.len()) {
+        (_, 1) => "Only one explanation survives:",
+        (Verdict::Ambiguous, _) => "The data cannot decide between these explanations, best first:",
+        _ => "Explanations that survive, best first:",
+    };
+    format!("<div class=\"card\"><h5>Ambiguity set</h5><p>{lead}</p><ol>{rows}</ol></div>")
+}
+
+fn next_measurement(next: &NextMeasurement) -> String {
+    let mut out = format!("<div class=\"card\"><h5>Next measurement</h5>{}", paragraph(&next.instruction));
+    if !next.separates.is_empty() {
+        out += &format!(
+            "<p>Separates <code>{}</code>; expected to decide with probability <strong>{}</strong>.</p>",
+            escape(&next.separates.join(", ")),
+            percent(next.expected_power)
+        );
+    }
+    let mut table = Table::new(
+        "Poses of the next measurement, in order",
+        &["#step", "#trajectory", "#stage (mm)", "direction", "#speed", "#dwell (s)"],
+    );
+    for (k, pose) in next.poses.iter().enumerate() {
+        let direction = if pose.direction < 0.0 { "unloading" } else { "loading" };
+        let speed = match pose.speed_mm_s {
+            0.0 => "settled".to_owned(),
+            v => join_unit(&number(v), "mm/s"),
+        };
+        table.row(vec![
+            Cell::Number((k + 1).to_string()),
+            Cell::Number(pose.trajectory.to_string()),
+            Cell::Number(number(pose.stage_mm)),
+            Cell::Text(format!("{direction} ({})", number(pose.direction))),
+            Cell::Number(speed),
+            Cell::Number(number(pose.dwell_s)),
+        ]);
+    }
+    if !table.is_empty() {
+        out += &table.html();
+    }
+    out + "</div>"
+}

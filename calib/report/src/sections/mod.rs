@@ -1,0 +1,122 @@
+//! The sections of a session's page, in reading order.
+
+pub(crate) mod before_after;
+mod evidence;
+mod found;
+mod map;
+mod noise;
+mod predicted;
+mod provenance;
+mod readings;
+mod residuals;
+mod twin;
+pub(crate) mod verdict;
+
+use crate::input::ReportInput;
+use crate::markup::escape;
+
+/// One section: its anchor, heading and content.
+pub(crate) struct Section {
+    /// Anchor within the session.
+    pub id: &'static str,
+    /// Heading.
+    pub title: &'static str,
+    /// HTML below the heading.
+    pub body: String,
+}
+
+/// Sections that apply to this session.
+pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
+    let whisker = input.verify.kind == "whisker";
+    let mut sections = vec![
+        Section { id: "before-after", title: "Before and after", body: before_after::body(input) },
+        Section { id: "found", title: "What was found", body: found::body(input) },
+    ];
+    if whisker || !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
+        sections.push(Section { id: "twin", title: "Twin check", body: twin::body(input) });
+    }
+    sections.push(Section { id: "residuals", title: "Residuals", body: residuals::body(input) });
+    sections.push(Section {
+        id: "predicted",
+        title: "Measured against predicted",
+        body: predicted::body(input),
+    });
+    if whisker || input.map.is_some() {
+        sections.push(Section {
+            id: "map",
+            title: "Map from wavelengths to moments",
+            body: map::body(input),
+        });
+    }
+    sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
+    sections.push(Section {
+        id: "detectable",
+        title: "What this data could have shown",
+        body: evidence::detectable(input),
+    });
+    sections.push(Section { id: "noise", title: "Noise floor and remarks", body: noise::body(input) });
+    sections.push(Section { id: "readings", title: "Readings", body: readings::body(input) });
+    sections.push(Section {
+        id: "provenance",
+        title: "What was read, and how",
+        body: provenance::body(input),
+    });
+    sections
+}
+
+/// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
+fn figure(input: &ReportInput, class: &str, charts: &str, caption: &str) -> String {
+    let tag = match input.simulated {
+        Some(_) => "<span class=\"pill sim\">simulated</span> ",
+        None => "",
+    };
+    format!(
+        "<figure class=\"{class}\"><div class=\"charts\">{charts}</div><figcaption>{tag}{}</figcaption></figure>\n",
+        escape(caption)
+    )
+}
+
+/// Says that something was not part of this run.
+fn absent(what: &str) -> String {
+    format!("<p class=\"quiet\">{}</p>", escape(what))
+}
+
+/// Class, text and marker of the n-th channel.
+fn series(n: usize) -> (&'static str, crate::plot::Marker) {
+    use crate::plot::Marker::{Circle, Diamond, Square, Triangle};
+    [("s1", Circle), ("s2", Square), ("s3", Diamond), ("s4", Triangle)][n % 4]
+}
+
+/// Key of colours and shapes.
+fn legend(names: &[String]) -> String {
+    const SHAPES: [&str; 4] = ["●", "■", "◆", "▲"];
+    let items: String = names
+        .iter()
+        .enumerate()
+        .map(|(k, name)| {
+            let (class, _) = series(k);
+            format!("<li><span class=\"key {class}\">{}</span> {}</li>", SHAPES[k % 4], escape(name))
+        })
+        .collect();
+    format!("<ul class=\"legend\">{items}</ul>")
+}
+
+/// Names in order of first appearance.
+fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    for name in names {
+        if !out.iter().any(|n| n == name) {
+            out.push(name.to_owned());
+        }
+    }
+    out
+}
+
+/// `a`, `a and b`, `a, b and c`.
+fn joined(names: &[String]) -> String {
+    match names {
+        [] => String::new(),
+        [one] => one.clone(),
+        [most @ .., last] => format!("{} and {last}", most.join(", ")),
+    }
+}

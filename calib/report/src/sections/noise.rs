@@ -1,0 +1,46 @@
+//! Noise floor, its source, and remarks.
+
+use crate::input::ReportInput;
+use crate::markup::{Cell, Table, list};
+use crate::number::{number, unit_text};
+
+/// The section.
+pub(super) fn body(input: &ReportInput) -> String {
+    let floor = &input.verify.noise_floor;
+    let unit = input.response_unit();
+    let rows = [
+        ("wavelength", floor.wavelength_pm, "pm"),
+        ("moment", floor.moment_nmm, "N mm"),
+        ("response", floor.response, unit),
+        ("position error", floor.error_um, "um"),
+    ];
+    let mut table = Table::new("Noise floor", &["quantity", "#standard deviation", "unit", "source"]);
+    for (name, value, unit) in rows {
+        if let Some(value) = value {
+            table.row(vec![
+                Cell::Text(name.into()),
+                Cell::Number(number(value)),
+                Cell::Text(unit_text(unit)),
+                Cell::Text(floor.source.clone()),
+            ]);
+        }
+    }
+    let source = match floor.source.as_str() {
+        "replicates" => "From readings of the same pose, repeated.",
+        "difference" => {
+            "From differences of neighbouring readings, since no pose was repeated; the verdict is provisional."
+        }
+        "declared" => "As declared in the session; not measured here.",
+        "none" | "" => "Not known: nothing in this session tells noise from error.",
+        _ => "",
+    };
+    let mut out = if table.is_empty() { String::new() } else { table.html() };
+    if !source.is_empty() {
+        out += &format!("<p>{source}</p>");
+    }
+    match input.verify.notes.as_slice() {
+        [] => out += &super::absent("No remarks."),
+        notes => out += &format!("<div class=\"card warn\"><h5>Remarks</h5>{}</div>", list(notes)),
+    }
+    out
+}

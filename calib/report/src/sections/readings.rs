@@ -1,0 +1,95 @@
+//! Rejected readings and the table that leads from every residual back to its file and line.
+
+use super::absent;
+use crate::input::ReportInput;
+use crate::markup::{Cell, Table};
+use crate::number::{join_unit, number, unit_text};
+use wcal_core::ResidualRecord;
+
+/// Larger sessions list their worst readings only.
+const MOST_ROWS: usize = 500;
+const WORST_ROWS: usize = 40;
+const MOST_REJECTED: usize = 200;
+
+/// The section.
+pub(super) fn body(input: &ReportInput) -> String {
+    let records = &input.residuals;
+    if records.is_empty() {
+        return absent("No residual records were handed to this report.");
+    }
+    let rejected: Vec<_> = records.iter().filter(|r| r.rejected.is_some()).collect();
+    let mut out = match rejected.len() {
+        0 => format!("<p>All {} values were used; none was rejected.</p>", records.len()),
+        n => format!("<p>{n} of {} values were rejected and stay marked in every chart.</p>", records.len()),
+    };
+    if !rejected.is_empty() {
+        let mut table =
+            Table::new("Rejected readings", &["#point", "file, line", "channel", "#measured", "why"]);
+        for r in rejected.iter().take(MOST_REJECTED) {
+            table.row(vec![
+                Cell::Number(r.point.to_string()),
+                Cell::Text(place(r)),
+                Cell::Text(r.channel.clone()),
+                Cell::Number(join_unit(&number(r.measured), &r.unit)),
+                Cell::Text(r.rejected.clone().unwrap_or_default()),
+            ]);
+        }
+        out += &table.html();
+        if rejected.len() > MOST_REJECTED {
+            out += &absent(&format!("{} more are not listed here.", rejected.len() - MOST_REJECTED));
+        }
+    }
+    let whole = records.len() <= MOST_ROWS;
+    let mut rows: Vec<&ResidualRecord> = records.iter().collect();
+    if !whole {
+        let size = |r: &ResidualRecord| -(r.measured - r.predicted_after).abs() / r.noise_sd;
+        rows.sort_by(|a, b| size(a).total_cmp(&size(b)));
+        rows.truncate(WORST_ROWS);
+    }
+    let summary = match whole {
+        true => format!("All {} values with their predictions", rows.len()),
+        false => format!("The {} largest residuals after, in units of their noise", rows.len()),
+    };
+    out + &format!("<details><summary>{summary}</summary>{}</details>", listing(&summary, &rows))
+}
+
+fn listing(caption: &str, rows: &[&ResidualRecord]) -> String {
+    let mut table = Table::new(
+        caption,
+        &[
+            "#point",
+            "file, line",
+            "role",
+            "#group",
+            "channel",
+            "unit",
+            "#measured",
+            "#predicted before",
+            "#predicted after",
+            "#residual before",
+            "#residual after",
+            "#noise",
+        ],
+    );
+    for r in rows {
+        table.row(vec![
+            Cell::Number(r.point.to_string()),
+            Cell::Text(place(r)),
+            Cell::Text(r.role.clone()),
+            Cell::Number(r.group.to_string()),
+            Cell::Text(r.channel.clone()),
+            Cell::Text(unit_text(&r.unit)),
+            Cell::Number(number(r.measured)),
+            Cell::Number(number(r.predicted_before)),
+            Cell::Number(number(r.predicted_after)),
+            Cell::Number(number(r.measured - r.predicted_before)),
+            Cell::Number(number(r.measured - r.predicted_after)),
+            Cell::Number(number(r.noise_sd)),
+        ]);
+    }
+    table.html()
+}
+
+fn place(record: &ResidualRecord) -> String {
+    format!("{}, line {}", record.source, record.line)
+}

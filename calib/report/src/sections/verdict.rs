@@ -1,0 +1,19 @@
+//! Verdict in words, with a class for its colour.
+
+use wcal_core::verify_document::Verdict;
+
+/// Style class, short form and what it means.
+pub(crate) fn words(verdict: Verdict) -> (&'static str, &'static str, &'static str) {
+    match verdict {
+        Verdict::Adequate => ("good", "Adequate", "nothing beyond the noise is left"),
+        Verdict::Effect => ("named", "Effect found", "one class of effects explains what was left"),
+        Verdict::Ambiguous => ("open", "Ambiguous", "explanations of more than one class survive"),
+        Verdict::UnknownEffect => {
+            ("open", "Unknown effect", "something is left that nothing in the catalogue explains")
+        }
+        Verdict::TwinFault => {
+            ("named", "Twin fault", "labels of the twin were faulty and have been repaired")
+        }
+        Verdict::Refused => ("bad", "Refused", "the data cannot be used"),
+    }
+}

@@ -1,0 +1,300 @@
+//! Structure of the pages: well-formed, complete, escaped, free of NaN and of anything from outside.
+
+#[path = "../examples/sample/data.rs"]
+mod data;
+
+use quick_xml::Reader;
+use quick_xml::events::Event;
+use wcal_core::Provenance;
+use wcal_core::verify_document::{HeldOutError, NoiseFloor, UnknownEffect, Verdict};
+use wcal_report::{
+    CoverageCurve, Fact, IndexEntry, Isolability, ReportInput, number, p_value, percent, render,
+    render_index, render_many, with_interval,
+};
+
+/// Parses the page strictly; returns its text without tags, or what is wrong with it.
+fn text_of(page: &str) -> Result<String, String> {
+    let mut reader = Reader::from_str(page);
+    let mut text = String::new();
+    let mut ids = std::collections::HashSet::new();
+    loop {
+        match reader.read_event().map_err(|e| format!("{e} at {}", reader.error_position()))? {
+            Event::Eof => return Ok(text),
+            Event::Start(tag) | Event::Empty(tag) => {
+                for attribute in tag.attributes() {
+                    let attribute = attribute.map_err(|e| e.to_string())?;
+                    let value = attribute.value.clone().into_owned();
+                    if attribute.key.as_ref() == "id" && !ids.insert(value.clone()) {
+                        return Err(format!("id {value} occurs twice"));
+                    }
+                    quick_xml::escape::unescape(&value).map_err(|e| e.to_string())?;
+                }
+            }
+            Event::Text(t) => text.push_str(&t),
+            Event::GeneralRef(r) => {
+                let entity = format!("&{};", &*r);
+                text.push_str(&quick_xml::escape::unescape(&entity).map_err(|e| e.to_string())?);
+            }
+            _ => {}
+        }
+    }
+}
+
+fn bare(kind: &str) -> ReportInput {
+    ReportInput::new(data::document("bare", kind, Verdict::Adequate), Provenance::default())
+}
+
+#[test]
+fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
+    let samples = data::all();
+    let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "a.html")).collect();
+    let mut pages: Vec<String> = samples.iter().map(render).collect();
+    pages.push(render_many("Many", &["Introduction."], &samples));
+    pages.push(render_index("Index", &[], &entries));
+    for page in &pages {
+        text_of(page).unwrap();
+        let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
+        for forbidden in ["http:", "https:", "src=", "<script", "@import", "url(", "NaN", ">inf", "infinity"]
+        {
+            assert!(!outside.contains(forbidden), "{forbidden}");
+        }
+    }
+}
+
+#[test]
+fn the_strict_parser_notices_a_broken_page() {
+    let page = render(&bare("axis"));
+    for broken in [
+        page.replacen("</section>", "", 1),
+        page.replacen("<p", "<p class=unquoted", 1),
+        page.replacen("id=\"found\"", "id=\"noise\"", 1),
+        page.replacen("</p>", "&nosuch;</p>", 1),
+    ] {
+        assert!(text_of(&broken).is_err());
+    }
+}
+
+#[test]
+fn every_section_is_there_and_the_contents_lead_to_it() {
+    let page = render(&data::whisker());
+    for id in [
+        "before-after",
+        "found",
+        "twin",
+        "residuals",
+        "predicted",
+        "map",
+        "evidence",
+        "detectable",
+        "noise",
+        "readings",
+        "provenance",
+    ] {
+        assert!(page.contains(&format!("<section id=\"{id}\"")), "{id}");
+        assert!(page.contains(&format!("href=\"#{id}\"")), "{id}");
+    }
+    assert_eq!(page.matches("<table>").count(), page.matches("<caption>").count());
+    assert_eq!(page.matches("<svg ").count(), page.matches("<desc>").count());
+    assert!(page.find("Ambiguous").unwrap() < page.find("<section").unwrap(), "the verdict comes first");
+}
+
+#[test]
+fn pages_of_empty_sessions_say_what_is_missing() {
+    for kind in ["whisker", "transducer", "axis", ""] {
+        let page = render(&bare(kind));
+        let text = text_of(&page).unwrap();
+        assert!(text.contains("No residual records"), "{kind}");
+        assert!(text.contains("No held-out error was computed"), "{kind}");
+        assert_eq!(page.contains("id=\"twin\""), kind == "whisker");
+    }
+}
+
+#[test]
+fn each_verdict_is_said_in_words() {
+    use Verdict::{Adequate, Ambiguous, Effect, Refused, TwinFault, UnknownEffect};
+    let words = [
+        (Adequate, "Adequate"),
+        (Effect, "Effect found"),
+        (Ambiguous, "Ambiguous"),
+        (UnknownEffect, "Unknown effect"),
+        (TwinFault, "Twin fault"),
+        (Refused, "Refused"),
+    ];
+    for (verdict, word) in words {
+        let mut input = bare("axis");
+        input.verify.verdict = verdict;
+        assert!(text_of(&render(&input)).unwrap().contains(word));
+    }
+}
+
+#[test]
+fn every_number_of_the_result_shows_up() {
+    let input = data::whisker();
+    let text = text_of(&render(&input)).unwrap();
+    let verify = &input.verify;
+    let mut wanted =
+        vec![percent(verify.coverage95.unwrap()), number(verify.noise_floor.wavelength_pm.unwrap())];
+    let errors =
+        [verify.before.as_ref().unwrap(), verify.after.as_ref().unwrap(), &input.further_errors[0].error];
+    for error in errors {
+        for (key, value) in &error.rmse {
+            let (value, interval) = with_interval(*value, error.interval95[key]);
+            wanted.extend([value, interval]);
+        }
+        wanted.extend(error.moment_rmse_nmm_each.unwrap().map(number));
+        wanted.push(error.points.to_string());
+    }
+    for parameter in verify.effects.iter().flat_map(|e| &e.parameters) {
+        let (value, interval) = with_interval(parameter.value, parameter.interval95);
+        wanted.extend([value, interval]);
+    }
+    let next = verify.next_measurement.as_ref().unwrap();
+    wanted.push(percent(next.expected_power));
+    wanted.extend(
+        next.poses.iter().flat_map(|p| [number(p.stage_mm), number(p.speed_mm_s), number(p.dwell_s)]),
+    );
+    wanted.extend(verify.detectable.iter().filter_map(|d| d.smallest.map(number)));
+    wanted.extend(verify.twin.faults.iter().flat_map(|f| f.points.iter().map(i64::to_string)));
+    for row in &input.evidence {
+        wanted.extend(row.chi2_gain.map(number));
+        wanted.extend(row.p_adjusted.map(p_value));
+        wanted.extend(row.log_likelihood_ratio.map(number));
+    }
+    for c in &input.map.as_ref().unwrap().candidates {
+        wanted.extend(c.loo_rmse_nmm.map(number));
+        wanted.extend(c.coverage95.map(percent));
+        wanted.extend(c.loto_rmse_nmm.unwrap().map(number));
+    }
+    wanted.extend(input.explanations.iter().map(|e| number(e.log_likelihood_ratio)));
+    for record in &input.residuals {
+        wanted.extend([record.measured, record.predicted_before, record.predicted_after].map(number));
+    }
+    wanted.extend(input.provenance.inputs.iter().flat_map(|f| [f.path.clone(), f.sha256.clone()]));
+    let absent: Vec<_> = wanted.iter().filter(|w| !text.contains(w.as_str())).collect();
+    assert!(absent.is_empty(), "{absent:?}");
+    assert!(!text.contains("7654.3"), "the search must not find what was never given");
+}
+
+#[test]
+fn hostile_text_stays_text() {
+    const HOSTILE: &str = "<script>alert(1)</script>\"'&\u{0}]]>";
+    let mut input = data::whisker();
+    let text = || HOSTILE.to_owned();
+    input.title = text();
+    input.simulated = Some(text());
+    input.verify.session = text();
+    input.verify.kind = text();
+    input.verify.reason = text();
+    input.verify.noise_floor.source = text();
+    input.verify.notes = vec![text()];
+    input.verify.twin.faults[0].kind = text();
+    input.verify.twin.faults[0].detail = text();
+    input.verify.alternatives[0][0] = text();
+    input.verify.unknown = Some(UnknownEffect {
+        driver: text(),
+        shape: text(),
+        drivers_ranked: vec![text()],
+        period: Some(1.0),
+    });
+    let effect = &mut input.verify.effects[0];
+    effect.id = text();
+    effect.class = vec![text()];
+    effect.sentence = text();
+    effect.parameters[0].name = text();
+    effect.parameters[0].unit = text();
+    input.verify.before.as_mut().unwrap().split = text();
+    input.verify.before.as_mut().unwrap().rmse.insert(text(), 1.0);
+    input.verify.next_measurement.as_mut().unwrap().instruction = text();
+    input.verify.next_measurement.as_mut().unwrap().separates = vec![text()];
+    input.verify.detectable[0].why = text();
+    input.facts = vec![Fact::new(HOSTILE, HOSTILE)];
+    input.versions = vec![Fact::new(HOSTILE, HOSTILE)];
+    input.moment_names = [text(), text()];
+    input.evidence[0].law = text();
+    input.evidence[0].status = text();
+    input.explanations[0].effects = vec![text()];
+    input.isolability.as_mut().unwrap().names[0] = text();
+    input.coverage[0].name = text();
+    input.provenance.command = vec![text()];
+    input.provenance.inputs[0].path = text();
+    let map = input.map.as_mut().unwrap();
+    map.chosen = text();
+    map.candidates[0].name = text();
+    map.identifiability.warnings = vec![text()];
+    map.valid_region = serde_json::json!({ HOSTILE: HOSTILE });
+    for record in &mut input.residuals[..4] {
+        record.channel = text();
+        record.source = text();
+        record.unit = text();
+        record.rejected = Some(text());
+        record.covariates.push((text(), record.measured));
+    }
+    let index = render_index(HOSTILE, &[HOSTILE], &[IndexEntry::of(&input, HOSTILE)]);
+    for page in [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index] {
+        assert!(!page.contains("<script"), "markup got through");
+        assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));
+    }
+}
+
+#[test]
+fn links_cannot_run_scripts() {
+    let entry = IndexEntry::of(&bare("axis"), "javascript:alert(1)");
+    assert!(!render_index("i", &[], &[entry]).contains("javascript:"));
+}
+
+#[test]
+fn broken_numbers_leave_the_page_whole() {
+    let broken = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, f64::MIN_POSITIVE, -0.0];
+    for value in broken {
+        let mut input = data::whisker();
+        input.verify.coverage95 = Some(value);
+        input.verify.noise_floor = NoiseFloor { wavelength_pm: Some(value), ..NoiseFloor::default() };
+        for error in [&mut input.verify.before, &mut input.verify.after] {
+            let error: &mut HeldOutError = error.as_mut().unwrap();
+            error.rmse.values_mut().for_each(|v| *v = value);
+            error.interval95.values_mut().for_each(|v| *v = [value, 1.0]);
+            error.moment_rmse_nmm_each = Some([value; 2]);
+        }
+        input.verify.effects[0].p_value = value;
+        input.verify.effects[0].parameters[0].interval95 = [value; 2];
+        input.residuals[3].measured = value;
+        input.residuals[5].predicted_after = value;
+        input.residuals[7].covariates.iter_mut().for_each(|c| c.1 = value);
+        input.twin[0].labels[0].moment_nmm = [value; 2];
+        input.twin[1].branches[0].stage_mm[3] = value;
+        input.twin[2].snaps_mm = vec![value];
+        input.isolability = Some(Isolability { names: vec!["a".into()], cosine: vec![vec![value]] });
+        input.explanations[1].log_likelihood_ratio = value;
+        input.coverage =
+            vec![CoverageCurve { name: "c".into(), nominal: vec![0.5, value], observed: vec![value] }];
+        input.map.as_mut().unwrap().candidates[0].coverage95 = [value; 2];
+        let page = render(&input);
+        text_of(&page).unwrap();
+        let body = &page[page.find("<body>").unwrap()..];
+        assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
+    }
+}
+
+#[test]
+fn simulated_data_is_labelled_at_the_top_and_at_every_picture() {
+    let mut input = data::whisker();
+    let page = render(&input);
+    assert_eq!(page.matches("<figure").count(), page.matches("\">simulated</span>").count());
+    assert!(page.contains(">SIMULATED</span>"));
+    input.simulated = None;
+    assert!(!render(&input).to_lowercase().contains(">simulated<"), "measured data must not carry the badge");
+}
+
+#[test]
+fn large_sessions_are_thinned_but_keep_what_was_rejected() {
+    let mut input = data::axis();
+    let rejected = input.residuals.len() - 1;
+    input.residuals[rejected].rejected = Some("jammed".into());
+    let page = render(&input);
+    assert!(page.contains("rejected: jammed"));
+    let mut larger = input.clone();
+    for _ in 0..3 {
+        larger.residuals.extend_from_slice(&input.residuals);
+    }
+    assert!(render(&larger).len() < 2 * page.len());
+}

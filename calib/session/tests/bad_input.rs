@@ -1,0 +1,215 @@
+//! Every broken session gives one clear error; harmless variants load.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
+
+mod broken;
+
+use broken::{Base, TABLE, WHISKER_POINTS};
+use std::fs;
+use std::path::Path;
+use wcal_core::{Role, SessionData, WhiskerData};
+use wcal_session::{CLOCK_PROBLEM, LoadedSession, attach_holdout, examine, load, load_table};
+
+#[test]
+fn good_sessions_load_without_warnings() {
+    for base in [Base::Whisker, Base::Transducer, Base::Axis] {
+        let folder = tempfile::tempdir().unwrap();
+        base.write(folder.path());
+        let session = load(folder.path()).unwrap_or_else(|e| panic!("{base:?}: {e}"));
+        assert!(session.warnings.is_empty(), "{base:?}: {:?}", session.warnings);
+    }
+}
+
+#[test]
+fn each_broken_session_gives_its_error() {
+    let mut wrong = Vec::new();
+    for case in TABLE {
+        let folder = tempfile::tempdir().unwrap();
+        case.write(folder.path());
+        match load(folder.path()) {
+            Ok(_) => wrong.push(format!("{}: loaded", case.name)),
+            Err(error) => {
+                let text = error.to_string();
+                let missing: Vec<_> = case.says.iter().filter(|says| !text.contains(**says)).collect();
+                if !missing.is_empty() || text.contains('\n') {
+                    wrong.push(format!("{}: {text:?} lacks {missing:?}", case.name));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+fn whisker_with(edit: impl Fn(&str) -> String) -> (tempfile::TempDir, LoadedSession) {
+    let folder = tempfile::tempdir().unwrap();
+    Base::Whisker.write(folder.path());
+    fs::write(folder.path().join("points.csv"), edit(WHISKER_POINTS)).unwrap();
+    let session = load(folder.path()).unwrap();
+    (folder, session)
+}
+
+fn data(session: &LoadedSession) -> &WhiskerData {
+    match &session.data {
+        SessionData::Whisker(data) => data,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn bom_crlf_and_a_missing_final_newline_change_nothing() {
+    let (_a, plain) = whisker_with(str::to_owned);
+    let (_b, dressed) = whisker_with(|text| format!("\u{feff}{}", text.trim_end().replace('\n', "\r\n")));
+    assert_eq!(plain.data, dressed.data);
+    assert_eq!(data(&dressed).rows[2].line, 4);
+    let (_c, spaced) = whisker_with(|text| text.replacen("\n1,", "\n\n1,", 1));
+    assert_eq!(data(&spaced).rows[2].line, 5);
+}
+
+#[test]
+fn values_are_in_the_units_of_their_names() {
+    let (_folder, session) = whisker_with(str::to_owned);
+    let row = &data(&session).rows[1];
+    assert!((row.shift_pm[0] - 30.0).abs() < 1e-6 && (row.shift_pm[1] - 40.0).abs() < 1e-6);
+    assert_eq!((row.source.as_str(), row.line, row.point, row.role), ("points.csv", 3, 1, Role::Calibration));
+    assert_eq!(data(&session).rows[0].trajectory, None);
+    let hash = wcal_core::provenance::sha256_hex(WHISKER_POINTS.as_bytes());
+    assert!(session.inputs.iter().any(|i| i.path == "points.csv" && i.sha256 == hash));
+}
+
+#[test]
+fn time_that_runs_backwards_is_a_clock_problem_not_an_error() {
+    let (_folder, session) = whisker_with(|text| text.replace("1,3,2.5", "1,1.5,2.5"));
+    let warning = session.warnings.iter().find(|w| w.starts_with(CLOCK_PROBLEM)).unwrap();
+    assert!(warning.contains("line 4") && warning.contains("0.500 s"), "{warning}");
+}
+
+#[test]
+fn stage_and_groove_that_disagree_are_reported() {
+    let (_folder, session) = whisker_with(|text| text.replace("18,0,2.5", "18,0.3,2.5"));
+    assert!(session.warnings.iter().any(|w| w.contains("0.300 mm at line 4")), "{:?}", session.warnings);
+}
+
+#[test]
+fn unknown_columns_and_keys_are_warnings() {
+    let folder = tempfile::tempdir().unwrap();
+    Base::Whisker.write(folder.path());
+    let path = folder.path().join("points.csv");
+    fs::write(&path, WHISKER_POINTS.replace("samples", "colour")).unwrap();
+    let toml = broken::WHISKER_TOML.replace("[fbg]", "[fbg]\nnominal = 3");
+    fs::write(folder.path().join("session.toml"), toml).unwrap();
+    let warnings = load(folder.path()).unwrap().warnings.join("\n");
+    assert!(warnings.contains("colour") && warnings.contains("fbg.nominal"), "{warnings}");
+}
+
+#[test]
+fn holdout_rows_of_the_points_table_are_sealed() {
+    let folder = tempfile::tempdir().unwrap();
+    Base::Transducer.write(folder.path());
+    let path = folder.path().join("points.csv");
+    let text = fs::read_to_string(&path).unwrap().replace("2,calibration", "2,holdout");
+    fs::write(&path, text).unwrap();
+    let SessionData::Transducer(data) = load(folder.path()).unwrap().data else { panic!("kind") };
+    assert_eq!((data.rows.len(), data.holdout.len()), (2, 1));
+    assert_eq!(data.covariates, ["batch"]);
+}
+
+#[test]
+fn an_attached_holdout_must_be_new() {
+    let (folder, mut session) = whisker_with(str::to_owned);
+    let points = folder.path().join("points.csv");
+    let error = attach_holdout(&mut session.clone(), &points).unwrap_err().to_string();
+    assert!(error.contains("no fit has seen"), "{error}");
+    let fresh = folder.path().join("fresh.csv");
+    fs::write(&fresh, WHISKER_POINTS.replace("1545.03", "1545.0301")).unwrap();
+    attach_holdout(&mut session, &fresh).unwrap();
+    assert_eq!(data(&session).holdout.len(), 3);
+    // Two of the three rows are still copies: doctor says so.
+    let findings = examine(&session);
+    assert!(
+        findings.iter().any(|f| f.topic == "holdout" && f.message.contains("2 sealed rows")),
+        "{findings:?}"
+    );
+}
+
+#[test]
+fn a_holdout_session_brings_its_trajectories_and_nominals() {
+    let (_folder, mut session) = whisker_with(str::to_owned);
+    let other = tempfile::tempdir().unwrap();
+    Base::Whisker.write(other.path());
+    let toml =
+        broken::WHISKER_TOML.replace("[18.0, 0.0, 0.0]", "[20.0, 0.0, 0.0]").replace("[1545.0,", "[1545.5,");
+    fs::write(other.path().join("session.toml"), toml).unwrap();
+    fs::write(other.path().join("points.csv"), WHISKER_POINTS.replace(",18,0", ",20,0")).unwrap();
+    attach_holdout(&mut session, other.path()).unwrap();
+    let data = data(&session);
+    assert_eq!(data.trajectories.len(), 2);
+    assert_eq!(data.holdout[1].trajectory, Some(2));
+    // The same absolute wavelength is the same shift from this session's nominal.
+    assert!((data.holdout[1].shift_pm[0] - data.rows[1].shift_pm[0]).abs() < 1e-6);
+}
+
+#[test]
+fn a_table_for_prediction_needs_wavelengths_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new.csv");
+    fs::write(&path, "fbg_1_nm,fbg_2_nm\n1545.1,1543.2\n1545.2,1543.1\n").unwrap();
+    let fbg = wcal_core::FbgSpec { nominal_nm: Some([1545.0, 1543.0]), ..Default::default() };
+    let table = load_table(&path, &fbg).unwrap();
+    assert_eq!(table.rows.iter().map(|r| r.point).collect::<Vec<_>>(), [0, 1]);
+    assert!((table.rows[1].shift_pm[0] - 200.0).abs() < 1e-6);
+    fs::write(&path, "fbg_1_nm\n1545.1\n").unwrap();
+    let error = load_table(&path, &fbg).unwrap_err().to_string();
+    assert!(error.contains("fbg_2_nm"), "{error}");
+}
+
+#[test]
+fn copied_replicates_are_called_copies() {
+    let (_folder, session) = whisker_with(|text| {
+        let row = text.lines().nth(2).unwrap();
+        let copies: String = (3..9).map(|i| format!("{i}{}\n", &row[1..])).collect();
+        text.to_owned() + &copies
+    });
+    let findings = examine(&session);
+    assert!(
+        findings.iter().any(|f| f.topic == "duplicates" && f.message.contains("no replicates")),
+        "{findings:?}"
+    );
+}
+
+#[test]
+fn a_million_rows_stream_in() {
+    let folder = tempfile::tempdir().unwrap();
+    Base::Transducer.write(folder.path());
+    let mut text = String::from("point,role,stimulus,response,t_s\n");
+    for i in 0..1_000_000 {
+        text.push_str(&format!("{i},calibration,{},{}.25,{i}\n", i % 977, i % 1013));
+    }
+    fs::write(folder.path().join("points.csv"), text).unwrap();
+    let start = std::time::Instant::now();
+    let SessionData::Transducer(data) = load(folder.path()).unwrap().data else { panic!("kind") };
+    assert_eq!(data.rows.len(), 1_000_000);
+    println!("a million rows in {:.1} s", start.elapsed().as_secs_f64());
+}
+
+#[test]
+fn every_session_among_the_fixtures_loads() {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures");
+    let counts = [
+        ("whiskerfbg", 28, 0),
+        ("practice/case-004", 360, 54),
+        ("practice/case-008", 360, 54),
+        ("nist/pontius", 40, 0),
+        ("nist/loadcell", 33, 0),
+        ("nist/berger1", 107, 0),
+        ("nist/lew", 200, 0),
+    ];
+    for (name, rows, holdout) in counts {
+        let session = load(&fixtures.join(name)).unwrap();
+        let found = match &session.data {
+            SessionData::Whisker(d) => (d.rows.len(), d.holdout.len()),
+            SessionData::Transducer(d) => (d.rows.len(), d.holdout.len()),
+            SessionData::Axis(d) => (d.rows.len(), d.holdout.len()),
+        };
+        assert_eq!(found, (rows, holdout), "{name}");
+        assert!(session.warnings.is_empty(), "{name}: {:?}", session.warnings);
+    }
+}

@@ -1,0 +1,92 @@
+//! Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included.
+
+use super::law;
+use crate::candidate::{Candidate, Law};
+use crate::path::WhiskerPath;
+use crate::whisker::WhiskerEffect;
+
+/// See the module.
+pub struct Creep;
+
+impl Candidate for Creep {
+    fn id(&self) -> &'static str {
+        "creep"
+    }
+    fn laws(&self) -> Vec<Law> {
+        vec![
+            law("prony").amplitude("creep_fraction", "1", [0.0, 0.3], 0.02).shape(
+                "time_constant_s",
+                "s",
+                [0.3, 3000.0],
+                &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0],
+            ),
+            law("log-time").amplitude("creep_fraction", "1", [0.0, 0.3], 0.02),
+        ]
+    }
+    fn sentence(&self) -> &'static str {
+        "The gratings go on moving after the load has changed, as a bond that creeps."
+    }
+    fn source(&self) -> &'static str {
+        "linear viscoelasticity, one Prony term or a spectrum that gives log-time creep"
+    }
+}
+
+impl WhiskerEffect for Creep {
+    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
+        (!path.columns.time).then(|| "the session has no time stamps".to_owned())
+    }
+
+    fn sensor(&self, law: usize, values: &[f64], path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+        let (fraction, spectrum): (f64, Vec<f64>) = if law == 0 {
+            (values[0], vec![values[1]])
+        } else {
+            // Equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
+            (values[0], (0..8).map(|k| 10f64.powf(0.5 * f64::from(k))).collect())
+        };
+        let share = fraction / spectrum.len() as f64;
+        let driven = moments_nmm.to_vec();
+        for time_constant_s in spectrum {
+            let mut relaxed = [0.0; 2];
+            for k in 1..driven.len() {
+                let dt = path.nodes[k].t_s - path.nodes[k - 1].t_s;
+                for c in 0..2 {
+                    relaxed[c] = relax(relaxed[c], driven[k - 1][c], driven[k][c], dt, time_constant_s);
+                    moments_nmm[k][c] += share * relaxed[c];
+                }
+            }
+        }
+    }
+}
+
+/// Exact solution of r' = (m - r)/tau over a step in which m goes linearly from `m0` to `m1`.
+pub(crate) fn relax(r: f64, m0: f64, m1: f64, dt_s: f64, tau_s: f64) -> f64 {
+    if dt_s <= 0.0 {
+        return r;
+    }
+    let x = dt_s / tau_s;
+    let decay = (-x).exp();
+    let slope = (m1 - m0) / x;
+    m1 - slope + (r - m0 + slope) * decay
+}
+
+#[cfg(test)]
+mod tests {
+    use super::relax;
+
+    #[test]
+    fn many_small_steps_give_the_same_as_one() {
+        let one = relax(0.3, 1.0, 2.0, 7.0, 5.0);
+        let mut r = 0.3;
+        for k in 0..1000 {
+            let (a, b) = (1.0 + f64::from(k) / 1000.0, 1.0 + f64::from(k + 1) / 1000.0);
+            r = relax(r, a, b, 7.0 / 1000.0, 5.0);
+        }
+        assert!((one - r).abs() < 1e-12, "{one} {r}");
+        let mut euler = 0.3;
+        for k in 0..100_000 {
+            let m = 1.0 + f64::from(k) / 1e5;
+            euler += (m - euler) / 5.0 * 7.0 / 1e5;
+        }
+        assert!((one - euler).abs() < 1e-4);
+    }
+}

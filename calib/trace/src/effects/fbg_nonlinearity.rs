@@ -1,0 +1,44 @@
+//! Quadratic form of the moment in each channel.
+
+use super::law;
+use crate::candidate::{Candidate, Law};
+use crate::path::WhiskerPath;
+use crate::whisker::WhiskerEffect;
+
+/// See the module.
+pub struct FbgNonlinearity;
+
+impl Candidate for FbgNonlinearity {
+    fn id(&self) -> &'static str {
+        "fbg-nonlinearity"
+    }
+    fn laws(&self) -> Vec<Law> {
+        vec![
+            law("quadratic")
+                .column("quadratic_11", "pm/(N mm)^2")
+                .column("quadratic_12", "pm/(N mm)^2")
+                .column("quadratic_22", "pm/(N mm)^2"),
+        ]
+    }
+    fn sentence(&self) -> &'static str {
+        "The wavelength is not quite linear in the moment."
+    }
+    fn source(&self) -> &'static str {
+        "second-order strain-optic and bonding terms"
+    }
+}
+
+impl WhiskerEffect for FbgNonlinearity {
+    fn columns(
+        &self,
+        _law: usize,
+        _values: &[f64],
+        _path: &WhiskerPath,
+        moments_nmm: &[[f64; 2]],
+        out: &mut Vec<Vec<f64>>,
+    ) {
+        out.push(moments_nmm.iter().map(|m| m[0] * m[0]).collect());
+        out.push(moments_nmm.iter().map(|m| m[0] * m[1]).collect());
+        out.push(moments_nmm.iter().map(|m| m[1] * m[1]).collect());
+    }
+}

@@ -1,0 +1,159 @@
+//! The gate: is anything left beyond noise? One family-wise level, shared between named, generic and serial alternatives.
+
+use super::atoms::{Atom, nuisance, of_catalogue};
+use super::drivers::{DriverAtom, of_covariates};
+use super::fit::{Fit, Weights};
+use super::linear::stack;
+use super::null::{NullFamily, atom_p};
+use crate::candidate::System;
+use nalgebra::DVector;
+use statrs::distribution::{ContinuousCDF, Normal};
+
+/// Level of the catalogue's family: what names an effect.
+pub const CATALOGUE_LEVEL: f64 = 0.01;
+/// Level of the generic family: what says that something is left.
+pub const DRIVER_LEVEL: f64 = 0.005;
+/// Level of the serial-correlation test.
+pub const SERIAL_LEVEL: f64 = 0.002;
+
+/// A generic signature that stands out.
+#[derive(Debug, Clone)]
+pub struct DriverScore {
+    /// Covariate.
+    pub driver: String,
+    /// Shape.
+    pub shape: &'static str,
+    /// Period for a sinusoid.
+    pub period: Option<f64>,
+    /// Single p-value.
+    pub p_single: f64,
+    /// Fall of the sum of squares.
+    pub gain: f64,
+    /// Degrees of freedom.
+    pub dimension: usize,
+}
+
+/// Result of the gate on one model.
+#[derive(Debug, Clone)]
+pub struct Gate {
+    /// Signatures of the catalogue on top of the model.
+    pub atoms: Vec<Atom>,
+    /// Their joint null distribution.
+    pub family: NullFamily,
+    /// Family-wise p-value of the catalogue.
+    pub p_catalogue: f64,
+    /// Family-wise p-value of the generic signatures.
+    pub p_drivers: f64,
+    /// p-value of serial correlation along the sweeps.
+    pub p_serial: f64,
+    /// Best shape of each driver, strongest first.
+    pub drivers: Vec<DriverScore>,
+}
+
+impl Gate {
+    /// Something beyond noise is left.
+    #[must_use]
+    pub fn rejected(&self) -> bool {
+        self.p_catalogue < CATALOGUE_LEVEL || self.generic()
+    }
+
+    /// Something is left that need not be in the catalogue.
+    #[must_use]
+    pub fn generic(&self) -> bool {
+        self.p_drivers < DRIVER_LEVEL || self.p_serial < SERIAL_LEVEL
+    }
+
+    /// Family-wise p-values: catalogue, generic signatures, serial correlation.
+    #[must_use]
+    pub fn families(&self) -> [f64; 3] {
+        [self.p_catalogue, self.p_drivers, self.p_serial]
+    }
+
+    /// One omnibus p-value: Bonferroni over the three families by their shares of the level.
+    #[must_use]
+    pub fn p_value(&self) -> f64 {
+        let total = CATALOGUE_LEVEL + DRIVER_LEVEL + SERIAL_LEVEL;
+        [
+            self.p_catalogue * total / CATALOGUE_LEVEL,
+            self.p_drivers * total / DRIVER_LEVEL,
+            self.p_serial * total / SERIAL_LEVEL,
+        ]
+        .into_iter()
+        .fold(1.0, f64::min)
+    }
+}
+
+/// Lag-one correlation of neighbouring readings of one group; two-sided normal approximation.
+fn serial(system: &dyn System, fit: &Fit, weights: &Weights) -> f64 {
+    let groups = system.groups();
+    let (mut product, mut count) = (0.0, 0.0);
+    let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.0[i] > 0.0).collect();
+    for pair in rows.windows(2) {
+        if groups[pair[0]] == groups[pair[1]] {
+            for c in 0..fit.residual.ncols() {
+                product += fit.residual[(pair[0], c)] * fit.residual[(pair[1], c)];
+                count += 1.0;
+            }
+        }
+    }
+    if count < 10.0 || fit.ssr <= 0.0 {
+        return 1.0;
+    }
+    // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
+    let mean_square = fit.ssr / (weights.active() * fit.residual.ncols()) as f64;
+    let z = product / count / mean_square * count.sqrt();
+    Normal::standard().sf(z)
+}
+
+fn generic(
+    system: &dyn System,
+    fit: &Fit,
+    weights: &Weights,
+    residual: &DVector<f64>,
+    seed: u64,
+    draws: usize,
+) -> (f64, Vec<DriverScore>) {
+    let basis = nuisance(fit);
+    let atoms: Vec<DriverAtom> = of_covariates(system, fit, &weights.0, &basis)
+        .into_iter()
+        .filter(|a| (a.atom.dimension() as f64) < 0.5 * fit.dof)
+        .collect();
+    let plain: Vec<&Atom> = atoms.iter().map(|a| &a.atom).collect();
+    let family = NullFamily::simulate(&plain, fit.dof, draws, seed ^ 0x5eed);
+    let mut scores: Vec<DriverScore> = Vec::new();
+    for a in &atoms {
+        let gain = a.atom.gain(residual);
+        let p_single = atom_p(&a.atom, gain, fit.ssr, fit.dof);
+        let score = DriverScore {
+            driver: a.driver.clone(),
+            shape: a.shape,
+            period: a.period,
+            p_single,
+            gain,
+            dimension: a.atom.dimension(),
+        };
+        match scores.iter_mut().find(|s| s.driver == a.driver) {
+            Some(kept) if kept.p_single <= p_single => {}
+            Some(kept) => *kept = score,
+            None => scores.push(score),
+        }
+    }
+    // Where two p-values underflow, the larger gain decides.
+    scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
+    let p = scores.first().map_or(1.0, |s| family.adjusted(s.p_single));
+    (p, scores)
+}
+
+/// Runs the gate on a fitted model.
+#[must_use]
+pub fn gate(system: &dyn System, fit: &Fit, weights: &Weights, seed: u64, draws: usize) -> Gate {
+    let basis = nuisance(fit);
+    let atoms = of_catalogue(system, fit, weights, &basis);
+    let residual = stack(&fit.residual);
+    let refs: Vec<&Atom> = atoms.iter().collect();
+    let family = NullFamily::simulate(&refs, fit.dof, draws, seed);
+    let smallest = atoms.iter().map(|a| atom_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
+    let p_catalogue = family.adjusted(smallest);
+    let (p_drivers, drivers) = generic(system, fit, weights, &residual, seed, draws);
+    Gate { p_catalogue, p_drivers, p_serial: serial(system, fit, weights), atoms, family, drivers }
+}

@@ -1,0 +1,12 @@
+//! The engine shared by every kind of session: fit, screen, refit, compare. It knows systems and candidates, not whiskers.
+
+pub mod atoms;
+pub mod drivers;
+pub mod fit;
+pub mod gate;
+pub mod inference;
+pub mod lasso;
+pub mod linear;
+pub mod null;
+pub mod outliers;
+pub mod search;

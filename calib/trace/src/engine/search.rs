@@ -1,0 +1,340 @@
+//! From a rejected gate to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the gate first.
+
+use super::atoms::{Atom, nuisance, of_catalogue};
+use super::fit::{Fit, Status, Weights, fit};
+use super::gate::{CATALOGUE_LEVEL, Gate, gate};
+use super::linear::stack;
+use super::null::f_test;
+use super::outliers::clean;
+use crate::candidate::{Role, System, Term};
+use crate::effects::SLIP_OUTLIERS;
+use rayon::prelude::*;
+
+/// Settings of the loop.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Seed of every draw.
+    pub seed: u64,
+    /// Null draws a family.
+    pub draws: usize,
+    /// Largest number of effects in one explanation.
+    pub largest: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { seed: 1, draws: 2000, largest: 3 }
+    }
+}
+
+/// An explanation: effects with fitted parameters.
+#[derive(Debug, Clone)]
+pub struct Hypothesis {
+    /// The fit.
+    pub fit: Fit,
+    /// Weights, flagged readings at zero.
+    pub weights: Weights,
+    /// Readings flagged as outliers.
+    pub flagged: Vec<usize>,
+}
+
+/// One-sided amplitudes below this share of their usual size are no explanation.
+const LEAST_SHARE: f64 = 0.2;
+/// Price of one flagged reading: it must stand out among all readings, in every channel.
+const PRICE_A_FLAG: f64 = 2.0;
+
+impl Hypothesis {
+    /// Indices of its effects, ascending; outliers included.
+    #[must_use]
+    pub fn effects(&self, outliers: Option<usize>) -> Vec<usize> {
+        let mut ids: Vec<usize> = self.fit.terms.iter().map(|t| t.effect).collect();
+        if let (Some(o), false) = (outliers, self.flagged.is_empty()) {
+            ids.push(o);
+        }
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// Parameters that the explanation spends beyond the declared model.
+    #[must_use]
+    pub fn parameters(&self, base: &Fit) -> f64 {
+        let columns = (self.fit.design.ncols() - base.design.ncols()) * self.fit.residual.ncols();
+        let values: usize = self.fit.terms.iter().map(|t| t.values.len()).sum();
+        (columns + values) as f64
+    }
+
+    /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
+    #[must_use]
+    pub fn criterion(&self, base: &Fit, variance: f64) -> f64 {
+        let n = self.fit.residual.nrows() as f64;
+        let channels = self.fit.residual.ncols() as f64;
+        // A flagged reading is a free shift in every channel, chosen among n.
+        let flags = self.flagged.len() as f64 * (2.0 * channels + PRICE_A_FLAG * n.ln());
+        self.fit.ssr / variance + 2.0 * self.parameters(base) + flags
+    }
+
+    /// Every parameter lies inside its physical range and every amplitude is there.
+    #[must_use]
+    pub fn physical(&self, system: &dyn System) -> bool {
+        let mut slot = 0;
+        for t in &self.fit.terms {
+            let law = &system.catalogue()[t.effect].laws()[t.law];
+            for (p, v) in law.parameters.iter().zip(&t.values) {
+                let at_bound = self.fit.at_bound[slot];
+                slot += 1;
+                // A share of one is complete, not out of range.
+                let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
+                // Far below the usual size the effect is a correction to something else, not an explanation.
+                let negligible = match p.role {
+                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < LEAST_SHARE * probe,
+                    Role::Shape { .. } => false,
+                };
+                if (at_bound && !complete) || negligible {
+                    return false;
+                }
+            }
+        }
+        self.fit.status != Status::RankDeficient
+    }
+}
+
+/// One line of the evidence table.
+#[derive(Debug, Clone)]
+pub struct Evidence {
+    /// Effects of the explanation.
+    pub effects: Vec<String>,
+    /// Law of each.
+    pub laws: Vec<String>,
+    /// Fall of the misfit against the declared model, in units of the final variance.
+    pub gain: f64,
+    /// Criterion less the best's.
+    pub behind: f64,
+    /// Parameters that it spends.
+    pub parameters: usize,
+    /// Physical ranges kept.
+    pub physical: bool,
+}
+
+/// What the search found.
+pub struct Found {
+    /// The declared model.
+    pub base: Hypothesis,
+    /// Gate on the declared model.
+    pub first_gate: Gate,
+    /// Best explanation (the declared model where nothing was accepted).
+    pub best: Hypothesis,
+    /// Gate on the best explanation.
+    pub last_gate: Gate,
+    /// Explanations that the data do not reject, best first, the best included.
+    pub survivors: Vec<Hypothesis>,
+    /// Every explanation of the final size that was refitted.
+    pub evidence: Vec<Evidence>,
+    /// The same as hypotheses, best first.
+    pub refitted: Vec<Hypothesis>,
+    /// A generic driver explains more than the catalogue does.
+    pub driver_beats_catalogue: bool,
+}
+
+/// Explanations this far behind the best are rejected (likelihood ratio with Akaike's price). For a true explanation at distance d
+/// from the best the chance of falling this far behind is at most Phi(-sqrt(5)) = 1.3 %, whatever d (exam: truth in the set).
+pub const BEHIND_LIMIT: f64 = 5.0;
+
+/// Refits tried at each size.
+const REFITS: usize = 7;
+
+fn outlier_index(system: &dyn System) -> Option<usize> {
+    system
+        .catalogue()
+        .iter()
+        .position(|c| c.id() == SLIP_OUTLIERS || c.id() == "outliers")
+        .filter(|&e| system.not_observable(e).is_none())
+}
+
+/// Refits `terms` from each start and keeps the best physical one (else the best).
+fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option<Hypothesis> {
+    let mut best: Option<Hypothesis> = None;
+    for terms in starts {
+        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
+        let next = Hypothesis { fit, weights: from.weights.clone(), flagged: from.flagged.clone() };
+        let better = best.as_ref().is_none_or(|b| {
+            let (was, is) = (b.physical(system), next.physical(system));
+            // A law with more parameters must earn them.
+            let price = 2.0 * next.fit.variance();
+            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
+            (is && !was) || (is == was && cost(&next) < cost(b))
+        });
+        if better {
+            best = Some(next);
+        }
+    }
+    best
+}
+
+/// Explanations with one effect more than `from`: the best laws of each candidate refitted, and outliers removed.
+fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothesis> {
+    let residual = stack(&from.fit.residual);
+    let gains: Vec<f64> = atoms.iter().map(|a| a.gain(&residual)).collect();
+    let mut ranked: Vec<(f64, usize)> = (0..system.catalogue().len())
+        .filter_map(|e| {
+            let best =
+                (0..gains.len()).filter(|&i| atoms[i].term.effect == e).map(|i| gains[i]).fold(0.0, f64::max);
+            (best > 4.0 * from.fit.variance().min(1.0e300)).then_some((best, e))
+        })
+        .collect();
+    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+    ranked.truncate(REFITS);
+    let mut out: Vec<Hypothesis> = ranked
+        .par_iter()
+        .flat_map_iter(|&(top, e)| {
+            let laws = system.catalogue()[e].laws();
+            // Laws are rivals of their own; within a law the best point of the grid starts the refit.
+            let starts: Vec<Vec<Term>> = (0..laws.len())
+                .filter_map(|l| {
+                    let best = (0..gains.len())
+                        .filter(|&i| atoms[i].term.effect == e && atoms[i].term.law == l)
+                        .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
+                    (gains[best] > 0.5 * top).then(|| {
+                        let mut terms = from.fit.terms.clone();
+                        terms.push(atoms[best].start(&residual, &laws[l]));
+                        terms
+                    })
+                })
+                .collect();
+            refit(system, &starts, from)
+        })
+        .collect();
+    let single = outlier_index(system).filter(|_| from.flagged.is_empty());
+    if let Some(c) = single.and_then(|_| clean(system, &from.fit.terms, &from.fit, &from.weights)) {
+        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged });
+    }
+    out
+}
+
+/// Adds the explanations of `more` that are not there yet; of two with the same effects the better stays.
+fn merge(
+    all: &mut Vec<Hypothesis>,
+    more: Vec<Hypothesis>,
+    outliers: Option<usize>,
+    base: &Fit,
+    variance: f64,
+) {
+    for h in more {
+        let key = h.effects(outliers);
+        match all.iter_mut().find(|o| o.effects(outliers) == key) {
+            Some(old) if old.criterion(base, variance) <= h.criterion(base, variance) => {}
+            Some(old) => *old = h,
+            None => all.push(h),
+        }
+    }
+}
+
+/// p-value of the step from `from` to `to`, adjusted by the family that was searched.
+fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, gate: &Gate) -> f64 {
+    let extra = to.parameters(base) - from.parameters(base)
+        + (to.flagged.len() - from.flagged.len()) as f64 * to.fit.residual.ncols() as f64;
+    let gain = from.fit.ssr - to.fit.ssr;
+    let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
+    if to.flagged.len() > from.flagged.len() {
+        // Readings were chosen among all: each flag already passed a level shared over all readings.
+        let n = from.fit.residual.nrows() as f64;
+        return (single * n.powf((to.flagged.len() - from.flagged.len()) as f64)).min(1.0);
+    }
+    gate.family.adjusted(single)
+}
+
+/// Runs the search.
+pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Option<Found> {
+    let outliers = outlier_index(system);
+    let base_fit = fit(system, &[], weights, 15)?;
+    let base = Hypothesis { fit: base_fit, weights: weights.clone(), flagged: Vec::new() };
+    let first_gate = gate(system, &base.fit, weights, options.seed, options.draws);
+    let mut best = base.clone();
+    let mut level: Vec<Hypothesis> = vec![base.clone()];
+    let mut level_gate = first_gate.clone();
+    let mut final_level: Vec<Hypothesis> = Vec::new();
+    for size in 1..=options.largest {
+        if !level_gate.rejected() && !single_readings(system, &best) {
+            break;
+        }
+        // Extend the few best explanations of the last size; the true set need not contain the best single effect.
+        let mut next: Vec<Hypothesis> = Vec::new();
+        let variance = best.fit.variance();
+        for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
+            let more = if k == 0 {
+                extend(system, h, &level_gate.atoms)
+            } else {
+                extend(system, h, &of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
+            };
+            merge(&mut next, more, outliers, &base.fit, variance);
+        }
+        let mut physical: Vec<Hypothesis> =
+            next.into_iter().filter(|h| h.physical(system) && h.effects(outliers).len() == size).collect();
+        let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
+        physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
+        let candidate = physical[0].clone();
+        let p = step_p(&best, &candidate, &base.fit, &level_gate);
+        if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
+            break;
+        }
+        best = candidate;
+        level_gate = gate_again(system, &best, options, size as u64);
+        level = physical.clone();
+        final_level = physical;
+    }
+    let variance = best.fit.variance();
+    let top = best.criterion(&base.fit, variance);
+    let survivors: Vec<Hypothesis> = final_level
+        .iter()
+        .filter(|h| h.criterion(&base.fit, variance) - top <= BEHIND_LIMIT)
+        .cloned()
+        .collect();
+    let evidence = final_level
+        .iter()
+        .map(|h| Evidence {
+            effects: h.effects(outliers).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect(),
+            laws: h
+                .fit
+                .terms
+                .iter()
+                .map(|t| system.catalogue()[t.effect].laws()[t.law].name.to_owned())
+                .collect(),
+            gain: (base.fit.ssr - h.fit.ssr) / variance,
+            behind: h.criterion(&base.fit, variance) - top,
+            parameters: h.parameters(&base.fit) as usize,
+            physical: h.physical(system),
+        })
+        .collect();
+    let driver_beats_catalogue = driver_wins(&base, &first_gate, &best, variance);
+    Some(Found {
+        base,
+        first_gate,
+        best,
+        last_gate: level_gate,
+        survivors,
+        evidence,
+        refitted: final_level,
+        driver_beats_catalogue,
+    })
+}
+
+/// One generic driver alone explains the residual better than the accepted effects do.
+fn driver_wins(base: &Hypothesis, gate: &Gate, best: &Hypothesis, variance: f64) -> bool {
+    const MARGIN: f64 = 10.0;
+    let Some(driver) = gate.drivers.first() else { return false };
+    // Periods and steps were scanned: some forty places each.
+    let scanned = if matches!(driver.shape, "sinusoid" | "step") { 2.0 * 40f64.ln() } else { 2.0 };
+    let by_driver = (base.fit.ssr - driver.gain) / variance + 2.0 * driver.dimension as f64 + scanned;
+    gate.generic() && by_driver + MARGIN < best.criterion(&base.fit, variance)
+}
+
+/// Readings stand out singly although nothing smooth is left.
+fn single_readings(system: &dyn System, h: &Hypothesis) -> bool {
+    h.flagged.is_empty()
+        && outlier_index(system).is_some()
+        && clean(system, &h.fit.terms, &h.fit, &h.weights).is_some()
+}
+
+fn gate_again(system: &dyn System, h: &Hypothesis, options: &Options, round: u64) -> Gate {
+    gate(system, &h.fit, &h.weights, options.seed.wrapping_add(round.wrapping_mul(0x9e37)), options.draws)
+}

@@ -1,0 +1,94 @@
+//! Operators with memory over the sequence of readings.
+
+/// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in equilibrium.
+pub fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
+    let mut out = u.to_vec();
+    for k in 1..u.len() {
+        let x = (time[k] - time[k - 1]) / tau;
+        let decay = (-x).exp();
+        let mean = if x > 1e-9 { (1.0 - decay) / x } else { 1.0 - 0.5 * x };
+        // Weights of the old state, the old and the new input.
+        out[k] = decay * out[k - 1] + (mean - decay) * u[k - 1] + (1.0 - mean) * u[k];
+    }
+    out
+}
+
+/// Play: the output stays until the play is taken up, true on the way up.
+pub fn play(u: &[f64], width: f64) -> Vec<f64> {
+    let mut held = u.first().copied().unwrap_or(0.0);
+    u.iter()
+        .map(|&x| {
+            held = held.clamp(x, x + width);
+            held
+        })
+        .collect()
+}
+
+/// Bouc-Wen state with n = 1 (Wen 1976): tends to the sign of the motion over the distance `width`.
+pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
+    let mut state = 0.0;
+    let mut before = u.first().copied().unwrap_or(0.0);
+    u.iter()
+        .map(|&x| {
+            let step = x - before;
+            before = x;
+            let target = if step == 0.0 { state } else { step.signum() };
+            state = target + (state - target) * (-step.abs() / width).exp();
+            state
+        })
+        .collect()
+}
+
+/// The stimulus at an earlier time, linear between readings.
+pub fn delayed(u: &[f64], time: &[f64], delay: f64) -> Vec<f64> {
+    let mut j = 0;
+    time.iter()
+        .enumerate()
+        .map(|(k, t)| {
+            let at = t - delay;
+            while j + 1 < k && time[j + 1] <= at {
+                j += 1;
+            }
+            if k == 0 || at <= time[0] {
+                return u[0];
+            }
+            let gap = time[j + 1] - time[j];
+            if gap > 0.0 {
+                u[j] + (u[j + 1] - u[j]) * ((at - time[j]) / gap).clamp(0.0, 1.0)
+            } else {
+                u[j + 1]
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn relaxation_does_not_depend_on_the_step() {
+        let time: Vec<f64> = (0..=1000).map(|k| f64::from(k) / 1000.0).collect();
+        let fine = relaxed(&time, &time, 0.3);
+        let coarse = relaxed(&[0.0, 1.0], &[0.0, 1.0], 0.3);
+        assert!((fine[1000] - coarse[1]).abs() < 1e-12);
+        // Ramp through a first-order lag: t - tau (1 - exp(-t/tau)).
+        assert!((coarse[1] - (1.0 - 0.3 * (1.0 - (-1.0f64 / 0.3).exp()))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_ramp_is_delayed_by_the_delay() {
+        let time: Vec<f64> = (0..50).map(f64::from).collect();
+        let out = delayed(&time, &time, 3.25);
+        assert!((out[40] - 36.75).abs() < 1e-12 && out[0] == 0.0);
+        assert_eq!(delayed(&time, &time, 0.0), time);
+    }
+
+    #[test]
+    fn play_lags_only_after_the_reversal() {
+        let up_down = [0.0, 1.0, 2.0, 1.95, 1.0, 0.0];
+        assert_eq!(play(&up_down, 0.1), vec![0.0, 1.0, 2.0, 2.0, 1.1, 0.1]);
+        let state = bouc_wen(&up_down, 1e-6);
+        assert!(state[2] > 0.999 && state[4] < -0.999);
+    }
+}

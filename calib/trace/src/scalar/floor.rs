@@ -1,0 +1,55 @@
+//! The noise floor: pure error of replicates, else differences of neighbours.
+
+use super::frame::{Declared, Frame};
+use crate::engine::search::Hypothesis;
+
+/// Floor of the response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Floor {
+    /// Standard deviation of one reading (of the geometric-mean spread where it varies).
+    pub sd: f64,
+    /// `replicates` or `difference`.
+    pub source: &'static str,
+}
+
+/// Fewer degrees of freedom than this do not make a floor.
+const LEAST_DOF: usize = 8;
+
+/// One key for readings that ought to agree: same stimulus, same direction.
+#[must_use]
+pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
+    let mut seen: Vec<(u64, bool)> = Vec::new();
+    (0..frame.rows.len())
+        .map(|i| {
+            // + 0.0 turns -0 into 0.
+            let down = frame.direction.as_ref().is_some_and(|d| d[i] < 0.0);
+            let key = ((frame.rows[i].x + 0.0).to_bits(), down);
+            match seen.iter().position(|s| *s == key) {
+                Some(k) => k as u64,
+                None => {
+                    seen.push(key);
+                    seen.len() as u64 - 1
+                }
+            }
+        })
+        .collect()
+}
+
+/// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
+#[must_use]
+pub fn noise_floor(frame: &Frame, h: &Hypothesis) -> Option<Floor> {
+    let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
+    let keys = replicate_keys(frame);
+    let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
+    if let Some(l) = super::polynomial::lack_of_fit(&residual, &keys, &h.weights.0, 0)
+        && l.pure_dof >= LEAST_DOF as f64
+    {
+        return Some(Floor { sd: l.pure_sd, source: "replicates" });
+    }
+    if frame.declared != Declared::Polynomial(0) {
+        rows.sort_by(|&a, &b| frame.u[a].total_cmp(&frame.u[b]));
+    }
+    let pairs = rows.len().saturating_sub(1);
+    let sum: f64 = rows.windows(2).map(|p| (residual[p[1]] - residual[p[0]]).powi(2) / 2.0).sum();
+    (pairs >= LEAST_DOF).then(|| Floor { sd: (sum / pairs as f64).sqrt(), source: "difference" })
+}

@@ -1,0 +1,168 @@
+//! Fitted values in the session's units, with intervals.
+
+use super::effects::PERIODIC;
+use super::frame::Frame;
+use super::system::ScalarSystem;
+use crate::candidate::{Role, System};
+use crate::engine::fit::Fit;
+use crate::engine::linear::stack;
+use nalgebra::DMatrix;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use wcal_core::verify_document::EffectParameter;
+
+/// Quantile of Student's t for a two-sided 95 % interval.
+#[must_use]
+pub fn t95(dof: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, dof.max(1.0)).map_or(1.96, |t| t.inverse_cdf(0.975))
+}
+
+/// Joint covariance of coefficients and nonlinear values.
+#[must_use]
+pub fn covariance(fit: &Fit) -> DMatrix<f64> {
+    let (n, q, m) = (fit.design.nrows(), fit.design.ncols(), fit.tangents.len());
+    let mut jacobian = DMatrix::zeros(n, q + m);
+    jacobian.view_mut((0, 0), (n, q)).copy_from(&fit.design);
+    for (j, t) in fit.tangents.iter().enumerate() {
+        jacobian.set_column(q + j, &stack(t));
+    }
+    let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
+    let scaled = DMatrix::from_fn(n, q + m, |i, j| jacobian[(i, j)] / scale[j]);
+    let gram = scaled.transpose() * &scaled;
+    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(q + m, q + m));
+    DMatrix::from_fn(q + m, q + m, |i, j| inverse[(i, j)] * fit.variance() / (scale[i] * scale[j]))
+}
+
+/// Names by which the session calls things.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Names {
+    /// Unit of the stimulus.
+    pub stimulus: String,
+    /// Unit of the response.
+    pub response: String,
+    /// Further covariates.
+    pub covariates: Vec<String>,
+}
+
+/// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of `cross-axis`.
+#[must_use]
+pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
+    let s = &frame.scaling;
+    let half = if s.half > 0.0 { s.half } else { 1.0 };
+    let readings = s.count.max(2) as f64 - 1.0;
+    let (response, stimulus) = (&names.response, &names.stimulus);
+    let duration = s.time.map_or(1.0, |t| t[1]);
+    if let Some(power) = unit.strip_prefix("response/half-range") {
+        let (power, rest) = match power {
+            "" => (1, ""),
+            "/degc" => (1, "/degc"),
+            p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
+        };
+        let exponent = if power > 1 { format!("^{power}") } else { String::new() };
+        return (value / half.powi(power), format!("{response}/{stimulus}{exponent}{rest}"));
+    }
+    match unit {
+        "half-range" => (value * half, stimulus.clone()),
+        "stimulus" => (s.mid + half * value, stimulus.clone()),
+        "duration" => (value * duration, "s".to_owned()),
+        "clock" => match s.time {
+            Some([first, _]) => (first + duration * value, "s".to_owned()),
+            None => (1.0 + readings * value, "reading".to_owned()),
+        },
+        "period:stimulus" => (2.0 * half / value, stimulus.clone()),
+        "period:time" => (duration / value, "s".to_owned()),
+        "period:order" => (readings / value, "readings".to_owned()),
+        "response" => (value, response.clone()),
+        "response/degc" => (value, format!("{response}/degc")),
+        "response/duration" => match s.time {
+            Some(_) => (value / duration, format!("{response}/s")),
+            None => (value / readings, format!("{response}/reading")),
+        },
+        "response/covariate" => {
+            let half = s.covariates.get(law).map_or(1.0, |c| c[1]);
+            let name = names.covariates.get(law).map_or("covariate", String::as_str);
+            (value / half, format!("{response}/{name}"))
+        }
+        other => (value, other.to_owned()),
+    }
+}
+
+fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
+    [a.min(b), a.max(b)]
+}
+
+/// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
+#[must_use]
+pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names) -> Vec<EffectParameter> {
+    let covariance = covariance(fit);
+    let q = fit.design.ncols();
+    let t = t95(fit.dof);
+    let mut out: Vec<EffectParameter> = Vec::new();
+    let mut slot = q;
+    let linear = |t: &crate::candidate::Term| system.catalogue()[t.effect].laws()[t.law].linear.len();
+    let own: usize = fit.terms.iter().map(linear).sum();
+    let mut column = q - own;
+    for term in &fit.terms {
+        let law = &system.catalogue()[term.effect].laws()[term.law];
+        let mut push = |name: &str, unit: &str, value: f64, half: f64, lowest: f64| {
+            let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
+            let (value_out, unit_out) = at(value);
+            out.push(EffectParameter {
+                name: name.to_owned(),
+                value: value_out,
+                unit: unit_out,
+                interval95: ordered([at((value - half).max(lowest)).0, at(value + half).0]),
+            });
+        };
+        for (p, v) in law.parameters.iter().zip(&term.values) {
+            let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+            slot += 1;
+            if term.effect == effect {
+                let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
+                let lowest =
+                    if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
+                push(p.name, p.unit, *v, half, lowest);
+            }
+        }
+        for (k, (name, unit)) in law.linear.iter().enumerate() {
+            if term.effect == effect {
+                let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
+                push(name, unit, fit.coefficients[(column + k, 0)], half, f64::MIN);
+            }
+        }
+        if term.effect == effect && system.catalogue()[effect].id() == PERIODIC {
+            derived(&mut out, fit, column, &covariance, t);
+        }
+        column += law.linear.len();
+    }
+    out
+}
+
+/// Frequency and amplitude of a periodic effect, from its period, sine and cosine.
+fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance: &DMatrix<f64>, t: f64) {
+    let Some(period) = out.iter().find(|p| p.name == "period").cloned() else { return };
+    out.push(EffectParameter {
+        name: "frequency".to_owned(),
+        value: 1.0 / period.value,
+        unit: format!("1/{}", period.unit),
+        interval95: ordered(period.interval95.map(|v| 1.0 / v)),
+    });
+    let (s, c) = (fit.coefficients[(column, 0)], fit.coefficients[(column + 1, 0)]);
+    let size = s.hypot(c);
+    if size > 0.0 {
+        let g = [s / size, c / size];
+        let mut variance = 0.0;
+        for i in 0..2 {
+            for j in 0..2 {
+                variance += g[i] * g[j] * covariance[(column + i, column + j)];
+            }
+        }
+        let half = t * variance.max(0.0).sqrt();
+        let unit = out.iter().find(|p| p.name == "sine").map_or(String::new(), |p| p.unit.clone());
+        out.push(EffectParameter {
+            name: "amplitude".to_owned(),
+            value: size,
+            unit,
+            interval95: [(size - half).max(0.0), size + half],
+        });
+    }
+}

@@ -1,0 +1,17 @@
+//! `wcal verify`: the stages in order, from the twin check to the unsealed holdout.
+
+pub mod detect;
+pub mod floor;
+pub mod heldout;
+pub mod holdout_check;
+pub mod next;
+pub mod physical;
+pub mod predictions;
+pub mod rival;
+pub mod twin_check;
+mod unseal;
+pub mod verdict;
+pub mod whisker;
+
+pub use physical::PhysicalModel;
+pub use whisker::{VerifyOptions, WhiskerVerification, verify_whisker};

@@ -1,0 +1,190 @@
+//! Stage 10: the measurement that would decide between surviving explanations.
+
+use crate::candidate::{System, Term};
+use crate::engine::fit::Fit;
+use crate::engine::linear::{Basis, in_channel, stack};
+use crate::engine::search::Hypothesis;
+use crate::whisker::WhiskerSystem;
+use nalgebra::DMatrix;
+use statrs::distribution::{ContinuousCDF, Normal};
+use wcal_core::observation::{Role, WhiskerRow};
+use wcal_core::verify_document::{NextMeasurement, NextPose};
+
+/// Poses asked for at most.
+const POSES: usize = 3;
+/// Readings averaged at each proposed pose.
+const REPEATS: f64 = 4.0;
+
+/// An excursion on one trajectory and the reading proposed on it.
+#[derive(Debug, Clone)]
+struct Proposal {
+    pose: NextPose,
+    rows: Vec<WhiskerRow>,
+    /// Which of `rows` is the reading.
+    reading: usize,
+}
+
+fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem) -> WhiskerRow {
+    let line = system.data.trajectory(pose.trajectory);
+    WhiskerRow {
+        role: Role::Verification,
+        trajectory: Some(pose.trajectory),
+        t_s: Some(t_s),
+        stage_mm: Some(pose.stage_mm),
+        direction: Some(pose.direction),
+        speed_mm_s: Some(pose.speed_mm_s),
+        dwell_s: Some(pose.dwell_s),
+        groove_mm: line.map(|l| l.origin_mm + l.direction * pose.stage_mm),
+        ..template.clone()
+    }
+}
+
+/// Loading, unloading after the deepest pose, fast passes and long dwells on every trajectory.
+fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
+    let Some(template) = system.data.rows.iter().find(|r| r.role != Role::Rest) else { return Vec::new() };
+    let start = system.path.readings.iter().map(|r| r.t_s).fold(0.0, f64::max) + 30.0;
+    let mut out = Vec::new();
+    for (l, trajectory) in system.data.trajectories.iter().enumerate() {
+        let reach = system.path.reach_mm[l];
+        if reach <= 0.0 {
+            continue;
+        }
+        for share in [0.3, 0.6, 1.0] {
+            for (direction, speed_mm_s, dwell_s) in
+                [(1.0, 0.0, 2.0), (1.0, 0.0, 60.0), (-1.0, 0.0, 2.0), (1.0, 8.0, 0.0), (-1.0, 8.0, 0.0)]
+            {
+                if direction < 0.0 && share == 1.0 {
+                    continue;
+                }
+                let pose = NextPose {
+                    trajectory: trajectory.id,
+                    stage_mm: (share * reach * 1000.0).round() / 1000.0,
+                    direction,
+                    speed_mm_s,
+                    dwell_s,
+                };
+                let mut rows = Vec::new();
+                let mut t = start;
+                if direction < 0.0 {
+                    let deep = NextPose {
+                        stage_mm: reach,
+                        direction: 1.0,
+                        speed_mm_s: 0.0,
+                        dwell_s: 2.0,
+                        ..pose.clone()
+                    };
+                    t += 5.0;
+                    rows.push(row(template, &deep, t, system));
+                }
+                t += 5.0 + dwell_s;
+                rows.push(row(template, &pose, t, system));
+                out.push(Proposal { pose, reading: rows.len() - 1, rows });
+            }
+        }
+    }
+    out
+}
+
+/// Design of `terms` at the reading of a proposal, taken after the whole session.
+fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[Term]) -> Option<DMatrix<f64>> {
+    let rows: Vec<&WhiskerRow> = system.data.rows.iter().chain(&proposal.rows).collect();
+    let extended = system.with_rows(&rows);
+    let design = extended.design(terms)?;
+    let index = extended.path.rows.iter().position(|&r| r == system.data.rows.len() + proposal.reading)?;
+    Some(design.rows(index, 1).into_owned())
+}
+
+/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted.
+fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64>)], variance: f64) -> f64 {
+    let channels = b.residual.ncols();
+    let n = b.design.nrows();
+    let total = n + new.len();
+    let weight = REPEATS.sqrt();
+    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64| -> Vec<f64> {
+        column.iter().copied().chain((0..new.len()).map(|k| weight * extra(k))).collect()
+    };
+    let mut basis = Basis::default();
+    for j in 0..b.design.ncols() {
+        let column = extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j]);
+        for c in 0..channels {
+            basis.push(&in_channel(&column, c, channels));
+        }
+    }
+    let mut difference = DMatrix::zeros(total, channels);
+    for c in 0..channels {
+        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c]);
+        difference.column_mut(c).copy_from_slice(&column);
+    }
+    basis.project_off(&stack(&difference)).norm_squared() / variance
+}
+
+/// The poses that separate the best two explanations, and the power expected from them.
+#[must_use]
+pub fn next_measurement(
+    system: &WhiskerSystem,
+    best: &Hypothesis,
+    rival: &Hypothesis,
+    separates: Vec<String>,
+) -> Option<NextMeasurement> {
+    let variance = best.fit.variance();
+    // The present readings separate the two by what their predictions differ.
+    let present = &rival.fit.residual - &best.fit.residual;
+    let candidates = proposals(system);
+    let evaluated: Vec<(usize, DMatrix<f64>, DMatrix<f64>)> = candidates
+        .iter()
+        .enumerate()
+        .filter_map(|(i, p)| {
+            let (da, db) = (design_at(system, p, &best.fit.terms)?, design_at(system, p, &rival.fit.terms)?);
+            let gap = &da * &best.fit.coefficients - &db * &rival.fit.coefficients;
+            Some((i, gap, db))
+        })
+        .collect();
+    let mut chosen: Vec<usize> = Vec::new();
+    let mut reached = 0.0;
+    for _ in 0..POSES {
+        let scored = (0..evaluated.len()).filter(|k| !chosen.contains(k)).map(|k| {
+            let new: Vec<_> = chosen
+                .iter()
+                .chain([&k])
+                .map(|&j| (evaluated[j].1.clone(), evaluated[j].2.clone()))
+                .collect();
+            (k, separation(&rival.fit, &present, &new, variance))
+        });
+        let (k, value) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        chosen.push(k);
+        reached = value;
+        if power(value) > 0.95 {
+            break;
+        }
+    }
+    let poses: Vec<NextPose> = chosen.iter().map(|&k| candidates[evaluated[k].0].pose.clone()).collect();
+    let expected_power = power(reached);
+    let instruction = if expected_power < 0.5 {
+        format!(
+            "{} cannot be separated on this rig by three more poses; it needs another direction of approach, another medium or a second sensor.",
+            separates.join(" and ")
+        )
+    } else {
+        let list: Vec<String> = poses.iter().map(describe).collect();
+        format!("Read {} times each: {}.", REPEATS, list.join("; "))
+    };
+    Some(NextMeasurement { separates, instruction, poses, expected_power })
+}
+
+fn describe(p: &NextPose) -> String {
+    let how = if p.speed_mm_s > 0.0 {
+        format!("passing at {} mm/s", p.speed_mm_s)
+    } else {
+        format!("settled for {} s", p.dwell_s)
+    };
+    let way = if p.direction < 0.0 { "unloading from the deepest pose" } else { "loading" };
+    format!("trajectory {}, stage {:.2} mm, {way}, {how}", p.trajectory, p.stage_mm)
+}
+
+/// Probability that the rival falls past the limit: its lag is about N(lambda, 4 lambda).
+fn power(lambda: f64) -> f64 {
+    if lambda <= 0.0 {
+        return 0.0;
+    }
+    Normal::standard().cdf((lambda - crate::engine::search::BEHIND_LIMIT) / (2.0 * lambda.sqrt()))
+}

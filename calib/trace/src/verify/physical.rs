@@ -1,0 +1,287 @@
+//! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
+
+use crate::candidate::Term;
+use crate::engine::inference::covariance;
+use crate::engine::search::Hypothesis;
+use crate::path::WhiskerPath;
+use crate::whisker::{WhiskerEffect, WhiskerSystem};
+use nalgebra::{DMatrix, Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use wcal_core::FbgSpec;
+use wcal_core::verify_document::EffectParameter;
+
+/// An accepted effect with its fitted values.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AcceptedEffect {
+    /// Identifier.
+    pub id: String,
+    /// Law.
+    pub law: String,
+    /// Nonlinear values in the law's order.
+    pub values: Vec<f64>,
+    /// Every parameter with its interval.
+    pub parameters: Vec<EffectParameter>,
+}
+
+/// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PhysicalModel {
+    /// Coefficients, one row a design column (zero, the two moments, zeros of later seatings, effect columns), one column a channel.
+    pub coefficients: Vec<[f64; 2]>,
+    /// Covariance of the coefficients, channel by channel, and of the nonlinear values after them.
+    pub covariance: Vec<Vec<f64>>,
+    /// Standard deviation of one reading, pm.
+    pub noise_sd_pm: f64,
+    /// Accepted effects.
+    pub effects: Vec<AcceptedEffect>,
+    /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
+    #[serde(default = "one")]
+    pub seatings: u32,
+    /// Gratings.
+    pub fbg: FbgSpec,
+    /// Largest moment, N mm, that the fitted readings reach; beyond 1.1 times it the calibration is not valid.
+    pub largest_moment_nmm: f64,
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// Moments from wavelengths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Inferred {
+    /// Base moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Standard deviations, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Inside the region that the calibration was fitted in.
+    pub valid: bool,
+}
+
+/// Share of the largest fitted moment that is still valid.
+const VALID_SHARE: f64 = 1.1;
+
+impl PhysicalModel {
+    /// The model of an explanation.
+    #[must_use]
+    pub fn new(system: &WhiskerSystem, h: &Hypothesis, sd_pm: f64) -> Self {
+        let fit = &h.fit;
+        let effects = fit
+            .terms
+            .iter()
+            .map(|t| {
+                let effect = &system.effects()[t.effect];
+                AcceptedEffect {
+                    id: effect.id().to_owned(),
+                    law: effect.laws()[t.law].name.to_owned(),
+                    values: t.values.clone(),
+                    parameters: crate::engine::inference::parameters(system, h, t.effect),
+                }
+            })
+            .collect();
+        let covariance = covariance(fit, sd_pm * sd_pm);
+        let largest = system
+            .moments(&fit.terms)
+            .map_or(0.0, |(_, base)| base.iter().map(|m| m[0].hypot(m[1])).fold(0.0, f64::max));
+        Self {
+            coefficients: fit.coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
+            covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
+            noise_sd_pm: sd_pm,
+            effects,
+            seatings: system.seatings(),
+            fbg: system.data.fbg.clone(),
+            largest_moment_nmm: largest,
+        }
+    }
+
+    /// Sensitivity K, pm/(N mm): rows are channels.
+    #[must_use]
+    pub fn sensitivity(&self) -> Matrix2<f64> {
+        Matrix2::from_fn(|c, j| self.coefficients[j + 1][c])
+    }
+
+    /// The catalogue's effects with their terms.
+    fn terms(&self) -> Vec<(Arc<dyn WhiskerEffect>, Term)> {
+        let catalogue = crate::effects::whisker_catalogue();
+        self.effects
+            .iter()
+            .filter_map(|a| {
+                let index = catalogue.iter().position(|e| e.id() == a.id)?;
+                let law = catalogue[index].laws().iter().position(|l| l.name == a.law)?;
+                Some((catalogue[index].clone(), Term { effect: index, law, values: a.values.clone() }))
+            })
+            .collect()
+    }
+
+    /// Predicted shifts at `felt` moments, readings x channels, pm.
+    fn readout(
+        &self,
+        terms: &[(Arc<dyn WhiskerEffect>, Term)],
+        path: &WhiskerPath,
+        felt: &[[f64; 2]],
+    ) -> DMatrix<f64> {
+        let mut columns = vec![
+            vec![1.0; felt.len()],
+            felt.iter().map(|m| m[0]).collect(),
+            felt.iter().map(|m| m[1]).collect(),
+        ];
+        columns.extend(path.seating_columns(self.seatings));
+        for (effect, t) in terms {
+            effect.columns(t.law, &t.values, path, felt, &mut columns);
+        }
+        DMatrix::from_fn(felt.len(), 2, |i, c| {
+            columns.iter().zip(&self.coefficients).map(|(col, b)| col[i] * b[c]).sum()
+        })
+    }
+
+    /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
+    /// poses are known (base less felt, N mm); without it the effects run over the readings' own history.
+    ///
+    /// Memory is a small correction, so plain fixed-point iteration undoes it.
+    #[must_use]
+    pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
+        let terms = self.terms();
+        let n = path.readings.len();
+        let Some(inverse) = self.sensitivity().try_inverse() else {
+            return vec![Inferred { moment_nmm: [f64::NAN; 2], sd_nmm: [f64::NAN; 2], valid: false }; n];
+        };
+        let felt = self.felt(&terms, path, &inverse);
+        let sds: Vec<[f64; 2]> = felt.iter().map(|f| self.sd_nmm(&inverse, f)).collect();
+        let base = match memory {
+            Some(m) => felt.iter().zip(m).map(|(f, d)| [f[0] + d[0], f[1] + d[1]]).collect(),
+            None => undo_memory(&terms, path, &felt, &sds),
+        };
+        sds.iter()
+            .zip(base)
+            .map(|(sd, m)| Inferred {
+                moment_nmm: m,
+                sd_nmm: *sd,
+                valid: m[0].hypot(m[1]) <= VALID_SHARE * self.largest_moment_nmm,
+            })
+            .collect()
+    }
+
+    /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls: where a bent readout never gives the
+    /// shift, the moment at its fold, the closest one, comes out. The slope is taken by differences because effects add columns.
+    fn felt(
+        &self,
+        terms: &[(Arc<dyn WhiskerEffect>, Term)],
+        path: &WhiskerPath,
+        inverse: &Matrix2<f64>,
+    ) -> Vec<[f64; 2]> {
+        const STEP_NMM: f64 = 1e-5;
+        // A longer step would leave the branch of a quadratic readout that starts at rest.
+        const LONGEST_NMM: f64 = 0.5;
+        let n = path.readings.len();
+        let mut felt = vec![[0.0; 2]; n];
+        let mut from = vec![Vector2::zeros(); n];
+        let mut steps: Vec<Vector2<f64>> = vec![Vector2::zeros(); n];
+        let mut misfit = vec![f64::INFINITY; n];
+        for _ in 0..80 {
+            let here = self.readout(terms, path, &felt);
+            let moved = |c: usize| {
+                let shifted: Vec<[f64; 2]> = felt
+                    .iter()
+                    .map(|m| {
+                        let mut m = *m;
+                        m[c] += STEP_NMM;
+                        m
+                    })
+                    .collect();
+                (self.readout(terms, path, &shifted) - &here) / STEP_NMM
+            };
+            let slopes = [moved(0), moved(1)];
+            let mut change: f64 = 0.0;
+            for (i, m) in felt.iter_mut().enumerate() {
+                let shift = path.readings[i].shift_pm;
+                let left = Vector2::new(shift[0] - here[(i, 0)], shift[1] - here[(i, 1)]);
+                if left.norm() > misfit[i] {
+                    steps[i] *= 0.5;
+                } else {
+                    from[i] = Vector2::from(*m);
+                    misfit[i] = left.norm();
+                    let slope = Matrix2::from_fn(|c, j| slopes[j][(i, c)]);
+                    steps[i] = slope.try_inverse().unwrap_or(*inverse) * left;
+                    let size = steps[i].norm();
+                    if size > LONGEST_NMM {
+                        steps[i] *= LONGEST_NMM / size;
+                    }
+                }
+                *m = (from[i] + steps[i]).into();
+                change = change.max(steps[i].norm());
+            }
+            if change < 1e-9 {
+                break;
+            }
+        }
+        felt
+    }
+
+    /// Noise and coefficient covariance through the inverse sensitivity.
+    fn sd_nmm(&self, inverse: &Matrix2<f64>, felt: &[f64; 2]) -> [f64; 2] {
+        let q = self.coefficients.len();
+        let row = [1.0, felt[0], felt[1]];
+        let mut cov = Matrix2::identity() * self.noise_sd_pm.powi(2);
+        for a in 0..2 {
+            for b in 0..2 {
+                for (i, u) in row.iter().enumerate() {
+                    for (j, v) in row.iter().enumerate() {
+                        cov[(a, b)] += u * v * self.covariance[a * q + i][b * q + j];
+                    }
+                }
+            }
+        }
+        let m = inverse * cov * inverse.transpose();
+        [m[(0, 0)].max(0.0).sqrt(), m[(1, 1)].max(0.0).sqrt()]
+    }
+}
+
+/// Finds base moments whose memory gives the felt ones, by fixed point over the whole history.
+///
+/// Where nothing is felt beyond noise, a dead zone hides the moment: the reading keeps what it shows.
+fn undo_memory(
+    terms: &[(Arc<dyn WhiskerEffect>, Term)],
+    path: &WhiskerPath,
+    felt: &[[f64; 2]],
+    sds: &[[f64; 2]],
+) -> Vec<[f64; 2]> {
+    let mut base = felt.to_vec();
+    // A node without a reading is the arrival at the reading that follows it.
+    let source: Vec<usize> = {
+        let mut next = felt.len().saturating_sub(1);
+        let mut map: Vec<usize> = path
+            .nodes
+            .iter()
+            .rev()
+            .map(|n| {
+                next = n.reading.unwrap_or(next);
+                next
+            })
+            .collect();
+        map.reverse();
+        map
+    };
+    for _ in 0..40 {
+        let mut at_nodes: Vec<[f64; 2]> = source.iter().map(|&i| base[i]).collect();
+        for (effect, t) in terms {
+            effect.sensor(t.law, &t.values, path, &mut at_nodes);
+        }
+        let mut change: f64 = 0.0;
+        for (node, m) in path.nodes.iter().zip(&at_nodes) {
+            let Some(i) = node.reading else { continue };
+            if felt[i][0].hypot(felt[i][1]) < 3.0 * sds[i][0].hypot(sds[i][1]) {
+                continue;
+            }
+            for c in 0..2 {
+                let step = felt[i][c] - m[c];
+                base[i][c] += step;
+                change = change.max(step.abs());
+            }
+        }
+        if change < 1e-10 {
+            break;
+        }
+    }
+    base
+}

@@ -1,0 +1,139 @@
+//! Stage 11: the error on readings that no fit saw, before and after, beside a black-box rival.
+
+use super::heldout::{HeldOut, coverage95, summarise};
+use super::physical::PhysicalModel;
+use super::predictions::{Predicted, held_out, of_reading, predict};
+use super::rival::rival;
+use super::twin_check::labelled_moments;
+use super::verdict::Conclusion;
+use crate::engine::fit::{Weights, fit};
+use crate::engine::search::{Found, Hypothesis};
+use crate::whisker::WhiskerSystem;
+use nalgebra::{DMatrix, Matrix2};
+use rayon::prelude::*;
+use wcal_core::observation::WhiskerData;
+use wcal_core::verify_document::HeldOutError;
+
+/// Held-out errors of the declared and the accepted model.
+pub(super) struct Errors {
+    pub before: Option<HeldOutError>,
+    pub after: Option<HeldOutError>,
+    pub coverage95: Option<f64>,
+    /// Further models by name.
+    pub further: Vec<(String, HeldOutError)>,
+    /// What the verdict's reason must add.
+    pub remark: String,
+}
+
+/// From the holdout where there is one, else leave-one-trajectory-out.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn held_out_errors(
+    data: &WhiskerData,
+    system: &WhiskerSystem,
+    whole: &WhiskerSystem,
+    found: &Found,
+    conclusion: &Conclusion,
+    before: &[Predicted],
+    after: &[Predicted],
+    sensitivity: &Matrix2<f64>,
+    seed: u64,
+) -> Errors {
+    let rows = held_out(whole, after);
+    if !rows.is_empty() {
+        return Errors {
+            before: summarise(&held_out(whole, before), "holdout", seed),
+            after: summarise(&rows, "holdout", seed),
+            coverage95: coverage95(&rows),
+            further: black_box(whole, before, sensitivity, seed),
+            remark: String::new(),
+        };
+    }
+    let left_out = leave_out(system, &conclusion.accepted, None);
+    let labelled = labelled_moments(data, &system.path);
+    let declared = leave_out(system, &found.base, labelled.as_deref());
+    let mut further = Vec::new();
+    if labelled.is_some() {
+        let repaired = leave_out(system, &found.base, None);
+        if let Some(e) = summarise(&repaired, "loto", seed) {
+            further.push(("declared model, labels repaired by the rod".to_owned(), e));
+        }
+    }
+    Errors {
+        before: summarise(&declared, "loto", seed),
+        after: summarise(&left_out, "loto", seed),
+        coverage95: coverage95(&left_out),
+        further,
+        remark: " Errors are leave-one-trajectory-out: every fitted value was refitted without the trajectory; the choice of effects was made on all of them.".to_owned(),
+    }
+}
+
+/// Error of the flexible rival on the same held-out readings.
+fn black_box(
+    whole: &WhiskerSystem,
+    before: &[Predicted],
+    sensitivity: &Matrix2<f64>,
+    seed: u64,
+) -> Vec<(String, HeldOutError)> {
+    let rows = rival(whole, before, sensitivity);
+    let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
+    summarise(&rows, "holdout", seed).map(|e| (name, e)).into_iter().collect()
+}
+
+/// Leave-one-trajectory-out residuals of an explanation; with `labels` the moments come from the outside twin instead of the rod.
+fn leave_out(system: &WhiskerSystem, h: &Hypothesis, labels: Option<&[[f64; 2]]>) -> Vec<HeldOut> {
+    let readings = &system.path.readings;
+    let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    groups
+        .par_iter()
+        .flat_map_iter(|&group| {
+            let inside = |i: usize| readings[i].group == group && !readings[i].rest;
+            let weights =
+                Weights((0..readings.len()).map(|i| if inside(i) { 0.0 } else { h.weights.0[i] }).collect());
+            let predicted = match labels {
+                // From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
+                None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
+                    let part =
+                        Hypothesis { fit: refit, weights: weights.clone(), flagged: h.flagged.clone() };
+                    let model = PhysicalModel::new(system, &part, part.fit.variance().sqrt());
+                    predict(system, &part, &model)
+                }),
+                Some(moments) => by_labels(system, moments, &weights),
+            };
+            (0..readings.len())
+                .filter(|&i| inside(i) && h.weights.0[i] > 0.0)
+                .filter_map(|i| Some(of_reading(group, readings[i].shift_pm, &predicted.as_ref()?[i])))
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+/// Linear map on outside labels, fitted on the weighted readings.
+fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Vec<Predicted>> {
+    let n = moments.len();
+    let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });
+    let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.0[i]);
+    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.0[i]);
+    let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
+    let residual = &y - &w * &b;
+    let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);
+    let k = Matrix2::from_fn(|c, j| b[(j + 1, c)]);
+    let inverse = k.try_inverse()?;
+    let spread = inverse * inverse.transpose() * variance;
+    let shifts = &design * &b;
+    Some(
+        (0..n)
+            .map(|i| {
+                let shift = system.path.readings[i].shift_pm;
+                let m = inverse * nalgebra::Vector2::new(shift[0] - b[(0, 0)], shift[1] - b[(0, 1)]);
+                Predicted {
+                    moment_nmm: [m[0], m[1]],
+                    moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
+                    shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+                    pose_moment_nmm: moments[i],
+                }
+            })
+            .collect(),
+    )
+}

@@ -1,0 +1,201 @@
+//! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
+
+use crate::candidate::{Candidate, System, Term};
+use crate::effects;
+use crate::mechanics::{Bench, Mechanics};
+use crate::path::WhiskerPath;
+use nalgebra::DMatrix;
+use std::sync::Arc;
+use wcal_core::observation::{WhiskerData, WhiskerRow};
+
+/// Two moment components a reading, N mm.
+pub type Moments = Vec<[f64; 2]>;
+
+/// Where an effect of the whisker acts; every hook does nothing by default.
+pub trait WhiskerEffect: Candidate {
+    /// Why the effect cannot be seen in this session; none where it can.
+    fn not_observable(&self, _path: &WhiskerPath, _data: &WhiskerData) -> Option<String> {
+        None
+    }
+    /// Changes the effective stage position of every node, mm.
+    fn pose(&self, _law: usize, _values: &[f64], _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
+    /// Changes the mechanics of wire, root and groove.
+    fn mechanics(&self, _law: usize, _values: &[f64], _mechanics: &mut Mechanics) {}
+    /// Changes the moments that the gratings feel at every node, N mm.
+    fn sensor(&self, _law: usize, _values: &[f64], _path: &WhiskerPath, _moments_nmm: &mut [[f64; 2]]) {}
+    /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
+    fn columns(
+        &self,
+        _law: usize,
+        _values: &[f64],
+        _path: &WhiskerPath,
+        _moments_nmm: &[[f64; 2]],
+        _out: &mut Vec<Vec<f64>>,
+    ) {
+    }
+}
+
+/// A whisker session, its declared model and the catalogue.
+pub struct WhiskerSystem {
+    /// The session.
+    pub data: WhiskerData,
+    /// The readings on their path.
+    pub path: WhiskerPath,
+    /// The rod's tables.
+    pub bench: Arc<Bench>,
+    effects: Vec<Arc<dyn WhiskerEffect>>,
+    catalogue: Vec<Arc<dyn Candidate>>,
+    measured: DMatrix<f64>,
+    known: DMatrix<f64>,
+    groups: Vec<u32>,
+    seatings: u32,
+}
+
+/// Density of the medium, kg/m^3.
+fn fluid_kg_m3(medium: &str) -> f64 {
+    match medium {
+        "water" => 998.2,
+        _ => 1.2,
+    }
+}
+
+impl WhiskerSystem {
+    /// System of the given rows (points, or points and sealed rows for prediction).
+    ///
+    /// # Errors
+    /// Where the rest shape cannot be used.
+    pub fn new(data: &WhiskerData, rows: &[&WhiskerRow]) -> Result<Self, wcal_rod::RodError> {
+        let path = Self::path(data, rows);
+        let bench = Bench::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
+        Ok(Self::assemble(data, path, Arc::new(bench)))
+    }
+
+    /// The same bench with other rows, none deeper than those that it was made for.
+    #[must_use]
+    pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
+        Self::assemble(&self.data, Self::path(&self.data, rows), self.bench.clone())
+    }
+
+    fn path(data: &WhiskerData, rows: &[&WhiskerRow]) -> WhiskerPath {
+        let gravity = data.whisker.gravity_direction;
+        WhiskerPath::new(rows, &data.trajectories, &data.moments, &data.fbg, gravity)
+    }
+
+    fn assemble(data: &WhiskerData, path: WhiskerPath, bench: Arc<Bench>) -> Self {
+        let effects = effects::whisker_catalogue();
+        let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Candidate>).collect();
+        let n = path.readings.len();
+        Self {
+            measured: DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]),
+            known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
+            groups: path.readings.iter().map(|r| r.group).collect(),
+            seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
+            data: data.clone(),
+            path,
+            bench,
+            effects,
+            catalogue,
+        }
+    }
+
+    /// Effective moments at the readings, N mm, memory included, and the base moments before it.
+    #[must_use]
+    pub fn moments(&self, terms: &[Term]) -> Option<(Moments, Moments)> {
+        let path = &self.path;
+        let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
+        let mut mechanics = Mechanics::default();
+        for t in terms {
+            self.effects[t.effect].pose(t.law, &t.values, path, &mut xs);
+            self.effects[t.effect].mechanics(t.law, &t.values, &mut mechanics);
+        }
+        let base = self.bench.moments(&path.nodes, &xs, &mechanics)?;
+        let mut felt = base.clone();
+        for t in terms {
+            self.effects[t.effect].sensor(t.law, &t.values, path, &mut felt);
+        }
+        let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {
+            path.nodes.iter().zip(all).filter(|(n, _)| n.reading.is_some()).map(|(_, m)| *m).collect()
+        };
+        Some((pick(&felt), pick(&base)))
+    }
+
+    /// Seatings in the points table.
+    #[must_use]
+    pub fn seatings(&self) -> u32 {
+        self.seatings
+    }
+
+    /// The effects with their hooks.
+    #[must_use]
+    pub fn effects(&self) -> &[Arc<dyn WhiskerEffect>] {
+        &self.effects
+    }
+}
+
+impl System for WhiskerSystem {
+    fn measured(&self) -> &DMatrix<f64> {
+        &self.measured
+    }
+
+    fn design(&self, terms: &[Term]) -> Option<DMatrix<f64>> {
+        let (felt, _) = self.moments(terms)?;
+        let mut columns = vec![
+            vec![1.0; felt.len()],
+            felt.iter().map(|m| m[0]).collect(),
+            felt.iter().map(|m| m[1]).collect(),
+        ];
+        columns.extend(self.path.seating_columns(self.seatings));
+        for t in terms {
+            self.effects[t.effect].columns(t.law, &t.values, &self.path, &felt, &mut columns);
+        }
+        let design = DMatrix::from_fn(felt.len(), columns.len(), |i, j| columns[j][i]);
+        design.iter().all(|v| v.is_finite()).then_some(design)
+    }
+
+    fn catalogue(&self) -> &[Arc<dyn Candidate>] {
+        &self.catalogue
+    }
+
+    fn not_observable(&self, effect: usize) -> Option<String> {
+        self.effects[effect].not_observable(&self.path, &self.data)
+    }
+
+    fn groups(&self) -> &[u32] {
+        &self.groups
+    }
+
+    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
+        let r = &self.path.readings;
+        let column = |f: &dyn Fn(&crate::path::Reading) -> f64| r.iter().map(f).collect::<Vec<f64>>();
+        let mut out = vec![("stage_mm".to_owned(), column(&|r| r.x_mm))];
+        if let Some((felt, _)) = self.moments(&[]) {
+            out.push(("moment_1_nmm".to_owned(), felt.iter().map(|m| m[0]).collect()));
+            out.push(("moment_2_nmm".to_owned(), felt.iter().map(|m| m[1]).collect()));
+            out.push(("moment_nmm".to_owned(), felt.iter().map(|m| m[0].hypot(m[1])).collect()));
+        }
+        out.push(("trajectory".to_owned(), column(&|r| f64::from(r.group))));
+        out.push(("order".to_owned(), (0..r.len()).map(|k| k as f64).collect()));
+        if self.path.columns.time {
+            out.push(("t_s".to_owned(), column(&|r| r.t_s)));
+            out.push(("dwell_s".to_owned(), column(&|r| r.dwell_s)));
+        }
+        if self.path.columns.temperature {
+            out.push(("temperature_degc".to_owned(), column(&|r| r.rise_degc)));
+        }
+        if self.path.columns.both_directions {
+            out.push(("direction".to_owned(), column(&|r| if r.rest { 0.0 } else { r.direction })));
+        }
+        if self.path.columns.speeds {
+            out.push(("speed_mm_s".to_owned(), column(&|r| r.velocity_mm_s)));
+        }
+        let arclength = |r: &crate::path::Reading| {
+            r.line.filter(|_| !r.rest).and_then(|l| self.bench.arclength_mm(l, r.x_mm)).unwrap_or(0.0)
+        };
+        out.push(("contact_arclength_mm".to_owned(), column(&arclength)));
+        out
+    }
+
+    fn known_noise(&self) -> &DMatrix<f64> {
+        &self.known
+    }
+}

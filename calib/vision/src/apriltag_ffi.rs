@@ -1,0 +1,154 @@
+//! A safe face for the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of the project with `unsafe` code.
+#![allow(unsafe_code)]
+
+use crate::error::VisionError;
+use crate::picture::Picture;
+use apriltag_sys as sys;
+
+/// A detection as the library states it, its corners moved to pixel centres at integers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RawTag {
+    /// Family, e.g. `tag36h11`.
+    pub family: String,
+    /// Number.
+    pub id: u32,
+    /// Bits that had to be corrected.
+    pub hamming: u32,
+    /// Contrast of the decision, DN; larger is safer.
+    pub decision_margin: f64,
+    /// Corners, px, in the tag's frame (x right, y down): (-,+), (+,+), (+,-), (-,-).
+    pub corners_px: [[f64; 2]; 4],
+}
+
+type Create = unsafe extern "C" fn() -> *mut sys::apriltag_family_t;
+type Destroy = unsafe extern "C" fn(*mut sys::apriltag_family_t);
+
+/// Names of the families that can be detected.
+pub const FAMILIES: [&str; 6] =
+    ["tag36h11", "tag25h9", "tag16h5", "tagStandard41h12", "tagStandard52h13", "tagCircle21h7"];
+
+fn family(name: &str) -> Option<(Create, Destroy)> {
+    Some(match name {
+        "tag36h11" => (sys::tag36h11_create, sys::tag36h11_destroy),
+        "tag25h9" => (sys::tag25h9_create, sys::tag25h9_destroy),
+        "tag16h5" => (sys::tag16h5_create, sys::tag16h5_destroy),
+        "tagStandard41h12" => (sys::tagStandard41h12_create, sys::tagStandard41h12_destroy),
+        "tagStandard52h13" => (sys::tagStandard52h13_create, sys::tagStandard52h13_destroy),
+        "tagCircle21h7" => (sys::tagCircle21h7_create, sys::tagCircle21h7_destroy),
+        _ => return None,
+    })
+}
+
+/// AprilTag's origin is the corner of the first pixel; here it is the pixel's centre.
+const CENTRE_OFFSET: f64 = 0.5;
+
+struct Handles {
+    detector: *mut sys::apriltag_detector_t,
+    family: *mut sys::apriltag_family_t,
+    destroy_family: Destroy,
+}
+
+impl Drop for Handles {
+    fn drop(&mut self) {
+        // SAFETY: both come from their `_create` functions, are not null and are destroyed once; the detector goes first,
+        // since it frees the quick-decode table that it hung on the family.
+        unsafe {
+            sys::apriltag_detector_destroy(self.detector);
+            (self.destroy_family)(self.family);
+        }
+    }
+}
+
+/// Detects the tags of one family. `decimate` >= 1 searches for quads in a picture smaller by that factor (edges are
+/// refined at full size all the same).
+///
+/// # Errors
+/// Where the family is unknown or the library gives no detector.
+pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec<RawTag>, VisionError> {
+    let (create, destroy_family) = family(family_name).ok_or_else(|| {
+        VisionError::result(
+            "detect tags",
+            format!("one of the families {}", FAMILIES.join(", ")),
+            family_name,
+        )
+    })?;
+    // Rows are copied to a stride of a multiple of 96: the library reads past the row otherwise for some widths.
+    let stride = picture.width.div_ceil(96) * 96;
+    let mut buffer = vec![0u8; stride * picture.height];
+    for (row, source) in buffer.chunks_exact_mut(stride).zip(picture.data.chunks_exact(picture.width)) {
+        row[..picture.width].copy_from_slice(source);
+    }
+    // SAFETY: the handles live until the end of this function (`Handles` destroys them); the image header points into
+    // `buffer`, which outlives the call and has `stride * height` bytes; every detection is read before the array is destroyed.
+    unsafe {
+        let family = create();
+        let detector = sys::apriltag_detector_create();
+        if family.is_null() || detector.is_null() {
+            return Err(VisionError::result("detect tags", "a detector", "none (out of memory?)"));
+        }
+        let handles = Handles { detector, family, destroy_family };
+        (*detector).nthreads = 1;
+        (*detector).quad_decimate = decimate.max(1.0);
+        (*detector).refine_edges = true;
+        sys::apriltag_detector_add_family_bits(handles.detector, handles.family, 2);
+        let mut image = sys::image_u8_t {
+            width: picture.width as i32,
+            height: picture.height as i32,
+            stride: stride as i32,
+            buf: buffer.as_mut_ptr(),
+        };
+        let found = sys::apriltag_detector_detect(handles.detector, &raw mut image);
+        if found.is_null() {
+            return Ok(Vec::new());
+        }
+        let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
+        for k in 0..(*found).size {
+            let element =
+                (*found).data.add(k as usize * (*found).el_sz).cast::<*mut sys::apriltag_detection_t>();
+            let detection = &**element;
+            tags.push(RawTag {
+                family: family_name.to_string(),
+                id: detection.id.max(0) as u32,
+                hamming: detection.hamming.max(0) as u32,
+                decision_margin: f64::from(detection.decision_margin),
+                corners_px: detection.p.map(|p| [p[0] - CENTRE_OFFSET, p[1] - CENTRE_OFFSET]),
+            });
+        }
+        sys::apriltag_detections_destroy(found);
+        Ok(tags)
+    }
+}
+
+/// The picture of a tag, one pixel a cell, its white margin included.
+///
+/// # Errors
+/// Where the family or the number is unknown.
+pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
+    let unknown =
+        || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
+    let (create, destroy) = family(family_name).ok_or_else(unknown)?;
+    // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
+    // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
+    unsafe {
+        let family = create();
+        if family.is_null() {
+            return Err(unknown());
+        }
+        if id >= (*family).ncodes {
+            destroy(family);
+            return Err(unknown());
+        }
+        let image = sys::apriltag_to_image(family, id);
+        let (width, height, stride) =
+            ((*image).width as usize, (*image).height as usize, (*image).stride as usize);
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                data.push(*(*image).buf.add(y * stride + x));
+            }
+        }
+        sys::image_u8_destroy(image);
+        destroy(family);
+        Picture::new(width, height, data)
+    }
+}

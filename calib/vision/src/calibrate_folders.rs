@@ -1,0 +1,419 @@
+//! `stereo-calibrate` from two folders: pictures, corners, the way of refining chosen from the data, the solve, the document.
+
+use crate::bundle::BoardView;
+use crate::calibrate::{StereoSolution, board_points, calibrate_stereo, leave_one_out};
+use crate::camera::INTRINSICS;
+use crate::chessboard::{BoardSize, Refinement, continues_beyond, find_chessboard, refine};
+use crate::document::{
+    BoardDocument, RejectedView, STEREO_FORMAT, STEREO_PARAMETERS, StereoDocument, camera_document,
+};
+use crate::error::VisionError;
+use crate::initial::Corners;
+use crate::markers::{self, MarkerBoard};
+use crate::pairs::{PairFiles, list_pictures, pair_files};
+use crate::picture::Picture;
+use crate::rigid::rows;
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// What is on the board.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Pattern {
+    /// Plain squares.
+    Chessboard,
+    /// Squares with ArUco markers in the light ones.
+    Charuco {
+        /// Side of a marker, mm.
+        marker_mm: f64,
+        /// OpenCV's dictionary name, e.g. `DICT_4X4_50`.
+        dictionary: String,
+    },
+    /// A grid of AprilTags; columns and rows count tags, the square is the tag's side.
+    AprilGrid {
+        /// Gap between tags, mm.
+        gap_mm: f64,
+        /// Family, e.g. `tag36h11`.
+        family: String,
+    },
+}
+
+/// Board as stated by the user.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Board {
+    /// Inner corners (tags for an AprilGrid).
+    pub size: BoardSize,
+    /// Side of a square (of a tag), mm.
+    pub square_mm: f64,
+    /// Pattern.
+    pub pattern: Pattern,
+}
+
+/// A pair of pictures that can be used.
+struct View {
+    name: String,
+    pictures: [Picture; 2],
+    coarse: [Vec<Vector2<f64>>; 2],
+}
+
+/// Ways of refining that are tried on a chessboard.
+const CANDIDATES: [Refinement; 4] =
+    [Refinement::Model(0.3), Refinement::Model(0.5), Refinement::Model(0.7), Refinement::Gradient(5)];
+
+/// Calibrates from two folders or patterns. `progress` is told what is done.
+///
+/// # Errors
+/// Where the folders hold no pairs, no board is found, or the calibration is refused.
+pub fn calibrate_folders(
+    left: &str,
+    right: &str,
+    board: &Board,
+    progress: &(dyn Fn(&str) + Sync),
+) -> Result<(StereoDocument, StereoSolution), VisionError> {
+    let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
+    progress(&format!("{} pairs", files.len()));
+    let mut rejected = Vec::new();
+    let (points, views, image_size, refinement, chosen) = match &board.pattern {
+        Pattern::Chessboard => {
+            let (views, size) = usable(&files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
+            let points = board_points(board.size.columns, board.size.rows, board.square_mm);
+            let (refined, tried, chosen) = choose_refinement(&points, board.size, &views, size, progress)?;
+            (points, refined, size, tried, chosen)
+        }
+        Pattern::Charuco { .. } | Pattern::AprilGrid { .. } => {
+            let markers = MarkerBoard::new(board)?;
+            let points = markers.points.clone();
+            let (views, size) = marker_views(&files, &mut rejected, &markers)?;
+            (points, views, size, BTreeMap::new(), "markers".to_string())
+        }
+    };
+    progress(&format!("{} pairs show the board; solving", views.len()));
+    let solution = calibrate_stereo(&points, views, image_size).map_err(|e| with_rejections(e, &rejected))?;
+    let mut document = document(board, image_size, &points, &solution, refinement, chosen);
+    document.rejected_views.splice(0..0, rejected);
+    Ok((document, solution))
+}
+
+/// A refusal says as well why views were missing.
+fn with_rejections(error: VisionError, rejected: &[RejectedView]) -> VisionError {
+    match error {
+        VisionError::Result { action, expected, found } if !rejected.is_empty() => {
+            let mut reasons: Vec<String> =
+                rejected.iter().take(4).map(|r| format!("{}: {}", r.view, r.why)).collect();
+            if rejected.len() > 4 {
+                reasons.push(format!("and {} more", rejected.len() - 4));
+            }
+            VisionError::Result { action, expected, found: format!("{found} ({})", reasons.join("; ")) }
+        }
+        other => other,
+    }
+}
+
+/// Reads both pictures of a pair; the reason where it cannot be used.
+fn read_pair(files: &PairFiles) -> Result<[Picture; 2], String> {
+    let (Some(left), Some(right)) = (&files.left, &files.right) else {
+        return Err(format!(
+            "the {} picture is missing",
+            if files.left.is_none() { "left" } else { "right" }
+        ));
+    };
+    let pictures = [left, right].map(|p| Picture::read(p).map_err(|e| e.to_string()));
+    let [left_picture, right_picture] = pictures;
+    let pictures = [left_picture?, right_picture?];
+    for (picture, path) in pictures.iter().zip([left, right]) {
+        if let Some(why) = picture.unusable() {
+            return Err(format!("{}: {why}", path.display()));
+        }
+    }
+    if [pictures[0].width, pictures[0].height] != [pictures[1].width, pictures[1].height] {
+        return Err(format!(
+            "different sizes: left {}x{}, right {}x{} px",
+            pictures[0].width, pictures[0].height, pictures[1].width, pictures[1].height
+        ));
+    }
+    if pictures[0] == pictures[1] {
+        return Err("the left and the right picture are the same".into());
+    }
+    Ok(pictures)
+}
+
+/// The size that most pictures have; others are rejected.
+fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
+    let mut counts: BTreeMap<[usize; 2], usize> = BTreeMap::new();
+    for s in sizes {
+        *counts.entry(s).or_default() += 1;
+    }
+    counts.into_iter().max_by_key(|c| c.1).map(|c| c.0)
+}
+
+type Finder<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
+
+fn usable(
+    files: &[PairFiles],
+    rejected: &mut Vec<RejectedView>,
+    find: &Finder<'_>,
+) -> Result<(Vec<View>, [usize; 2]), VisionError> {
+    let found: Vec<Result<View, String>> = files
+        .par_iter()
+        .map(|f| {
+            let pictures = read_pair(f)?;
+            let coarse = [find(&pictures[0], "left")?, find(&pictures[1], "right")?];
+            Ok(View { name: f.name.clone(), pictures, coarse })
+        })
+        .collect();
+    let size = common_size(found.iter().flatten().map(|v| [v.pictures[0].width, v.pictures[0].height]));
+    let mut views: Vec<View> = Vec::new();
+    for (file, view) in files.iter().zip(found) {
+        let why = match view {
+            Err(why) => why,
+            Ok(v) if Some([v.pictures[0].width, v.pictures[0].height]) != size => {
+                format!("size {}x{} px, other pairs differ", v.pictures[0].width, v.pictures[0].height)
+            }
+            Ok(v) => {
+                let same =
+                    views.iter().find(|o| o.pictures[0] == v.pictures[0] || o.pictures[1] == v.pictures[1]);
+                match same {
+                    Some(other) => format!("shares a picture with {}", other.name),
+                    None => {
+                        views.push(v);
+                        continue;
+                    }
+                }
+            }
+        };
+        rejected.push(RejectedView { view: file.name.clone(), why });
+    }
+    match size {
+        Some(size) if views.len() >= 3 => Ok((views, size)),
+        _ => {
+            let count = views.len();
+            Err(with_rejections(
+                VisionError::result(
+                    "calibrate two cameras",
+                    "at least 3 pairs that show the whole board in both pictures",
+                    format!("{count} of {} pairs", files.len()),
+                ),
+                rejected,
+            ))
+        }
+    }
+}
+
+/// Coarse corners of the whole board, or why there are none.
+fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vector2<f64>>, String> {
+    let found = find_chessboard(picture, size).map_err(|e| e.to_string())?;
+    if let Some(points) = found {
+        return match continues_beyond(picture, size, &points) {
+            None => Ok(points),
+            Some(edge) => Err(format!(
+                "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
+            )),
+        };
+    }
+    // A smaller board that is found whole tells a wrong size from a board that is cut off or absent.
+    let (c, r) = (size.columns, size.rows);
+    for (columns, rows) in
+        [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)]
+    {
+        let other = BoardSize { columns, rows };
+        if columns < 3 || rows < 3 {
+            continue;
+        }
+        if let Ok(Some(points)) = find_chessboard(picture, other)
+            && continues_beyond(picture, other, &points).is_none()
+        {
+            return Err(format!(
+                "{side} picture: expected a board of {size} inner corners, found one of {other} (wrong size, or cut off)"
+            ));
+        }
+    }
+    Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)"))
+}
+
+type Refined = (Vec<BoardView>, BTreeMap<String, f64>, String);
+
+/// Refines in every way and keeps the one whose corners fit one rigid board best. All ways solve for the same parameters, so
+/// that their RMS may be compared; a way that loses more than one corner in a hundred does not take part.
+fn choose_refinement(
+    points: &[Vector3<f64>],
+    size: BoardSize,
+    views: &[View],
+    image_size: [usize; 2],
+    progress: &(dyn Fn(&str) + Sync),
+) -> Result<Refined, VisionError> {
+    let mut tried = BTreeMap::new();
+    let mut best: Option<(f64, Vec<BoardView>, String)> = None;
+    let mut failure = None;
+    let mut starts: Vec<[Vec<Vector2<f64>>; 2]> = views.iter().map(|v| v.coarse.clone()).collect();
+    for how in CANDIDATES {
+        let corners: Vec<[Corners; 2]> = views
+            .par_iter()
+            .zip(&starts)
+            .map(|(v, start)| {
+                let one = |k: usize| -> Result<Corners, VisionError> {
+                    Ok(refine(&v.pictures[k], size, &start[k], how)?
+                        .into_iter()
+                        .map(|c| c.map(|c| c.position_px))
+                        .collect())
+                };
+                Ok([one(0)?, one(1)?])
+            })
+            .collect::<Result<_, VisionError>>()?;
+        let lost = corners.iter().flatten().flatten().filter(|c| c.is_none()).count();
+        if lost * 100 > corners.len() * 2 * points.len() {
+            continue;
+        }
+        let bundle: Vec<BoardView> = views
+            .iter()
+            .zip(&corners)
+            .map(|(v, [l, r])| BoardView { name: v.name.clone(), left: l.clone(), right: r.clone() })
+            .collect();
+        match calibrate_stereo(points, bundle.clone(), image_size) {
+            Ok(solution) => {
+                // Views left out would flatter a way: each costs as if it had four times the RMS.
+                let rms =
+                    solution.bundle.rms_px() * (1.0 + solution.rejected.len() as f64 / views.len() as f64);
+                progress(&format!("{how}: {:.4} px", solution.bundle.rms_px()));
+                tried.insert(how.to_string(), solution.bundle.rms_px());
+                if best.as_ref().is_none_or(|b| rms < b.0) {
+                    best = Some((rms, bundle, how.to_string()));
+                }
+            }
+            Err(e) => failure = Some(e),
+        }
+        // The next window starts from what this one found.
+        if matches!(how, Refinement::Model(_)) {
+            for (start, found) in starts.iter_mut().zip(&corners) {
+                for (s, f) in start.iter_mut().zip(found) {
+                    for (p, q) in s.iter_mut().zip(f) {
+                        if let Some(q) = q {
+                            *p = *q;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    match (best, failure) {
+        (Some((_, views, chosen)), _) => Ok((views, tried, chosen)),
+        (None, Some(e)) => Err(e),
+        (None, None) => Err(VisionError::result("refine corners", "corners that can be refined", "none")),
+    }
+}
+
+fn marker_views(
+    files: &[PairFiles],
+    rejected: &mut Vec<RejectedView>,
+    board: &MarkerBoard,
+) -> Result<(Vec<BoardView>, [usize; 2]), VisionError> {
+    type Found = Result<(BoardView, [usize; 2]), String>;
+    let found: Vec<Found> = files
+        .par_iter()
+        .map(|f| {
+            let pictures = read_pair(f)?;
+            let left = markers::corners(board, &pictures[0]).map_err(|w| format!("left picture: {w}"))?;
+            let right = markers::corners(board, &pictures[1]).map_err(|w| format!("right picture: {w}"))?;
+            Ok((BoardView { name: f.name.clone(), left, right }, [pictures[0].width, pictures[0].height]))
+        })
+        .collect();
+    let size = common_size(found.iter().flatten().map(|v| v.1));
+    let mut views = Vec::new();
+    for (file, view) in files.iter().zip(found) {
+        match view {
+            Ok((v, s)) if Some(s) == size => views.push(v),
+            Ok(_) => rejected
+                .push(RejectedView { view: file.name.clone(), why: "size differs from other pairs".into() }),
+            Err(why) => rejected.push(RejectedView { view: file.name.clone(), why }),
+        }
+    }
+    match size {
+        Some(size) if views.len() >= 3 => Ok((views, size)),
+        _ => Err(with_rejections(
+            VisionError::result(
+                "calibrate two cameras",
+                "at least 3 pairs that show the board in both pictures",
+                format!("{} of {} pairs", views.len(), files.len()),
+            ),
+            rejected,
+        )),
+    }
+}
+
+fn document(
+    board: &Board,
+    image_size_px: [usize; 2],
+    points: &[Vector3<f64>],
+    solution: &StereoSolution,
+    refinement: BTreeMap<String, f64>,
+    refinement_chosen: String,
+) -> StereoDocument {
+    let (state, covariance) = (&solution.bundle.state, &solution.bundle.shared_covariance);
+    let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+    let camera = |c: usize, name: &str| {
+        let sds: Vec<f64> = (0..INTRINSICS).map(|k| sd(c * INTRINSICS + k)).collect();
+        camera_document(name, &state.cameras[c], &sds)
+    };
+    StereoDocument {
+        format: STEREO_FORMAT.into(),
+        image_size_px,
+        cameras: vec![camera(0, "left"), camera(1, "right")],
+        right_from_left: rows(&state.right_from_left),
+        right_from_left_sd: (18..24).map(sd).collect(),
+        rms_px: solution.bundle.rms_px(),
+        per_view_rms_px: solution.per_view_rms_px.clone(),
+        views: solution.views.iter().map(|v| v.name.clone()).collect(),
+        rejected_views: solution.rejected.clone(),
+        held_out: leave_one_out(points, solution),
+        board: BoardDocument {
+            pattern: match board.pattern {
+                Pattern::Chessboard => "chessboard",
+                Pattern::Charuco { .. } => "charuco",
+                Pattern::AprilGrid { .. } => "aprilgrid",
+            }
+            .into(),
+            columns: board.size.columns,
+            rows: board.size.rows,
+            square_mm: board.square_mm,
+            warp_mm: state.warp,
+            warp_sd_mm: if solution.warp_used { [sd(24), sd(25)] } else { [0.0; 2] },
+        },
+        refinement,
+        refinement_chosen,
+        projection_sd_px: projection_sd(points, solution),
+        covariance: (0..STEREO_PARAMETERS)
+            .map(|i| (0..STEREO_PARAMETERS).map(|j| covariance[(i, j)]).collect())
+            .collect(),
+        warnings: solution.warnings.clone(),
+        provenance: wcal_core::Provenance::default(),
+    }
+}
+
+/// Sd (px) of where a point at the boards' mean depth appears, over a 3x3 grid of each picture, from the intrinsics' covariance.
+fn projection_sd(points: &[Vector3<f64>], solution: &StereoSolution) -> Vec<Vec<f64>> {
+    let state = &solution.bundle.state;
+    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let depth = state.left_from_board.iter().map(|p| (p * nalgebra::Point3::from(centre)).z).sum::<f64>()
+        / state.left_from_board.len().max(1) as f64;
+    (0..2)
+        .map(|c| {
+            let camera = &state.cameras[c];
+            let block = solution
+                .bundle
+                .shared_covariance
+                .view((c * INTRINSICS, c * INTRINSICS), (INTRINSICS, INTRINSICS));
+            let [w, h] = camera.image_size_px.map(|v| v as f64);
+            (0..9)
+                .map(|k| {
+                    let px =
+                        Vector2::new(w * (f64::from(k % 3) + 0.5) / 3.0, h * (f64::from(k / 3) + 0.5) / 3.0);
+                    camera
+                        .undistort(&px)
+                        .and_then(|n| {
+                            camera.project_with_jacobian(&Vector3::new(n.x * depth, n.y * depth, depth))
+                        })
+                        .map_or(f64::NAN, |(_, _, j)| ((j * block * j.transpose()).trace() / 2.0).sqrt())
+                })
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,150 @@
+//! Sub-pixel corners of a chessboard by a model of the picture around them: two blurred edges that cross,
+//! `I = a + b erf(e1/s) erf(e2/s) + g.x`, fitted to every pixel of the window by Levenberg-Marquardt.
+//! Unequal exposure moves the two edges in opposite directions on the two sides of the corner, so it does not move the corner.
+
+use crate::picture::Picture;
+use crate::profile::erf_with_slope;
+use nalgebra::{SMatrix, SVector, Vector2};
+
+const PARAMETERS: usize = 9;
+
+/// A corner that was fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Corner {
+    /// Position, px.
+    pub position_px: Vector2<f64>,
+    /// Standard deviation of a coordinate (mean of both) from the residuals of the fit, px.
+    pub sd_px: f64,
+    /// Blur of the edges (sd of the Gaussian), px.
+    pub blur_px: f64,
+}
+
+/// Fits the corner near `start`. `sides` are the directions (px, any length) of the two rows of the board through the corner;
+/// `radius_px` the radius of the round window.
+///
+/// Returns none where the window leaves the picture or the fit wanders off by more than half the radius.
+#[must_use]
+pub fn fit_corner(
+    picture: &Picture,
+    start: &Vector2<f64>,
+    sides: [Vector2<f64>; 2],
+    radius_px: f64,
+) -> Option<Corner> {
+    if !picture.contains(start.x, start.y, radius_px + 2.0) {
+        return None;
+    }
+    let (cx0, cy0) = (start.x.round(), start.y.round());
+    let reach = radius_px.ceil() as i64;
+    let mut pixels = Vec::with_capacity(((2 * reach + 1) * (2 * reach + 1)) as usize);
+    for dy in -reach..=reach {
+        for dx in -reach..=reach {
+            // A smooth edge of the window keeps the objective continuous as pixels enter.
+            let r = ((dx * dx + dy * dy) as f64).sqrt();
+            let weight = ((radius_px + 0.5 - r).clamp(0.0, 1.0)).sqrt();
+            if weight > 0.0 {
+                pixels.push((dx as f64, dy as f64, picture.at(cx0 as i64 + dx, cy0 as i64 + dy), weight));
+            }
+        }
+    }
+    let mean = pixels.iter().map(|p| p.2).sum::<f64>() / pixels.len() as f64;
+    let sd = (pixels.iter().map(|p| (p.2 - mean).powi(2)).sum::<f64>() / pixels.len() as f64).sqrt();
+    let angles = sides.map(|s| s.y.atan2(s.x));
+    let mut p = SVector::<f64, PARAMETERS>::from_row_slice(&[
+        start.x - cx0,
+        start.y - cy0,
+        angles[0],
+        angles[1],
+        mean,
+        sd,
+        1.0_f64.ln(),
+        0.0,
+        0.0,
+    ]);
+    let sign: f64 = pixels.iter().map(|q| model(&p, q.0, q.1).1 * (q.2 - mean)).sum();
+    p[5] = sd.copysign(sign);
+    let mut lambda = 1e-3;
+    let (mut cost, mut normal, mut gradient) = linearise(&p, &pixels);
+    for _ in 0..40 {
+        let mut damped = normal;
+        for k in 0..PARAMETERS {
+            damped[(k, k)] *= 1.0 + lambda;
+        }
+        let step = damped.cholesky()?.solve(&gradient);
+        let trial = p + step;
+        let (c, n, g) = linearise(&trial, &pixels);
+        if c.is_finite() && c <= cost {
+            let small = step.fixed_rows::<2>(0).norm() < 1e-5 && (cost - c) <= 1e-7 * cost;
+            (p, cost, normal, gradient) = (trial, c, n, g);
+            lambda = (lambda * 0.2).max(1e-9);
+            if small {
+                break;
+            }
+        } else {
+            lambda *= 8.0;
+            if lambda > 1e8 {
+                break;
+            }
+        }
+    }
+    let moved = Vector2::new(p[0] + cx0 - start.x, p[1] + cy0 - start.y);
+    let blur = p[6].exp();
+    if !cost.is_finite() || moved.norm() > 0.5 * radius_px || blur > radius_px {
+        return None;
+    }
+    let variance = cost / (pixels.len() as f64 - PARAMETERS as f64).max(1.0);
+    let covariance = normal.cholesky()?.inverse() * variance;
+    Some(Corner {
+        position_px: start + moved,
+        sd_px: (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt(),
+        blur_px: blur,
+    })
+}
+
+/// Signed distances from the two edges and the product of their profiles.
+fn model(p: &SVector<f64, PARAMETERS>, x: f64, y: f64) -> ([f64; 2], f64) {
+    let (dx, dy, s) = (x - p[0], y - p[1], p[6].exp() * std::f64::consts::SQRT_2);
+    let e = [-p[2].sin() * dx + p[2].cos() * dy, -p[3].sin() * dx + p[3].cos() * dy];
+    (e, erf_with_slope(e[0] / s).0 * erf_with_slope(e[1] / s).0)
+}
+
+type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+fn linearise(
+    p: &SVector<f64, PARAMETERS>,
+    pixels: &[(f64, f64, f64, f64)],
+) -> (f64, Normal, SVector<f64, PARAMETERS>) {
+    let mut cost = 0.0;
+    let mut normal = Normal::zeros();
+    let mut gradient = SVector::<f64, PARAMETERS>::zeros();
+    let s = p[6].exp() * std::f64::consts::SQRT_2;
+    let (sin, cos) = ([p[2].sin(), p[3].sin()], [p[2].cos(), p[3].cos()]);
+    for &(x, y, value, weight) in pixels {
+        let (dx, dy) = (x - p[0], y - p[1]);
+        let e = [-sin[0] * dx + cos[0] * dy, -sin[1] * dx + cos[1] * dy];
+        let ((f0, s0), (f1, s1)) = (erf_with_slope(e[0] / s), erf_with_slope(e[1] / s));
+        let (f, slope) = ([f0, f1], [s0 / s, s1 / s]);
+        let b = p[5];
+        let (d0, d1) = (b * slope[0] * f[1], b * slope[1] * f[0]);
+        let row = SVector::<f64, PARAMETERS>::from_row_slice(&[
+            d0 * sin[0] + d1 * sin[1],
+            -d0 * cos[0] - d1 * cos[1],
+            d0 * (-cos[0] * dx - sin[0] * dy),
+            d1 * (-cos[1] * dx - sin[1] * dy),
+            1.0,
+            f[0] * f[1],
+            -(d0 * e[0] + d1 * e[1]),
+            x,
+            y,
+        ]) * weight;
+        let residual = weight * (value - (p[4] + b * f[0] * f[1] + p[7] * x + p[8] * y));
+        cost += residual * residual;
+        for i in 0..PARAMETERS {
+            for j in i..PARAMETERS {
+                normal[(i, j)] += row[i] * row[j];
+            }
+        }
+        gradient.axpy(residual, &row, 1.0);
+    }
+    normal.fill_lower_triangle_with_upper_triangle();
+    (cost, normal, gradient)
+}

@@ -1,0 +1,40 @@
+//! Stereo calibration, tags, wire centreline, 3D shape and groove contact.
+//!
+//! Conventions: pixel centres at integers; camera axes x right, y down, z forward; lengths in mm (boards may use any unit);
+//! `right_from_left` takes left camera coordinates to right ones.
+
+pub mod apriltag_ffi;
+pub mod bundle;
+pub mod calibrate;
+pub mod calibrate_folders;
+pub mod camera;
+mod checks;
+pub mod chessboard;
+pub mod corner;
+pub mod document;
+pub mod error;
+pub mod exchange;
+pub mod initial;
+pub mod pairs;
+pub mod picture;
+pub mod profile;
+pub mod rig;
+pub mod rigid;
+mod tag_edges;
+pub mod tag_pose;
+pub mod tags;
+
+pub mod base_pose;
+pub mod groove;
+pub mod markers;
+pub mod overlay;
+pub mod pair_fit;
+pub mod ridge;
+pub mod rod;
+pub mod shape_fit;
+pub mod shapes;
+pub mod shapes_document;
+pub mod tip;
+pub mod trace;
+pub mod wire;
+pub use error::VisionError;

@@ -1,0 +1,107 @@
+//! Pictures with what was found drawn on them, for the report: the reprojected curve, the measured pieces, tags, groove.
+
+use crate::document::StereoCameras;
+use crate::error::{OpenCvContext, VisionError};
+use crate::pair_fit::PairFit;
+use crate::picture::Picture;
+use crate::shapes_document::PairDocument;
+use nalgebra::{Point3, Vector2, Vector3};
+use opencv::core::{Mat, Vec3b, Vector};
+use opencv::imgcodecs;
+
+/// Blue, green, red.
+type Colour = [u8; 3];
+const CURVE: Colour = [60, 200, 60];
+const SEEN: Colour = [255, 120, 0];
+const UNSEEN: Colour = [0, 0, 255];
+const TAG: Colour = [255, 0, 255];
+const GROOVE: Colour = [0, 200, 255];
+
+/// A colour picture of twice the size, so that sub-pixel places can be told apart.
+struct Canvas {
+    width: usize,
+    height: usize,
+    data: Vec<Colour>,
+}
+
+const SCALE: f64 = 2.0;
+
+impl Canvas {
+    fn new(picture: &Picture) -> Self {
+        let (width, height) = (picture.width * 2, picture.height * 2);
+        let data = (0..width * height)
+            .map(|k| {
+                let v =
+                    picture.sample(((k % width) as f64 - 0.5) / SCALE, ((k / width) as f64 - 0.5) / SCALE);
+                [v as u8; 3]
+            })
+            .collect();
+        Self { width, height, data }
+    }
+
+    fn dot(&mut self, p: &Vector2<f64>, reach: i64, colour: Colour) {
+        // Pixel centres lie at integers: (0, 0) is the middle of the first 2x2 block.
+        let (x, y) = ((p.x * SCALE + 0.5).round() as i64, (p.y * SCALE + 0.5).round() as i64);
+        for (i, j) in (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| (x + i, y + j))) {
+            if i >= 0 && j >= 0 && (i as usize) < self.width && (j as usize) < self.height {
+                self.data[j as usize * self.width + i as usize] = colour;
+            }
+        }
+    }
+
+    fn line(&mut self, a: &Vector2<f64>, b: &Vector2<f64>, colour: Colour) {
+        let steps = ((b - a).norm() * SCALE).ceil().max(1.0) as usize;
+        for k in 0..=steps {
+            self.dot(&(a + (b - a) * (k as f64 / steps as f64)), 0, colour);
+        }
+    }
+}
+
+/// PNG of one picture (0 left, 1 right) with the pair's result drawn on it.
+///
+/// # Errors
+/// Where the picture cannot be encoded.
+pub fn overlay_png(
+    picture: &Picture,
+    camera: usize,
+    stereo: &StereoCameras,
+    fit: &PairFit,
+    pair: &PairDocument,
+) -> Result<Vec<u8>, VisionError> {
+    let mut canvas = Canvas::new(picture);
+    let project = |p: &Vector3<f64>| {
+        let mut x = fit.left_from_base * Point3::from(*p);
+        if camera == 1 {
+            x = stereo.right_from_left * x;
+        }
+        stereo.cameras[camera].project(&x.coords)
+    };
+    let curve: Vec<_> = pair.centreline_mm.iter().filter_map(|p| project(&Vector3::from(*p))).collect();
+    for w in curve.windows(2) {
+        canvas.line(&w[0], &w[1], CURVE);
+    }
+    let (pieces, seen) = &fit.pieces[camera];
+    for (piece, seen) in pieces.iter().zip(seen) {
+        let at = piece.station.position_px + piece.station.normal() * piece.offset_px;
+        canvas.dot(&at, 0, if *seen { SEEN } else { UNSEEN });
+    }
+    let side = if camera == 0 { "left" } else { "right" };
+    for tag in pair.tags.iter().filter(|t| t.camera == side) {
+        let c = tag.corners_px.map(|c| Vector2::new(c[0], c[1]));
+        for k in 0..4 {
+            canvas.line(&c[k], &c[(k + 1) % 4], TAG);
+        }
+    }
+    if let Some(p) = pair.groove.as_ref().and_then(|g| project(&Vector3::from(g.position_mm))) {
+        canvas.dot(&p, 4, GROOVE);
+    }
+    let pixels: Vec<Vec<Vec3b>> = canvas
+        .data
+        .chunks_exact(canvas.width)
+        .map(|r| r.iter().map(|c| Vec3b::from_array(*c)).collect())
+        .collect();
+    let mat = Mat::from_slice_2d(&pixels).doing("copy an overlay")?;
+    let mut png = Vector::<u8>::new();
+    imgcodecs::imencode(".png", &mat, &mut png, &Vector::new()).doing("encode an overlay")?;
+    Ok(png.iter().collect())
+}

@@ -1,0 +1,146 @@
+//! Pairs the pictures of two folders (or `*` patterns) by the number in their names, or by the whole name where it is the same.
+
+use crate::error::VisionError;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The two files of a pair.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PairFiles {
+    /// Name of the pair: the left file's name without extension.
+    pub name: String,
+    /// Left picture; none where it is missing.
+    pub left: Option<PathBuf>,
+    /// Right picture; none where it is missing.
+    pub right: Option<PathBuf>,
+}
+
+/// Picture files of a folder or of a pattern such as `pictures/left*.jpg`, sorted by name.
+///
+/// # Errors
+/// Where the folder cannot be read or holds no picture.
+pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
+    let path = Path::new(source);
+    let (folder, pattern) = if path.is_dir() {
+        (path.to_path_buf(), "*".to_string())
+    } else {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let pattern = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        (folder.to_path_buf(), pattern)
+    };
+    let io =
+        |source_error| VisionError::Io { action: "list", path: source.to_string(), source: source_error };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(&folder).map_err(io)? {
+        let file = entry.map_err(io)?.path();
+        let name = file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let picture = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm"].contains(&extension.as_str());
+        if picture && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
+            files.push(file);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        return Err(VisionError::content(
+            source,
+            "a folder or pattern with PNG or JPEG pictures",
+            "no such picture",
+        ));
+    }
+    Ok(files)
+}
+
+/// `*` stands for any run of characters, `?` for one.
+fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
+    match (pattern.first(), name.first()) {
+        (None, None) => true,
+        (Some(b'*'), _) => {
+            matches_pattern(&pattern[1..], name) || (!name.is_empty() && matches_pattern(pattern, &name[1..]))
+        }
+        (Some(b'?'), Some(_)) => matches_pattern(&pattern[1..], &name[1..]),
+        (Some(p), Some(n)) if p == n => matches_pattern(&pattern[1..], &name[1..]),
+        _ => false,
+    }
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The last number in a name.
+fn number(name: &str) -> Option<u64> {
+    let trimmed = name.trim_end_matches(|c: char| !c.is_ascii_digit());
+    let digits: String = trimmed.chars().rev().take_while(char::is_ascii_digit).collect();
+    digits.chars().rev().collect::<String>().parse().ok()
+}
+
+/// Pairs two lists of files: equal names first, then equal numbers. Files without partner are kept, with `None`.
+///
+/// # Errors
+/// Where two files of one side carry the same number and no partner of the same name.
+pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>, VisionError> {
+    let same_name = left.iter().any(|l| right.iter().any(|r| stem(l) == stem(r)));
+    let key = |path: &PathBuf| -> (u64, String) {
+        let name = stem(path);
+        match number(&name) {
+            Some(n) if !same_name => (n, String::new()),
+            n => (n.unwrap_or(0), name),
+        }
+    };
+    let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
+    for (is_left, file) in left.iter().map(|f| (true, f)).chain(right.iter().map(|f| (false, f))) {
+        let entry =
+            pairs.entry(key(file)).or_insert_with(|| PairFiles { name: stem(file), left: None, right: None });
+        let slot = if is_left { &mut entry.left } else { &mut entry.right };
+        if let Some(other) = slot {
+            return Err(VisionError::content(
+                file.display().to_string(),
+                "one file a number and side",
+                format!("the same number as {}", other.display()),
+            ));
+        }
+        *slot = Some(file.clone());
+    }
+    Ok(pairs.into_values().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn paths(names: &[&str]) -> Vec<PathBuf> {
+        names.iter().map(PathBuf::from).collect()
+    }
+
+    #[test]
+    fn pairs_by_number_and_keeps_the_widow() {
+        let pairs = pair_files(
+            &paths(&["left01.jpg", "left02.jpg", "left10.jpg"]),
+            &paths(&["right02.jpg", "right01.jpg"]),
+        )
+        .unwrap();
+        assert_eq!(pairs.len(), 3);
+        assert_eq!(pairs[1].right, Some(PathBuf::from("right02.jpg")));
+        assert!(pairs[2].right.is_none());
+    }
+
+    #[test]
+    fn pairs_by_equal_names() {
+        let pairs =
+            pair_files(&paths(&["l/rest.png", "l/t1.png"]), &paths(&["r/rest.png", "r/t1.png"])).unwrap();
+        assert_eq!(pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["rest", "t1"]);
+        assert!(pairs.iter().all(|p| p.left.is_some() && p.right.is_some()));
+    }
+
+    #[test]
+    fn two_files_of_one_number_are_refused() {
+        assert!(pair_files(&paths(&["a1.png", "b1.png"]), &paths(&["c1.png"])).is_err());
+    }
+
+    #[test]
+    fn patterns() {
+        assert!(matches_pattern(b"left*.jpg", b"left01.jpg"));
+        assert!(!matches_pattern(b"left*.jpg", b"right01.jpg"));
+    }
+}

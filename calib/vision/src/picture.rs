@@ -1,0 +1,229 @@
+//! 8-bit grey pictures: reading with checks that the decoder does not make, and sub-pixel sampling.
+//! Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
+
+use crate::error::{OpenCvContext, VisionError};
+use opencv::core::{CV_8U, Mat, Vector};
+use opencv::imgcodecs;
+use opencv::prelude::*;
+use std::path::Path;
+
+/// An 8-bit grey picture, rows from the top.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Picture {
+    /// Columns, px.
+    pub width: usize,
+    /// Rows, px.
+    pub height: usize,
+    /// `width * height` grey values.
+    pub data: Vec<u8>,
+}
+
+impl Picture {
+    /// A picture from raw rows.
+    ///
+    /// # Errors
+    /// Where `data` does not hold `width * height` values.
+    pub fn new(width: usize, height: usize, data: Vec<u8>) -> Result<Self, VisionError> {
+        if width * height != data.len() || data.is_empty() {
+            return Err(VisionError::result(
+                "make a picture",
+                format!("{width}x{height} = {} grey values", width * height),
+                format!("{} values", data.len()),
+            ));
+        }
+        Ok(Self { width, height, data })
+    }
+
+    /// Reads a grey PNG or JPEG.
+    ///
+    /// # Errors
+    /// Where the file is missing, empty, cut off, not a picture, 16-bit or coloured.
+    pub fn read(path: &Path) -> Result<Self, VisionError> {
+        Self::decode(path, false)
+    }
+
+    /// Reads a PNG or JPEG; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
+    ///
+    /// # Errors
+    /// Where the file is missing, empty, cut off, not a picture or 16-bit.
+    pub fn read_as_grey(path: &Path) -> Result<Self, VisionError> {
+        Self::decode(path, true)
+    }
+
+    fn decode(path: &Path, colours_allowed: bool) -> Result<Self, VisionError> {
+        let name = path.display().to_string();
+        let bytes = std::fs::read(path).map_err(|source| VisionError::Io {
+            action: "read",
+            path: name.clone(),
+            source,
+        })?;
+        check_complete(&name, &bytes)?;
+        let buffer = Vector::<u8>::from_slice(&bytes);
+        let mat = imgcodecs::imdecode(&buffer, imgcodecs::IMREAD_UNCHANGED).doing("decode a picture")?;
+        if mat.empty() {
+            return Err(VisionError::content(name, "a PNG or JPEG picture", "bytes that do not decode"));
+        }
+        if mat.depth() != CV_8U {
+            return Err(VisionError::content(name, "8 bits a pixel", "another depth (16-bit?)"));
+        }
+        let (width, height) = (mat.cols() as usize, mat.rows() as usize);
+        let raw = mat.data_bytes().doing("read pixels")?;
+        let channels = mat.channels() as usize;
+        let data = match channels {
+            1 => raw.to_vec(),
+            // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
+            3 | 4 if colours_allowed => raw
+                .chunks_exact(channels)
+                .map(|p| {
+                    (0.114 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.299 * f64::from(p[2])).round()
+                        as u8
+                })
+                .collect(),
+            3 | 4 => {
+                let coloured = raw
+                    .chunks_exact(channels)
+                    .filter(|p| p[0].abs_diff(p[1]) > 2 || p[1].abs_diff(p[2]) > 2)
+                    .count();
+                if coloured > 0 {
+                    return Err(VisionError::content(
+                        name,
+                        "a grey picture",
+                        format!("a coloured one ({coloured} coloured pixels)"),
+                    ));
+                }
+                raw.chunks_exact(channels).map(|p| p[1]).collect()
+            }
+            other => {
+                return Err(VisionError::content(name, "1 channel", format!("{other} channels")));
+            }
+        };
+        Self::new(width, height, data)
+    }
+
+    /// Grey value of a pixel; the border is continued outwards.
+    #[must_use]
+    pub fn at(&self, x: i64, y: i64) -> f64 {
+        let x = x.clamp(0, self.width as i64 - 1) as usize;
+        let y = y.clamp(0, self.height as i64 - 1) as usize;
+        f64::from(self.data[y * self.width + x])
+    }
+
+    /// Bilinear grey value at a position, px.
+    #[must_use]
+    pub fn sample(&self, x: f64, y: f64) -> f64 {
+        let (x0, y0) = (x.floor(), y.floor());
+        let (u, v) = (x - x0, y - y0);
+        let (i, j) = (x0 as i64, y0 as i64);
+        (1.0 - v) * ((1.0 - u) * self.at(i, j) + u * self.at(i + 1, j))
+            + v * ((1.0 - u) * self.at(i, j + 1) + u * self.at(i + 1, j + 1))
+    }
+
+    /// Whether a position lies at least `margin` px inside.
+    #[must_use]
+    pub fn contains(&self, x: f64, y: f64, margin: f64) -> bool {
+        x >= margin
+            && y >= margin
+            && x <= self.width as f64 - 1.0 - margin
+            && y <= self.height as f64 - 1.0 - margin
+    }
+
+    /// Fraction of pixels at 255 and mean grey value.
+    #[must_use]
+    pub fn saturation(&self) -> (f64, f64) {
+        let n = self.data.len() as f64;
+        let full = self.data.iter().filter(|&&v| v == 255).count() as f64;
+        (full / n, self.data.iter().map(|&v| f64::from(v)).sum::<f64>() / n)
+    }
+
+    /// Why nothing can be measured in this picture, if so: all black, all white, without contrast.
+    #[must_use]
+    pub fn unusable(&self) -> Option<String> {
+        let (full, mean) = self.saturation();
+        if full > 0.5 {
+            return Some(format!("saturated: {:.0} % of the pixels at 255", 100.0 * full));
+        }
+        let (lo, hi) = self.data.iter().fold((255u8, 0u8), |(lo, hi), &v| (lo.min(v), hi.max(v)));
+        if hi - lo < 8 {
+            return Some(format!(
+                "no contrast: grey values {lo} to {hi}, mean {mean:.0} (black or covered?)"
+            ));
+        }
+        None
+    }
+
+    /// Noise of the grey values (sd, DN) as a function of the grey level, from second differences along rows:
+    /// `sd^2 = a + b * level`, fitted to the medians of level bands. Returns `(a, b)`.
+    #[must_use]
+    pub fn noise_model(&self) -> (f64, f64) {
+        let mut bands: Vec<Vec<f64>> = vec![Vec::new(); 16];
+        for y in (0..self.height).step_by(2) {
+            let row = &self.data[y * self.width..(y + 1) * self.width];
+            for w in row.windows(3) {
+                let d = f64::from(w[0]) - 2.0 * f64::from(w[1]) + f64::from(w[2]);
+                bands[usize::from(w[1]) / 16].push(d.abs());
+            }
+        }
+        let mut points = Vec::new();
+        for (k, band) in bands.iter_mut().enumerate() {
+            if band.len() < 2000 {
+                continue;
+            }
+            // Mean absolute value of the lower 80 %: textures and edges lie in the upper tail. For a Gaussian it is 0.577 sd.
+            band.sort_by(f64::total_cmp);
+            let keep = band.len() * 8 / 10;
+            let mean = band[..keep].iter().sum::<f64>() / keep as f64;
+            let variance = (mean / 0.577).powi(2) / 6.0;
+            points.push((k as f64 * 16.0 + 8.0, variance, band.len() as f64));
+        }
+        // The floor is quantisation, 1/12 DN^2.
+        let floor = 1.0 / 12.0;
+        if points.is_empty() {
+            return (1.0, 0.0);
+        }
+        let w: f64 = points.iter().map(|p| p.2).sum();
+        let mx = points.iter().map(|p| p.0 * p.2).sum::<f64>() / w;
+        let my = points.iter().map(|p| p.1 * p.2).sum::<f64>() / w;
+        let sxx = points.iter().map(|p| p.2 * (p.0 - mx).powi(2)).sum::<f64>();
+        let sxy = points.iter().map(|p| p.2 * (p.0 - mx) * (p.1 - my)).sum::<f64>();
+        let slope = if sxx > 0.0 { (sxy / sxx).clamp(0.0, my / mx.max(1.0)) } else { 0.0 };
+        ((my - slope * mx).max(floor), slope)
+    }
+
+    /// The picture as an OpenCV matrix (a copy).
+    pub(crate) fn to_mat(&self) -> Result<Mat, VisionError> {
+        let rows: Vec<&[u8]> = self.data.chunks_exact(self.width).collect();
+        Mat::from_slice_2d(&rows).doing("copy a picture")
+    }
+
+    /// SHA-256 of size and pixels; identical pictures have the same.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let mut bytes = format!("{}x{}:", self.width, self.height).into_bytes();
+        bytes.extend_from_slice(&self.data);
+        wcal_core::provenance::sha256_hex(&bytes)
+    }
+}
+
+/// Decoders fill what is missing of a cut-off file with grey; the end markers tell.
+fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
+    if bytes.is_empty() {
+        return Err(VisionError::content(name, "a PNG or JPEG picture", "a file of zero bytes"));
+    }
+    let tail = &bytes[bytes.len().saturating_sub(64)..];
+    let complete = if bytes.starts_with(b"\x89PNG") {
+        tail.windows(4).any(|w| w == b"IEND")
+    } else if bytes.starts_with(b"\xff\xd8") {
+        tail.windows(2).any(|w| w == b"\xff\xd9")
+    } else {
+        true
+    };
+    if complete {
+        Ok(())
+    } else {
+        Err(VisionError::content(
+            name,
+            "a complete picture",
+            format!("one cut off after {} bytes", bytes.len()),
+        ))
+    }
+}

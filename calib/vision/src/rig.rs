@@ -1,0 +1,222 @@
+//! The parts of `rig.toml` that the pictures need: whisker, tags, groove.
+
+use crate::error::VisionError;
+use crate::rigid::pose_from_rows;
+use nalgebra::{Isometry3, Vector3};
+use serde::Deserialize;
+use std::path::Path;
+
+#[derive(Deserialize)]
+struct RigFile {
+    whisker: WhiskerFile,
+    #[serde(default)]
+    tags: Vec<TagFile>,
+    groove: Option<GrooveFile>,
+}
+
+#[derive(Deserialize)]
+struct WhiskerFile {
+    diameter_mm: f64,
+    length_mm: f64,
+    straight_mm: Option<f64>,
+    arc_radius_mm: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct TagFile {
+    id: u32,
+    family: String,
+    size_mm: f64,
+    body: String,
+    base_from_tag: Option<[[f64; 4]; 4]>,
+}
+
+#[derive(Deserialize)]
+struct GrooveFile {
+    tag: Option<u32>,
+    position_in_tag_mm: Option<[f64; 3]>,
+    half_angle_deg: Option<f64>,
+    width_along_wire_mm: Option<f64>,
+}
+
+/// Nominal whisker.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigWhisker {
+    /// Wire diameter, mm.
+    pub diameter_mm: f64,
+    /// Nominal length, mm.
+    pub length_mm: f64,
+    /// Straight part, mm; the whole length where the file states none.
+    pub straight_mm: f64,
+    /// Curvature of the rest, 1/mm; 0 where the file states no radius.
+    pub arc_curvature_per_mm: f64,
+}
+
+/// A tag of the rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigTag {
+    /// Number.
+    pub id: u32,
+    /// Family.
+    pub family: String,
+    /// Side of the black square, mm.
+    pub size_mm: f64,
+    /// `base`, `rig`.
+    pub body: String,
+    /// Pose in the base frame, for tags on the base.
+    pub base_from_tag: Option<Isometry3<f64>>,
+}
+
+/// The groove.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigGroove {
+    /// Tag that carries it.
+    pub tag: u32,
+    /// Centre of the wire in the vertex, in that tag's frame, mm.
+    pub position_in_tag_mm: Vector3<f64>,
+    /// Half angle of the V, degrees.
+    pub half_angle_deg: f64,
+    /// Extent along the wire, mm.
+    pub width_along_wire_mm: f64,
+}
+
+/// What the pictures need of a rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rig {
+    /// Whisker.
+    pub whisker: RigWhisker,
+    /// Tags.
+    pub tags: Vec<RigTag>,
+    /// Groove, where described by a tag.
+    pub groove: Option<RigGroove>,
+}
+
+impl Rig {
+    /// Reads `rig.toml`.
+    ///
+    /// # Errors
+    /// Where the file is missing, no TOML, or a field is missing or out of range.
+    pub fn read(path: &Path) -> Result<Self, VisionError> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+            action: "read",
+            path: name.clone(),
+            source,
+        })?;
+        Self::parse(&name, &text)
+    }
+
+    /// Parses the text of a `rig.toml`.
+    ///
+    /// # Errors
+    /// As [`Rig::read`].
+    pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
+        let file: RigFile = toml::from_str(text)
+            .map_err(|e| VisionError::content(name, "a rig with [whisker] and [[tags]]", e.to_string()))?;
+        let positive = |field: &str, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(value)
+            } else {
+                Err(VisionError::content(name, format!("{field} > 0"), value.to_string()))
+            }
+        };
+        let w = file.whisker;
+        let length_mm = positive("whisker.length_mm", w.length_mm)?;
+        let whisker = RigWhisker {
+            diameter_mm: positive("whisker.diameter_mm", w.diameter_mm)?,
+            length_mm,
+            straight_mm: w.straight_mm.unwrap_or(length_mm),
+            arc_curvature_per_mm: match w.arc_radius_mm {
+                Some(r) => 1.0 / positive("whisker.arc_radius_mm", r)?,
+                None => 0.0,
+            },
+        };
+        let tags = file
+            .tags
+            .into_iter()
+            .map(|t| {
+                let base_from_tag = match &t.base_from_tag {
+                    None => None,
+                    Some(m) => Some(pose_from_rows(m).ok_or_else(|| {
+                        VisionError::content(
+                            name,
+                            format!("tag {}: base_from_tag as a rigid 4x4 transform", t.id),
+                            format!("{m:?}"),
+                        )
+                    })?),
+                };
+                Ok(RigTag {
+                    id: t.id,
+                    size_mm: positive("tags.size_mm", t.size_mm)?,
+                    family: t.family,
+                    body: t.body,
+                    base_from_tag,
+                })
+            })
+            .collect::<Result<Vec<_>, VisionError>>()?;
+        if !tags.iter().any(|t| t.base_from_tag.is_some()) {
+            return Err(VisionError::content(name, "a tag with base_from_tag (on the base)", "none"));
+        }
+        let groove = file.groove.and_then(|g| {
+            Some(RigGroove {
+                tag: g.tag?,
+                position_in_tag_mm: Vector3::from(g.position_in_tag_mm?),
+                half_angle_deg: g.half_angle_deg.unwrap_or(45.0),
+                width_along_wire_mm: g.width_along_wire_mm.unwrap_or(0.0),
+            })
+        });
+        if let Some(g) = &groove
+            && !tags.iter().any(|t| t.id == g.tag)
+        {
+            return Err(VisionError::content(
+                name,
+                format!("a [[tags]] entry for groove.tag = {}", g.tag),
+                "none",
+            ));
+        }
+        Ok(Self { whisker, tags, groove })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Rig;
+
+    const GOOD: &str = r#"
+[whisker]
+diameter_mm = 0.3
+length_mm = 60.0
+straight_mm = 30.0
+arc_radius_mm = 20.0
+[[tags]]
+id = 0
+family = "tag36h11"
+size_mm = 10.0
+body = "base"
+base_from_tag = [[-1, 0, 0, -6], [0, 0, 1, -9], [0, 1, 0, -12], [0, 0, 0, 1]]
+[groove]
+tag = 0
+position_in_tag_mm = [1.0, 2.0, 3.0]
+"#;
+
+    #[test]
+    fn a_good_file_is_read() {
+        let rig = Rig::parse("rig.toml", GOOD).unwrap();
+        assert!((rig.whisker.arc_curvature_per_mm - 0.05).abs() < 1e-12);
+        assert_eq!(rig.groove.unwrap().half_angle_deg, 45.0);
+    }
+
+    #[test]
+    fn faults_are_named() {
+        for (from, to, word) in [
+            ("diameter_mm = 0.3", "diameter_mm = -1.0", "whisker.diameter_mm"),
+            ("length_mm = 60.0", "", "length_mm"),
+            ("[-1, 0, 0, -6]", "[-2, 0, 0, -6]", "rigid"),
+            ("tag = 0", "tag = 9", "groove.tag"),
+            ("base_from_tag", "other", "base_from_tag"),
+        ] {
+            let error = Rig::parse("rig.toml", &GOOD.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! The wire as an inextensible curve: curvature = nominal + cubic B-splines along the arc length, carried by a twist-free frame.
+//! Length is kept by construction; the root stands at the base's origin, pointing along x, up to small offsets.
+
+use crate::rig::RigWhisker;
+use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
+
+/// Root offsets: y, z (mm) and tilts about z and y (rad).
+pub const ROOT: usize = 4;
+
+/// Fixed data of the curve model.
+#[derive(Debug, Clone)]
+pub struct RodModel {
+    /// Distance of nodes, mm.
+    pub step_mm: f64,
+    /// Nodes, root included.
+    pub nodes: usize,
+    /// Splines a direction.
+    pub splines: usize,
+    /// Nominal curvature toward -z at every interval's middle, 1/mm.
+    nominal: Vec<f64>,
+    /// First spline and the four values at every interval's middle.
+    basis: Vec<(usize, [f64; 4])>,
+}
+
+/// Parameters of a curve.
+#[derive(Debug, Clone)]
+pub struct RodState {
+    /// Root offsets.
+    pub root: [f64; ROOT],
+    /// Coefficients: all of direction 1, then all of direction 2.
+    pub coefficients: Vec<f64>,
+}
+
+/// Nodes of a curve, base frame.
+#[derive(Debug, Clone)]
+pub struct RodShape {
+    /// Positions, mm.
+    pub points: Vec<Vector3<f64>>,
+    /// Unit tangents.
+    pub tangents: Vec<Vector3<f64>>,
+}
+
+impl RodModel {
+    /// A model that reaches `reach_mm` with one spline every `knot_mm`. Without `nominal` the rest shape is taken as straight.
+    #[must_use]
+    pub fn new(whisker: &RigWhisker, reach_mm: f64, knot_mm: f64, use_nominal: bool) -> Self {
+        let step_mm = 0.25;
+        let intervals = (reach_mm / step_mm).ceil() as usize;
+        let segments = (reach_mm / knot_mm).ceil().max(1.0) as usize;
+        let width = intervals as f64 * step_mm / segments as f64;
+        let mut nominal = Vec::with_capacity(intervals);
+        let mut basis = Vec::with_capacity(intervals);
+        for i in 0..intervals {
+            let (from, to) = (i as f64 * step_mm, (i + 1) as f64 * step_mm);
+            // The share of the interval beyond the straight part.
+            let share = ((to - whisker.straight_mm.max(from)) / step_mm).clamp(0.0, 1.0);
+            nominal.push(if use_nominal { share * whisker.arc_curvature_per_mm } else { 0.0 });
+            let x = (0.5 * (from + to) / width).min(segments as f64 - 1e-9);
+            let (k, u) = (x.floor() as usize, x.fract());
+            let v = 1.0 - u;
+            basis.push((
+                k,
+                [
+                    v * v * v / 6.0,
+                    (3.0 * u * u * u - 6.0 * u * u + 4.0) / 6.0,
+                    (3.0 * v * v * v - 6.0 * v * v + 4.0) / 6.0,
+                    u * u * u / 6.0,
+                ],
+            ));
+        }
+        Self { step_mm, nodes: intervals + 1, splines: segments + 3, nominal, basis }
+    }
+
+    /// Parameters: root offsets and both directions' coefficients.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        ROOT + 2 * self.splines
+    }
+
+    /// The nominal curve.
+    #[must_use]
+    pub fn rest(&self) -> RodState {
+        RodState { root: [0.0; ROOT], coefficients: vec![0.0; 2 * self.splines] }
+    }
+
+    fn curvature(&self, state: &RodState, i: usize) -> (f64, f64) {
+        let (first, values) = &self.basis[i];
+        let sum = |offset: usize| -> f64 {
+            values.iter().enumerate().map(|(k, v)| v * state.coefficients[offset + first + k]).sum()
+        };
+        (sum(0), sum(self.splines) - self.nominal[i])
+    }
+
+    fn root(state: &RodState) -> (Vector3<f64>, Matrix3<f64>) {
+        let [y, z, about_z, about_y] = state.root;
+        let turn = Rotation3::from_scaled_axis(Vector3::new(0.0, about_y, about_z));
+        (Vector3::new(0.0, y, z), *turn.matrix())
+    }
+
+    /// Positions and tangents of the nodes.
+    #[must_use]
+    pub fn shape(&self, state: &RodState) -> RodShape {
+        let (mut p, mut frame) = Self::root(state);
+        let mut shape = RodShape { points: vec![p], tangents: vec![frame.column(0).into_owned()] };
+        for i in 0..self.nodes - 1 {
+            let (k1, k2) = self.curvature(state, i);
+            let half = half_turn(k1, k2, self.step_mm);
+            let middle = frame * half;
+            p += middle.column(0) * self.step_mm;
+            frame = middle * half;
+            shape.points.push(p);
+            shape.tangents.push(frame.column(0).into_owned());
+        }
+        shape
+    }
+
+    /// Derivatives of every node's position by every parameter: rows 3 i .. 3 i + 3 belong to node i.
+    #[must_use]
+    pub fn jacobian(&self, state: &RodState) -> DMatrix<f64> {
+        let n = self.parameters();
+        let mut j = DMatrix::<f64>::zeros(3 * self.nodes, n);
+        let (_, mut frame) = Self::root(state);
+        // Accumulated rotation and displacement of every parameter.
+        let mut turn = vec![Vector3::<f64>::zeros(); n];
+        let mut move_by = vec![Vector3::<f64>::zeros(); n];
+        move_by[0] = Vector3::y();
+        move_by[1] = Vector3::z();
+        // The root's tilts are tiny, so that the two axes may be taken as those of the base.
+        turn[2] = Vector3::z();
+        turn[3] = Vector3::y();
+        for p in 0..n {
+            j.fixed_view_mut::<3, 1>(0, p).copy_from(&move_by[p]);
+        }
+        for i in 0..self.nodes - 1 {
+            let (k1, k2) = self.curvature(state, i);
+            let half = half_turn(k1, k2, self.step_mm);
+            let middle = frame * half;
+            let tangent = middle.column(0).into_owned();
+            // Bending in direction 1 turns about axis 2, in direction 2 about minus axis 1.
+            let axes = [middle.column(2).into_owned(), -middle.column(1)];
+            let (first, values) = &self.basis[i];
+            let mut half_steps = Vec::with_capacity(8);
+            for (d, axis) in axes.iter().enumerate() {
+                for (k, v) in values.iter().enumerate() {
+                    half_steps.push((ROOT + d * self.splines + first + k, axis * (0.5 * v * self.step_mm)));
+                }
+            }
+            for (p, w) in &half_steps {
+                turn[*p] += w;
+            }
+            for p in 2..n {
+                if turn[p] != Vector3::zeros() {
+                    move_by[p] += turn[p].cross(&tangent) * self.step_mm;
+                }
+                j.fixed_view_mut::<3, 1>(3 * (i + 1), p).copy_from(&move_by[p]);
+            }
+            for p in 0..2 {
+                j.fixed_view_mut::<3, 1>(3 * (i + 1), p).copy_from(&move_by[p]);
+            }
+            for (p, w) in &half_steps {
+                turn[*p] += w;
+            }
+            frame = middle * half;
+        }
+        j
+    }
+
+    /// Second differences of the coefficients, one row each: what smoothing punishes.
+    #[must_use]
+    pub fn roughness(&self) -> DMatrix<f64> {
+        let rows = self.splines.saturating_sub(2);
+        let mut d = DMatrix::<f64>::zeros(2 * rows, self.parameters());
+        for direction in 0..2 {
+            for r in 0..rows {
+                let c = ROOT + direction * self.splines + r;
+                d[(direction * rows + r, c)] = 1.0;
+                d[(direction * rows + r, c + 1)] = -2.0;
+                d[(direction * rows + r, c + 2)] = 1.0;
+            }
+        }
+        d
+    }
+
+    /// The state that follows given curvature deviations (one a node) as closely as the splines can.
+    #[must_use]
+    pub fn from_curvatures(&self, deviations: &[[f64; 2]]) -> RodState {
+        let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
+        let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);
+        for (i, (first, values)) in self.basis.iter().enumerate() {
+            let Some(target) = deviations.get(i.min(deviations.len().saturating_sub(1))) else { break };
+            for (a, va) in values.iter().enumerate() {
+                for (b, vb) in values.iter().enumerate() {
+                    normal[(first + a, first + b)] += va * vb;
+                }
+                rhs[(first + a, 0)] += va * target[0];
+                rhs[(first + a, 1)] += va * target[1];
+            }
+        }
+        let mut state = self.rest();
+        if let Some(solution) = normal.cholesky().map(|c| c.solve(&rhs)) {
+            state.coefficients.copy_from_slice(solution.as_slice());
+        }
+        state
+    }
+}
+
+/// Rotation over half an interval: bending k1 toward axis 1 and k2 toward axis 2.
+fn half_turn(k1: f64, k2: f64, step: f64) -> Matrix3<f64> {
+    *Rotation3::from_scaled_axis(Vector3::new(0.0, -k2, k1) * (0.5 * step)).matrix()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> RodModel {
+        let whisker =
+            RigWhisker { diameter_mm: 0.3, length_mm: 60.0, straight_mm: 30.0, arc_curvature_per_mm: 0.05 };
+        RodModel::new(&whisker, 60.0, 3.0, true)
+    }
+
+    #[test]
+    fn rest_shape_is_the_straight_line_and_the_arc() {
+        let model = model();
+        let shape = model.shape(&model.rest());
+        let tip = shape.points.last().unwrap();
+        let expected = Vector3::new(30.0 + 20.0 * 1.5f64.sin(), 0.0, -20.0 * (1.0 - 1.5f64.cos()));
+        assert!((tip - expected).norm() < 2e-3, "{tip}");
+    }
+
+    #[test]
+    fn jacobian_agrees_with_finite_differences() {
+        let model = model();
+        let mut state = model.rest();
+        for (k, c) in state.coefficients.iter_mut().enumerate() {
+            *c = 0.004 * (k as f64).sin();
+        }
+        let j = model.jacobian(&state);
+        for p in [0, 1, 2, 3, ROOT + 2, ROOT + 10, ROOT + model.splines + 5] {
+            let h = 1e-6;
+            let at = |d: f64| {
+                let mut s = state.clone();
+                if p < ROOT {
+                    s.root[p] += d
+                } else {
+                    s.coefficients[p - ROOT] += d
+                }
+                model.shape(&s).points
+            };
+            let (a, b) = (at(-h), at(h));
+            for i in [0, 40, 120, model.nodes - 1] {
+                let numeric = (b[i] - a[i]) / (2.0 * h);
+                let analytic = j.fixed_view::<3, 1>(3 * i, p).into_owned();
+                assert!(
+                    (numeric - analytic).norm() < 1e-3 * numeric.norm().max(1.0),
+                    "{p} {i} {numeric} {analytic}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! Tags: detection by AprilTag, corners by lines fitted to the pixels along the four edges.
+
+use crate::apriltag_ffi::{RawTag, detect};
+use crate::camera::Camera;
+use crate::error::VisionError;
+use crate::picture::Picture;
+use crate::profile::blurred_step;
+use crate::tag_edges::refine_by_cells;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+/// A tag in one picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tag {
+    /// Family.
+    pub family: String,
+    /// Number.
+    pub id: u32,
+    /// Contrast of the decision, DN.
+    pub decision_margin: f64,
+    /// Corners, px, in the tag's frame (x right, y down): (-,+), (+,+), (+,-), (-,-).
+    pub corners_px: [Vector2<f64>; 4],
+    /// Covariances of the corners, px^2.
+    pub covariances_px2: [Matrix2<f64>; 4],
+    /// Whether the edges could be fitted; otherwise the library's corners stand, with a wide covariance.
+    pub refined: bool,
+}
+
+/// Cells (bits) along the side between the detected corners; the outermost ring is of one colour, its outside neighbour of the other.
+fn cells_along_side(family: &str) -> f64 {
+    match family {
+        "tag25h9" => 7.0,
+        "tag16h5" => 6.0,
+        "tagStandard41h12" => 5.0,
+        "tagStandard52h13" => 6.0,
+        "tagCircle21h7" => 5.0,
+        _ => 8.0,
+    }
+}
+
+/// Detects and refines the tags of a family. With a camera, edges are straight in the undistorted picture; without, in the picture itself.
+///
+/// # Errors
+/// Where the family is unknown.
+pub fn find_tags(
+    picture: &Picture,
+    family: &str,
+    camera: Option<&Camera>,
+    decimate: f32,
+) -> Result<Vec<Tag>, VisionError> {
+    let mut tags: Vec<Tag> =
+        detect(picture, family, decimate)?.into_iter().map(|raw| refine(picture, raw, camera)).collect();
+    tags.sort_by_key(|t| t.id);
+    Ok(tags)
+}
+
+/// Straightens pixels where a camera is known: undistorted, with the camera's own focal length and centre.
+pub(crate) fn straighten(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera
+        .and_then(|c| {
+            let n = c.undistort(p)?;
+            Some(Vector2::new(c.focal_px[0] * n.x + c.centre_px[0], c.focal_px[1] * n.y + c.centre_px[1]))
+        })
+        .unwrap_or(*p)
+}
+
+pub(crate) fn bend(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera.map_or(*p, |c| {
+        let n = Vector2::new((p.x - c.centre_px[0]) / c.focal_px[0], (p.y - c.centre_px[1]) / c.focal_px[1]);
+        let d = c.distort(&n).0;
+        Vector2::new(c.focal_px[0] * d.x + c.centre_px[0], c.focal_px[1] * d.y + c.centre_px[1])
+    })
+}
+
+/// A fitted edge: a point, its direction and the covariance of (offset, slope) about that point.
+struct Edge {
+    origin: Vector2<f64>,
+    direction: Vector2<f64>,
+    covariance: Matrix2<f64>,
+}
+
+fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
+    let mut corners = raw.corners_px.map(|p| straighten(camera, &Vector2::new(p[0], p[1])));
+    let mut covariances = [Matrix2::identity() * 0.04; 4];
+    let mut refined = false;
+    // Two rounds: the second takes its pixels about the lines of the first.
+    for _ in 0..2 {
+        let edges: Option<Vec<Edge>> = (0..4)
+            .map(|k| {
+                fit_edge(picture, camera, &corners[k], &corners[(k + 1) % 4], cells_along_side(&raw.family))
+            })
+            .collect();
+        let Some(edges) = edges else { break };
+        let mut next = corners;
+        let mut good = true;
+        for k in 0..4 {
+            match intersect(&edges[(k + 3) % 4], &edges[k]) {
+                Some((p, c)) if (p - corners[k]).norm() < 3.0 => {
+                    next[k] = p;
+                    covariances[k] = c;
+                }
+                _ => good = false,
+            }
+        }
+        if !good {
+            covariances = [Matrix2::identity() * 0.04; 4];
+            break;
+        }
+        corners = next;
+        refined = true;
+    }
+    // The outline alone takes a tone curve's shift of all edges for a larger tag; the cells tell the two apart.
+    if refined
+        && let Some(found) =
+            refine_by_cells(picture, camera, &corners, cells_along_side(&raw.family) as usize)
+    {
+        (corners, covariances) = (found.corners, found.covariances);
+    }
+    Tag {
+        family: raw.family,
+        id: raw.id,
+        decision_margin: raw.decision_margin,
+        corners_px: corners.map(|c| bend(camera, &c)),
+        covariances_px2: covariances,
+        refined,
+    }
+}
+
+/// Where two edges cross, with its covariance.
+fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let normal = |e: &Edge| Vector2::new(-e.direction.y, e.direction.x);
+    let (na, nb) = (normal(a), normal(b));
+    let m = Matrix2::new(na.x, na.y, nb.x, nb.y);
+    let inverse = m.try_inverse()?;
+    let p = inverse * Vector2::new(na.dot(&a.origin), nb.dot(&b.origin));
+    let variance = |e: &Edge| {
+        let j = Vector2::new(1.0, e.direction.dot(&(p - e.origin)));
+        (j.transpose() * e.covariance * j)[0]
+    };
+    let c = inverse * Matrix2::from_diagonal(&Vector2::new(variance(a), variance(b))) * inverse.transpose();
+    Some((p, c))
+}
+
+/// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
+/// (u across, t along), by Levenberg-Marquardt. None where the pixels are too few or the fit fails.
+fn fit_edge(
+    picture: &Picture,
+    camera: Option<&Camera>,
+    a: &Vector2<f64>,
+    b: &Vector2<f64>,
+    cells: f64,
+) -> Option<Edge> {
+    let length = (b - a).norm();
+    let cell = length / cells;
+    // Within 0.7 of a cell nothing but the border and the margin is seen; the ends are kept clear of the other edges.
+    let (reach, clear) = ((0.7 * cell).min(8.0), (0.7 * cell).max(2.0));
+    if reach < 1.5 || length < 3.0 * clear {
+        return None;
+    }
+    let direction = (b - a) / length;
+    let normal = Vector2::new(-direction.y, direction.x);
+    let origin = 0.5 * (a + b);
+    let half = 0.5 * length;
+    let (bent_a, bent_b) = (bend(camera, a), bend(camera, b));
+    let (lo, hi) = (bent_a.inf(&bent_b), bent_a.sup(&bent_b));
+    let pad = reach + 3.0;
+    if !picture.contains(lo.x - pad, lo.y - pad, 0.0) || !picture.contains(hi.x + pad, hi.y + pad, 0.0) {
+        return None;
+    }
+    let mut pixels: Vec<(f64, f64, f64)> = Vec::new();
+    for y in (lo.y - pad) as i64..=(hi.y + pad) as i64 {
+        for x in (lo.x - pad) as i64..=(hi.x + pad) as i64 {
+            let raw = Vector2::new(x as f64, y as f64);
+            let coarse = raw - 0.5 * (bent_a + bent_b);
+            if normal.dot(&coarse).abs() > reach + 2.0 {
+                continue;
+            }
+            let p = straighten(camera, &raw) - origin;
+            let (u, t) = (normal.dot(&p), direction.dot(&p));
+            if u.abs() <= reach && t.abs() <= half - clear {
+                pixels.push((u, t / half, picture.at(x, y)));
+            }
+        }
+    }
+    if pixels.len() < 24 {
+        return None;
+    }
+    let side = |positive: bool| {
+        let (n, sum) = pixels
+            .iter()
+            .filter(|p| (p.0 > 0.0) == positive)
+            .fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.2));
+        sum / f64::max(n, 1.0)
+    };
+    let mut p = SVector::<f64, 7>::from_row_slice(&[
+        0.0,
+        0.0,
+        0.9f64.ln(),
+        side(false),
+        0.0,
+        side(true) - side(false),
+        0.0,
+    ]);
+    let linearise = |p: &SVector<f64, 7>| {
+        let (mut cost, mut normal, mut gradient) =
+            (0.0, SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
+        let blur = p[2].exp();
+        for &(u, t, value) in &pixels {
+            let e = u - p[0] - p[1] * t;
+            let (f, slope) = blurred_step(e, blur);
+            let step = p[5] + p[6] * t;
+            let r = value - (p[3] + p[4] * t + step * f);
+            let j = SVector::<f64, 7>::from_row_slice(&[
+                -step * slope,
+                -step * slope * t,
+                -step * slope * e,
+                1.0,
+                t,
+                f,
+                f * t,
+            ]);
+            cost += r * r;
+            normal += j * j.transpose();
+            gradient += j * r;
+        }
+        (cost, normal, gradient)
+    };
+    let (mut cost, mut hessian, mut gradient) = linearise(&p);
+    let mut lambda = 1e-3;
+    for _ in 0..30 {
+        let mut damped = hessian;
+        for k in 0..7 {
+            damped[(k, k)] *= 1.0 + lambda;
+        }
+        let step = damped.cholesky()?.solve(&gradient);
+        let next = linearise(&(p + step));
+        if next.0 <= cost {
+            p += step;
+            (cost, hessian, gradient) = next;
+            lambda = (lambda * 0.2).max(1e-9);
+            if step[0].abs() + step[1].abs() < 1e-4 {
+                break;
+            }
+        } else {
+            lambda *= 8.0;
+            if lambda > 1e8 {
+                break;
+            }
+        }
+    }
+    if p[0].abs() > reach || !cost.is_finite() || p[2].exp() > 2.0 * reach {
+        return None;
+    }
+    let inverse = hessian.cholesky()?.inverse() * (cost / (pixels.len() as f64 - 7.0));
+    let scale = Matrix2::new(1.0, 0.0, 0.0, 1.0 / half);
+    let covariance = scale * inverse.fixed_view::<2, 2>(0, 0) * scale;
+    let turned = (direction + normal * (p[1] / half)).normalize();
+    Some(Edge { origin: origin + normal * p[0], direction: turned, covariance })
+}
+
+/// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].
+#[must_use]
+pub fn tag_corners(size: f64) -> [nalgebra::Vector3<f64>; 4] {
+    let h = 0.5 * size;
+    [(-h, h), (h, h), (h, -h), (-h, -h)].map(|(x, y)| nalgebra::Vector3::new(x, y, 0.0))
+}

@@ -1,0 +1,77 @@
+//! Pictures and files that cannot be used: one clear reason each, the rest of the batch goes on.
+
+mod common;
+
+use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
+use wcal_vision::chessboard::BoardSize;
+use wcal_vision::document::StereoDocument;
+use wcal_vision::picture::Picture;
+
+fn board() -> Board {
+    Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 1.0, pattern: Pattern::Chessboard }
+}
+
+fn copy_pairs(to: &std::path::Path, names: &[&str]) {
+    for name in names {
+        for side in ["left", "right"] {
+            let file = format!("{side}{name}.jpg");
+            std::fs::copy(common::fixture("opencv_stereo_chessboard").join(&file), to.join(&file)).unwrap();
+        }
+    }
+}
+
+fn run(folder: &std::path::Path) -> Result<StereoDocument, String> {
+    let side = |s: &str| folder.join(format!("{s}*")).display().to_string();
+    calibrate_folders(&side("left"), &side("right"), &board(), &|_| {})
+        .map(|r| r.0)
+        .map_err(|e| e.to_string())
+}
+
+#[test]
+fn each_bad_picture_costs_its_own_pair_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    copy_pairs(path, &["01", "02", "03", "04", "05", "06", "07", "08", "09"]);
+    std::fs::write(path.join("left01.jpg"), b"").unwrap();
+    let bytes = std::fs::read(path.join("right02.jpg")).unwrap();
+    std::fs::write(path.join("right02.jpg"), &bytes[..bytes.len() / 2]).unwrap();
+    std::fs::remove_file(path.join("right03.jpg")).unwrap();
+    std::fs::copy(path.join("left04.jpg"), path.join("right04.jpg")).unwrap();
+    let document = run(path).unwrap();
+    let why = |name: &str| {
+        document.rejected_views.iter().find(|r| r.view == name).map(|r| r.why.clone()).unwrap_or_default()
+    };
+    assert!(why("left01").contains("zero bytes"), "{}", why("left01"));
+    assert!(why("left02").contains("cut off"), "{}", why("left02"));
+    assert!(why("left03").contains("missing"), "{}", why("left03"));
+    assert!(why("left04").contains("same"), "{}", why("left04"));
+    assert_eq!(document.views.len(), 5);
+}
+
+#[test]
+fn a_folder_without_pictures_and_a_missing_one_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(run(folder.path()).unwrap_err().contains("no such picture"));
+    assert!(run(&folder.path().join("nowhere")).unwrap_err().contains("nowhere"));
+}
+
+#[test]
+fn black_white_and_coloured_pictures_are_told_apart() {
+    let flat = |v: u8| Picture::new(40, 30, vec![v; 1200]).unwrap();
+    assert!(flat(0).unusable().unwrap().contains("no contrast"));
+    assert!(flat(255).unusable().unwrap().contains("saturated"));
+    let photo = common::fixture("apriltag_images").join("33369213973_9d9bb4cc96_c.jpg");
+    assert!(Picture::read(&photo).unwrap_err().to_string().contains("coloured"));
+    assert!(Picture::new(3, 3, vec![0; 8]).is_err());
+}
+
+#[test]
+fn a_broken_stereo_json_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("stereo.json");
+    for (text, word) in [("", "EOF"), ("{}", "missing field"), ("{\"format\": 3}", "invalid type")] {
+        std::fs::write(&path, text).unwrap();
+        let error = StereoDocument::read(&path).unwrap_err().to_string();
+        assert!(error.contains(word) && error.contains("stereo.json"), "{error}");
+    }
+}

@@ -1,0 +1,84 @@
+//! The wire's centre on drawn lines (simulated): against the Cramer-Rao bound, Steger's method's published errors, and uneven backgrounds.
+
+mod common;
+
+use nalgebra::Vector2;
+use wcal_vision::picture::Picture;
+use wcal_vision::wire::{Look, PIECE_PX, Piece, Station, fit_look, fit_piece};
+
+const ANGLE: f64 = 0.37;
+const WIDTHS: [f64; 3] = [2.0, 3.0, 6.0];
+
+/// A straight dark line through the middle; `right` adds to the background on one side, `texture` varies it.
+fn line(width: f64, noise: f64, right: f64, texture: f64) -> Picture {
+    let normal = Vector2::new(-ANGLE.sin(), ANGLE.cos());
+    let centre = Vector2::new(160.3, 120.6);
+    common::draw(320, 240, 0.9, noise, 7, |x, y| {
+        let u = normal.dot(&(Vector2::new(x, y) - centre));
+        let background = 170.0 + texture * (0.05 * x).sin() * (0.04 * y).cos();
+        if u.abs() < 0.5 * width { 80.0 } else { background + if u > 0.0 { right } else { 0.0 } }
+    })
+}
+
+fn pieces(picture: &Picture, width: f64, look: Look) -> Vec<Piece> {
+    let along = Vector2::new(ANGLE.cos(), ANGLE.sin());
+    (-30..=30)
+        .filter_map(|k| {
+            let station = Station {
+                arc_mm: 0.0,
+                position_px: Vector2::new(160.3, 120.6) + along * (f64::from(k) * PIECE_PX),
+                tangent: along,
+                bend_per_px: 0.0,
+                width_px: width,
+            };
+            fit_piece(picture, &station, look, 1.5)
+        })
+        .collect()
+}
+
+fn fitted(picture: &Picture, width: f64) -> Vec<Piece> {
+    let start = Look { blur_px: 1.2, width_scale: 1.0 };
+    let look = fit_look(picture, &pieces(picture, width, start), start);
+    pieces(picture, width, look)
+}
+
+fn rms(pieces: &[Piece]) -> f64 {
+    (pieces.iter().map(|p| p.offset_px.powi(2)).sum::<f64>() / pieces.len() as f64).sqrt()
+}
+
+#[test]
+fn errors_reach_the_cramer_rao_bound_and_the_stated_sd_is_that_error() {
+    for (width, steger_clean, steger_noise) in [(2.0, 0.025, 0.043), (3.0, 0.012, 0.033), (6.0, 0.011, 0.030)]
+    {
+        let clean = fitted(&line(width, 0.0, 0.0, 0.0), width);
+        assert!(rms(&clean) < steger_clean, "width {width}: clean {}", rms(&clean));
+        let noisy = fitted(&line(width, 8.0, 0.0, 0.0), width);
+        // A piece of 4 px is worth about four of the single rows that Steger's figures are for.
+        let bound = (noisy.iter().map(|p| p.sd_px.powi(2)).sum::<f64>() / noisy.len() as f64).sqrt();
+        assert!(rms(&noisy) <= 1.2 * bound.max(0.01), "width {width}: {} against {bound}", rms(&noisy));
+        assert!(rms(&noisy) < 2.0 * steger_noise, "width {width}: {}", rms(&noisy));
+    }
+}
+
+#[test]
+fn unequal_sides_and_uneven_background_stay_below_a_twentieth_of_a_pixel() {
+    for width in WIDTHS {
+        for (right, texture) in [(-50.0, 0.0), (40.0, 10.0), (0.0, 20.0)] {
+            let found = fitted(&line(width, 1.0, right, texture), width);
+            assert!(
+                found.len() > 50 && rms(&found) <= 0.05,
+                "width {width}, {right}, {texture}: {}",
+                rms(&found)
+            );
+        }
+    }
+}
+
+#[test]
+fn where_there_is_no_line_there_is_no_evidence() {
+    let empty = common::draw(320, 240, 0.9, 3.0, 3, |_, _| 150.0);
+    let look = Look { blur_px: 0.9, width_scale: 1.0 };
+    let found = pieces(&empty, 3.0, look);
+    let seen = found.iter().filter(|p| p.evidence > 0.0).count();
+    assert!(seen * 20 <= found.len(), "{seen} of {}", found.len());
+}

@@ -1,0 +1,152 @@
+//! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
+//!
+//! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
+//! `[--mix null|single|pair|unknown|paper|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
+//! `[--keep DIR] [--write DIR]`
+//!
+//! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Mutex;
+
+use anyhow::{Context, bail};
+use wcal_plant::exam::{Examiner, Goal, Outcome, summarise};
+use wcal_plant::orders;
+
+struct Options {
+    draws: usize,
+    seed: u64,
+    jobs: usize,
+    timeout_s: f64,
+    mix: String,
+    only: Option<String>,
+    rivals: bool,
+    wcal: PathBuf,
+    json: Option<PathBuf>,
+    keep: Option<PathBuf>,
+    write: Option<PathBuf>,
+}
+
+const MIXES: [&str; 7] = ["null", "single", "pair", "unknown", "paper", "adversarial", "all"];
+
+fn options() -> anyhow::Result<Options> {
+    // The program lies beside the folder of the examples.
+    let beside = std::env::current_exe()?.parent().and_then(|p| p.parent()).map(|p| p.join("wcal"));
+    let mut o = Options {
+        draws: 40,
+        seed: 1,
+        jobs: 2,
+        timeout_s: 240.0,
+        mix: "all".into(),
+        only: None,
+        rivals: true,
+        wcal: beside.unwrap_or_else(|| "target/release/wcal".into()),
+        json: None,
+        keep: None,
+        write: None,
+    };
+    let mut words = std::env::args().skip(1);
+    while let Some(word) = words.next() {
+        let mut value = || words.next().with_context(|| format!("{word}: expected a value, found the end"));
+        match word.as_str() {
+            "--draws" => o.draws = value()?.parse().context("--draws: expected a number")?,
+            "--seed" => o.seed = value()?.parse().context("--seed: expected a number")?,
+            "--jobs" => o.jobs = value()?.parse().context("--jobs: expected a number")?,
+            "--timeout" => o.timeout_s = value()?.parse().context("--timeout: expected seconds")?,
+            "--mix" => o.mix = value()?,
+            "--only" => o.only = Some(value()?),
+            "--wcal" => o.wcal = value()?.into(),
+            "--json" => o.json = Some(value()?.into()),
+            "--keep" => o.keep = Some(value()?.into()),
+            "--write" => o.write = Some(value()?.into()),
+            "--no-rivals" => o.rivals = false,
+            other => bail!("unknown option {other}; see the head of examples/exam.rs"),
+        }
+    }
+    if !MIXES.contains(&o.mix.as_str()) {
+        bail!("--mix: expected one of {}, found {}", MIXES.join(", "), o.mix);
+    }
+    Ok(o)
+}
+
+fn main() -> anyhow::Result<ExitCode> {
+    let o = options()?;
+    let orders = orders(&o.mix, o.draws, o.seed, o.only.as_deref(), o.rivals);
+    if let Some(folder) = &o.write {
+        return write_only(folder, &orders);
+    }
+    let scratch = tempfile::tempdir()?;
+    let folder = o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf());
+    let examiner = Examiner { program: o.wcal.clone(), folder, jobs: o.jobs, timeout_s: o.timeout_s };
+    let printed = Mutex::new(());
+    let results = examiner.examine(&orders, &|outcome| {
+        let _one_line_at_a_time = printed.lock();
+        println!("{}", line(outcome));
+    });
+    let mut outcomes = Vec::new();
+    for (order, result) in orders.iter().zip(results) {
+        match result {
+            Ok(outcome) => outcomes.push(outcome),
+            Err(error) => eprintln!("not drawn ({error}): {order:?}"),
+        }
+    }
+    let table = summarise(&outcomes);
+    println!();
+    table.iter().for_each(|goal| println!("{}", row(goal)));
+    if let Some(path) = &o.json {
+        let document = serde_json::json!({
+            "format": "wcal-exam/1", "draws": o.draws, "seed": o.seed, "mix": o.mix, "only": o.only,
+            "summary": table, "cases": outcomes,
+        });
+        std::fs::write(path, serde_json::to_string_pretty(&document)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn write_only(folder: &std::path::Path, orders: &[wcal_plant::Request]) -> anyhow::Result<ExitCode> {
+    let mut truth = serde_json::Map::new();
+    for (i, order) in orders.iter().enumerate() {
+        let name = format!("case-{:03}", i + 1);
+        let case = wcal_plant::draw(order).with_context(|| format!("drawing {name}: {order:?}"))?;
+        case.write(&folder.join(&name))?;
+        println!(
+            "{name} {:?} {} {:?} {:.1} sigma",
+            order.design, case.truth.label, case.truth.laws, case.truth.projected_size_in_noises
+        );
+        truth.insert(name, serde_json::to_value(&case.truth)?);
+    }
+    std::fs::write(folder.join("truth.json"), serde_json::to_string_pretty(&truth)?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn line(o: &Outcome) -> String {
+    let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.2}"));
+    let coverage = o.covered.map(|(k, n)| k as f64 / n as f64);
+    format!(
+        "{} {:5} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {:.2} cover {:>4} {:.1} s {}",
+        o.name,
+        format!("{:?}", o.design).to_lowercase(),
+        if o.laws.is_empty() { o.label.clone() } else { o.laws.join("+") },
+        o.delta,
+        number(o.rival_sigma),
+        format!("{:?}", o.kind),
+        o.verdict,
+        o.got.join(","),
+        o.set_size,
+        number(o.before_ratio),
+        number(o.after_ratio),
+        o.oracle_ratio,
+        number(coverage),
+        o.seconds,
+        o.why
+    )
+}
+
+fn row(g: &Goal) -> String {
+    let met = g.met.map_or("    ", |m| if m { "met " } else { "MISS" });
+    let bounds = g.bounds.map_or(String::new(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
+    let value = if g.counts.1 == 0 { "no data".into() } else { format!("{:.3}", g.value) };
+    format!("{met} {:58} {value:>8} {bounds:16} {:>5}/{:<5} goal {}", g.score, g.counts.0, g.counts.1, g.goal)
+}

@@ -1,0 +1,300 @@
+//! Broken input through the program: one clear error, the documented exit code, no panic, nothing half-written.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
+
+#[path = "../calib/session/tests/broken/mod.rs"]
+mod broken;
+
+use broken::{Base, TABLE};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn wcal(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).current_dir(folder).output().unwrap()
+}
+
+/// What is wrong with an outcome, if anything.
+fn judge(output: &Output, code: i32, says: &[&str]) -> Result<(), String> {
+    let text =
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    if text.contains("panicked") {
+        return Err(format!("a panic: {text}"));
+    }
+    if output.status.code() != Some(code) {
+        return Err(format!("exit code {:?} instead of {code}: {text}", output.status.code()));
+    }
+    match says.iter().find(|says| !text.contains(**says)) {
+        Some(missing) => Err(format!("{text:?} lacks {missing:?}")),
+        None => Ok(()),
+    }
+}
+
+/// Names in a folder, sorted.
+fn listing(folder: &Path) -> Vec<String> {
+    let names = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn doctor_names_what_is_broken() {
+    let mut wrong = Vec::new();
+    for case in TABLE {
+        let place = tempfile::tempdir().unwrap();
+        let session = place.path().join("s");
+        fs::create_dir(&session).unwrap();
+        case.write(&session);
+        let before = listing(&session);
+        if let Err(why) = judge(&wcal(place.path(), &["doctor", "s"]), 1, case.says) {
+            wrong.push(format!("{}: {why}", case.name));
+        }
+        assert_eq!(before, listing(&session), "{}", case.name);
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn doctor_passes_good_sessions() {
+    for (base, code) in [(Base::Whisker, 3), (Base::Transducer, 3), (Base::Axis, 3)] {
+        let place = tempfile::tempdir().unwrap();
+        base.write(place.path());
+        // No pose is repeated in these three rows: usable, with a warning that matters.
+        judge(&wcal(place.path(), &["doctor", "."]), code, &["no pose is repeated"]).unwrap();
+        let json = wcal(place.path(), &["doctor", ".", "--json"]);
+        let document: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+        assert_eq!(document["worst"], "warn");
+    }
+}
+
+struct BadImport {
+    name: &'static str,
+    table: &'static [u8],
+    arguments: &'static [&'static str],
+    code: i32,
+    says: &'static [&'static str],
+}
+
+const LINEAR: &[&str] = &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "linear"];
+
+const IMPORTS: &[BadImport] = &[
+    BadImport { name: "empty", table: b"", arguments: LINEAR, code: 1, says: &["t.csv", "header"] },
+    BadImport {
+        name: "no rows",
+        table: b"x,y\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["t.csv", "empty table"],
+    },
+    BadImport {
+        name: "no column",
+        table: b"x,z\n1,2\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["column y", "x, z"],
+    },
+    BadImport {
+        name: "word",
+        table: b"x,y\n1,2\n2,b\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 3", "field y", "\"b\""],
+    },
+    BadImport {
+        name: "NaN",
+        table: b"x,y\n1,NaN\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 2", "field y", "NaN"],
+    },
+    BadImport {
+        name: "empty cell",
+        table: b"x,y\n1,\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["response", "nothing"],
+    },
+    BadImport {
+        name: "truncated",
+        table: b"x,y\n1,2\n2",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 3", "1 fields"],
+    },
+    BadImport {
+        name: "semicolons",
+        table: b"x;y\n1;2\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["column x", "x;y"],
+    },
+    BadImport { name: "not text", table: b"x,y\n\xff,2\n", arguments: LINEAR, code: 1, says: &["UTF-8"] },
+    BadImport {
+        name: "no stimulus",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--response", "y", "--model", "linear"],
+        code: 1,
+        says: &["--stimulus"],
+    },
+    BadImport {
+        name: "no response",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--stimulus", "x", "--model", "linear"],
+        code: 2,
+        says: &["--response"],
+    },
+    BadImport {
+        name: "unknown model",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "cubic"],
+        code: 2,
+        says: &["cubic", "quadratic"],
+    },
+    BadImport {
+        name: "micrometres as millimetres",
+        table: b"c,m\n1,1001\n2,2002\n3,3001\n",
+        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m"],
+        code: 1,
+        says: &["same unit", "um?"],
+    },
+    BadImport {
+        name: "factor that is no number",
+        table: b"c,m\n1,1.1\n2,2.1\n",
+        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m", "--scale", "measured_mm=k"],
+        code: 1,
+        says: &["--scale", "\"k\""],
+    },
+    BadImport {
+        name: "whisker without description",
+        table: b"fbg_1_nm,fbg_2_nm\n1545,1543\n",
+        arguments: &["--kind", "whisker"],
+        code: 2,
+        says: &["--meta"],
+    },
+];
+
+#[test]
+fn import_refuses_and_leaves_nothing() {
+    let mut wrong = Vec::new();
+    for case in IMPORTS {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("t.csv"), case.table).unwrap();
+        let arguments = [&["import", "t.csv", "--out", "new"], case.arguments].concat();
+        if let Err(why) = judge(&wcal(place.path(), &arguments), case.code, case.says) {
+            wrong.push(format!("{}: {why}", case.name));
+        }
+        assert_eq!(listing(place.path()), ["t.csv"], "{}", case.name);
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn import_takes_good_tables_and_refuses_to_overwrite() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21").unwrap();
+    let mapped = [&["import", "t.csv", "--out", "new", "--temperature", "T", "--json"], LINEAR].concat();
+    let output = wcal(place.path(), &mapped);
+    judge(&output, 0, &[]).unwrap();
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["rows"], 2);
+    let points = fs::read_to_string(place.path().join("new/points.csv")).unwrap();
+    assert_eq!(
+        points,
+        "point,role,stimulus,response,temperature_degc\n1,calibration,1,2.5,20\n2,calibration,2,4.5,21\n"
+    );
+    judge(&wcal(place.path(), &mapped), 1, &["new", "does not exist yet"]).unwrap();
+    judge(
+        &wcal(
+            place.path(),
+            &[
+                "import",
+                "none.csv",
+                "--out",
+                "other",
+                "--kind",
+                "axis",
+                "--commanded",
+                "c",
+                "--measured",
+                "m",
+            ],
+        ),
+        1,
+        &["none.csv", "no such file"],
+    )
+    .unwrap();
+    assert_eq!(listing(place.path()), ["new", "t.csv"]);
+}
+
+#[test]
+fn a_whisker_table_is_imported_with_its_description() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("meta.toml"), broken::WHISKER_TOML).unwrap();
+    let table = broken::WHISKER_POINTS.replace("groove_x_mm", "gx").replace("t_s", "time_ms");
+    fs::write(place.path().join("t.csv"), table).unwrap();
+    let arguments = [
+        "import",
+        "t.csv",
+        "--kind",
+        "whisker",
+        "--meta",
+        "meta.toml",
+        "--map",
+        "groove_x_mm=gx",
+        "--time",
+        "time_ms",
+        "--scale",
+        "t_s=0.001",
+        "--out",
+        "new",
+    ];
+    judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
+    judge(&wcal(place.path(), &["doctor", "new"]), 3, &["t_s is present"]).unwrap();
+}
+
+#[test]
+fn templates_load_and_are_never_overwritten() {
+    let place = tempfile::tempdir().unwrap();
+    judge(&wcal(place.path(), &["init", "s"]), 0, &["session.toml", "points.csv"]).unwrap();
+    let output = wcal(place.path(), &["doctor", "s"]);
+    assert_ne!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
+    fs::write(place.path().join("s/session.toml"), "mine").unwrap();
+    judge(&wcal(place.path(), &["init", "s"]), 1, &["session.toml"]).unwrap();
+    assert_eq!(fs::read_to_string(place.path().join("s/session.toml")).unwrap(), "mine");
+    for (kind, file) in [("rig", "rig.toml"), ("plan", "plan.toml")] {
+        judge(&wcal(place.path(), &["init", "--kind", kind, kind]), 0, &[file]).unwrap();
+        let text = fs::read_to_string(place.path().join(kind).join(file)).unwrap();
+        text.parse::<toml::Table>().unwrap();
+    }
+}
+
+#[test]
+fn verify_and_fit_gpr_refuse_what_is_broken_and_leave_no_result() {
+    let mut wrong = Vec::new();
+    for case in TABLE {
+        for command in ["verify", "fit-gpr"] {
+            let place = tempfile::tempdir().unwrap();
+            let session = place.path().join("s");
+            fs::create_dir(&session).unwrap();
+            case.write(&session);
+            let output = wcal(place.path(), &[command, "s", "--out", "o"]);
+            if let Err(why) = judge(&output, 1, case.says) {
+                wrong.push(format!("{command} {}: {why}", case.name));
+            }
+            // All that may be there is the whole document that says why.
+            let left =
+                if place.path().join("o").exists() { listing(&place.path().join("o")) } else { Vec::new() };
+            match left.as_slice() {
+                [] => {}
+                [only] if command == "verify" && only == "verify.json" => {
+                    let text = fs::read(place.path().join("o/verify.json")).unwrap();
+                    let document: serde_json::Value = serde_json::from_slice(&text).unwrap();
+                    assert_eq!(document["verdict"], "refused", "{}", case.name);
+                }
+                other => wrong.push(format!("{command} {}: left {other:?}", case.name)),
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}

@@ -1,0 +1,46 @@
+//! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
+//! The rates themselves need hundreds of draws: `cargo run --release --example exam -- --draws 300 --mix all`.
+
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use std::path::PathBuf;
+use wcal_plant::exam::{Examiner, Mark, Outcome};
+use wcal_plant::orders;
+
+fn examine(mix: &str, draws: usize, seed: u64) -> Vec<Outcome> {
+    let folder = tempfile::tempdir().unwrap();
+    let program = PathBuf::from(env!("CARGO_BIN_EXE_wcal"));
+    let examiner = Examiner { program, folder: folder.path().to_path_buf(), jobs: 2, timeout_s: 240.0 };
+    let orders = orders(mix, draws, seed, None, false);
+    let results = examiner.examine(&orders, &|_| {});
+    results.into_iter().map(Result::unwrap).collect()
+}
+
+fn told(outcomes: &[Outcome]) -> String {
+    let lines: Vec<String> =
+        outcomes.iter().map(|o| format!("{} {}: {} {:?}", o.name, o.label, o.verdict, o.kind)).collect();
+    lines.join("\n")
+}
+
+#[test]
+fn singles_are_named_and_nulls_left_alone() {
+    let null = examine("null", 3, 77);
+    assert!(null.iter().all(|o| o.kind == Mark::Right), "{}", told(&null));
+    let single = examine("single", 6, 77);
+    let right = single.iter().filter(|o| o.kind == Mark::Right).count();
+    assert!(right >= 5 && single.iter().all(|o| o.kind != Mark::Wrong), "{}", told(&single));
+}
+
+#[test]
+fn what_the_catalogue_lacks_is_called_unknown_and_tampered_sessions_get_no_name() {
+    let unknown = examine("unknown", 3, 77);
+    assert!(unknown.iter().all(|o| o.kind == Mark::Right), "{}", told(&unknown));
+    let tampered = examine("adversarial", 5, 77);
+    assert!(
+        tampered
+            .iter()
+            .all(|o| o.verdict == "refused" || o.verdict == "unknown-effect" || o.kind == Mark::Right),
+        "{}",
+        told(&tampered)
+    );
+}

@@ -1,0 +1,9 @@
+//! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was put in.
+
+mod run;
+mod score;
+mod summary;
+
+pub use run::{Examiner, Paper, answer};
+pub use score::{Kind as Mark, Outcome, score};
+pub use summary::{Goal, clopper_pearson, summarise};

@@ -1,0 +1,139 @@
+//! Runs the program under examination on drawn sessions.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use super::score::{Outcome, crash, score};
+use crate::PlantError;
+use crate::session::{Case, Request, draw};
+
+/// A drawn case with its name.
+#[derive(Debug, Clone)]
+pub struct Paper {
+    /// Folder name and id.
+    pub name: String,
+    /// Session and truth.
+    pub case: Case,
+}
+
+/// How to examine.
+#[derive(Debug, Clone)]
+pub struct Examiner {
+    /// The program; called as `PROGRAM verify SESSION --out DIR --json --seed 1`.
+    pub program: PathBuf,
+    /// Where sessions and results go.
+    pub folder: PathBuf,
+    /// Sessions at a time.
+    pub jobs: usize,
+    /// Seconds before a session counts as a crash.
+    pub timeout_s: f64,
+}
+
+impl Examiner {
+    /// Draws, runs and scores all orders; `report` is called with every outcome as it comes.
+    ///
+    /// Orders that the plant cannot draw come back as errors.
+    pub fn examine(
+        &self,
+        orders: &[Request],
+        report: &(dyn Fn(&Outcome) + Sync),
+    ) -> Vec<Result<Outcome, PlantError>> {
+        let next = AtomicUsize::new(0);
+        let done = Mutex::new(Vec::new());
+        std::thread::scope(|scope| {
+            for _ in 0..self.jobs.max(1) {
+                scope.spawn(|| {
+                    loop {
+                        let i = next.fetch_add(1, Ordering::Relaxed);
+                        let Some(order) = orders.get(i) else { break };
+                        let outcome = self.one(i, order);
+                        if let Ok(o) = &outcome {
+                            report(o);
+                        }
+                        if let Ok(mut done) = done.lock() {
+                            done.push((i, outcome));
+                        }
+                    }
+                });
+            }
+        });
+        let mut done = done.into_inner().unwrap_or_default();
+        done.sort_by_key(|(i, _)| *i);
+        done.into_iter().map(|(_, o)| o).collect()
+    }
+
+    fn one(&self, index: usize, order: &Request) -> Result<Outcome, PlantError> {
+        let name = format!("case-{:03}", index + 1);
+        let case = draw(order)?;
+        let session = self.folder.join(&name);
+        case.write(&session)?;
+        Ok(answer(&self.program, &Paper { name, case }, &session, self.timeout_s))
+    }
+}
+
+/// Runs the program on one written session and scores what it left.
+pub fn answer(program: &Path, paper: &Paper, session: &Path, timeout_s: f64) -> Outcome {
+    let out = session.join("verify-out");
+    let start = Instant::now();
+    let run = spawn(program, session, &out, timeout_s);
+    let seconds = start.elapsed().as_secs_f64();
+    let (name, case) = (paper.name.as_str(), &paper.case);
+    let code = match run {
+        Ok(code) => code,
+        Err(why) => return crash(name, case, why, seconds, None),
+    };
+    let verify = match std::fs::read_to_string(out.join("verify.json")) {
+        Ok(text) => serde_json::from_str(&text),
+        Err(e) => {
+            return crash(
+                name,
+                case,
+                format!("reading verify.json: {e} (exit code {code:?})"),
+                seconds,
+                code,
+            );
+        }
+    };
+    match verify {
+        Ok(verify) => {
+            // A refused session may come without predictions.
+            let predictions = std::fs::read_to_string(out.join("predictions.csv")).unwrap_or_default();
+            score(name, case, &verify, &predictions, seconds, code)
+        }
+        Err(e) => crash(name, case, format!("parsing verify.json: {e}"), seconds, code),
+    }
+}
+
+fn spawn(program: &Path, session: &Path, out: &Path, timeout_s: f64) -> Result<Option<i32>, String> {
+    let log = |name: &str| {
+        std::fs::File::create(session.join(name)).map(Stdio::from).map_err(|e| format!("making {name}: {e}"))
+    };
+    let mut child = Command::new(program)
+        .arg("verify")
+        .arg(session)
+        .arg("--out")
+        .arg(out)
+        .args(["--json", "--seed", "1"])
+        .stdin(Stdio::null())
+        .stdout(log("stdout.txt")?)
+        .stderr(log("stderr.txt")?)
+        .spawn()
+        .map_err(|e| format!("starting {}: {e}", program.display()))?;
+    let start = Instant::now();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Ok(status.code()),
+            Ok(None) if start.elapsed().as_secs_f64() > timeout_s => {
+                // The child is ours; it may have ended between the two calls, which is no fault.
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(format!("no answer within {timeout_s} s"));
+            }
+            Ok(None) => std::thread::sleep(Duration::from_millis(10)),
+            Err(e) => return Err(format!("waiting for {}: {e}", program.display())),
+        }
+    }
+}

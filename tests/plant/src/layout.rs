@@ -1,0 +1,217 @@
+//! Order and timing of the readings, in the structure of the practice sessions, and the stage's motion between them.
+
+use rand::{Rng, RngExt};
+
+use crate::bench::{MICROSTEP_MM, Trajectory};
+
+/// How many readings and of which kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Design {
+    /// 36 rows: 27 approach-only points and 9 rests.
+    Paper,
+    /// 360 rows: two replicates up and down, three dwells, two speeds, rests.
+    Rich,
+}
+
+/// A row before it is measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// In holdout.csv (else points.csv).
+    pub holdout: bool,
+    /// `rest`, `calibration`, `verification` or `holdout`.
+    pub role: &'static str,
+    /// Index into the bench's trajectories.
+    pub trajectory: usize,
+    /// Replicate as written.
+    pub replicate: usize,
+    /// Time in s.
+    pub t_s: f64,
+    /// Commanded stage position in mm.
+    pub commanded_mm: f64,
+    /// Stage position read back in whole microsteps, mm.
+    pub stage_mm: f64,
+    /// +1 loading, -1 unloading.
+    pub direction: i32,
+    /// 0 when settled.
+    pub speed_mm_s: f64,
+    /// Time since arrival in s.
+    pub dwell_s: f64,
+}
+
+struct Planner {
+    rows: Vec<Planned>,
+    t_s: f64,
+    commanded_mm: f64,
+    trajectory: usize,
+    holdout: bool,
+}
+
+/// Speed of settled moves and of the way home, mm/s.
+const SETTLED_MM_S: f64 = 2.0;
+const HOME_MM_S: f64 = 4.0;
+
+impl Planner {
+    fn settled(&mut self, to_mm: f64, dwell_s: f64, replicate: usize, role: &'static str) {
+        let direction = if to_mm >= self.commanded_mm { 1 } else { -1 };
+        let speed = if role == "rest" { HOME_MM_S } else { SETTLED_MM_S };
+        self.t_s += (to_mm - self.commanded_mm).abs() / speed + dwell_s;
+        self.push(to_mm, direction, 0.0, dwell_s, replicate, role);
+    }
+
+    fn moving(&mut self, to_mm: f64, speed_mm_s: f64) {
+        let direction = if to_mm >= self.commanded_mm { 1 } else { -1 };
+        self.t_s += (to_mm - self.commanded_mm).abs() / speed_mm_s;
+        self.push(to_mm, direction, speed_mm_s, 0.0, 1, "verification");
+    }
+
+    fn push(
+        &mut self,
+        to_mm: f64,
+        direction: i32,
+        speed_mm_s: f64,
+        dwell_s: f64,
+        replicate: usize,
+        role: &'static str,
+    ) {
+        self.commanded_mm = to_mm;
+        self.rows.push(Planned {
+            holdout: self.holdout,
+            role,
+            trajectory: self.trajectory,
+            replicate,
+            t_s: self.t_s,
+            commanded_mm: to_mm,
+            stage_mm: (to_mm / MICROSTEP_MM).round() * MICROSTEP_MM,
+            direction,
+            speed_mm_s,
+            dwell_s,
+        });
+    }
+
+    fn next_trajectory(&mut self, index: usize, pause_s: f64) {
+        self.trajectory = index;
+        self.commanded_mm = 0.0;
+        self.t_s += pause_s;
+    }
+}
+
+/// Plans points and holdout rows; `trajectories` are those of [`crate::bench::Bench::trajectories`].
+pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<Planned> {
+    let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
+    for (index, trajectory) in trajectories.iter().enumerate().filter(|(_, t)| t.id < 100) {
+        p.next_trajectory(index, if index == 0 { 0.0 } else { 20.0 });
+        match design {
+            Design::Paper => {
+                p.settled(0.0, 2.0, 1, "rest");
+                for share in [1.0 / 3.0, 2.0 / 3.0, 1.0] {
+                    p.settled(share * trajectory.reach_mm, 2.0, 1, "calibration");
+                }
+            }
+            Design::Rich => rich(&mut p, trajectory.reach_mm, rng),
+        }
+    }
+    p.t_s += 60.0;
+    p.holdout = true;
+    for (index, trajectory) in trajectories.iter().enumerate().filter(|(_, t)| t.id > 100) {
+        p.next_trajectory(index, 20.0);
+        let mut up: Vec<f64> = (0..4).map(|_| rng.random_range(0.15..0.97) * trajectory.reach_mm).collect();
+        up.sort_by(f64::total_cmp);
+        p.settled(0.0, 3.0, 1, "rest");
+        for &x in up.iter().chain(up.iter().rev().skip(1)) {
+            let dwell = [2.0, 6.0][rng.random_range(0..2_usize)];
+            p.settled(x, dwell, 1, "holdout");
+        }
+        p.settled(0.0, 3.0, 1, "rest");
+    }
+    p.rows
+}
+
+fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
+    let shares = [1.0 / 6.0, 1.0 / 3.0, 0.5, 0.7, 0.85, 1.0];
+    p.settled(0.0, 3.0, 1, "rest");
+    for replicate in 1..=2 {
+        let jitter = if replicate == 2 { 0.02 } else { 0.0 };
+        let up = shares.map(|s| (s + jitter * rng.random_range(-1.0..1.0)) * reach_mm);
+        for (i, x) in up.iter().chain(up.iter().rev().skip(1)).enumerate() {
+            let role = if replicate == 1 && [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
+            let dwell = [1.5, 4.0, 12.0][rng.random_range(0..3_usize)];
+            p.settled(*x, dwell, replicate, role);
+        }
+        p.settled(0.0, 3.0, replicate, "rest");
+    }
+    for speed in [2.0, 8.0] {
+        for share in [0.25, 0.5, 0.75, 0.95, 0.8, 0.55, 0.3] {
+            p.moving(share * reach_mm, speed);
+        }
+    }
+    p.settled(0.0, 3.0, 3, "rest");
+}
+
+/// One instant of the session: end of a small step of motion or of a dwell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Instant {
+    /// Time in s.
+    pub t_s: f64,
+    /// Commanded stage position in mm.
+    pub commanded_mm: f64,
+    /// Index of the trajectory.
+    pub trajectory: usize,
+    /// False while the wire is out of the groove.
+    pub loaded: bool,
+    /// The row measured at this instant.
+    pub row: Option<usize>,
+    /// Signed stage speed at this instant, mm/s.
+    pub velocity_mm_s: f64,
+}
+
+/// Longest step of motion in mm.
+const STEP_MM: f64 = 0.1;
+
+/// The whole motion, moves in small steps, ending each row's dwell with its instant.
+pub fn motion(rows: &[Planned]) -> Vec<Instant> {
+    let mut out = Vec::new();
+    let mut last: Option<&Planned> = None;
+    for (i, row) in rows.iter().enumerate() {
+        let same = last.is_some_and(|l| l.trajectory == row.trajectory);
+        let from_mm = if same { last.map_or(0.0, |l| l.commanded_mm) } else { 0.0 };
+        let travel = row.commanded_mm - from_mm;
+        let speed = match (row.speed_mm_s > 0.0, row.role) {
+            (true, _) => row.speed_mm_s,
+            (false, "rest") => HOME_MM_S,
+            _ => SETTLED_MM_S,
+        };
+        let duration = travel.abs() / speed;
+        let arrive = row.t_s - row.dwell_s;
+        let count = (travel.abs() / STEP_MM).ceil() as usize;
+        let loaded = row.role != "rest";
+        let base = Instant {
+            t_s: arrive - duration,
+            commanded_mm: from_mm,
+            trajectory: row.trajectory,
+            loaded: same && last.is_some_and(|l| l.role != "rest"),
+            row: None,
+            velocity_mm_s: 0.0,
+        };
+        if !same || base.t_s > last.map_or(0.0, |l| l.t_s) + 1e-9 {
+            out.push(base);
+        }
+        for k in 1..=count {
+            let share = k as f64 / count as f64;
+            let end = k == count;
+            out.push(Instant {
+                t_s: base.t_s + share * duration,
+                commanded_mm: from_mm + share * travel,
+                loaded: loaded || !end,
+                row: (end && row.dwell_s == 0.0).then_some(i),
+                velocity_mm_s: travel.signum() * speed,
+                ..base
+            });
+        }
+        if row.dwell_s > 0.0 {
+            out.push(Instant { t_s: row.t_s, commanded_mm: row.commanded_mm, loaded, row: Some(i), ..base });
+        }
+        last = Some(row);
+    }
+    out
+}

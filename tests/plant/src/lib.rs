@@ -1,0 +1,42 @@
+//! Random whisker-bench sessions with effects that the session does not declare: the examiner's own physics.
+//!
+//! Nothing here is shared with the fitter: the wire is a discrete-energy rod ([`rod`]), the readings follow the
+//! session's true sequence and times ([`simulate`]), and several laws stand behind every effect ([`effects`]).
+//! All data made here are simulated.
+
+pub mod adversarial;
+pub mod bench;
+pub mod effects;
+pub mod exam;
+pub mod layout;
+pub mod memory;
+pub mod orders;
+pub mod rivals;
+pub mod rod;
+pub mod session;
+pub mod simulate;
+pub mod table;
+
+pub use effects::{Effect, Kind};
+pub use layout::Design;
+pub use orders::orders;
+pub use session::{Case, Request, Truth, Want, draw};
+
+/// What can go wrong while drawing or writing a session.
+#[derive(Debug, thiserror::Error)]
+pub enum PlantError {
+    /// Newton's iteration on the wire did not settle.
+    #[error("solving the wire's equilibrium: residual {residual:.2e} left, expected below 1e-8")]
+    NoEquilibrium {
+        /// Residual of the last iterate.
+        residual: f64,
+    },
+    /// A file could not be written.
+    #[error("writing {path}: {source}")]
+    Write {
+        /// File.
+        path: String,
+        /// Cause.
+        source: std::io::Error,
+    },
+}

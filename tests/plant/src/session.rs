@@ -1,0 +1,386 @@
+//! Draws whole sessions and writes them in the form of the practice sessions.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use crate::PlantError;
+use crate::adversarial::{self, Trick};
+use crate::bench::{Bench, DIAMETER_MM, LENGTH_MM, PM_PER_DEGC, REFERENCE_DEGC};
+use crate::effects::{Effect, Kind};
+use crate::layout::{Design, Planned, plan};
+use crate::rivals::{Rival, nearest, oracle_error_nmm};
+use crate::simulate::{Clean, Plant};
+
+/// What a session shall contain.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Want {
+    /// No effect.
+    Null,
+    /// These effects, each (alone) of the target size.
+    Effects(Vec<Kind>),
+    /// No effect, but tampered with.
+    Adversarial(Trick),
+}
+
+/// One order to the plant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Request {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Rows and their order.
+    pub design: Design,
+    /// Content.
+    pub want: Want,
+    /// Wanted size of each effect in noises.
+    pub target_sigma: f64,
+    /// Whether to look for the nearest rival of a single effect (a second or two more).
+    pub rivals: bool,
+}
+
+/// One row as written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Number within its file.
+    pub point: usize,
+    /// Plan.
+    pub planned: Planned,
+    /// Number of the trajectory.
+    pub trajectory_id: usize,
+    /// Groove centre, mm.
+    pub groove_mm: [f64; 3],
+    /// Temperature sensor, degC.
+    pub temperature_degc: f64,
+    /// Reference grating, nm.
+    pub reference_nm: f64,
+    /// Sensing gratings, nm.
+    pub fbg_nm: [f64; 2],
+    /// Spread of single samples, pm.
+    pub sd_pm: [f64; 2],
+    /// Samples averaged.
+    pub samples: usize,
+}
+
+/// The entry of truth.json; the first keys are those of the practice file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Truth {
+    /// Effects with their own parameters.
+    pub effects: Map<String, Value>,
+    /// `paper` or `rich`.
+    pub design: Design,
+    /// Point-to-point noise in pm.
+    pub noise_pm: f64,
+    /// Sensitivity in pm per N mm.
+    #[serde(rename = "K")]
+    pub k: [[f64; 2]; 2],
+    /// Zero in pm.
+    pub zero: [f64; 2],
+    /// `null`, the effect's name, `pair`, `unknown` or `adversarial`.
+    pub label: String,
+    /// Names of the effects.
+    pub names: Vec<String>,
+    /// Step of the target size: 1 (8 sigma) to 4 (40 sigma).
+    pub size: usize,
+    /// Size after K and the zero have absorbed what they can.
+    pub projected_size_in_noises: f64,
+    /// True moments for the rows of holdout.csv.
+    pub holdout_moments_nmm: Vec<[f64; 2]>,
+    /// Law of every effect.
+    pub laws: Map<String, Value>,
+    /// Size of every effect alone.
+    pub sizes_each: Map<String, Value>,
+    /// Size asked for.
+    pub target_sigma: f64,
+    /// False where the physical range ended before the target.
+    pub target_reached: bool,
+    /// Covariates any of which is the right driver (outside the catalogue).
+    pub driver: Vec<String>,
+    /// Shape outside the catalogue.
+    pub shape: Option<String>,
+    /// Verdicts that are right for a tampered session.
+    pub expected: Vec<String>,
+    /// Held-out moment error of an oracle that knows the effect and fits K and the zero, N mm.
+    pub oracle_after_nmm: f64,
+    /// Nearest other effect of the catalogue, for a single effect.
+    pub nearest_rival: Option<Rival>,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// A drawn session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Case {
+    /// Bench.
+    pub bench: Bench,
+    /// Rows of points.csv and holdout.csv in order.
+    pub readings: Vec<Reading>,
+    /// Answer.
+    pub truth: Truth,
+}
+
+/// Draws a session.
+///
+/// # Errors
+/// [`PlantError::NoEquilibrium`] when the rod does not settle for a bench or an amplitude.
+pub fn draw(request: &Request) -> Result<Case, PlantError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+    let bench = Bench::draw(&mut rng);
+    let trajectories = bench.trajectories();
+    let rows = plan(request.design, &trajectories, &mut rng);
+    let end_s = rows.iter().rev().find(|r| !r.holdout).map_or(0.0, |r| r.t_s);
+    let mut plant = Plant::new(bench, trajectories, rows);
+    let without = plant.clean(&[])?;
+
+    let kinds = match &request.want {
+        Want::Effects(kinds) => kinds.clone(),
+        _ => Vec::new(),
+    };
+    let mut effects = Vec::new();
+    let mut each = Map::new();
+    let mut target_reached = true;
+    for kind in kinds {
+        let mut effect = Effect::draw(kind, end_s, &mut rng);
+        let size = scale(&mut plant, &mut effect, &without, request.target_sigma)?;
+        target_reached &= (size / request.target_sigma - 1.0).abs() < 0.05;
+        each.insert(kind.name().0.into(), json!((size * 10.0).round() / 10.0));
+        effects.push(effect);
+    }
+    let clean = if effects.is_empty() { without.clone() } else { plant.clean(&effects)? };
+    let projected = plant.size(&clean, &without);
+
+    let readings = measure(&plant, &clean, &mut rng);
+    let mut truth = truth(request, &plant, &effects, &clean, projected, each, target_reached);
+    truth.oracle_after_nmm = oracle_error_nmm(&plant, &clean, &readings);
+    if let ([one], true) = (effects.as_slice(), request.rivals) {
+        truth.nearest_rival = nearest(&mut plant, one.kind.name().0, &clean, &without)?;
+    }
+    let mut case = Case { bench: plant.bench.clone(), readings, truth };
+    if let Want::Adversarial(trick) = request.want {
+        adversarial::tamper(&mut case, trick, &mut rng);
+    }
+    Ok(case)
+}
+
+/// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the size.
+fn scale(plant: &mut Plant, effect: &mut Effect, without: &[Clean], target: f64) -> Result<f64, PlantError> {
+    let range = effect.kind.range();
+    let mut size_at = |a: f64, effect: &mut Effect| -> Result<f64, PlantError> {
+        effect.amplitude = a;
+        let with = plant.clean(std::slice::from_ref(effect))?;
+        Ok(plant.size(&with, without))
+    };
+    let (mut low, mut high) = (range.low, range.high);
+    let (mut low_tried, mut high_tried) = (false, false);
+    let mut a = if low > 0.0 { (low * high).sqrt() } else { 0.5 * (low + high) };
+    let mut size = f64::NAN;
+    for _ in 0..12 {
+        size = size_at(a, effect)?;
+        if (size / target - 1.0).abs() < 0.02 {
+            break;
+        }
+        if size < target {
+            (low, low_tried) = (a, true);
+        } else {
+            (high, high_tried) = (a, true);
+        }
+        if high - low < 1e-9 {
+            break;
+        }
+        // Most effects grow in proportion; the bracket guards the rest.
+        let guess = a * target / size.max(1e-9);
+        a = if guess > low && guess < high {
+            guess
+        } else if guess >= high && !high_tried {
+            high
+        } else if guess <= low && !low_tried {
+            low
+        } else {
+            0.5 * (low + high)
+        };
+    }
+    Ok(size)
+}
+
+/// Turns noise-free answers into readings.
+fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
+    let bench = &plant.bench;
+    let mut normal = |sd: f64| -> f64 {
+        let z: f64 = StandardNormal.sample(rng);
+        sd * z
+    };
+    let mut out = Vec::with_capacity(clean.len());
+    let mut point = 0;
+    for (i, (row, answer)) in plant.rows.iter().zip(clean).enumerate() {
+        if i > 0 && row.holdout != plant.rows[i - 1].holdout {
+            point = 0;
+        }
+        let samples: usize = if row.speed_mm_s > 0.0 { 200 } else { 2000 };
+        let blur = bench.sample_sd_pm / (samples as f64).sqrt();
+        let warm = bench.thermal.at(row.t_s);
+        let trajectory = &plant.trajectories[row.trajectory];
+        let groove = trajectory.path.origin_mm + trajectory.path.direction * row.commanded_mm;
+        let fbg_nm = [0, 1].map(|c| {
+            let noise = normal(bench.noise_pm) + normal(blur);
+            let shift_pm = bench.zero_pm[c] + answer.shift_pm[c] + PM_PER_DEGC * warm + noise;
+            bench.nominal_nm[c] + 1e-3 * shift_pm
+        });
+        let sd_pm = [0, 1].map(|_| bench.sample_sd_pm * (1.0 + 0.02 * normal(1.0).clamp(-2.5, 2.5)));
+        out.push(Reading {
+            point,
+            planned: row.clone(),
+            trajectory_id: trajectory.id,
+            groove_mm: [groove.x, groove.y, groove.z],
+            temperature_degc: REFERENCE_DEGC + warm + normal(0.02),
+            reference_nm: bench.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + normal(blur)),
+            fbg_nm,
+            sd_pm,
+            samples,
+        });
+        point += 1;
+    }
+    out
+}
+
+fn truth(
+    request: &Request,
+    plant: &Plant,
+    effects: &[Effect],
+    clean: &[Clean],
+    projected: f64,
+    sizes_each: Map<String, Value>,
+    target_reached: bool,
+) -> Truth {
+    let unknown = effects.iter().find(|e| e.kind.is_unknown());
+    let driver = unknown.and_then(|e| e.kind.driver());
+    let label = match (&request.want, effects) {
+        (Want::Adversarial(_), _) => "adversarial".to_owned(),
+        (_, []) => "null".to_owned(),
+        (_, [one]) => one.kind.name().0.to_owned(),
+        _ => "pair".to_owned(),
+    };
+    let by_name = |f: &dyn Fn(&Effect) -> Value| -> Map<String, Value> {
+        effects.iter().map(|e| (e.kind.name().0.to_owned(), f(e))).collect()
+    };
+    let (laws, parameters) = (by_name(&|e| json!(e.kind.name().1)), by_name(&|e| e.parameters()));
+    let expected = match request.want {
+        Want::Adversarial(trick) => trick.expected().iter().map(|s| (*s).to_owned()).collect(),
+        _ => Vec::new(),
+    };
+    Truth {
+        effects: parameters,
+        design: request.design,
+        noise_pm: plant.bench.noise_pm,
+        k: plant.bench.k,
+        zero: plant.bench.zero_pm,
+        label,
+        names: effects.iter().map(|e| e.kind.name().0.to_owned()).collect(),
+        size: match request.target_sigma {
+            s if s < 10.0 => 1,
+            s if s < 16.0 => 2,
+            s if s < 30.0 => 3,
+            _ => 4,
+        },
+        projected_size_in_noises: (projected * 10.0).round() / 10.0,
+        holdout_moments_nmm: plant
+            .rows
+            .iter()
+            .zip(clean)
+            .filter(|(r, _)| r.holdout)
+            .map(|(_, c)| c.moment_nmm.map(|m| (m * 1e6).round() / 1e6 + 0.0))
+            .collect(),
+        laws,
+        sizes_each,
+        target_sigma: request.target_sigma,
+        target_reached,
+        driver: driver.map_or_else(Vec::new, |d| d.0.iter().map(|s| (*s).to_owned()).collect()),
+        shape: driver.map(|d| d.1.to_owned()),
+        expected,
+        oracle_after_nmm: f64::NAN,
+        nearest_rival: None,
+        seed: request.seed,
+    }
+}
+
+const HEADER: &str = "point,role,trajectory,replicate,t_s,stage_mm,direction,speed_mm_s,dwell_s,groove_x_mm,groove_y_mm,groove_z_mm,temperature_degc,fbg_ref_nm,fbg_1_nm,fbg_2_nm,fbg_1_sd_pm,fbg_2_sd_pm,samples\n";
+
+impl Case {
+    /// Writes `session.toml`, `points.csv` and `holdout.csv` into `folder` (made if missing); its name is the id.
+    ///
+    /// # Errors
+    /// [`PlantError::Write`] with the file that could not be written.
+    pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
+        let put = |path: &Path, text: &str| {
+            std::fs::write(path, text)
+                .map_err(|source| PlantError::Write { path: path.display().to_string(), source })
+        };
+        std::fs::create_dir_all(folder)
+            .map_err(|source| PlantError::Write { path: folder.display().to_string(), source })?;
+        let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
+        put(&folder.join("session.toml"), &self.session_toml(&id))?;
+        put(&folder.join("points.csv"), &self.table(false))?;
+        put(&folder.join("holdout.csv"), &self.table(true))
+    }
+
+    fn table(&self, holdout: bool) -> String {
+        let mut out = String::from(HEADER);
+        for r in self.readings.iter().filter(|r| r.planned.holdout == holdout) {
+            let p = &r.planned;
+            let [x, y, z] = r.groove_mm.map(|v| v + 0.0);
+            let _ = writeln!(
+                out,
+                "{},{},{},{},{:.3},{:.6},{},{:.3},{:.3},{x:.5},{y:.5},{z:.5},{:.3},{:.7},{:.7},{:.7},{:.4},{:.4},{}",
+                r.point,
+                p.role,
+                r.trajectory_id,
+                p.replicate,
+                p.t_s,
+                p.stage_mm,
+                p.direction,
+                p.speed_mm_s,
+                p.dwell_s,
+                r.temperature_degc,
+                r.reference_nm,
+                r.fbg_nm[0],
+                r.fbg_nm[1],
+                r.sd_pm[0],
+                r.sd_pm[1],
+                r.samples
+            );
+        }
+        out
+    }
+
+    fn session_toml(&self, id: &str) -> String {
+        let b = &self.bench;
+        let mut out = format!(
+            "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"whisker\"\nmedium = \"air\"\ncreated = \"2026-11-20T09:00:00Z\"\n\n\
+             [files]\npoints = \"points.csv\"\nholdout = \"holdout.csv\"\n\n\
+             [whisker]\ndiameter_mm = {DIAMETER_MM}\nlength_mm = {LENGTH_MM:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
+             youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
+             [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\
+             temperature_pm_per_degc = [10.0, 10.0]\nreference_temperature_pm_per_degc = 10.0\n\n",
+            b.straight_mm,
+            b.arc_radius_mm,
+            b.youngs_gpa,
+            b.shear_gpa,
+            b.nominal_nm[0],
+            b.nominal_nm[1],
+            b.reference_nominal_nm
+        );
+        for t in b.trajectories() {
+            let (o, d) = (t.path.origin_mm.map(|v| v + 0.0), t.path.direction.map(|v| v + 0.0));
+            let _ = write!(
+                out,
+                "[[trajectory]]\nid = {}\nnominal_arclength_mm = {:.1}\norigin_mm = [{:.6}, {:.6}, {:.6}]\n\
+                 direction = [{:.8}, {:.8}, {:.8}]\n\n",
+                t.id, t.path.arclength_mm, o.x, o.y, o.z, d.x, d.y, d.z
+            );
+        }
+        out
+    }
+}

@@ -1,0 +1,174 @@
+//! The program on its own recordings, end to end, with negative controls.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
+}
+
+fn copy(from: &Path) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    for entry in std::fs::read_dir(from).expect("fixture") {
+        let path = entry.expect("entry").path();
+        if path.is_file() {
+            std::fs::copy(&path, folder.path().join(path.file_name().expect("name"))).expect("copied");
+        }
+    }
+    folder
+}
+
+fn verify(session: &Path) -> (i32, Value) {
+    let out = tempfile::tempdir().expect("temporary folder");
+    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        .arg("verify")
+        .arg(session)
+        .arg("--out")
+        .arg(out.path())
+        .arg("--json")
+        .output()
+        .expect("wcal runs");
+    let stderr = String::from_utf8_lossy(&run.stderr).into_owned();
+    let json = serde_json::from_slice(&run.stdout).unwrap_or_else(|e| panic!("{e}: {stderr}"));
+    for file in ["verify.json", "report.html"] {
+        assert!(out.path().join(file).is_file(), "{file} is written");
+    }
+    (run.status.code().unwrap_or(-1), json)
+}
+
+fn points(v: &Value, kind: &str) -> Vec<i64> {
+    let faults = v["twin"]["faults"].as_array().expect("faults");
+    let of_kind = faults.iter().filter(|f| f["kind"] == kind);
+    of_kind.flat_map(|f| f["points"].as_array().expect("points").iter().filter_map(Value::as_i64)).collect()
+}
+
+#[test]
+fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
+    let (code, v) = verify(&fixture("whiskerfbg"));
+    assert_eq!(code, 4);
+    // The six deepest poses of the outer trajectories, where the released twin's wire snapped aside.
+    assert_eq!(points(&v, "branch"), [11, 14, 17, 20, 23, 26]);
+    let before = v["before"]["wavelength_rmse_pm"].as_f64().expect("before");
+    let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
+    assert!((before - 24.1).abs() < 0.2, "released labels with K and zero leave about 24 pm, found {before}");
+    assert!(after < 0.5 * before, "{before} -> {after}");
+    // The README quotes this run and nothing else.
+    let readme =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).expect("README");
+    let quoted = format!(
+        "| {before:.1} pm | {after:.1} pm | 11, 14, 17, 20, 23, 26 | {} |",
+        v["verdict"].as_str().expect("verdict")
+    );
+    assert!(readme.contains(&quoted), "README.md lacks the line that this run prints: {quoted}");
+}
+
+/// Every row of `points.csv` with `edit` applied to the cell of `column`.
+fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tempfile::TempDir {
+    let folder = copy(from);
+    let path = folder.path().join("points.csv");
+    let text = std::fs::read_to_string(&path).expect("points");
+    let index = text.lines().next().expect("header").split(',').position(|c| c == column).expect("column");
+    let lines: Vec<String> = text
+        .lines()
+        .enumerate()
+        .map(|(i, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if let Ok(value) = cells[index].parse::<f64>() {
+                cells[index] = edit(i, value);
+            }
+            cells.join(",")
+        })
+        .collect();
+    std::fs::write(&path, lines.join("\n") + "\n").expect("written");
+    folder
+}
+
+#[test]
+fn a_perturbed_pose_is_noticed() {
+    // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4 mm deeper than it was.
+    let moved =
+        |i: usize, mm: f64| format!("{:.6}", if i % 7 == 0 && i < 40 && mm > 0.0 { mm + 0.4 } else { mm });
+    let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
+    let folder = edited(stage.path(), "groove_z_mm", moved);
+    let (code, v) = verify(folder.path());
+    assert_eq!(code, 4, "{}", v["reason"]);
+}
+
+#[test]
+fn labels_in_another_unit_are_named_so() {
+    let folder = copy(&fixture("whiskerfbg"));
+    let path = folder.path().join("twin.csv");
+    let text = std::fs::read_to_string(&path).expect("twin.csv");
+    let mut lines = text.lines();
+    let mut out = lines.next().expect("header").to_owned() + "\n";
+    for line in lines {
+        let cells: Vec<&str> = line.split(',').collect();
+        let metres = |c: &str| format!("{:e}", c.parse::<f64>().expect("moment") * 1e-3);
+        out += &format!("{},{},{}\n", cells[0], metres(cells[1]), metres(cells[2]));
+    }
+    std::fs::write(&path, out).expect("written");
+    let (_, v) = verify(folder.path());
+    assert!(points(&v, "unit").len() > 15, "{}", v["twin"]);
+}
+
+#[test]
+fn wavelengths_in_picometres_are_refused() {
+    let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| format!("{:.4}", nm * 1000.0));
+    let out = tempfile::tempdir().expect("temporary folder");
+    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        .arg("verify")
+        .arg(folder.path())
+        .arg("--out")
+        .arg(out.path())
+        .output()
+        .expect("wcal runs");
+    assert_eq!(run.status.code(), Some(1));
+    let v: Value = serde_json::from_slice(&std::fs::read(out.path().join("verify.json")).expect("written"))
+        .expect("json");
+    assert_eq!(v["verdict"], "refused");
+}
+
+#[test]
+fn a_perturbed_label_is_found() {
+    let folder = copy(&fixture("whiskerfbg"));
+    let path = folder.path().join("twin.csv");
+    let text = std::fs::read_to_string(&path).expect("twin.csv");
+    // Point 4 sits on a symmetric trajectory: a large first moment is impossible there.
+    let changed: Vec<String> = text
+        .lines()
+        .map(|l| if l.starts_with("4,") { "4,0.9,-1.0".to_owned() } else { l.to_owned() })
+        .collect();
+    assert_ne!(changed.join("\n"), text.trim_end());
+    std::fs::write(&path, changed.join("\n") + "\n").expect("written");
+    let (_, v) = verify(folder.path());
+    assert!(points(&v, "branch").contains(&4), "{}", v["twin"]);
+}
+
+#[test]
+fn a_simulated_null_session_is_adequate() {
+    let (code, v) = verify(&fixture("practice/case-004"));
+    assert_eq!((code, v["verdict"].as_str()), (0, Some("adequate")), "{}", v["reason"]);
+    assert_eq!(v["effects"].as_array().map(Vec::len), Some(0));
+}
+
+#[test]
+fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
+    let (code, v) = verify(&fixture("practice/case-008"));
+    assert_eq!((code, v["verdict"].as_str()), (4, Some("effect")), "{}", v["reason"]);
+    assert_eq!(v["effects"][0]["id"], "groove-friction");
+    let mu = v["effects"][0]["parameters"][0]["value"].as_f64().expect("value");
+    assert!((mu - 0.1746).abs() < 0.03, "true coefficient 0.1746 (fixtures/practice/truth.json), found {mu}");
+
+    // Negative control: sealed rows that were in the fit.
+    let folder = copy(&fixture("practice/case-008"));
+    let points = std::fs::read_to_string(folder.path().join("points.csv")).expect("points");
+    let copied: Vec<String> = points
+        .lines()
+        .take(20)
+        .map(|l| l.replace("verification", "holdout").replace("calibration", "holdout"))
+        .collect();
+    std::fs::write(folder.path().join("holdout.csv"), copied.join("\n") + "\n").expect("written");
+    let (code, v) = verify(folder.path());
+    assert_eq!((code, v["verdict"].as_str()), (1, Some("refused")), "{}", v["reason"]);
+}

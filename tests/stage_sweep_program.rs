@@ -216,7 +216,11 @@ fn a_dry_run_draws_the_path_and_checks_the_limits() {
     let drawn = dry_run(&rig, &plan, false);
     assert_eq!(drawn.status.code(), Some(0), "{}", text(&drawn.stderr));
     let lines = text(&drawn.stdout);
-    assert_eq!(lines.lines().filter(|l| l.starts_with("trajectory") && l.contains('o')).count(), 9, "{lines}");
+    assert_eq!(
+        lines.lines().filter(|l| l.starts_with("trajectory") && l.contains('o')).count(),
+        9,
+        "{lines}"
+    );
     let listed = document(&dry_run(&rig, &plan, true));
     assert_eq!((&listed["format"], &listed["readings"]), (&"wcal-path/1".into(), &36.into()));
     // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and usage.

@@ -10,7 +10,9 @@ use wcal_session::recording::reduce::{Reduction, reduce};
 
 /// Arguments of `wcal reduce`.
 #[derive(Debug, Args)]
-#[command(after_help = "Exit code 0: good; 1: cannot be reduced; 3: reduced, with scans lost, a recording cut off or another warning.")]
+#[command(
+    after_help = "Exit code 0: good; 1: cannot be reduced; 3: reduced, with scans lost, a recording cut off or another warning."
+)]
 pub struct ReduceArgs {
     /// Session folder with rig.toml, run.json and recording.mcap
     pub session: PathBuf,

@@ -130,10 +130,8 @@ fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
 }
 
 fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<ExitCode> {
-    let (rig, plan, steps) = plan_only(
-        (&rig.0.display().to_string(), rig.1),
-        (&plan.0.display().to_string(), plan.1),
-    )?;
+    let (rig, plan, steps) =
+        plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
     if as_json {
@@ -180,7 +178,10 @@ fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
     if let Some(cause) = cause {
         writeln!(out, "stage-sweep: stopped: {cause}")?;
         if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
-            writeln!(out, "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else")?;
+            writeln!(
+                out,
+                "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
+            )?;
         }
         writeln!(out, "go on with the same rig and plan and --resume {}", folder.display())?;
     }

@@ -13,8 +13,10 @@ use wcal_plant::table::{Path as GroovePath, Table};
 
 /// Arguments of `wcal virtual-bench`.
 #[derive(Debug, Args)]
-#[command(after_help = "Prints one JSON line of addresses and runs until its input closes. Lines of input are faults: stall, reset,
-unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md).")]
+#[command(
+    after_help = "Prints one JSON line of addresses and runs until its input closes. Lines of input are faults: stall, reset,
+unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md)."
+)]
 pub struct VirtualBenchArgs {
     /// Scenario file
     #[arg(long, value_name = "S.toml")]
@@ -80,14 +82,8 @@ struct RodPlant {
 impl RodPlant {
     fn new(scenario: &Scenario) -> Result<Self> {
         let w = &scenario.whisker;
-        let wire = Wire::new(
-            w.diameter_mm,
-            w.length_mm,
-            w.straight_mm,
-            w.arc_radius_mm,
-            w.youngs_gpa,
-            w.shear_gpa,
-        );
+        let wire =
+            Wire::new(w.diameter_mm, w.length_mm, w.straight_mm, w.arc_radius_mm, w.youngs_gpa, w.shear_gpa);
         let table = |t: &wcal_drivers::bench::scenario::TrajectoryScenario| {
             let arclength_mm = rest_arclength_mm(w, t.origin_mm);
             let path = GroovePath {

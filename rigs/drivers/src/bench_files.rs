@@ -99,9 +99,7 @@ pub fn open_cameras(rig: &Rig, clock: HostClock) -> Result<Option<CameraPair>, D
         Ok(opened)
     };
     match rig.camera.as_slice() {
-        [first, second] => {
-            Ok(Some(CameraPair::new([open(first)?, open(second)?], rig.camera_skew_limit_ms)))
-        }
+        [first, second] => Ok(Some(CameraPair::new([open(first)?, open(second)?], rig.camera_skew_limit_ms))),
         _ => Ok(None),
     }
 }

@@ -84,10 +84,7 @@ impl Recorded {
 ///
 /// # Errors
 /// Whatever does not fit.
-pub fn plan_only(
-    rig: (&str, &str),
-    plan: (&str, &str),
-) -> Result<(Rig, Plan, Vec<Step>), RecordingError> {
+pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), RecordingError> {
     let (rig, plan) = (Rig::parse(rig.0, rig.1)?, Plan::parse(plan.0, plan.1)?);
     let steps = plan.steps(&rig, [0.0, rig.stage.travel_mm])?;
     Ok((rig, plan, steps))
@@ -112,7 +109,8 @@ pub fn record(
     let mut devices = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
     devices.insert("interrogator".to_owned(), interrogator.identity()?);
     let mut cameras = open_cameras(&rig, clock)?;
-    let names: [String; 2] = std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
+    let names: [String; 2] =
+        std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
     if let Some(pair) = &mut cameras {
         let identities = names.iter().cloned().zip(pair.identities()?);
         devices.extend(identities.map(|(name, identity)| (format!("camera_{name}"), identity)));
@@ -137,7 +135,8 @@ pub fn record(
     let sweep = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
         if let Some(pair) = &mut cameras {
-            scope.spawn(|| watch(pair, &names, &monitor, &recorder, &done));
+            let (names, monitor, recorder, done) = (&names, &monitor, &recorder, &done);
+            scope.spawn(move || watch(pair, names, monitor, recorder, done));
         }
         let bench = SweepBench {
             stage,
@@ -202,9 +201,11 @@ fn same(folder: &Path, name: &str, text: &str) -> Result<(), RecordingError> {
 /// A document without what says where the devices hang; `None` where it is no TOML.
 fn without_links(text: &str) -> Option<toml::Table> {
     let mut table: toml::Table = text.parse().ok()?;
-    for (section, keys) in
-        [("stage", &["port", "baud"][..]), ("interrogator", &["address", "peaks_address"]), ("camera", &["source"])]
-    {
+    for (section, keys) in [
+        ("stage", &["port", "baud"][..]),
+        ("interrogator", &["address", "peaks_address"]),
+        ("camera", &["source"]),
+    ] {
         let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
             Some(toml::Value::Table(one)) => vec![one],
             Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),

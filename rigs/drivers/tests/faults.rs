@@ -74,7 +74,10 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, k: usize) {
     // The first rest was read before every fault; a finished sweep has all six rows.
     let finished = matches!(recorded.sweep.ending, Ending::Finished);
     let count = rows(&dir.path().join("session")).rows.len();
-    assert!(if finished { count == 6 } else { (1..6).contains(&count) }, "{fault:?} in run {k}: {count} rows");
+    assert!(
+        if finished { count == 6 } else { (1..6).contains(&count) },
+        "{fault:?} in run {k}: {count} rows"
+    );
 }
 
 fn eight(fault: Fault, extra: &str, outcome: Outcome) {

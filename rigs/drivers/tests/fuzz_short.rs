@@ -28,7 +28,25 @@ fn damaged_stream() -> impl Strategy<Value = Vec<u8>> {
 
 /// Characters of the protocol, so that commands come about.
 fn zaber_line() -> impl Strategy<Value = Vec<u8>> {
-    let words = ["/1 1 ", "/1 ", "/", "move abs ", "home", "stop", "get ", "set ", "pos", "accel ", "warnings clear", "-- ", "7", "-1", ":", "\\", "\u{ff}"];
+    let words = [
+        "/1 1 ",
+        "/1 ",
+        "/",
+        "move abs ",
+        "home",
+        "stop",
+        "get ",
+        "set ",
+        "pos",
+        "accel ",
+        "warnings clear",
+        "-- ",
+        "7",
+        "-1",
+        ":",
+        "\\",
+        "\u{ff}",
+    ];
     vec(proptest::sample::select(words.to_vec()), 0..8).prop_map(|w| w.concat().into_bytes())
 }
 

@@ -324,7 +324,11 @@ shear_gpa = 28.2
             ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
             ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
             ("retract_mm = -2", "retrct_mm = -2", "rig file"),
-            ("[whisker]", "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]", "camera"),
+            (
+                "[whisker]",
+                "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]",
+                "camera",
+            ),
         ] {
             let error = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap_err().to_string();
             assert!(error.contains(field), "{field}: {error}");

@@ -24,11 +24,14 @@ exam:
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
-# Side by side with scipy, scikit-learn and the stage maker's client in one run each; prints tables, writes peers-*.json.
+# Side by side with scipy, scikit-learn, cv2 and the stage maker's client in one run each; prints tables and writes peers-*.json.
 peers: setup
 	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
-	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn
+	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless
 	tests/peers/.venv/bin/python tests/peers/rod_peers.py --json peers-rod.json
 	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
+	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
+	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
+	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal
 	cargo test --locked -p wcal-drivers --test vendor_client -- --ignored --nocapture

@@ -1,9 +1,10 @@
 //! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
 //!
 //! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
-//! `[--mix null|single|pair|unknown|paper|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
+//! `[--follow-up] [--mix null|single|pair|unknown|paper|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
 //! `[--keep DIR] [--write DIR]`
 //!
+//! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
 
 use std::path::PathBuf;
@@ -22,6 +23,7 @@ struct Options {
     mix: String,
     only: Option<String>,
     rivals: bool,
+    follow_up: bool,
     wcal: PathBuf,
     json: Option<PathBuf>,
     keep: Option<PathBuf>,
@@ -41,6 +43,7 @@ fn options() -> anyhow::Result<Options> {
         mix: "all".into(),
         only: None,
         rivals: true,
+        follow_up: false,
         wcal: beside.unwrap_or_else(|| "target/release/wcal".into()),
         json: None,
         keep: None,
@@ -60,6 +63,7 @@ fn options() -> anyhow::Result<Options> {
             "--json" => o.json = Some(value()?.into()),
             "--keep" => o.keep = Some(value()?.into()),
             "--write" => o.write = Some(value()?.into()),
+            "--follow-up" => o.follow_up = true,
             "--no-rivals" => o.rivals = false,
             other => bail!("unknown option {other}; see the head of examples/exam.rs"),
         }
@@ -78,7 +82,13 @@ fn main() -> anyhow::Result<ExitCode> {
     }
     let scratch = tempfile::tempdir()?;
     let folder = o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf());
-    let examiner = Examiner { program: o.wcal.clone(), folder, jobs: o.jobs, timeout_s: o.timeout_s };
+    let examiner = Examiner {
+        program: o.wcal.clone(),
+        folder,
+        jobs: o.jobs,
+        timeout_s: o.timeout_s,
+        follow_up: o.follow_up,
+    };
     let printed = Mutex::new(());
     let results = examiner.examine(&orders, &|outcome| {
         let _one_line_at_a_time = printed.lock();
@@ -140,7 +150,14 @@ fn line(o: &Outcome) -> String {
         o.oracle_ratio,
         number(coverage),
         o.seconds,
-        o.why
+        o.follow_up.as_ref().map_or(o.why.clone(), |f| format!(
+            "later: {} [{}] {:?}, stated power {:.2} {}",
+            f.verdict,
+            f.got.join(","),
+            f.kind,
+            f.expected_power,
+            f.why
+        ))
     )
 }
 

@@ -10,7 +10,13 @@ use wcal_plant::orders;
 fn examine(mix: &str, draws: usize, seed: u64) -> Vec<Outcome> {
     let folder = tempfile::tempdir().unwrap();
     let program = PathBuf::from(env!("CARGO_BIN_EXE_wcal"));
-    let examiner = Examiner { program, folder: folder.path().to_path_buf(), jobs: 2, timeout_s: 240.0 };
+    let examiner = Examiner {
+        program,
+        folder: folder.path().to_path_buf(),
+        jobs: 2,
+        timeout_s: 240.0,
+        follow_up: false,
+    };
     let orders = orders(mix, draws, seed, None, false);
     let results = examiner.examine(&orders, &|_| {});
     results.into_iter().map(Result::unwrap).collect()

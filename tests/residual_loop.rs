@@ -53,11 +53,27 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
     assert!((before - 24.1).abs() < 0.2, "released labels with K and zero leave about 24 pm, found {before}");
     assert!(after < 0.5 * before, "{before} -> {after}");
+    // The map left out reading by reading, on the released and on the repaired labels: 28 rows, affine.
+    let map = |side: &str, k: usize| v[side]["loo"]["moment_rmse_nmm_each"][k].as_f64().expect("loo");
+    assert_eq!(
+        (v["before"]["loo"]["map"].as_str(), v["before"]["loo"]["points"].as_u64()),
+        (Some("affine"), Some(28))
+    );
+    assert!(
+        (map("before", 0) - 0.50).abs() < 0.005 && (map("before", 1) - 0.24).abs() < 0.005,
+        "{}",
+        v["before"]
+    );
+    assert!(map("after", 0) < 0.5 * map("before", 0) && map("after", 1) < map("before", 1), "{}", v["after"]);
     // The README quotes this run and nothing else.
     let readme =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).expect("README");
     let quoted = format!(
-        "| {before:.1} pm | {after:.1} pm | 11, 14, 17, 20, 23, 26 | {} |",
+        "| {before:.1} pm | {after:.1} pm | {:.2} / {:.2} N mm | {:.2} / {:.2} N mm | 11, 14, 17, 20, 23, 26 | {} |",
+        map("before", 0),
+        map("before", 1),
+        map("after", 0),
+        map("after", 1),
         v["verdict"].as_str().expect("verdict")
     );
     assert!(readme.contains(&quoted), "README.md lacks the line that this run prints: {quoted}");

@@ -58,7 +58,7 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     let (cameras, rig, out) =
         (format!("{calibration}/stereo.json"), fixture("rig.toml").display().to_string(), at("shapes"));
     let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras, "--out", &out];
-    let (code, output, text) = wcal(&[&shape[..], &["--rig", &rig, "--overlays"]].concat());
+    let (code, output, text) = wcal(&[&shape[..], &["--rig", &rig, "--overlays", "--report"]].concat());
     assert_eq!(code, 3, "a pair was rejected: {text}");
     assert!(output.stdout.is_empty());
     let shapes: Value =
@@ -69,6 +69,8 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
         assert_eq!(broken, pair["why"].as_str().unwrap().contains("zero bytes"), "{pair}");
     }
     assert!(Path::new(&out).join("overlay-t1-right.png").exists());
+    let report = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
+    assert!(report.contains("<canvas") && report.contains("zero bytes") && !report.contains("://"));
 
     // No base tag in any pair: an error, and the reasons are on file.
     let text = std::fs::read_to_string(&rig).unwrap().replace("id = 0", "id = 17");

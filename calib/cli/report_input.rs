@@ -7,7 +7,7 @@ use wcal_report::{
     TwinTrajectory,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::engine::search::{BEHIND_LIMIT, Evidence};
+use wcal_trace::engine::search::Evidence;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
 use wcal_trace::verify::WhiskerVerification;
 
@@ -162,8 +162,8 @@ fn explanations(found: &[Evidence]) -> Vec<Explanation> {
         .map(|e| Explanation {
             effects: e.effects.clone(),
             log_likelihood_ratio: -0.5 * e.behind,
-            p_value: None,
-            survives: e.behind <= BEHIND_LIMIT,
+            p_value: Some(e.p_value),
+            survives: e.survives(),
         })
         .collect()
 }
@@ -181,7 +181,7 @@ fn evidence(found: &[Evidence]) -> Vec<EvidenceRow> {
             log_likelihood_ratio: Some(-0.5 * e.behind),
             status: if e.behind <= 0.0 {
                 "best".into()
-            } else if e.behind <= BEHIND_LIMIT {
+            } else if e.survives() {
                 "survives".into()
             } else {
                 "rejected".into()

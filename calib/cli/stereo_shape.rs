@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_vision::document::StereoDocument;
 use wcal_vision::overlay::overlay_png;
+use wcal_vision::page::{page, pair_section};
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
@@ -14,7 +15,7 @@ use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
-  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --overlays
+  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --report
 
 Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
 pub struct StereoShapeArgs {
@@ -34,6 +35,9 @@ pub struct StereoShapeArgs {
     /// Draw what was found into the pictures (overlay-*.png beside shapes.json)
     #[arg(long)]
     pub overlays: bool,
+    /// Write report.html: pictures with what was found, residuals, and the shapes in space, to be turned; no network needed
+    #[arg(long)]
+    pub report: bool,
     /// Print shapes.json on stdout
     #[arg(long)]
     pub json: bool,
@@ -57,6 +61,9 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     let path = write(&args.out, "shapes.json", text.as_bytes())?;
     if args.overlays {
         write_overlays(&result, &files, &args.out)?;
+    }
+    if args.report {
+        write_report(&result, &files, &args.out)?;
     }
     let mut clean = result.document.warnings.is_empty();
     for warning in &result.document.warnings {
@@ -95,5 +102,18 @@ fn write_overlays(result: &ShapesResult, files: &[PairFiles], out: &Path) -> any
             write(out, &format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), &png)?;
         }
     }
+    Ok(())
+}
+
+/// `report.html`, one section a usable pair.
+fn write_report(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyhow::Result<()> {
+    let mut sections = Vec::new();
+    for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
+        if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
+            let pictures = [Picture::read(left)?, Picture::read(right)?];
+            sections.push(pair_section(&pictures, &result.stereo, fit, pair)?);
+        }
+    }
+    write(out, "report.html", page(&result.document, &sections).as_bytes())?;
     Ok(())
 }

@@ -310,6 +310,15 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
             println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
         }
+        if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
+            for (k, axis) in ["1", "2"].iter().enumerate() {
+                let [before, after] = [b, a].map(|m| readable(m.moment_rmse_nmm_each[k]));
+                println!(
+                    "    {:<32} {before:>10} {after:>10}",
+                    format!("{} map, loo, moment_{axis}_nmm", b.map)
+                );
+            }
+        }
     }
     let n = &v.noise_floor;
     for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, "(unit of the response)"), (n.error_um, "um")]

@@ -147,8 +147,8 @@ def run_ours():
         command = ["cargo", "bench", "-p", "wcal-map", "--bench", bench]
         done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
         out += [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    fit = next(r for r in out if r["bench"] == "fit")
-    return fit["median_ms"], {r["map"]: r for r in out if r["bench"] == "stream"}
+    fits = {r["candidates"]: r["median_ms"] for r in out if r["bench"] == "fit"}
+    return fits, {r["map"]: r for r in out if r["bench"] == "stream"}
 
 
 def main():
@@ -161,12 +161,13 @@ def main():
 
     peer = f"scikit-learn {sklearn.__version__}"
     theirs, their_ms, their_us, as_released = run_peer()
-    our_ms, streams = run_ours()
+    our_fits, streams = run_ours()
     rows = []
     add = lambda **row: rows.append({"note": "", **row})
-    add(what="map: fit and choose (loto refits) on whiskerfbg", peer=peer, ours=our_ms, theirs=their_ms, unit="ms",
-        ratio=our_ms / their_ms, goal="ratio <= 0.01", met=our_ms / their_ms <= 0.01,
-        note="wcal fits six candidates with intervals, the peer four")
+    for count, our_ms in sorted(our_fits.items()):
+        add(what=f"map: fit and choose {count} maps (loto refits) on whiskerfbg", peer=peer, ours=our_ms, theirs=their_ms, unit="ms",
+            ratio=our_ms / their_ms, goal="ratio <= 0.01", met=our_ms / their_ms <= 0.01,
+            note="wcal with intervals; the peer fits four")
     m52 = streams["matern52"]
     add(what="map: one reading, both moments with deviations", peer=peer, ours=m52["p50_us"], theirs=their_us, unit="us",
         ratio=m52["p50_us"] / their_us, goal="below peer", met=m52["p50_us"] < their_us)

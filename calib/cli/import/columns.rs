@@ -31,6 +31,9 @@ const WHISKER_COLUMNS: &[&str] = &[
     "samples",
 ];
 
+/// Columns of the other kinds that are taken along wherever a table has them under these names.
+const SCALAR_COLUMNS: &[&str] = &["t_s", "direction", "temperature_degc", "replicate", "cycle"];
+
 /// Columns whose cells are not numbers.
 const TEXT_COLUMNS: &[&str] = &["role"];
 
@@ -137,12 +140,11 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         let (name, column) = pair("map", text)?;
         wanted.push((name.to_owned(), column.to_owned()));
     }
-    if args.kind == Kind::Whisker {
-        for name in WHISKER_COLUMNS {
-            let here = table.columns.iter().any(|c| c == name);
-            if here && !wanted.iter().any(|(n, _)| n == name) {
-                wanted.push(((*name).to_owned(), (*name).to_owned()));
-            }
+    let known = if args.kind == Kind::Whisker { WHISKER_COLUMNS } else { SCALAR_COLUMNS };
+    for name in known {
+        let here = table.columns.iter().any(|c| c == name);
+        if here && !wanted.iter().any(|(n, c)| n == name || c == name) {
+            wanted.push(((*name).to_owned(), (*name).to_owned()));
         }
     }
     for (position, (name, _)) in wanted.iter().enumerate() {

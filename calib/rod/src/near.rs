@@ -1,7 +1,7 @@
-//! The same groove point on a wire that differs a little: chord Newton with the Jacobian of a known equilibrium.
+//! The same groove point on a wire that differs a little: Broyden's method from the Jacobian of a known equilibrium.
 //!
 //! A fit asks for hundreds of wires whose stiffness, offset or softening differ by a few per cent. Their equilibria lie next to known
-//! ones, so that plain evaluations with a frozen Jacobian reach them; where they contract too slowly, [`Rod::follow`] is to be used.
+//! ones, so that plain evaluations with a known Jacobian, updated by each step's secant (Broyden 1965), reach them; where they contract too slowly, [`Rod::follow`] is to be used.
 
 use crate::integrate::{Load, to_arclength};
 use crate::solve::{Equilibrium, Rod, Tangential};
@@ -49,6 +49,8 @@ impl Rod {
         let known = &anchor.equilibrium;
         let (mut force, mut s) = (known.force_n, known.arclength_mm);
         let mut last = f64::INFINITY;
+        let mut inverse = anchor.inverse;
+        let mut before: Option<(Vector4<f64>, Vector4<f64>)> = None;
         for iteration in 1..=MAX_ITERATIONS {
             let load = Load { point: (*point_mm).into(), force: force.into(), distributed: None };
             let end = to_arclength(&self.section, &self.shape, self.root(&load), &load, s, |_, _| {});
@@ -73,7 +75,16 @@ impl Rod {
                 return None;
             }
             last = size;
-            let step = anchor.inverse * residual;
+            if let Some((step, residual_before)) = before {
+                // Sherman-Morrison form of the secant update; the step was taken with a minus.
+                let image = inverse * (residual - residual_before);
+                let along_step = step.dot(&image);
+                if along_step.abs() > 1e-12 * step.norm_squared() {
+                    inverse += (-step - image) * (-step).transpose() * inverse / -along_step;
+                }
+            }
+            let step = inverse * residual;
+            before = Some((step, residual));
             force -= step.fixed_rows::<3>(0) * anchor.force_scale_n;
             s -= step[3];
             if !(s > 0.0) {

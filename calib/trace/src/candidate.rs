@@ -39,6 +39,8 @@ pub struct Law {
     pub parameters: Vec<Parameter>,
     /// Names and units of the coefficients that enter linearly, one a column and channel.
     pub linear: Vec<(&'static str, &'static str)>,
+    /// Largest part that those columns may have in what a channel spans; none where the law has no such limit.
+    pub largest_share: Option<f64>,
 }
 
 /// An effect of a catalogue.

@@ -6,6 +6,7 @@ pub mod engine;
 mod error;
 pub mod mechanics;
 pub mod path;
+mod points;
 pub mod scalar;
 pub mod tables;
 pub mod verify;

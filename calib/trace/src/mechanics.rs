@@ -1,5 +1,6 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
 
+use crate::points::{PointStore, positions};
 use crate::tables::{LARGEST_RATIO, LineTable, RATIO_STEPS, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -43,7 +44,7 @@ impl Default for Mechanics {
 
 impl Mechanics {
     /// Rough distance of two wires, 1 where a step from one to the other is worth trying.
-    fn distance(&self, other: &Self) -> f64 {
+    pub(crate) fn distance(&self, other: &Self) -> f64 {
         let softening = |m: &Self| match m.softening {
             None => (0.0, 1.0, 0.0_f64),
             Some(Softening::Bilinear { onset_per_m, ratio }) => (1.0 - ratio, onset_per_m, 1.0),
@@ -63,7 +64,7 @@ impl Mechanics {
         sum.sqrt() + if self.weight == other.weight { 0.0 } else { f64::INFINITY }
     }
 
-    fn key(&self) -> Vec<u64> {
+    pub(crate) fn key(&self) -> Vec<u64> {
         let mut key: Vec<u64> = self.offset_mm.iter().map(|v| v.to_bits()).collect();
         key.extend(self.compliance_rad_per_nmm.iter().map(|v| v.to_bits()));
         match self.softening {
@@ -90,19 +91,22 @@ struct LineAnchors {
 }
 
 /// Walked wires kept a line.
-const ANCHORS: usize = 12;
+pub(crate) const ANCHORS: usize = 12;
 /// Wires further apart are walked; nearer ones are tried from the known one first.
-const NEAR: f64 = 2.0;
+pub(crate) const NEAR: f64 = 2.0;
 
 /// The rod's answers along the lines of one session, kept by mechanical parameters.
 pub struct Bench {
     spec: WhiskerSpec,
     fluid_kg_m3: f64,
-    lines: Vec<Line>,
+    pub(crate) lines: Vec<Line>,
     start_mm: Vec<f64>,
     reach_mm: Vec<f64>,
-    axes: MomentAxes,
+    pub(crate) axes: MomentAxes,
     step_mm: f64,
+    /// So few readings that each is solved for by itself.
+    sparse: bool,
+    pub(crate) points: PointStore,
     touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
     anchors: Vec<Mutex<Vec<Arc<LineAnchors>>>>,
     tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
@@ -115,6 +119,16 @@ const MESH_MM: f64 = 4.0;
 const GRID_MM: f64 = 0.8;
 /// Room past the last reading for effects that shift the stage, mm.
 const MARGIN_MM: f64 = 0.6;
+
+/// At most this many distinct positions a line, on average, are solved one by one: a table has some twenty.
+const SPARSE_POSITIONS: usize = 6;
+
+fn is_sparse(path: &crate::path::WhiskerPath) -> bool {
+    let xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
+    let wanted = positions(&path.nodes, &xs, path.lines.len());
+    let used = wanted.iter().filter(|w| !w.is_empty()).count();
+    wanted.iter().map(Vec::len).sum::<usize>() <= SPARSE_POSITIONS * used
+}
 
 impl Bench {
     /// Bench of a whisker and the lines that its readings use.
@@ -135,6 +149,8 @@ impl Bench {
             reach_mm: path.reach_mm.clone(),
             axes: path.moments.clone(),
             step_mm: MESH_MM,
+            sparse: is_sparse(path),
+            points: PointStore::new(path.lines.len()),
             touches: Mutex::new(HashMap::new()),
             anchors: path.lines.iter().map(|_| Mutex::new(Vec::new())).collect(),
             tables: Mutex::new(HashMap::new()),
@@ -143,7 +159,7 @@ impl Bench {
     }
 
     /// The rod with the given deviations.
-    fn rod(&self, mechanics: &Mechanics) -> Option<Rod> {
+    pub(crate) fn rod(&self, mechanics: &Mechanics) -> Option<Rod> {
         let mut rod = Rod::new(&self.spec, self.step_mm).ok()?;
         let [y, z] = mechanics.compliance_rad_per_nmm;
         let largest = y.abs().max(z.abs());
@@ -160,7 +176,7 @@ impl Bench {
         Some(rod)
     }
 
-    fn line(&self, l: usize, mechanics: &Mechanics) -> Line {
+    pub(crate) fn line(&self, l: usize, mechanics: &Mechanics) -> Line {
         Line {
             origin_mm: self.lines[l].origin_mm + Vector3::from(mechanics.offset_mm),
             direction: self.lines[l].direction,
@@ -233,7 +249,7 @@ impl Bench {
     }
 
     /// First touch; it depends on the groove's offset alone.
-    fn touch(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Touch {
+    pub(crate) fn touch(&self, rod: &Rod, l: usize, mechanics: &Mechanics) -> Touch {
         let find =
             || rod.first_touch(&self.line(l, mechanics), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
         let Ok(mut kept) = self.touches.lock() else { return find() };
@@ -353,6 +369,24 @@ impl Bench {
         Some(slip)
     }
 
+    /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
+    fn frictionless(
+        &self,
+        nodes: &[crate::path::Node],
+        xs_mm: &[f64],
+        mechanics: &Mechanics,
+    ) -> Option<Vec<[f64; 2]>> {
+        if self.sparse && mechanics.weight == 0.0 {
+            return Some(self.solved_moments(nodes, xs_mm, mechanics)?.to_vec());
+        }
+        let tables = self.tables(mechanics)?;
+        let at = |(node, x): (&crate::path::Node, &f64)| match node.line.filter(|_| !node.rest) {
+            Some(l) => tables[l].moment(*x),
+            None => Some([0.0; 2]),
+        };
+        nodes.iter().zip(xs_mm).map(at).collect()
+    }
+
     /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage positions.
     pub fn moments(
         &self,
@@ -360,24 +394,20 @@ impl Bench {
         xs_mm: &[f64],
         mechanics: &Mechanics,
     ) -> Option<Vec<[f64; 2]>> {
-        let tables = self.tables(mechanics)?;
-        let slips = if mechanics.friction > 0.0 { Some(self.slip_tables(mechanics)?) } else { None };
+        let frictionless = self.frictionless(nodes, xs_mm, mechanics)?;
+        if mechanics.friction <= 0.0 {
+            return Some(frictionless);
+        }
+        let slips = self.slip_tables(mechanics)?;
         let mut contact: Option<(usize, f64, f64)> = None;
         let mut out = Vec::with_capacity(nodes.len());
-        for (node, &x) in nodes.iter().zip(xs_mm) {
+        for ((node, &x), frictionless) in nodes.iter().zip(xs_mm).zip(frictionless) {
             let Some(l) = node.line.filter(|_| !node.rest) else {
                 contact = None;
                 out.push([0.0; 2]);
                 continue;
             };
-            let frictionless = tables[l].moment(x)?;
-            let Some(slip) = slips.as_ref().and_then(|s| s[l].as_ref()) else {
-                if slips.is_some() {
-                    return None;
-                }
-                out.push(frictionless);
-                continue;
-            };
+            let slip = slips[l].as_ref()?;
             if x <= slip.touch_mm {
                 contact = None;
                 out.push([0.0; 2]);

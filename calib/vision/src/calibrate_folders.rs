@@ -3,15 +3,15 @@
 use crate::bundle::BoardView;
 use crate::calibrate::{StereoSolution, board_points, calibrate_stereo, leave_one_out};
 use crate::camera::INTRINSICS;
-use crate::chessboard::{BoardSize, Refinement, continues_beyond, find_chessboard, refine};
+use crate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard};
 use crate::document::{
     BoardDocument, RejectedView, STEREO_FORMAT, STEREO_PARAMETERS, StereoDocument, camera_document,
 };
 use crate::error::VisionError;
-use crate::initial::Corners;
 use crate::markers::{self, MarkerBoard};
 use crate::pairs::{PairFiles, list_pictures, pair_files};
 use crate::picture::Picture;
+use crate::refinement::{View, choose_refinement};
 use crate::rigid::rows;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -48,17 +48,6 @@ pub struct Board {
     /// Pattern.
     pub pattern: Pattern,
 }
-
-/// A pair of pictures that can be used.
-struct View {
-    name: String,
-    pictures: [Picture; 2],
-    coarse: [Vec<Vector2<f64>>; 2],
-}
-
-/// Ways of refining that are tried on a chessboard.
-const CANDIDATES: [Refinement; 4] =
-    [Refinement::Model(0.3), Refinement::Model(0.5), Refinement::Model(0.7), Refinement::Gradient(5)];
 
 /// Calibrates from two folders or patterns. `progress` is told what is done.
 ///
@@ -146,12 +135,13 @@ fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
     counts.into_iter().max_by_key(|c| c.1).map(|c| c.0)
 }
 
-type Finder<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
+/// Coarse corners of one side's picture, or why it is of no use.
+type CornerReader<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
 
 fn usable(
     files: &[PairFiles],
     rejected: &mut Vec<RejectedView>,
-    find: &Finder<'_>,
+    find: &CornerReader<'_>,
 ) -> Result<(Vec<View>, [usize; 2]), VisionError> {
     let found: Vec<Result<View, String>> = files
         .par_iter()
@@ -201,16 +191,18 @@ fn usable(
 
 /// Coarse corners of the whole board, or why there are none.
 fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vector2<f64>>, String> {
-    let found = find_chessboard(picture, size).map_err(|e| e.to_string())?;
-    if let Some(points) = found {
-        return match continues_beyond(picture, size, &points) {
-            None => Ok(points),
-            Some(edge) => Err(format!(
-                "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
-            )),
-        };
+    let find =
+        |size: BoardSize, finder: Finder| find_chessboard(picture, size, finder).map_err(|e| e.to_string());
+    let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
+        None => Ok(points),
+        Some(edge) => Err(format!(
+            "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
+        )),
+    };
+    if let Some(points) = find(size, Finder::Classic)? {
+        return whole(points);
     }
-    // A smaller board that is found whole tells a wrong size from a board that is cut off or absent.
+    // Another board that is found whole tells a wrong size from a board that is cut off or absent.
     let (c, r) = (size.columns, size.rows);
     for (columns, rows) in
         [(c - 1, r), (c, r - 1), (c - 1, r - 1), (c + 1, r), (c, r + 1), (c - 2, r), (c, r - 2)]
@@ -219,85 +211,17 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
         if columns < 3 || rows < 3 {
             continue;
         }
-        if let Ok(Some(points)) = find_chessboard(picture, other)
+        if let Some(points) = find(other, Finder::Classic)?
             && continues_beyond(picture, other, &points).is_none()
         {
             return Err(format!(
-                "{side} picture: expected a board of {size} inner corners, found one of {other} (wrong size, or cut off)"
+                "{side} picture: wrong board size, or cut off? expected {size} inner corners, found a board of {other}"
             ));
         }
     }
-    Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)"))
-}
-
-type Refined = (Vec<BoardView>, BTreeMap<String, f64>, String);
-
-/// Refines in every way and keeps the one whose corners fit one rigid board best. All ways solve for the same parameters, so
-/// that their RMS may be compared; a way that loses more than one corner in a hundred does not take part.
-fn choose_refinement(
-    points: &[Vector3<f64>],
-    size: BoardSize,
-    views: &[View],
-    image_size: [usize; 2],
-    progress: &(dyn Fn(&str) + Sync),
-) -> Result<Refined, VisionError> {
-    let mut tried = BTreeMap::new();
-    let mut best: Option<(f64, Vec<BoardView>, String)> = None;
-    let mut failure = None;
-    let mut starts: Vec<[Vec<Vector2<f64>>; 2]> = views.iter().map(|v| v.coarse.clone()).collect();
-    for how in CANDIDATES {
-        let corners: Vec<[Corners; 2]> = views
-            .par_iter()
-            .zip(&starts)
-            .map(|(v, start)| {
-                let one = |k: usize| -> Result<Corners, VisionError> {
-                    Ok(refine(&v.pictures[k], size, &start[k], how)?
-                        .into_iter()
-                        .map(|c| c.map(|c| c.position_px))
-                        .collect())
-                };
-                Ok([one(0)?, one(1)?])
-            })
-            .collect::<Result<_, VisionError>>()?;
-        let lost = corners.iter().flatten().flatten().filter(|c| c.is_none()).count();
-        if lost * 100 > corners.len() * 2 * points.len() {
-            continue;
-        }
-        let bundle: Vec<BoardView> = views
-            .iter()
-            .zip(&corners)
-            .map(|(v, [l, r])| BoardView { name: v.name.clone(), left: l.clone(), right: r.clone() })
-            .collect();
-        match calibrate_stereo(points, bundle.clone(), image_size) {
-            Ok(solution) => {
-                // Views left out would flatter a way: each costs as if it had four times the RMS.
-                let rms =
-                    solution.bundle.rms_px() * (1.0 + solution.rejected.len() as f64 / views.len() as f64);
-                progress(&format!("{how}: {:.4} px", solution.bundle.rms_px()));
-                tried.insert(how.to_string(), solution.bundle.rms_px());
-                if best.as_ref().is_none_or(|b| rms < b.0) {
-                    best = Some((rms, bundle, how.to_string()));
-                }
-            }
-            Err(e) => failure = Some(e),
-        }
-        // The next window starts from what this one found.
-        if matches!(how, Refinement::Model(_)) {
-            for (start, found) in starts.iter_mut().zip(&corners) {
-                for (s, f) in start.iter_mut().zip(found) {
-                    for (p, q) in s.iter_mut().zip(f) {
-                        if let Some(q) = q {
-                            *p = *q;
-                        }
-                    }
-                }
-            }
-        }
-    }
-    match (best, failure) {
-        (Some((_, views, chosen)), _) => Ok((views, tried, chosen)),
-        (None, Some(e)) => Err(e),
-        (None, None) => Err(VisionError::result("refine corners", "corners that can be refined", "none")),
+    match find(size, Finder::Sectors)? {
+        Some(points) => whole(points),
+        None => Err(format!("{side} picture: no board of {size} inner corners (absent, cut off or blurred)")),
     }
 }
 

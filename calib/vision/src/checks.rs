@@ -21,15 +21,16 @@ pub(crate) fn explain_view(
         let trial = BoardView { name: String::new(), left: left.clone(), right: right.clone() };
         both_rms(points, state, &trial) < 3.0 * typical_px
     };
+    let others = || views.iter().enumerate().filter(|(w, _)| *w != view).map(|o| o.1);
     let reversed = |c: &Corners| c.iter().rev().copied().collect::<Corners>();
     let found = if fits(&this.right, &this.left) {
         "the left and the right picture are swapped".to_string()
     } else if fits(&this.left, &reversed(&this.right)) {
         "the corners run in opposite order in the two pictures".to_string()
-    } else if let Some(other) =
-        views.iter().enumerate().find(|(w, o)| *w != view && fits(&this.left, &o.right)).map(|o| o.1)
-    {
+    } else if let Some(other) = others().find(|o| fits(&this.left, &o.right)) {
         format!("its right picture belongs to another pair; the right picture of {} fits", other.name)
+    } else if let Some(other) = others().find(|o| fits(&o.left, &this.right)) {
+        format!("its right picture belongs to another pair: it fits the left picture of {}", other.name)
     } else {
         match skew(points, state, this) {
             Some((distance, angle_deg)) => format!(

@@ -51,6 +51,15 @@ impl std::fmt::Display for Refinement {
     }
 }
 
+/// Which of OpenCV's finders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finder {
+    /// Quads of thresholded pictures: quick, also where there is no board.
+    Classic,
+    /// Sectors: copes with blur and light that the classic one does not; seconds where there is no board.
+    Sectors,
+}
+
 /// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
 /// the board's colours tell. None where the board is not found whole.
 ///
@@ -59,24 +68,24 @@ impl std::fmt::Display for Refinement {
 pub fn find_chessboard(
     picture: &Picture,
     board: BoardSize,
+    finder: Finder,
 ) -> Result<Option<Vec<Vector2<f64>>>, VisionError> {
     let mat = picture.to_mat()?;
     let size = Size::new(board.columns as i32, board.rows as i32);
     let mut found = Vector::<Point2f>::new();
-    let flags =
-        calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_FAST_CHECK;
-    let mut ok =
-        calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?;
-    if !ok {
-        // The sector-based finder copes with blur and with light that the classic one does not.
-        ok = calib3d::find_chessboard_corners_sb(
-            &mat,
-            size,
-            &mut found,
-            calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY,
-        )
-        .doing("findChessboardCornersSB")?;
-    }
+    let ok = match finder {
+        Finder::Classic => {
+            let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
+                | calib3d::CALIB_CB_NORMALIZE_IMAGE
+                | calib3d::CALIB_CB_FAST_CHECK;
+            calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?
+        }
+        Finder::Sectors => {
+            let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+            calib3d::find_chessboard_corners_sb(&mat, size, &mut found, flags)
+                .doing("findChessboardCornersSB")?
+        }
+    };
     if !ok || found.len() != board.columns * board.rows {
         return Ok(None);
     }
@@ -187,33 +196,37 @@ pub fn continues_beyond(
         let p = &homography * nalgebra::DVector::from_row_slice(&[x, y, 1.0]);
         (p[0] / p[2], p[1] / p[2])
     };
-    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it.
-    let saddle = |i: i64, j: i64| -> Option<f64> {
+    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it; of the
+    // squares on one side of it only where `out` says so.
+    let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
         let mut sum = 0.0;
         for (dx, dy, sign) in
             [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)]
         {
+            if dx * out[0] + dy * out[1] < 0.0 {
+                continue;
+            }
             let (x, y) = at(i as f64 + dx, j as f64 + dy);
             if !picture.contains(x, y, 1.0) {
                 return None;
             }
             sum += sign * picture.sample(x, y);
         }
-        Some(if (i + j).rem_euclid(2) == 0 { 0.5 * sum } else { -0.5 * sum })
+        Some(if (i + j).rem_euclid(2) == 0 { sum } else { -sum })
     };
-    let mean = |cells: Vec<(i64, i64)>| -> Option<f64> {
-        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| saddle(i, j)).collect();
-        (2 * values.len() >= cells.len().max(2)).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    let typical = |cells: Vec<(i64, i64)>, out: [f64; 2]| -> Option<f64> {
+        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| contrast(i, j, out)).collect();
+        (2 * values.len() >= cells.len().max(2)).then(|| crate::initial::median(&values))
     };
-    let inside = mean((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect())?;
+    let inside = 0.5 * typical((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(), [0.0; 2])?;
     let sides = [
-        ("left", (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
-        ("right", (0..r).map(|j| (c, j)).collect()),
-        ("top", (0..c).map(|i| (i, -1)).collect()),
-        ("bottom", (0..c).map(|i| (i, r)).collect()),
+        ("left", [-1.0, 0.0], (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
+        ("right", [1.0, 0.0], (0..r).map(|j| (c, j)).collect()),
+        ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
+        ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
-    // At the rim of a true board every other place shows half the contrast: a quarter on average, against all of it.
-    sides.into_iter().find_map(|(name, cells)| (mean(cells)? / inside > 0.625).then_some(name))
+    // Outside a true board lies its even margin or something that does not alternate with the squares: no contrast, against all of it.
+    sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
 }
 
 /// Homography from grid indices to pixels, by the direct linear transformation.

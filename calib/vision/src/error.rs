@@ -41,6 +41,14 @@ pub enum VisionError {
         /// Cause.
         source: opencv::Error,
     },
+    /// A picture cannot be encoded.
+    #[error("encode {what}: {source}")]
+    Encoding {
+        /// Which one.
+        what: &'static str,
+        /// Cause.
+        source: image::ImageError,
+    },
 }
 
 impl VisionError {
@@ -58,6 +66,11 @@ impl VisionError {
         found: impl Into<String>,
     ) -> Self {
         Self::Result { action, expected: expected.into(), found: found.into() }
+    }
+
+    /// For `map_err`.
+    pub(crate) fn encoding(what: &'static str) -> impl FnOnce(image::ImageError) -> Self {
+        move |source| Self::Encoding { what, source }
     }
 }
 

@@ -2,10 +2,11 @@
 
 use crate::base_pose::RigPose;
 use crate::document::{STEREO_PARAMETERS, StereoCameras};
+use crate::joint::{Uncertain, moved_cameras, node_covariance};
 use crate::pair_fit::PairFit;
 use crate::rig::RigGroove;
 use crate::rigid::hat;
-use crate::shapes::{Uncertain, moved_cameras, node_covariance};
+use crate::rod::RodShape;
 use crate::shapes_document::GrooveDocument;
 use crate::tag_pose;
 use nalgebra::{Matrix3, Matrix3x6, Point3, Vector3};
@@ -51,15 +52,27 @@ pub fn groove_document(
         tangent = (shape.tangents[i] * (1.0 - f) + shape.tangents[i + 1] * f).normalize();
     }
     let across = Matrix3::identity() - along(&tangent);
-    let off = across * (by_tag - point);
-    let mismatch = across * (tag_covariance + wire_covariance) * across + along(&tangent);
-    let chi2 = mismatch.try_inverse().map_or(0.0, |i| (off.transpose() * i * off)[0]);
-    // 13.8: 99.9 % of chi2 with 2 degrees of freedom. Beyond the wire's own diameter from the vertex there is no contact at all.
-    let contact = match (chi2 > 13.8, off.norm() > diameter_mm) {
-        (true, true) => "none",
-        (true, false) => "out-of-vertex",
-        (false, _) => "vertex",
+    let rest = fit.model.shape(&fit.model.rest()).points;
+    let at_rest = rest[((arc / fit.model.step_mm) as usize).min(rest.len() - 1)];
+    let moved = across * (point - at_rest);
+    let width_mm = groove.width_along_wire_mm;
+    let place = Place {
+        away: across * (point - by_tag),
+        covariance: across * (tag_covariance + wire_covariance) * across + along(&tangent),
+        push: (moved.norm() > diameter_mm).then(|| moved.normalize()),
+        turn: tangent_at(fit, &shape, arc + 0.5 * width_mm) - tangent_at(fit, &shape, arc - 0.5 * width_mm),
     };
+    let contact = place.contact(groove, diameter_mm);
+    let contacts_mm = match contact {
+        "none" => Vec::new(),
+        "double" => vec![arc - 0.5 * width_mm, arc + 0.5 * width_mm],
+        _ => vec![arc],
+    };
+    // Where the flanks meet: the wire's centre stands off it by its radius over the sine of the half angle.
+    let apex_mm = place.push.map(|p| {
+        let a = by_tag - p * (0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin());
+        [a.x, a.y, a.z]
+    });
     let arc_variance = (tangent.transpose() * tag_covariance * tangent)[0];
     let covariance = across * wire_covariance * across + along(&tangent) * arc_variance;
     GrooveDocument {
@@ -69,8 +82,58 @@ pub fn groove_document(
         contact_arclength_sd_mm: arc_variance.max(0.0).sqrt(),
         axis: [tangent.x, tangent.y, tangent.z],
         contact: contact.into(),
-        distance_from_vertex_mm: off.norm(),
+        contacts_mm,
+        distance_from_vertex_mm: place.away.norm(),
+        apex_mm,
         by_tag_mm: [by_tag.x, by_tag.y, by_tag.z],
+    }
+}
+
+fn tangent_at(fit: &PairFit, shape: &RodShape, arc_mm: f64) -> Vector3<f64> {
+    let k = (arc_mm.clamp(0.0, fit.length_mm) / fit.model.step_mm).round() as usize;
+    shape.tangents[k.min(shape.tangents.len() - 1)]
+}
+
+/// Where the wire lies in the groove's section across it.
+struct Place {
+    /// From the vertex position to the wire's centre, mm.
+    away: Vector3<f64>,
+    /// Covariance of that, mm^2; of unit size along the wire.
+    covariance: Matrix3<f64>,
+    /// Direction in which the groove pushes; none where the wire is not deflected enough to tell.
+    push: Option<Vector3<f64>>,
+    /// Change of the wire's tangent over the groove's width.
+    turn: Vector3<f64>,
+}
+
+impl Place {
+    /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims; `out-of-vertex`: on one flank;
+    /// `none`: clear of both.
+    fn contact(&self, groove: &RigGroove, diameter_mm: f64) -> &'static str {
+        let inverse = self.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
+        // 13.8: 99.9 % of chi2 with 2 degrees of freedom.
+        let agrees = |with: Vector3<f64>| {
+            let off = self.away - with;
+            (off.transpose() * inverse * off)[0] <= 13.8
+        };
+        if agrees(Vector3::zeros()) {
+            return "vertex";
+        }
+        let Some(push) = self.push else {
+            // Beyond the wire's own diameter from the vertex there is no contact, whichever way the groove opens.
+            return if self.away.norm() > diameter_mm { "none" } else { "out-of-vertex" };
+        };
+        // Over the groove's width the wire's middle stands off its ends by the sagitta of its own bend.
+        let arch = -self.turn.dot(&push) * groove.width_along_wire_mm / 8.0;
+        if arch > 0.0 && agrees(push * arch) {
+            return "double";
+        }
+        // Centres that touch a flank lie on a line through the vertex position at the half angle from the push.
+        let clear = groove.half_angle_deg.to_radians() - self.away.angle(&push);
+        let gap = self.away.norm() * clear.sin();
+        // Mean variance across the wire: the covariance is of unit size along it.
+        let sd = (0.5 * (self.covariance.trace() - 1.0)).max(0.0).sqrt();
+        if clear > 0.0 && gap > 3.0 * sd { "none" } else { "out-of-vertex" }
     }
 }
 
@@ -122,4 +185,44 @@ fn tag_position_covariance(
     }
     let noise = nalgebra::Matrix6::from_iterator(noise.iter().copied());
     covariance + by_base * noise * by_base.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -> &'static str {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 1e-4, 1e-4));
+        let groove = RigGroove {
+            tag: 1,
+            position_in_tag_mm: Vector3::zeros(),
+            half_angle_deg: 45.0,
+            width_along_wire_mm: 3.0,
+        };
+        Place { away, covariance, push, turn }.contact(&groove, 0.3)
+    }
+
+    #[test]
+    fn the_four_kinds_of_contact_are_told_apart() {
+        let (up, none) = (Vector3::z(), Vector3::zeros());
+        assert_eq!(contact(up * 0.02, Some(up), none), "vertex");
+        // A bend of 0.05 / mm over 3 mm that arches away from the vertex: 0.056 mm.
+        let arched = -up * 0.15;
+        assert_eq!(contact(up * 0.056, Some(up), arched), "double");
+        assert_eq!(
+            contact(up * 0.056, Some(up), -arched),
+            "none",
+            "bent the other way it touches in the middle"
+        );
+        assert_eq!(contact(up * 0.4, Some(up), arched), "none");
+        let flank = Vector3::new(0.0, 1.0, 1.0).normalize();
+        assert_eq!(contact(flank * 0.4, Some(up), none), "out-of-vertex");
+        assert_eq!(
+            contact(-up * 0.2, Some(up), none),
+            "out-of-vertex",
+            "inside the block: the rig's geometry is off"
+        );
+        assert_eq!(contact(up * 0.2, None, none), "out-of-vertex");
+        assert_eq!(contact(up * 0.5, None, none), "none");
+    }
 }

@@ -75,9 +75,10 @@ impl MarkerBoard {
                 (board_points(c, r, square), index as i32)
             }
             Pattern::AprilGrid { gap_mm, .. } => {
+                // Tags stand upright and are numbered from the lower left, as in Kalibr's grids; y points down.
                 let points = (0..c * r)
                     .flat_map(|k| {
-                        let (x, y) = ((k % c) as f64, (k / c) as f64);
+                        let (x, y) = ((k % c) as f64, -((k / c) as f64));
                         let centre = Vector3::new(x, y, 0.0) * (square + gap_mm);
                         tag_corners(square).map(|p| p + centre)
                     })

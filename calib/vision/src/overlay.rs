@@ -1,21 +1,21 @@
 //! Pictures with what was found drawn on them, for the report: the reprojected curve, the measured pieces, tags, groove.
 
 use crate::document::StereoCameras;
-use crate::error::{OpenCvContext, VisionError};
+use crate::error::VisionError;
 use crate::pair_fit::PairFit;
 use crate::picture::Picture;
 use crate::shapes_document::PairDocument;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
 use nalgebra::{Point3, Vector2, Vector3};
-use opencv::core::{Mat, Vec3b, Vector};
-use opencv::imgcodecs;
 
-/// Blue, green, red.
+/// Red, green, blue.
 type Colour = [u8; 3];
 const CURVE: Colour = [60, 200, 60];
-const SEEN: Colour = [255, 120, 0];
-const UNSEEN: Colour = [0, 0, 255];
+const SEEN: Colour = [0, 120, 255];
+const UNSEEN: Colour = [255, 0, 0];
 const TAG: Colour = [255, 0, 255];
-const GROOVE: Colour = [0, 200, 255];
+const GROOVE: Colour = [255, 200, 0];
 
 /// A colour picture of twice the size, so that sub-pixel places can be told apart.
 struct Canvas {
@@ -95,13 +95,10 @@ pub fn overlay_png(
     if let Some(p) = pair.groove.as_ref().and_then(|g| project(&Vector3::from(g.position_mm))) {
         canvas.dot(&p, 4, GROOVE);
     }
-    let pixels: Vec<Vec<Vec3b>> = canvas
-        .data
-        .chunks_exact(canvas.width)
-        .map(|r| r.iter().map(|c| Vec3b::from_array(*c)).collect())
-        .collect();
-    let mat = Mat::from_slice_2d(&pixels).doing("copy an overlay")?;
-    let mut png = Vector::<u8>::new();
-    imgcodecs::imencode(".png", &mat, &mut png, &Vector::new()).doing("encode an overlay")?;
-    Ok(png.iter().collect())
+    let (width, height) = (canvas.width as u32, canvas.height as u32);
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(canvas.data.as_flattened(), width, height, ExtendedColorType::Rgb8)
+        .map_err(VisionError::encoding("an overlay"))?;
+    Ok(png)
 }

@@ -1,18 +1,19 @@
 //! One pair from pictures to a fitted curve, with a base pose that is taken as known here and corrected over the folder.
 
 use crate::document::StereoCameras;
+use crate::look::fit_look;
 use crate::picture::Picture;
 use crate::ridge::{Evidence, RidgeMap};
-use crate::rig::Rig;
+use crate::rig::{Rig, RigWhisker};
 use crate::rod::{RodModel, RodState};
 use crate::shape_fit::{
     PairSystem, Prior, Sight, choose_smoothing, image_line, linearise, measure, sights, stepped, visible,
     with_prior,
 };
 use crate::tip::find_tip;
-use crate::trace::{Scene, Trace, expected_strength, trace};
-use crate::wire::{Look, Piece, fit_look};
-use nalgebra::Isometry3;
+use crate::trace::{BEAM, Scene, Trace, expected_strength, trace};
+use crate::wire::{Look, Piece};
+use nalgebra::{Isometry3, Matrix6};
 
 /// A fitted pair.
 #[derive(Debug, Clone)]
@@ -23,6 +24,8 @@ pub struct PairFit {
     pub state: RodState,
     /// Base pose used.
     pub left_from_base: Isometry3<f64>,
+    /// What tags say about a correction of that pose.
+    pub base_information: Matrix6<f64>,
     /// Measured places that count.
     pub sights: Vec<Sight>,
     /// All pieces measured and whether they show the wire, left and right.
@@ -51,6 +54,18 @@ const REACH: f64 = 1.12;
 const KNOT_MM: f64 = 2.5;
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
 const LEAST_EVIDENCE: f64 = 1.2;
+/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
+/// is covered up by the first one it has none.
+const RIVAL_LENGTH_SHARE: f64 = 0.6;
+const RIVAL_SHARE: f64 = 0.35;
+/// Share of the evidence a millimetre that makes a line worth a second look.
+const SUSPECT_SHARE: f64 = 0.2;
+/// Curves kept in the search for it: it need only be found, not followed well.
+const RIVAL_BEAM: usize = 80;
+/// Distance from the first wire, in its widths, within which nothing counts.
+const COVERED_WIDTHS: f64 = 3.0;
+/// Share of the nominal length at which a line is the whole wire.
+const LONG_SHARE: f64 = 0.9;
 /// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
 const MOST_EVIDENCE: f64 = 24.0;
 
@@ -73,7 +88,6 @@ pub fn fit_pair(
     let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
-    let roughness = model.roughness();
     let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
     let mut all: Vec<Sight> = Vec::new();
     let mut warnings = Vec::new();
@@ -109,9 +123,9 @@ pub fn fit_pair(
         for inner in 0..4 {
             let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
             if inner == 1 {
-                prior.smoothing = choose_smoothing(&system, &prior, &state, &roughness);
+                prior.smoothing = choose_smoothing(&system, &prior, &state, &model);
             }
-            let (mut h, g) = with_prior(&system, &prior, &state, &roughness);
+            let (mut h, g) = with_prior(&system, &prior, &state, &model);
             // The base is held here; the folder's joint step moves it.
             for k in 0..6 {
                 h[(k, k)] += 1e15;
@@ -163,6 +177,7 @@ pub fn fit_pair(
         model,
         state,
         left_from_base: *left_from_base,
+        base_information: prior.base,
         sights: all,
         pieces,
         length_mm: length,
@@ -198,6 +213,7 @@ fn begin(
         model,
         state,
         left_from_base: *left_from_base,
+        base_information: prior.base,
         sights: Vec::new(),
         pieces: Default::default(),
         length_mm: found.length_mm.max(0.5 * rig.whisker.length_mm),
@@ -224,24 +240,19 @@ fn find_wire(
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
-    let mut best: Option<(Trace, f64)> = None;
+    let mut best: Option<(Trace, f64, [f64; 2])> = None;
     for polarity in [1.0, -1.0] {
         // Nothing beats a line that has half of all the evidence there could be along most of the nominal length.
-        if best.as_ref().is_some_and(|(b, _)| b.score > 0.5 * MOST_EVIDENCE * 0.8 * rig.whisker.length_mm) {
+        if best.as_ref().is_some_and(|(b, ..)| b.score > 0.5 * MOST_EVIDENCE * 0.8 * rig.whisker.length_mm) {
             break;
         }
-        let mut strength =
-            expected_strength(stereo, left_from_base, [&maps[0], &maps[1]], &rig.whisker, polarity);
+        let mut strength = expected_strength(stereo, left_from_base, &maps, &rig.whisker, polarity);
         let mut last = None;
         // The second search knows how strong the wire of the first one answers.
         for _ in 0..2 {
-            let scene = Scene {
-                stereo,
-                left_from_base: *left_from_base,
-                maps: [&maps[0], &maps[1]],
-                evidence: [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity)),
-            };
-            last = trace(&scene, &rig.whisker);
+            let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
+            let scene = Scene::new(stereo, left_from_base, &maps, evidence);
+            last = search(&scene, &rig.whisker);
             let Some(found) = &last else { break };
             let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
             for (s, f) in strength.iter_mut().zip(found.strength) {
@@ -256,17 +267,51 @@ fn find_wire(
         if let Some(found) = last
             && best.as_ref().is_none_or(|b| found.score > b.0.score)
         {
-            best = Some((found, polarity));
+            best = Some((found, polarity, strength));
         }
     }
-    let (found, polarity) = best.ok_or("no wire: nothing like a line leaves the root")?;
+    let (found, polarity, strength) = best.ok_or("no wire: nothing like a line leaves the root")?;
     if found.score < 2.0 * LEAST_EVIDENCE * found.length_mm || found.length_mm < 0.3 * rig.whisker.length_mm {
         return Err(format!(
             "no wire: the best line from the root is {:.0} mm long with a log likelihood ratio of {:.0}",
             found.length_mm, found.score
         ));
     }
+    let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
+    let scene =
+        Scene::new(stereo, left_from_base, &maps, evidence).without(&found.path, COVERED_WIDTHS * width);
+    let density = |t: &Trace| t.score / t.length_mm;
+    // A narrow beam first: hardly anything passes it where there is one wire.
+    let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM)
+        .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
+    if suspect
+        && let Some(rival) = trace(&scene, &rig.whisker, 4 * BEAM)
+        && density(&rival) > RIVAL_SHARE * density(&found)
+        && rival.length_mm > RIVAL_LENGTH_SHARE * found.length_mm
+    {
+        return Err(format!(
+            "two wires leave the root: {:.0} mm and {:.0} mm long, log likelihood ratios {:.0} and {:.0}",
+            found.length_mm, rival.length_mm, found.score, rival.score
+        ));
+    }
     Ok((found, polarity))
+}
+
+/// A groove's edges can crowd the wire out of the beam: where what is found is too short, wider beams look again.
+fn search(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
+    let mut best: Option<Trace> = None;
+    for beam in [BEAM, 4 * BEAM, 16 * BEAM] {
+        let found = trace(scene, whisker, beam);
+        if let Some(found) = found
+            && best.as_ref().is_none_or(|b| found.score > b.score)
+        {
+            best = Some(found);
+        }
+        if best.as_ref().is_some_and(|b| b.length_mm >= LONG_SHARE * whisker.length_mm) {
+            break;
+        }
+    }
+    best
 }
 
 /// Factor on the stated sd from the residuals' scatter (weighted) and from how far neighbours share their errors.

@@ -2,9 +2,8 @@
 //! Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
 
 use crate::error::{OpenCvContext, VisionError};
-use opencv::core::{CV_8U, Mat, Vector};
-use opencv::imgcodecs;
-use opencv::prelude::*;
+use image::DynamicImage;
+use opencv::core::Mat;
 use std::path::Path;
 
 /// An 8-bit grey picture, rows from the top.
@@ -34,7 +33,7 @@ impl Picture {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a grey PNG or JPEG.
+    /// Reads a grey PNG, JPEG or PNM.
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture, 16-bit or coloured.
@@ -42,7 +41,7 @@ impl Picture {
         Self::decode(path, false)
     }
 
-    /// Reads a PNG or JPEG; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
+    /// Reads a PNG, JPEG or PNM; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture or 16-bit.
@@ -58,44 +57,20 @@ impl Picture {
             source,
         })?;
         check_complete(&name, &bytes)?;
-        let buffer = Vector::<u8>::from_slice(&bytes);
-        let mat = imgcodecs::imdecode(&buffer, imgcodecs::IMREAD_UNCHANGED).doing("decode a picture")?;
-        if mat.empty() {
-            return Err(VisionError::content(name, "a PNG or JPEG picture", "bytes that do not decode"));
-        }
-        if mat.depth() != CV_8U {
-            return Err(VisionError::content(name, "8 bits a pixel", "another depth (16-bit?)"));
-        }
-        let (width, height) = (mat.cols() as usize, mat.rows() as usize);
-        let raw = mat.data_bytes().doing("read pixels")?;
-        let channels = mat.channels() as usize;
-        let data = match channels {
-            1 => raw.to_vec(),
-            // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
-            3 | 4 if colours_allowed => raw
-                .chunks_exact(channels)
-                .map(|p| {
-                    (0.114 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.299 * f64::from(p[2])).round()
-                        as u8
-                })
-                .collect(),
-            3 | 4 => {
-                let coloured = raw
-                    .chunks_exact(channels)
-                    .filter(|p| p[0].abs_diff(p[1]) > 2 || p[1].abs_diff(p[2]) > 2)
-                    .count();
-                if coloured > 0 {
-                    return Err(VisionError::content(
-                        name,
-                        "a grey picture",
-                        format!("a coloured one ({coloured} coloured pixels)"),
-                    ));
-                }
-                raw.chunks_exact(channels).map(|p| p[1]).collect()
+        let decoded = image::load_from_memory(&bytes).map_err(|e| {
+            VisionError::content(
+                name.clone(),
+                "a PNG, JPEG or PNM picture",
+                format!("bytes that do not decode: {e}"),
+            )
+        })?;
+        let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+        let data = match decoded {
+            DynamicImage::ImageLuma8(grey) => grey.into_raw(),
+            DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) | DynamicImage::ImageLumaA8(_) => {
+                grey_values(&name, decoded.into_rgb8().as_raw(), colours_allowed)?
             }
-            other => {
-                return Err(VisionError::content(name, "1 channel", format!("{other} channels")));
-            }
+            _ => return Err(VisionError::content(name, "8 bits a pixel", "16-bit or floating-point values")),
         };
         Self::new(width, height, data)
     }
@@ -204,10 +179,26 @@ impl Picture {
     }
 }
 
+/// Grey values of red, green and blue ones.
+fn grey_values(name: &str, rgb: &[u8], colours_allowed: bool) -> Result<Vec<u8>, VisionError> {
+    let pixels = rgb.chunks_exact(3);
+    if colours_allowed {
+        let grey = |p: &[u8]| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
+        return Ok(pixels.map(|p| grey(p).round() as u8).collect());
+    }
+    // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
+    let coloured = pixels.clone().filter(|p| p[0].abs_diff(p[1]) > 2 || p[1].abs_diff(p[2]) > 2).count();
+    if coloured > 0 {
+        let found = format!("a coloured one ({coloured} coloured pixels)");
+        return Err(VisionError::content(name.to_owned(), "a grey picture", found));
+    }
+    Ok(pixels.map(|p| p[1]).collect())
+}
+
 /// Decoders fill what is missing of a cut-off file with grey; the end markers tell.
 fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
     if bytes.is_empty() {
-        return Err(VisionError::content(name, "a PNG or JPEG picture", "a file of zero bytes"));
+        return Err(VisionError::content(name, "a PNG, JPEG or PNM picture", "a file of zero bytes"));
     }
     let tail = &bytes[bytes.len().saturating_sub(64)..];
     let complete = if bytes.starts_with(b"\x89PNG") {

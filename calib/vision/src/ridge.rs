@@ -3,53 +3,38 @@
 
 use crate::picture::Picture;
 use nalgebra::Vector2;
+use std::cell::OnceCell;
 
-/// Second derivatives of a smoothed picture.
-pub struct RidgeMap {
-    width: usize,
-    height: usize,
+/// Side of a tile, px.
+const TILE: usize = 64;
+/// Values a row of a tile: one more than its side, so that interpolation stays within it.
+const ROW: usize = TILE + 1;
+/// Second derivatives of a smoothed picture, computed tile by tile where they are asked for: a search along a wire visits a
+/// small part of the picture.
+pub struct RidgeMap<'a> {
+    picture: &'a Picture,
+    /// Gaussian, its first and its second derivative.
+    kernels: [Vec<f32>; 3],
+    columns: usize,
     /// xx, xy, yy a pixel.
-    hessian: Vec<[f32; 3]>,
+    tiles: Vec<OnceCell<Vec<[f32; 3]>>>,
 }
 
-/// Rows convolved with a kernel; the border is continued.
-fn convolve_rows(source: &[f32], width: usize, kernel: &[f32]) -> Vec<f32> {
-    let reach = kernel.len() / 2;
-    let mut out = vec![0.0f32; source.len()];
-    let mut padded = vec![0.0f32; width + 2 * reach];
-    for (row, target) in source.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
-        padded[..reach].fill(row[0]);
-        padded[reach..reach + width].copy_from_slice(row);
-        padded[reach + width..].fill(row[width - 1]);
-        for (k, &weight) in kernel.iter().enumerate() {
-            for (t, &s) in target.iter_mut().zip(&padded[k..k + width]) {
-                *t += weight * s;
-            }
+/// Adds a row convolved with a kernel.
+fn convolve(source: &[f32], kernel: &[f32], target: &mut [f32]) {
+    target.fill(0.0);
+    let length = target.len();
+    for (k, &weight) in kernel.iter().enumerate() {
+        for (t, &s) in target.iter_mut().zip(&source[k..k + length]) {
+            *t += weight * s;
         }
     }
-    out
 }
 
-/// Columns convolved with a kernel; the border is continued.
-fn convolve_columns(source: &[f32], width: usize, kernel: &[f32]) -> Vec<f32> {
-    let height = source.len() / width;
-    let reach = kernel.len() as i64 / 2;
-    let mut out = vec![0.0f32; source.len()];
-    for (y, target) in out.chunks_exact_mut(width).enumerate() {
-        for (k, &weight) in kernel.iter().enumerate() {
-            let from = (y as i64 + k as i64 - reach).clamp(0, height as i64 - 1) as usize;
-            for (t, &s) in target.iter_mut().zip(&source[from * width..(from + 1) * width]) {
-                *t += weight * s;
-            }
-        }
-    }
-    out
-}
-
-impl RidgeMap {
+impl<'a> RidgeMap<'a> {
     /// The map at a scale (sd of the Gaussian, px).
     #[must_use]
-    pub fn new(picture: &Picture, scale_px: f64) -> Self {
+    pub fn new(picture: &'a Picture, scale_px: f64) -> Self {
         let reach = (3.5 * scale_px).ceil() as i64;
         let kernel = |order: u8| -> Vec<f32> {
             (-reach..=reach)
@@ -64,26 +49,65 @@ impl RidgeMap {
                 })
                 .collect()
         };
-        let (g, d, dd) = (kernel(0), kernel(1), kernel(2));
-        let source: Vec<f32> = picture.data.iter().map(|&v| f32::from(v)).collect();
-        let w = picture.width;
-        let smooth_x = convolve_rows(&source, w, &g);
-        let xx = convolve_columns(&convolve_rows(&source, w, &dd), w, &g);
-        let yy = convolve_columns(&smooth_x, w, &dd);
-        let xy = convolve_columns(&convolve_rows(&source, w, &d), w, &d);
-        let hessian = xx.into_iter().zip(xy).zip(yy).map(|((a, b), c)| [a, b, c]).collect();
-        Self { width: w, height: picture.height, hessian }
+        let columns = picture.width.div_ceil(TILE);
+        let tiles = vec![OnceCell::new(); columns * picture.height.div_ceil(TILE)];
+        Self { picture, kernels: [kernel(0), kernel(1), kernel(2)], columns, tiles }
+    }
+
+    fn tile(&self, index: usize) -> &[[f32; 3]] {
+        self.tiles[index].get_or_init(|| self.compute(index))
+    }
+
+    /// Rows first, then columns; the picture's border is continued outwards.
+    fn compute(&self, index: usize) -> Vec<[f32; 3]> {
+        let (x0, y0) = ((index % self.columns * TILE) as i64, (index / self.columns * TILE) as i64);
+        let reach = self.kernels[0].len() / 2;
+        let side = ROW + 2 * reach;
+        let mut source = vec![0.0f32; side];
+        // Every row of the source by the three kernels.
+        let mut rows = vec![0.0f32; 3 * side * ROW];
+        for (j, row) in rows.chunks_exact_mut(3 * ROW).enumerate() {
+            let y = (y0 + j as i64 - reach as i64).clamp(0, self.picture.height as i64 - 1) as usize;
+            let line = &self.picture.data[y * self.picture.width..(y + 1) * self.picture.width];
+            for (i, s) in source.iter_mut().enumerate() {
+                let x = (x0 + i as i64 - reach as i64).clamp(0, line.len() as i64 - 1) as usize;
+                *s = f32::from(line[x]);
+            }
+            for (kernel, target) in self.kernels.iter().zip(row.chunks_exact_mut(ROW)) {
+                convolve(&source, kernel, target);
+            }
+        }
+        let mut out = vec![[0.0f32; 3]; ROW * ROW];
+        for (j, target) in out.chunks_exact_mut(ROW).enumerate() {
+            let mut sums = [[0.0f32; ROW]; 3];
+            for k in 0..=2 * reach {
+                let row = &rows[(j + k) * 3 * ROW..(j + k + 1) * 3 * ROW];
+                // xx: second derivative along the row, smoothed across; xy: first of both; yy: the other way round.
+                for (which, sum) in sums.iter_mut().enumerate() {
+                    let (weight, from) = (self.kernels[which][k], (2 - which) * ROW);
+                    for (s, v) in sum.iter_mut().zip(&row[from..from + ROW]) {
+                        *s += weight * v;
+                    }
+                }
+            }
+            for (i, t) in target.iter_mut().enumerate() {
+                *t = [sums[0][i], sums[1][i], sums[2][i]];
+            }
+        }
+        out
     }
 
     /// Second derivative across a line with this unit normal; positive on dark lines. None outside the picture.
     #[must_use]
     pub fn across(&self, p: &Vector2<f64>, normal: &Vector2<f64>) -> Option<f64> {
-        if !(p.x >= 1.0 && p.y >= 1.0 && p.x < self.width as f64 - 2.0 && p.y < self.height as f64 - 2.0) {
+        let (w, h) = (self.picture.width as f64, self.picture.height as f64);
+        if !(p.x >= 1.0 && p.y >= 1.0 && p.x < w - 2.0 && p.y < h - 2.0) {
             return None;
         }
         let (x, y) = (p.x as usize, p.y as usize);
         let (u, v) = ((p.x - x as f64) as f32, (p.y - y as f64) as f32);
-        let at = |i: usize, j: usize| &self.hessian[(y + j) * self.width + x + i];
+        let tile = self.tile(y / TILE * self.columns + x / TILE);
+        let at = |i: usize, j: usize| &tile[(y % TILE + j) * ROW + x % TILE + i];
         let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
         let mix = |k: usize| (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k]);
         let (nx, ny) = (normal.x as f32, normal.y as f32);
@@ -96,10 +120,10 @@ impl RidgeMap {
     pub fn background(&self, count: usize) -> Vec<f64> {
         (0..count)
             .filter_map(|k| {
-                let k = k as f64;
-                let x = (0.5 + k * 0.754_877_666_246_69).fract() * self.width as f64;
-                let y = (0.5 + k * 0.569_840_290_998_05).fract() * self.height as f64;
-                let angle = (k * 0.618_033_988_749_89).fract() * std::f64::consts::PI;
+                let part = |ratio: f64| (0.5 + k as f64 * ratio).fract();
+                let x = part(0.754_877_666_246_69) * self.picture.width as f64;
+                let y = part(0.569_840_290_998_05) * self.picture.height as f64;
+                let angle = part(0.618_033_988_749_89) * std::f64::consts::PI;
                 self.across(&Vector2::new(x, y), &Vector2::new(angle.cos(), angle.sin()))
             })
             .collect()

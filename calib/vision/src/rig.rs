@@ -165,6 +165,16 @@ impl Rig {
                 width_along_wire_mm: g.width_along_wire_mm.unwrap_or(0.0),
             })
         });
+        if let Some(g) = &groove {
+            if !(g.half_angle_deg > 0.0 && g.half_angle_deg < 90.0) {
+                let found = g.half_angle_deg.to_string();
+                return Err(VisionError::content(name, "groove.half_angle_deg between 0 and 90", found));
+            }
+            if !(g.width_along_wire_mm >= 0.0 && g.width_along_wire_mm.is_finite()) {
+                let found = g.width_along_wire_mm.to_string();
+                return Err(VisionError::content(name, "groove.width_along_wire_mm >= 0", found));
+            }
+        }
         if let Some(g) = &groove
             && !tags.iter().any(|t| t.id == g.tag)
         {
@@ -213,6 +223,8 @@ position_in_tag_mm = [1.0, 2.0, 3.0]
             ("length_mm = 60.0", "", "length_mm"),
             ("[-1, 0, 0, -6]", "[-2, 0, 0, -6]", "rigid"),
             ("tag = 0", "tag = 9", "groove.tag"),
+            ("tag = 0", "half_angle_deg = 120.0\ntag = 0", "half_angle_deg"),
+            ("tag = 0", "width_along_wire_mm = -1.0\ntag = 0", "width_along_wire_mm"),
             ("base_from_tag", "other", "base_from_tag"),
         ] {
             let error = Rig::parse("rig.toml", &GOOD.replace(from, to)).unwrap_err().to_string();

@@ -20,6 +20,7 @@ pub struct RodModel {
     nominal: Vec<f64>,
     /// First spline and the four values at every interval's middle.
     basis: Vec<(usize, [f64; 4])>,
+    penalty: DMatrix<f64>,
 }
 
 /// Parameters of a curve.
@@ -68,7 +69,8 @@ impl RodModel {
                 ],
             ));
         }
-        Self { step_mm, nodes: intervals + 1, splines: segments + 3, nominal, basis }
+        let splines = segments + 3;
+        Self { step_mm, nodes: intervals + 1, splines, nominal, basis, penalty: penalty(splines) }
     }
 
     /// Parameters: root offsets and both directions' coefficients.
@@ -165,20 +167,16 @@ impl RodModel {
         j
     }
 
-    /// Second differences of the coefficients, one row each: what smoothing punishes.
+    /// What smoothing punishes: the sum of squared second differences of both directions' coefficients, as a quadratic form.
     #[must_use]
-    pub fn roughness(&self) -> DMatrix<f64> {
-        let rows = self.splines.saturating_sub(2);
-        let mut d = DMatrix::<f64>::zeros(2 * rows, self.parameters());
-        for direction in 0..2 {
-            for r in 0..rows {
-                let c = ROOT + direction * self.splines + r;
-                d[(direction * rows + r, c)] = 1.0;
-                d[(direction * rows + r, c + 1)] = -2.0;
-                d[(direction * rows + r, c + 2)] = 1.0;
-            }
-        }
-        d
+    pub fn penalty(&self) -> &DMatrix<f64> {
+        &self.penalty
+    }
+
+    /// Rank of the penalty: second differences of both directions.
+    #[must_use]
+    pub fn penalty_rank(&self) -> usize {
+        2 * (self.splines - 2)
     }
 
     /// The state that follows given curvature deviations (one a node) as closely as the splines can.
@@ -202,6 +200,19 @@ impl RodModel {
         }
         state
     }
+}
+
+fn penalty(splines: usize) -> DMatrix<f64> {
+    let n = ROOT + 2 * splines;
+    let mut form = DMatrix::<f64>::zeros(n, n);
+    for start in (0..2).flat_map(|d| (0..splines - 2).map(move |r| ROOT + d * splines + r)) {
+        for (i, a) in [1.0, -2.0, 1.0].into_iter().enumerate() {
+            for (j, b) in [1.0, -2.0, 1.0].into_iter().enumerate() {
+                form[(start + i, start + j)] += a * b;
+            }
+        }
+    }
+    form
 }
 
 /// Rotation over half an interval: bending k1 toward axis 1 and k2 toward axis 2.

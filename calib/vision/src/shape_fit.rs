@@ -282,40 +282,35 @@ pub struct Prior {
     pub smoothing: f64,
 }
 
+/// Parameters of the curve as one vector, root offsets left at zero: what the penalty acts on.
+fn bends(state: &RodState, n: usize) -> DVector<f64> {
+    DVector::from_fn(n, |k, _| if k < ROOT { 0.0 } else { state.coefficients[k - ROOT] })
+}
+
 /// Information matrix and right-hand side with the prior.
 #[must_use]
 pub fn with_prior(
     system: &PairSystem,
     prior: &Prior,
     state: &RodState,
-    roughness: &DMatrix<f64>,
+    model: &RodModel,
 ) -> (DMatrix<f64>, DVector<f64>) {
     let (mut h, mut g) = (system.data.clone(), system.rhs.clone());
-    for i in 0..6 {
-        for j in 0..6 {
-            h[(i, j)] += prior.base[(i, j)];
-        }
-    }
-    let pull = prior.base * prior.base_offset;
-    for k in 0..6 {
-        g[k] += pull[k];
-    }
+    let mut base = h.fixed_view_mut::<6, 6>(0, 0);
+    base += prior.base;
+    let mut pull = g.fixed_rows_mut::<6>(0);
+    pull += prior.base * prior.base_offset;
     for k in 0..ROOT {
         let w = 1.0 / prior.root_sd[k / 2].powi(2);
         h[(6 + k, 6 + k)] += w;
         g[6 + k] -= w * state.root[k];
     }
-    let mut theta = DVector::<f64>::zeros(roughness.ncols());
-    for (k, c) in state.coefficients.iter().enumerate() {
-        theta[ROOT + k] = *c;
-    }
-    let penalty = roughness.transpose() * roughness * prior.smoothing;
-    let pull = &penalty * &theta;
-    let n = roughness.ncols();
+    let n = model.parameters();
     let mut block = h.view_mut((6, 6), (n, n));
-    block += &penalty;
+    block.zip_apply(model.penalty(), |a, p| *a += prior.smoothing * p);
+    let mut rows = g.rows_mut(6, n);
+    rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
     for k in 0..n {
-        g[6 + k] -= pull[k];
         // Splines beyond the tip see no data and little penalty: kept near where they are.
         h[(6 + k, 6 + k)] += 1e-3;
     }
@@ -324,26 +319,18 @@ pub fn with_prior(
 
 /// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of factors of 3.
 #[must_use]
-pub fn choose_smoothing(
-    system: &PairSystem,
-    prior: &Prior,
-    state: &RodState,
-    roughness: &DMatrix<f64>,
-) -> f64 {
-    let rank = roughness.nrows() as f64;
+pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &RodState, model: &RodModel) -> f64 {
+    let rank = model.penalty_rank() as f64;
+    let theta = bends(state, model.parameters());
+    let rough_now = theta.dot(&(model.penalty() * &theta));
     let mut best = (f64::NEG_INFINITY, prior.smoothing);
     for k in 0..28 {
         let smoothing = 1e2 * 3f64.powi(k);
         let trial = Prior { smoothing, ..prior.clone() };
-        let (h, g) = with_prior(system, &trial, state, roughness);
+        let (h, g) = with_prior(system, &trial, state, model);
         let Some(cholesky) = h.cholesky() else { continue };
         let step = cholesky.solve(&g);
         let log_det = 2.0 * cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
-        let mut theta = DVector::<f64>::zeros(roughness.ncols());
-        for (i, c) in state.coefficients.iter().enumerate() {
-            theta[ROOT + i] = *c;
-        }
-        let rough_now = (roughness * &theta).norm_squared();
         // Minimum of the penalised sum of squares: value at the current state less what the step gains.
         let least = system.chi2 + smoothing * rough_now - step.dot(&g);
         let evidence = 0.5 * (rank * smoothing.ln() - log_det - least);

@@ -45,12 +45,18 @@ pub struct GrooveDocument {
     /// Unit tangent of the wire in the groove, base frame: the groove's axis follows it.
     #[serde(default)]
     pub axis: [f64; 3],
-    /// `vertex`, `out-of-vertex`, `none`.
+    /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims), `out-of-vertex` (on one flank), `none`.
     #[serde(default)]
     pub contact: String,
+    /// Arc lengths of the contacts, mm: none, one, or the two rims.
+    #[serde(default)]
+    pub contacts_mm: Vec<f64>,
     /// Distance of the wire from the vertex position that the tag states, mm.
     #[serde(default)]
     pub distance_from_vertex_mm: f64,
+    /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough to tell the push's direction.
+    #[serde(default)]
+    pub apex_mm: Option<[f64; 3]>,
     /// Vertex position by the rig tag alone, base frame, mm.
     #[serde(default)]
     pub by_tag_mm: [f64; 3],

@@ -79,50 +79,57 @@ struct Edge {
 }
 
 fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
-    let mut corners = raw.corners_px.map(|p| straighten(camera, &Vector2::new(p[0], p[1])));
-    let mut covariances = [Matrix2::identity() * 0.04; 4];
-    let mut refined = false;
-    // Two rounds: the second takes its pixels about the lines of the first.
-    for _ in 0..2 {
-        let edges: Option<Vec<Edge>> = (0..4)
-            .map(|k| {
-                fit_edge(picture, camera, &corners[k], &corners[(k + 1) % 4], cells_along_side(&raw.family))
-            })
-            .collect();
-        let Some(edges) = edges else { break };
-        let mut next = corners;
-        let mut good = true;
-        for k in 0..4 {
-            match intersect(&edges[(k + 3) % 4], &edges[k]) {
-                Some((p, c)) if (p - corners[k]).norm() < 3.0 => {
-                    next[k] = p;
-                    covariances[k] = c;
-                }
-                _ => good = false,
-            }
-        }
-        if !good {
-            covariances = [Matrix2::identity() * 0.04; 4];
-            break;
-        }
-        corners = next;
-        refined = true;
-    }
-    // The outline alone takes a tone curve's shift of all edges for a larger tag; the cells tell the two apart.
-    if refined
-        && let Some(found) =
-            refine_by_cells(picture, camera, &corners, cells_along_side(&raw.family) as usize)
-    {
-        (corners, covariances) = (found.corners, found.covariances);
-    }
+    let start = raw.corners_px.map(|p| straighten(camera, &Vector2::new(p[0], p[1])));
+    let cells = cells_along_side(&raw.family);
+    // The outline alone takes a tone curve's shift of all edges for a larger tag; where the cells are large enough they tell
+    // the two apart. Small tags have their outline only.
+    let by_cells = |from: &[Vector2<f64>; 4]| {
+        refine_by_cells(picture, camera, from, cells as usize).map(|f| (f.corners, f.covariances))
+    };
+    let found = by_cells(&start).or_else(|| {
+        let outline = refine_outline(picture, camera, &start, cells)?;
+        by_cells(&outline.0).or(Some(outline))
+    });
+    let refined = found.is_some();
+    // Unrefined corners of the library are good to a few tenths of a pixel.
+    let (corners, covariances_px2) = found.unwrap_or((start, [Matrix2::identity() * 0.04; 4]));
     Tag {
         family: raw.family,
         id: raw.id,
         decision_margin: raw.decision_margin,
         corners_px: corners.map(|c| bend(camera, &c)),
-        covariances_px2: covariances,
+        covariances_px2,
         refined,
     }
+}
+
+type CornersWithSpread = ([Vector2<f64>; 4], [Matrix2<f64>; 4]);
+
+/// Corners where the four fitted outer edges cross; none where an edge cannot be fitted or a corner wanders off.
+fn refine_outline(
+    picture: &Picture,
+    camera: Option<&Camera>,
+    start: &[Vector2<f64>; 4],
+    cells: f64,
+) -> Option<CornersWithSpread> {
+    let mut corners = *start;
+    let mut covariances = [Matrix2::zeros(); 4];
+    // Two rounds: the second takes its pixels about the lines of the first.
+    for _ in 0..2 {
+        let edges: Vec<Edge> = (0..4)
+            .map(|k| fit_edge(picture, camera, &corners[k], &corners[(k + 1) % 4], cells))
+            .collect::<Option<_>>()?;
+        let mut next = corners;
+        for k in 0..4 {
+            let (p, c) = intersect(&edges[(k + 3) % 4], &edges[k])?;
+            if !((p - corners[k]).norm() < 3.0) {
+                return None;
+            }
+            (next[k], covariances[k]) = (p, c);
+        }
+        corners = next;
+    }
+    Some((corners, covariances))
 }
 
 /// Where two edges cross, with its covariance.

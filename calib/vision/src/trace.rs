@@ -4,15 +4,18 @@
 use crate::document::StereoCameras;
 use crate::ridge::{Evidence, HIDDEN, RidgeMap};
 use crate::rig::RigWhisker;
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Vector2, Vector3};
-use std::collections::HashMap;
+use crate::rigid::hat;
+use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
+use std::collections::HashSet;
 
 /// Length of a step of the search, mm.
 const STEP_MM: f64 = 1.0;
 /// Places scored a step.
 const PLACES: usize = 3;
 /// Curves kept.
-const BEAM: usize = 160;
+pub const BEAM: usize = 160;
+/// Side of the cells in which a found wire is covered up, px.
+const COVER_PX: f64 = 4.0;
 /// Change of curvature a step, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
 const CURVATURE_STEP: f64 = 0.0015;
 
@@ -27,6 +30,8 @@ pub struct Trace {
     pub score: f64,
     /// Typical response along the wire, left and right.
     pub strength: [f64; 2],
+    /// Places along it, base frame, one a step.
+    pub path: Vec<Vector3<f64>>,
 }
 
 #[derive(Clone)]
@@ -42,17 +47,52 @@ struct Candidate {
 
 /// The pictures' evidence for one polarity.
 pub struct Scene<'a> {
-    /// Cameras.
-    pub stereo: &'a StereoCameras,
-    /// Pose of the base.
-    pub left_from_base: Isometry3<f64>,
-    /// Maps of both pictures.
-    pub maps: [&'a RidgeMap; 2],
-    /// Scores of both pictures.
-    pub evidence: [Evidence; 2],
+    stereo: &'a StereoCameras,
+    /// Rotation and translation from the base to each camera.
+    camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
+    maps: &'a [RidgeMap<'a>; 2],
+    evidence: [Evidence; 2],
+    /// Cells of each picture that are covered up.
+    covered: [HashSet<[i32; 2]>; 2],
 }
 
-impl Scene<'_> {
+impl<'a> Scene<'a> {
+    /// Cameras, base, maps and scores of both pictures.
+    #[must_use]
+    pub fn new(
+        stereo: &'a StereoCameras,
+        left_from_base: &Isometry3<f64>,
+        maps: &'a [RidgeMap<'a>; 2],
+        evidence: [Evidence; 2],
+    ) -> Self {
+        let parts =
+            |pose: Isometry3<f64>| (*pose.rotation.to_rotation_matrix().matrix(), pose.translation.vector);
+        let camera_from_base = [parts(*left_from_base), parts(stereo.right_from_left * left_from_base)];
+        Self { stereo, camera_from_base, maps, evidence, covered: Default::default() }
+    }
+
+    /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
+    #[must_use]
+    pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
+        let reach = (distance_px / COVER_PX).ceil() as i32;
+        for camera in 0..2 {
+            for w in path.windows(2) {
+                let (Some((a, _)), Some((b, _))) =
+                    (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
+                else {
+                    continue;
+                };
+                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i32;
+                for k in 0..=steps {
+                    let [x, y] = cell(&(a + (b - a) * (f64::from(k) / f64::from(steps))));
+                    let square = (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| [x + i, y + j]));
+                    self.covered[camera].extend(square);
+                }
+            }
+        }
+        self
+    }
+
     /// Pixel and unit normal of the wire's image in one camera.
     fn image(
         &self,
@@ -60,16 +100,18 @@ impl Scene<'_> {
         p: &Vector3<f64>,
         t: &Vector3<f64>,
     ) -> Option<(Vector2<f64>, Vector2<f64>)> {
-        let mut x = self.left_from_base * Point3::from(*p);
-        let mut d = self.left_from_base.rotation * t;
-        if camera == 1 {
-            x = self.stereo.right_from_left * x;
-            d = self.stereo.right_from_left.rotation * d;
+        let (turn, shift) = &self.camera_from_base[camera];
+        let (x, d) = (turn * p + shift, turn * t);
+        if x.z <= 0.0 {
+            return None;
         }
         let c = &self.stereo.cameras[camera];
-        let (a, b) = (c.project(&x.coords)?, c.project(&(x.coords + d * 0.1))?);
-        let along = (b - a).try_normalize(1e-9)?;
-        Some((a, Vector2::new(-along.y, along.x)))
+        let n = Vector2::new(x.x / x.z, x.y / x.z);
+        let (q, by_n) = c.distort(&n);
+        let run = by_n * Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z);
+        let along = Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
+        let px = Vector2::new(c.focal_px[0] * q.x + c.centre_px[0], c.focal_px[1] * q.y + c.centre_px[1]);
+        Some((px, Vector2::new(-along.y, along.x)))
     }
 
     fn response(&self, camera: usize, p: &Vector3<f64>, t: &Vector3<f64>) -> Option<f64> {
@@ -78,8 +120,23 @@ impl Scene<'_> {
     }
 
     fn score(&self, p: &Vector3<f64>, t: &Vector3<f64>) -> f64 {
-        (0..2).map(|c| self.evidence[c].score(self.response(c, p, t))).sum()
+        (0..2)
+            .map(|camera| match self.image(camera, p, t) {
+                Some((px, normal)) if !self.covers(camera, &px) => {
+                    self.evidence[camera].score(self.maps[camera].across(&px, &normal))
+                }
+                _ => HIDDEN,
+            })
+            .sum()
     }
+
+    fn covers(&self, camera: usize, px: &Vector2<f64>) -> bool {
+        !self.covered[camera].is_empty() && self.covered[camera].contains(&cell(px))
+    }
+}
+
+fn cell(px: &Vector2<f64>) -> [i32; 2] {
+    [(px.x / COVER_PX).floor() as i32, (px.y / COVER_PX).floor() as i32]
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected line.
@@ -87,16 +144,12 @@ impl Scene<'_> {
 pub fn expected_strength(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
-    maps: [&RidgeMap; 2],
+    maps: &[RidgeMap<'_>; 2],
     whisker: &RigWhisker,
     polarity: f64,
 ) -> [f64; 2] {
-    let scene = Scene {
-        stereo,
-        left_from_base: *left_from_base,
-        maps,
-        evidence: [0, 1].map(|_| Evidence::new(&[], 1.0, polarity)),
-    };
+    let none = [0, 1].map(|_| Evidence::new(&[], 1.0, polarity));
+    let scene = Scene::new(stereo, left_from_base, maps, none);
     let end = whisker.straight_mm.min(0.3 * whisker.length_mm).max(4.0);
     [0, 1].map(|camera| {
         let mut strongest: Vec<f64> = (0..40)
@@ -116,9 +169,9 @@ pub fn expected_strength(
     })
 }
 
-/// Grows curves from the root and returns the best; none where no curve has any evidence.
+/// Grows curves from the root, keeping the best `beam` of them, and returns the best; none where no curve has any evidence.
 #[must_use]
-pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
+pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Trace> {
     let steps = (1.12 * whisker.length_mm / STEP_MM) as usize;
     let mut history: Vec<Vec<Candidate>> = Vec::with_capacity(steps + 1);
     // The bending moment at the root is unknown: every curvature up to 0.03 / mm is started.
@@ -156,7 +209,7 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
             }
         }
         history.push(std::mem::take(&mut now));
-        now = if branch { prune(scene, next) } else { next };
+        now = if branch { prune(next, beam) } else { next };
     }
     history.push(now);
     let last = history.last()?;
@@ -166,10 +219,12 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
     }
     let (score, best_step) = (best.best, best.best_step);
     let mut curvatures = Vec::with_capacity(steps);
+    let mut path = Vec::with_capacity(steps);
     let mut responses: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
     for level in history.iter().rev() {
         let c = &level[index];
         curvatures.push(c.bend);
+        path.push(c.position);
         for (k, list) in responses.iter_mut().enumerate() {
             let r = scene.response(k, &c.position, &c.frame.column(0).into_owned());
             if let Some(r) = r.filter(|&r| scene.evidence[k].score(Some(r)) > 0.0) {
@@ -179,6 +234,8 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
         index = c.parent;
     }
     curvatures.reverse();
+    path.reverse();
+    path.truncate(best_step + 1);
     let end = curvatures[best_step.min(curvatures.len() - 1)];
     // Beyond the end the curve goes on as it was.
     for c in curvatures.iter_mut().skip(best_step) {
@@ -189,6 +246,7 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
         length_mm: best_step as f64 * STEP_MM,
         score,
         strength: responses.map(|r| crate::initial::median(&r)),
+        path,
     })
 }
 
@@ -197,26 +255,32 @@ fn advance(scene: &Scene<'_>, whisker: &RigWhisker, c: &mut Candidate, step: usi
     for place in 0..PLACES {
         let s = step as f64 * STEP_MM + (place as f64 + 0.5) * h;
         let nominal = if s > whisker.straight_mm { whisker.arc_curvature_per_mm } else { 0.0 };
-        let turn = Vector3::new(0.0, -(c.bend[1] - nominal), c.bend[0]) * (0.5 * h);
-        let half = Rotation3::from_scaled_axis(turn);
-        let middle = c.frame * half.matrix();
+        let half = small_turn(&(Vector3::new(0.0, -(c.bend[1] - nominal), c.bend[0]) * (0.5 * h)));
+        let middle = c.frame * half;
         let tangent = middle.column(0).into_owned();
         let score = scene.score(&(c.position + tangent * (0.5 * h)), &tangent);
         c.position += tangent * h;
-        c.frame = middle * half.matrix();
+        c.frame = middle * half;
         c.score += score;
     }
 }
 
+/// Rodrigues' formula to the fourth power of the angle: turns here are hundredths of a radian.
+fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
+    let (k, square) = (hat(w), w.norm_squared());
+    Matrix3::identity() + k * (1.0 - square / 6.0) + k * k * (0.5 - square / 24.0)
+}
+
 /// Keeps the best curves, one a place and direction, so that the beam does not fill with copies of one.
-fn prune(scene: &Scene<'_>, mut all: Vec<Candidate>) -> Vec<Candidate> {
-    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
+    let mut order: Vec<usize> = (0..all.len()).collect();
+    order.sort_by(|&a, &b| all[b].score.total_cmp(&all[a].score));
     // Nothing recovers from being this much worse than the best.
-    let floor = all.first().map_or(0.0, |c| c.score) - 80.0 + 4.0 * HIDDEN;
-    let mut seen: HashMap<[i64; 6], usize> = HashMap::new();
-    let mut kept = Vec::with_capacity(BEAM);
-    for c in all {
-        if kept.len() >= BEAM || c.score < floor {
+    let floor = order.first().map_or(0.0, |&k| all[k].score) - 80.0 + 4.0 * HIDDEN;
+    let mut seen: HashSet<[i64; 6]> = HashSet::new();
+    let mut kept = Vec::with_capacity(beam);
+    for c in order.into_iter().map(|k| &all[k]) {
+        if kept.len() >= beam || c.score < floor {
             break;
         }
         let t = c.frame.column(0);
@@ -229,12 +293,9 @@ fn prune(scene: &Scene<'_>, mut all: Vec<Candidate>) -> Vec<Candidate> {
             cell(t.z, 0.01),
             cell(c.bend[0], 0.003) * 1000 + cell(c.bend[1], 0.003),
         ];
-        let count = seen.entry(key).or_insert(0);
-        if *count < 1 {
-            *count += 1;
-            kept.push(c);
+        if seen.insert(key) {
+            kept.push(c.clone());
         }
     }
-    let _ = scene;
     kept
 }

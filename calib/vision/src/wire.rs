@@ -2,7 +2,7 @@
 //! equal, with light that may change across the bar. That is Steger's bias for unequal sides, solved rather than corrected.
 
 use crate::picture::Picture;
-use crate::profile::blurred_step;
+use crate::profile::erf_with_slope;
 use nalgebra::{SMatrix, SVector, Vector2};
 
 /// Length of a piece, px.
@@ -57,58 +57,191 @@ pub struct Piece {
     pub residual: (f64, usize),
 }
 
-/// Pixels of a piece: across, along, grey value.
-fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<(f64, f64, f64)> {
-    let normal = at.normal();
-    let span = (reach * reach + PIECE_PX * PIECE_PX * 0.25).sqrt() + 1.0;
-    let mut pixels = Vec::with_capacity(96);
+/// A pixel of a piece: its place across the line and its grey value.
+pub(crate) type Pixel = (f64, f64);
+
+/// Pixels of a piece, row by row where the strip about the line crosses the row.
+pub(crate) fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<Pixel> {
+    let (normal, tangent) = (at.normal(), at.tangent);
+    let half = 0.5 * PIECE_PX;
+    let sag = 0.5 * at.bend_per_px.abs() * half * half;
+    let span = (reach + sag).hypot(half);
     let p = at.position_px;
+    let mut pixels = Vec::with_capacity((2.0 * (reach + 1.0) * (PIECE_PX + 1.0)) as usize);
     for y in (p.y - span).ceil() as i64..=(p.y + span).floor() as i64 {
-        for x in (p.x - span).ceil() as i64..=(p.x + span).floor() as i64 {
-            let d = Vector2::new(x as f64, y as f64) - p;
-            let t = at.tangent.dot(&d);
+        let dy = y as f64 - p.y;
+        let (mut from, mut to) = (-span, span);
+        for (slope, start, limit) in
+            [(tangent.x, tangent.y * dy, half), (normal.x, normal.y * dy, reach + sag)]
+        {
+            if slope.abs() > 1e-6 {
+                let ends = [(-limit - start) / slope, (limit - start) / slope];
+                from = from.max(ends[0].min(ends[1]));
+                to = to.min(ends[0].max(ends[1]));
+            }
+        }
+        for x in (p.x + from).ceil() as i64..=(p.x + to).floor() as i64 {
+            let d = Vector2::new(x as f64 - p.x, dy);
+            let t = tangent.dot(&d);
             let u = normal.dot(&d) - 0.5 * at.bend_per_px * t * t;
-            if t.abs() <= 0.5 * PIECE_PX && u.abs() <= reach {
-                pixels.push((u, t, picture.at(x, y)));
+            if t.abs() <= half && u.abs() <= reach {
+                pixels.push((u, picture.at(x, y)));
             }
         }
     }
     pixels
 }
 
-type Levels = SVector<f64, 4>;
+pub(crate) type Levels = SVector<f64, 4>;
+type Square = SMatrix<f64, 4, 4>;
 
-/// Shares of left background, right background, bar, and light across the bar; with their derivatives by the centre.
-fn shares(u: f64, centre: f64, width: f64, blur: f64) -> (Levels, Levels) {
-    let h = 0.5 * width;
-    let e = u - centre;
-    let (a, da) = blurred_step(e + h, blur);
-    let (b, db) = blurred_step(e - h, blur);
-    let bar = a - b;
-    let tilt = e / h;
-    (Levels::new(1.0 - a, b, bar, bar * tilt), Levels::new(da, -db, db - da, (db - da) * tilt - bar / h))
+/// A blurred bar of known width.
+#[derive(Clone, Copy)]
+pub(crate) struct Bar {
+    /// Half width, px.
+    half: f64,
+    /// 1 / (blur sqrt 2), 1/px.
+    inverse: f64,
 }
 
-/// Best levels for a given centre: (sum of squares, levels).
-fn levels(pixels: &[(f64, f64, f64)], centre: f64, width: f64, blur: f64) -> Option<(f64, Levels)> {
-    let (mut m, mut v, mut yy) = (SMatrix::<f64, 4, 4>::zeros(), Levels::zeros(), 0.0);
-    for &(u, _, value) in pixels {
-        let (f, _) = shares(u, centre, width, blur);
-        m += f * f.transpose();
-        v += f * value;
-        yy += value * value;
+/// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
+const TILT_SHARE: f64 = 0.03;
+/// Noise below which pixels are not believed, DN: quantisation and what the model lacks.
+const LEAST_NOISE: f64 = 0.5;
+/// What blur and width that are not quite right leave, as a share of the depth: a shifted bar with tilted light must not pay for it.
+const MODEL_SHARE: f64 = 0.03;
+/// Weight of the light across the bar while neither noise nor depth is known, and while blur and width are not: nearly none is let
+/// in, so that a symmetric line has one best centre.
+pub(crate) const FIRST_RIDGE: f64 = 4.0;
+
+/// Weight of the light across the bar, noise^2 / (its prior sd)^2.
+fn ridge(cost: f64, pixels: usize, level: &Levels) -> f64 {
+    let depth = (0.5 * (level[0] + level[1]) - level[2]).abs().max(2.0 * LEAST_NOISE);
+    let noise2 = (cost / (pixels as f64 - 5.0).max(1.0)).max((MODEL_SHARE * depth).powi(2));
+    noise2 / (TILT_SHARE * depth).powi(2)
+}
+
+impl Bar {
+    pub(crate) fn new(width_px: f64, blur_px: f64) -> Self {
+        Self { half: 0.5 * width_px, inverse: std::f64::consts::FRAC_1_SQRT_2 / blur_px }
     }
-    // The light across the bar is only as free as the bar is wide: a mild ridge keeps narrow wires from trading it for a shift.
-    m[(3, 3)] += 1e-2 * pixels.len() as f64 * (blur / width).powi(2);
-    let levels = m.cholesky()?.solve(&v);
-    Some(((yy - v.dot(&levels)).max(0.0), levels))
+
+    /// Step from 0 to 1 at 0 and its derivative.
+    fn step(&self, x: f64) -> (f64, f64) {
+        let (f, slope) = erf_with_slope(x * self.inverse);
+        (0.5 + 0.5 * f, 0.5 * slope * self.inverse)
+    }
+
+    /// Shares of left background, right background, bar, and light across the bar.
+    fn shares(&self, e: f64) -> Levels {
+        let (a, b) = (self.step(e + self.half).0, self.step(e - self.half).0);
+        Levels::new(1.0 - a, b, a - b, (a - b) * e / self.half)
+    }
+
+    /// Shares with their derivatives by the centre, by the logarithm of the blur and by that of the width.
+    pub(crate) fn shares_with_slopes(&self, e: f64) -> [Levels; 4] {
+        let h = self.half;
+        let ((a, da), (b, db)) = (self.step(e + h), self.step(e - h));
+        let (bar, tilt) = (a - b, e / h);
+        let by_centre = Levels::new(da, -db, db - da, (db - da) * tilt - bar / h);
+        let (a_blur, b_blur) = (-(e + h) * da, -(e - h) * db);
+        let by_blur = Levels::new(-a_blur, b_blur, a_blur - b_blur, (a_blur - b_blur) * tilt);
+        let (a_width, b_width) = (h * da, -h * db);
+        let wider = a_width - b_width;
+        let by_width = Levels::new(-a_width, b_width, wider, (wider - bar) * tilt);
+        [Levels::new(1.0 - a, b, bar, bar * tilt), by_centre, by_blur, by_width]
+    }
+
+    /// Best levels for a given centre: (sum of squares, levels).
+    fn levels(&self, pixels: &[Pixel], centre: f64) -> Option<(f64, Levels)> {
+        let (mut m, mut v, mut yy) = (Square::zeros(), Levels::zeros(), 0.0);
+        for &(u, value) in pixels {
+            let f = self.shares(u - centre);
+            m += f * f.transpose();
+            v += f * value;
+            yy += value * value;
+        }
+        m[(3, 3)] += FIRST_RIDGE;
+        let levels = m.cholesky()?.solve(&v);
+        Some(((yy - v.dot(&levels)).max(0.0), levels))
+    }
+
+    /// Best centre near `start`: Gauss-Newton with the levels eliminated, their part of the slope projected out.
+    /// `tilted`: light may change across the bar.
+    pub(crate) fn settle(
+        &self,
+        pixels: &[Pixel],
+        start: f64,
+        rounds: usize,
+        tilted: bool,
+    ) -> Option<Settled> {
+        let mut centre = start;
+        let mut settled = None;
+        let mut last_step = f64::INFINITY;
+        let mut weight = FIRST_RIDGE;
+        for round in 0..=rounds {
+            let (mut ff, mut fd, mut dd) = (Square::zeros(), Square::zeros(), Square::zeros());
+            let (mut v, mut w, mut yy) = (Levels::zeros(), Levels::zeros(), 0.0);
+            for &(u, value) in pixels {
+                let [f, d, _, _] = self.shares_with_slopes(u - centre);
+                ff += f * f.transpose();
+                fd += f * d.transpose();
+                dd += d * d.transpose();
+                v += f * value;
+                w += d * value;
+                yy += value * value;
+            }
+            let mut m = ff;
+            m[(3, 3)] += weight;
+            let inverse = m.cholesky()?;
+            let level = inverse.solve(&v);
+            let cross = fd * level;
+            let projected = level.dot(&(dd * level)) - cross.dot(&inverse.solve(&cross));
+            if !(projected > 0.0) {
+                return None;
+            }
+            let cost = (yy - 2.0 * v.dot(&level) + level.dot(&(ff * level))).max(0.0);
+            if tilted {
+                weight = ridge(cost, pixels.len(), &level).min(FIRST_RIDGE);
+            }
+            settled = Some(Settled { centre, cost, level, projected });
+            // The last step was small: levels and cost are those of the end.
+            if round == rounds || last_step < 1e-4 {
+                break;
+            }
+            // The levels are at their best here, so that only the centre's own slope counts.
+            let gradient = level.dot(&w) - level.dot(&cross);
+            last_step = (gradient / projected).clamp(-0.5, 0.5);
+            centre += last_step;
+            last_step = last_step.abs();
+        }
+        settled
+    }
+}
+
+/// A bar settled on its pixels.
+#[derive(Clone, Copy)]
+pub(crate) struct Settled {
+    pub(crate) centre: f64,
+    /// Sum of squares, DN^2.
+    pub(crate) cost: f64,
+    pub(crate) level: Levels,
+    /// Information on the centre, levels eliminated, DN^2 / px^2.
+    pub(crate) projected: f64,
+}
+
+/// Distance from the centre within which pixels count, px: the bar, its blur and a little of the background.
+pub(crate) fn near_px(width_px: f64, blur_px: f64) -> f64 {
+    0.5 * width_px + 3.0 * blur_px + 2.0
 }
 
 /// Fits one piece. `search_px`: how far from the predicted line the centre may lie.
 #[must_use]
 pub fn fit_piece(picture: &Picture, at: &Station, look: Look, search_px: f64) -> Option<Piece> {
     let width = at.width_px * look.width_scale;
-    let reach = 0.5 * width + 3.0 * look.blur_px + 2.0 + search_px;
+    let bar = Bar::new(width, look.blur_px);
+    let near = near_px(width, look.blur_px);
+    let reach = near + search_px;
     if !picture.contains(at.position_px.x, at.position_px.y, reach + 1.0) {
         return None;
     }
@@ -118,147 +251,83 @@ pub fn fit_piece(picture: &Picture, at: &Station, look: Look, search_px: f64) ->
     }
     // Coarse: every half pixel; only bars of one sign on both sides count.
     let steps = (2.0 * search_px).ceil() as i64;
-    let mut centre = None;
+    let mut coarse = None;
     let mut least = f64::INFINITY;
     for k in -steps..=steps {
         let c = 0.5 * k as f64;
-        if let Some((cost, l)) = levels(&wide, c, width, look.blur_px)
+        if let Some((cost, l)) = bar.levels(&wide, c)
             && (l[0] - l[2]) * (l[1] - l[2]) > 0.0
             && cost < least
         {
             least = cost;
-            centre = Some(c);
+            coarse = Some(c);
         }
     }
-    let mut centre = centre?;
+    let coarse = coarse?;
     // Fine: a window about the coarse centre, so that what lies beyond the wire's own surroundings does not count.
-    let near = 0.5 * width + 3.0 * look.blur_px + 2.0;
-    let pixels: Vec<_> = wide.iter().copied().filter(|p| (p.0 - centre).abs() <= near).collect();
+    let pixels: Vec<Pixel> = wide.into_iter().filter(|p| (p.0 - coarse).abs() <= near).collect();
     let n = pixels.len();
-    let mut variance_of_centre = f64::INFINITY;
-    let (mut cost, mut level) = levels(&pixels, centre, width, look.blur_px)?;
-    for _ in 0..12 {
-        // Gauss-Newton on the centre with the levels eliminated: their part of the slope is projected out.
-        let (mut m, mut c, mut s, mut g, mut gl) =
-            (SMatrix::<f64, 4, 4>::zeros(), Levels::zeros(), 0.0, 0.0, Levels::zeros());
-        for &(u, _, value) in &pixels {
-            let (f, d) = shares(u, centre, width, look.blur_px);
-            let slope = d.dot(&level);
-            let r = value - f.dot(&level);
-            m += f * f.transpose();
-            c += f * slope;
-            s += slope * slope;
-            g += slope * r;
-            gl += f * r;
-        }
-        m[(3, 3)] += 1e-2 * n as f64 * (look.blur_px / width).powi(2);
-        let inverse = m.cholesky()?;
-        let projected = s - c.dot(&inverse.solve(&c));
-        if projected <= 0.0 {
-            return None;
-        }
-        let step = (g - c.dot(&inverse.solve(&gl))) / projected;
-        centre += step.clamp(-0.5, 0.5);
-        (cost, level) = levels(&pixels, centre, width, look.blur_px)?;
-        variance_of_centre = cost / (n as f64 - 5.0).max(1.0) / projected;
-        if step.abs() < 1e-4 {
-            break;
-        }
-    }
-    if centre.abs() > search_px + 1.0 {
+    let fit = bar.settle(&pixels, coarse, 12, true)?;
+    if fit.centre.abs() > search_px + 1.0 {
         return None;
     }
-    let other = without_wire(&pixels, look.blur_px);
-    let depth = [level[0] - level[2], level[1] - level[2]];
+    let other = without_wire(&pixels, &bar);
     // Two parameters more than an edge (its place, two levels): bar has centre and four levels.
-    let evidence = 0.5 * n as f64 * (other / cost.max(1e-9)).ln() - (n as f64).ln();
+    let floor = n as f64 * LEAST_NOISE * LEAST_NOISE;
+    let evidence = 0.5 * n as f64 * ((other + floor) / (fit.cost + floor)).ln() - (n as f64).ln();
     Some(Piece {
         station: *at,
-        offset_px: centre,
-        sd_px: variance_of_centre.sqrt(),
-        depth,
+        offset_px: fit.centre,
+        sd_px: (fit.cost / (n as f64 - 5.0).max(1.0) / fit.projected).sqrt(),
+        depth: [fit.level[0] - fit.level[2], fit.level[1] - fit.level[2]],
         evidence,
-        residual: (cost, n),
+        residual: (fit.cost, n),
     })
 }
 
 /// Least sum of squares of a patch that holds one edge anywhere, or a slope, but no wire.
-fn without_wire(pixels: &[(f64, f64, f64)], blur: f64) -> f64 {
+fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
+    let (n, y0, yy) =
+        pixels.iter().fold((0.0f64, 0.0, 0.0), |(n, y0, yy), p| (n + 1.0, y0 + p.1, yy + p.1 * p.1));
     let two = |f: &dyn Fn(f64) -> f64| {
-        let (mut s0, mut s1, mut s2, mut y0, mut y1, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        for &(u, _, value) in pixels {
+        let (mut s1, mut s2, mut y1) = (0.0, 0.0, 0.0);
+        for &(u, value) in pixels {
             let x = f(u);
-            s0 += 1.0;
             s1 += x;
             s2 += x * x;
-            y0 += value;
             y1 += value * x;
-            yy += value * value;
         }
-        let d: f64 = s0 * s2 - s1 * s1;
-        if d <= 1e-9 * s0 * s0 {
-            return yy - y0 * y0 / s0;
+        let d: f64 = n * s2 - s1 * s1;
+        if d <= 1e-9 * n * n {
+            return yy - y0 * y0 / n;
         }
-        let (b, a) = ((s0 * y1 - s1 * y0) / d, (s2 * y0 - s1 * y1) / d);
+        let (b, a) = ((n * y1 - s1 * y0) / d, (s2 * y0 - s1 * y1) / d);
         yy - a * y0 - b * y1
     };
     let reach = pixels.iter().fold(0.0f64, |m, p| m.max(p.0.abs()));
-    (-8..=8)
-        .map(|k| two(&|u| blurred_step(u - reach * f64::from(k) / 8.0, blur).0))
-        .chain(std::iter::once(two(&|u| u)))
-        .fold(f64::INFINITY, f64::min)
-}
-
-/// Blur and width of the wire from the pieces that show it best: least pooled squares by golden section, in turn.
-#[must_use]
-pub fn fit_look(picture: &Picture, pieces: &[Piece], start: Look) -> Look {
-    let mut best: Vec<&Piece> = pieces.iter().filter(|p| p.evidence > 0.0).collect();
-    best.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    best.truncate(32);
-    if best.len() < 8 {
-        return start;
-    }
-    // Centres move along: held where a wrong width put them, they would confirm that width. The worst quarter does not count.
-    let misfit = |look: Look| {
-        let mut costs: Vec<f64> = best
-            .iter()
-            .filter_map(|p| fit_piece(picture, &p.station, look, p.offset_px.abs() + 0.5))
-            .map(|q| q.residual.0 / q.residual.1 as f64)
-            .collect();
-        costs.sort_by(f64::total_cmp);
-        let keep = (costs.len() * 3 / 4).max(1).min(costs.len());
-        costs[..keep].iter().sum::<f64>() / keep as f64
-    };
-    let mut look = start;
-    for _ in 0..2 {
-        look.blur_px = golden(0.35, 3.0, |b| misfit(Look { blur_px: b, ..look }));
-        look.width_scale = golden(0.6, 1.5, |w| misfit(Look { width_scale: w, ..look }));
-    }
-    look
-}
-
-fn golden(from: f64, to: f64, f: impl Fn(f64) -> f64) -> f64 {
-    let ratio = 0.618_033_988_749_895;
-    let (mut a, mut b) = (from.ln(), to.ln());
-    let (mut x, mut y) = (b - ratio * (b - a), a + ratio * (b - a));
-    let (mut fx, mut fy) = (f(x.exp()), f(y.exp()));
-    for _ in 0..9 {
-        if fx < fy {
-            (b, y, fy) = (y, x, fx);
-            x = b - ratio * (b - a);
-            fx = f(x.exp());
-        } else {
-            (a, x, fx) = (x, y, fy);
-            y = a + ratio * (b - a);
-            fy = f(y.exp());
+    let edge = |place: f64| two(&|u| bar.step(u - place).0);
+    // The best of a coarse grid, then by halves: an edge between two of its places must not pass for a wire.
+    let mut step = reach / 8.0;
+    let (mut place, mut least) = (-8..=8)
+        .map(|k| f64::from(k) * step)
+        .map(|at| (at, edge(at)))
+        .fold((0.0, f64::INFINITY), |best, next| if next.1 < best.1 { next } else { best });
+    while step > 0.05 {
+        step *= 0.5;
+        for at in [place - step, place + step] {
+            let there = edge(at);
+            if there < least {
+                (place, least) = (at, there);
+            }
         }
     }
-    (0.5 * (a + b)).exp()
+    least.min(two(&|u| u))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::profile::blurred_step;
 
     /// A bar of 3.6 px across unequal backgrounds, drawn by its own formula (simulated).
     fn drawn(centre: f64, right: f64, width: f64) -> Picture {

@@ -48,6 +48,65 @@ fn each_bad_picture_costs_its_own_pair_only() {
     assert_eq!(document.views.len(), 5);
 }
 
+/// A picture of the fixture with a change to its pixels, written as PGM in place of the JPEG.
+fn changed(folder: &std::path::Path, name: &str, change: impl Fn(&mut Picture)) {
+    let jpeg = folder.join(format!("{name}.jpg"));
+    let mut picture = Picture::read(&jpeg).unwrap();
+    change(&mut picture);
+    std::fs::remove_file(&jpeg).unwrap();
+    common::write_pgm(&folder.join(format!("{name}.pgm")), &picture);
+}
+
+#[test]
+fn every_kind_of_unusable_view_is_named_and_the_rest_is_calibrated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    copy_pairs(path, &["01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "12", "13", "14"]);
+    changed(path, "left01", |p| {
+        let half: Vec<u8> =
+            p.data.chunks(p.width).step_by(2).flat_map(|r| r.iter().copied().step_by(2)).collect();
+        *p = Picture::new(p.width / 2, p.height / 2, half).unwrap();
+    });
+    // 16 bits a pixel.
+    let sixteen: Vec<u8> = [b"P5\n640 480\n65535\n".to_vec(), vec![7; 2 * 640 * 480]].concat();
+    std::fs::remove_file(path.join("left02.jpg")).unwrap();
+    std::fs::write(path.join("left02.pgm"), sixteen).unwrap();
+    let photo = common::fixture("apriltag_images").join("33369213973_9d9bb4cc96_c.jpg");
+    std::fs::copy(photo, path.join("right03.jpg")).unwrap();
+    changed(path, "left04", |p| p.data.fill(255));
+    changed(path, "right05", |p| p.data.fill(0));
+    // No board: a plain gradient. A board that is cut off: its right part is painted over.
+    changed(path, "left06", |p| p.data = (0..640 * 480).map(|k| (k % 640 / 4) as u8 + 40).collect());
+    changed(path, "left07", |p| p.data.chunks_mut(640).for_each(|r| r[330..].fill(120)));
+    for side in ["left", "right"] {
+        std::fs::copy(path.join(format!("{side}14.jpg")), path.join(format!("{side}15.jpg"))).unwrap();
+    }
+    let document = run(path).unwrap();
+    for (name, word) in [
+        ("left01", "different sizes"),
+        ("left02", "16-bit"),
+        ("left03", "coloured"),
+        ("left04", "saturated"),
+        ("left05", "no contrast"),
+        ("left06", "no board"),
+        ("left07", "cut off"),
+        ("left15", "shares a picture with left14"),
+    ] {
+        let found = document.rejected_views.iter().find(|r| r.view == name);
+        let why = found.map_or("not rejected", |r| r.why.as_str());
+        assert!(why.contains(word), "{name}: {why}");
+    }
+    assert_eq!(document.views.len(), 6, "{:?}", document.rejected_views);
+}
+
+#[test]
+fn one_view_only_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    copy_pairs(folder.path(), &["01"]);
+    let why = run(folder.path()).unwrap_err();
+    assert!(why.contains("at least 3 pairs") && why.contains("1 of 1"), "{why}");
+}
+
 #[test]
 fn a_folder_without_pictures_and_a_missing_one_are_named() {
     let folder = tempfile::tempdir().unwrap();

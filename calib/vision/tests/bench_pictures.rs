@@ -59,16 +59,6 @@ fn vector(v: &Value) -> Vector3<f64> {
     Vector3::from_iterator(v.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()))
 }
 
-fn distance(p: &Vector3<f64>, line: &[Vector3<f64>]) -> f64 {
-    line.windows(2)
-        .map(|w| {
-            let d = w[1] - w[0];
-            let u = ((p - w[0]).dot(&d) / d.norm_squared()).clamp(0.0, 1.0);
-            (p - w[0] - d * u).norm()
-        })
-        .fold(f64::INFINITY, f64::min)
-}
-
 #[test]
 fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
     let (rig, truth) = (rig_text(), truth());
@@ -85,7 +75,7 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
         let inside_region = |p: &&Vector3<f64>| {
             let near = |a: &usize, b: &usize| (found[*a] - *p).norm().total_cmp(&(found[*b] - *p).norm());
             let nearest = (0..found.len()).min_by(near).unwrap();
-            distance(p, &found) <= 2.4477 * pair.centreline_sd_mm[nearest]
+            common::distance(p, &found) <= 2.4477 * pair.centreline_sd_mm[nearest]
         };
         inside += line.iter().filter(inside_region).count();
         let rows: Vec<[f64; 4]> = pair.left_from_base.clone();
@@ -93,7 +83,9 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
         let off = pose(&truth["cameras"]["left"]["T"]) * found_pose;
         let (shift, turn) = (off.translation.vector.norm(), off.rotation.angle().to_degrees());
         assert!(shift <= 0.03 && turn <= 0.05, "{}: base {shift} mm, {turn} deg", pair.name);
-        let rms = (found.iter().map(|p| distance(p, &line).powi(2)).sum::<f64>() / found.len() as f64).sqrt();
+        let rms = (found.iter().map(|p| common::distance(p, &line).powi(2)).sum::<f64>()
+            / found.len() as f64)
+            .sqrt();
         assert!(rms <= 0.03, "{}: wire {rms} mm", pair.name);
         let tip = (found.last().unwrap() - line.last().unwrap()).norm();
         assert!(tip <= 0.05, "{}: tip {tip} mm", pair.name);
@@ -113,18 +105,12 @@ fn wire_tip_and_groove_lie_where_they_were_drawn_and_a_wrong_rig_is_noticed() {
 
 #[test]
 fn without_the_base_tag_a_pair_is_rejected_with_the_reason() {
-    let shapes = run(&rig_text().replace("id = 0", "id = 17"));
-    for pair in &shapes.pairs {
-        assert_eq!(pair.status, "rejected");
-        assert!(pair.why.contains("base tag"), "{}", pair.why);
+    for (from, to, wanted) in [("id = 0", "id = 17", "tag36h11 17"), ("tag36h11", "tag25h9", "tag25h9 0")] {
+        for pair in &run(&rig_text().replace(from, to)).pairs {
+            assert_eq!(pair.status, "rejected");
+            assert!(pair.why.contains(&format!("expected the base tag ({wanted})")), "{}", pair.why);
+        }
     }
-}
-
-/// Writes a picture as binary PGM.
-fn write_pgm(path: &Path, picture: &Picture) {
-    let mut bytes = format!("P5\n{} {}\n255\n", picture.width, picture.height).into_bytes();
-    bytes.extend(&picture.data);
-    std::fs::write(path, bytes).unwrap();
 }
 
 /// The picture with all but the part about its base tag painted grey: the tag stays, the wire is gone.
@@ -156,9 +142,12 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
         std::fs::create_dir(path).unwrap();
         std::fs::copy(folder(&format!("scene/{side}/rest.png")), path.join("good.png")).unwrap();
         let tag = rest.tags.iter().find(|t| t.id == 0 && t.camera == *side).unwrap();
-        write_pgm(&path.join("nowire.pgm"), &without_wire(side, "rest", &tag.corners_px));
-        write_pgm(&path.join("black.pgm"), &Picture::new(1280, 960, vec![0; 1280 * 960]).unwrap());
-        write_pgm(
+        common::write_pgm(&path.join("nowire.pgm"), &without_wire(side, "rest", &tag.corners_px));
+        common::write_pgm(&path.join("black.pgm"), &Picture::new(1280, 960, vec![0; 1280 * 960]).unwrap());
+        common::write_pgm(&path.join("white.pgm"), &Picture::new(1280, 960, vec![255; 1280 * 960]).unwrap());
+        let photo = common::fixture("apriltag_images").join("33369213973_9d9bb4cc96_c.jpg");
+        std::fs::copy(photo, path.join("colour.jpg")).unwrap();
+        common::write_pgm(
             &path.join("small.pgm"),
             &Picture::new(64, 48, (0..3072).map(|k| k as u8).collect()).unwrap(),
         );
@@ -174,6 +163,8 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
     for (name, word) in [
         ("nowire", "no wire"),
         ("black", "no contrast"),
+        ("white", "saturated"),
+        ("colour", "coloured"),
         ("small", "1280x960"),
         ("twice", "the same"),
         ("empty", "zero bytes"),

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use wcal_vision::bundle::BoardView;
 use wcal_vision::calibrate::{board_points, calibrate_stereo};
 use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::{BoardSize, Refinement, find_chessboard, refine};
+use wcal_vision::chessboard::{BoardSize, Finder, Refinement, find_chessboard, refine};
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 
@@ -22,7 +22,7 @@ fn views(how: Refinement) -> Vec<BoardView> {
     let files = pair_files(&list_pictures(&left).unwrap(), &list_pictures(&right).unwrap()).unwrap();
     let corners = |path: &Option<std::path::PathBuf>| -> Vec<Option<Vector2<f64>>> {
         let picture = Picture::read(path.as_ref().unwrap()).unwrap();
-        let coarse = find_chessboard(&picture, SIZE).unwrap().unwrap();
+        let coarse = find_chessboard(&picture, SIZE, Finder::Classic).unwrap().unwrap();
         refine(&picture, SIZE, &coarse, how).unwrap().into_iter().map(|c| c.map(|c| c.position_px)).collect()
     };
     files

@@ -3,7 +3,7 @@
 mod common;
 
 use nalgebra::Vector2;
-use wcal_vision::apriltag_ffi::draw_tag;
+use wcal_vision::apriltag_ffi::{detect, draw_tag};
 use wcal_vision::picture::Picture;
 use wcal_vision::tags::find_tags;
 
@@ -87,6 +87,22 @@ fn pixel_centres_lie_at_integers_and_corners_are_as_accurate_as_the_best() {
         // A half-pixel convention taken wrongly would show here as 0.5.
         assert!(bias.norm() < 0.006 + 3.0 * rms / n.sqrt(), "side {side}: bias {bias}");
     }
+}
+
+/// The library's own corners, before any refinement, are converted from centres at +0.5 to centres at integers.
+#[test]
+fn raw_corners_follow_the_same_convention() {
+    let mut offsets = Vec::new();
+    for k in 0..8u32 {
+        let t = f64::from(k);
+        let centre = Vector2::new(320.0 + 0.37 * t, 240.0 - 0.23 * t);
+        let (picture, corners) = drawn(120.0, 0.785 * t + 0.1, centre, 1.0, u64::from(k));
+        let raw = detect(&picture, "tag36h11", 1.0).unwrap().remove(0);
+        let mean = raw.corners_px.iter().map(|c| Vector2::new(c[0], c[1])).sum::<Vector2<f64>>() / 4.0;
+        offsets.push(mean - corners.iter().sum::<Vector2<f64>>() / 4.0);
+    }
+    let bias = offsets.iter().sum::<Vector2<f64>>() / offsets.len() as f64;
+    assert!(bias.amax() < 0.1, "half a pixel would be the other convention: {bias}");
 }
 
 #[test]

@@ -127,6 +127,48 @@ pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> 
     p.rows
 }
 
+/// A reading that the program asks for (`next_measurement` of verify.json).
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
+pub struct Asked {
+    /// Number of the trajectory.
+    pub trajectory: usize,
+    /// Stage position, mm.
+    pub stage_mm: f64,
+    /// -1: after the deepest pose.
+    pub direction: f64,
+    /// 0: settled.
+    #[serde(default)]
+    pub speed_mm_s: f64,
+    /// Time since arrival, s.
+    #[serde(default)]
+    pub dwell_s: f64,
+}
+
+/// Times that every asked reading is taken.
+const ASKED_REPEATS: usize = 4;
+
+/// Plans the later session that `asked` describes: a rest reading before every excursion.
+pub fn plan_asked(asked: &[Asked], trajectories: &[Trajectory]) -> Vec<Planned> {
+    let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
+    for (k, a) in asked.iter().enumerate() {
+        let Some(index) = trajectories.iter().position(|t| t.id == a.trajectory) else { continue };
+        p.next_trajectory(index, if k == 0 { 0.0 } else { 20.0 });
+        for replicate in 1..=ASKED_REPEATS {
+            p.settled(0.0, 3.0, replicate, "rest");
+            if a.direction < 0.0 {
+                p.settled(trajectories[index].reach_mm, 2.0, replicate, "verification");
+            }
+            if a.speed_mm_s > 0.0 {
+                p.moving(a.stage_mm, a.speed_mm_s);
+            } else {
+                p.settled(a.stage_mm, a.dwell_s, replicate, "verification");
+            }
+        }
+        p.settled(0.0, 3.0, ASKED_REPEATS, "rest");
+    }
+    p.rows
+}
+
 fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
     let shares = [1.0 / 6.0, 1.0 / 3.0, 0.5, 0.7, 0.85, 1.0];
     p.settled(0.0, 3.0, 1, "rest");

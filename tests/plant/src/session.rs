@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use rand::{Rng, SeedableRng};
+use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
@@ -13,7 +13,7 @@ use crate::PlantError;
 use crate::adversarial::{self, Trick};
 use crate::bench::{Bench, DIAMETER_MM, LENGTH_MM, PM_PER_DEGC, REFERENCE_DEGC};
 use crate::effects::{Effect, Kind};
-use crate::layout::{Design, Planned, plan};
+use crate::layout::{Asked, Design, Planned, plan, plan_asked};
 use crate::rivals::{Rival, nearest, oracle_error_nmm};
 use crate::simulate::{Clean, Plant};
 
@@ -121,6 +121,8 @@ pub struct Case {
     pub readings: Vec<Reading>,
     /// Answer.
     pub truth: Truth,
+    /// What acts.
+    pub effects: Vec<Effect>,
 }
 
 /// Draws a session.
@@ -159,11 +161,32 @@ pub fn draw(request: &Request) -> Result<Case, PlantError> {
     if let ([one], true) = (effects.as_slice(), request.rivals) {
         truth.nearest_rival = nearest(&mut plant, one.kind.name().0, &clean, &without)?;
     }
-    let mut case = Case { bench: plant.bench.clone(), readings, truth };
+    let mut case = Case { bench: plant.bench.clone(), readings, truth, effects };
     if let Want::Adversarial(trick) = request.want {
         adversarial::tamper(&mut case, trick, &mut rng);
     }
     Ok(case)
+}
+
+/// Largest change of a zero when the whisker is seated anew, pm.
+const RESEAT_PM: f64 = 20.0;
+
+/// The same sensor on another day: the readings that `asked` describes, with a zero of their own.
+///
+/// # Errors
+/// [`PlantError::NoEquilibrium`] when the rod does not settle.
+pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(case.truth.seed ^ 0x1a7e);
+    let mut bench = case.bench.clone();
+    for zero in &mut bench.zero_pm {
+        *zero += rng.random_range(-RESEAT_PM..RESEAT_PM);
+    }
+    let trajectories = bench.trajectories();
+    let rows = plan_asked(asked, &trajectories);
+    let mut plant = Plant::new(bench, trajectories, rows);
+    let clean = plant.clean(&case.effects)?;
+    let readings = measure(&plant, &clean, &mut rng);
+    Ok(Case { bench: plant.bench, readings, ..case.clone() })
 }
 
 /// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the size.
@@ -323,7 +346,14 @@ impl Case {
         let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
         put(&folder.join("session.toml"), &self.session_toml(&id))?;
         put(&folder.join("points.csv"), &self.table(false))?;
+        if !self.has_holdout() {
+            return Ok(());
+        }
         put(&folder.join("holdout.csv"), &self.table(true))
+    }
+
+    fn has_holdout(&self) -> bool {
+        self.readings.iter().any(|r| r.planned.holdout)
     }
 
     fn table(&self, holdout: bool) -> String {
@@ -359,11 +389,12 @@ impl Case {
         let b = &self.bench;
         let mut out = format!(
             "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"whisker\"\nmedium = \"air\"\ncreated = \"2026-11-20T09:00:00Z\"\n\n\
-             [files]\npoints = \"points.csv\"\nholdout = \"holdout.csv\"\n\n\
+             [files]\npoints = \"points.csv\"\n{}\n\
              [whisker]\ndiameter_mm = {DIAMETER_MM}\nlength_mm = {LENGTH_MM:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
              youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
              [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\
              temperature_pm_per_degc = [10.0, 10.0]\nreference_temperature_pm_per_degc = 10.0\n\n",
+            if self.has_holdout() { "holdout = \"holdout.csv\"\n" } else { "" },
             b.straight_mm,
             b.arc_radius_mm,
             b.youngs_gpa,

@@ -104,7 +104,8 @@ fn exam_runs_a_program_and_sums_up() {
     )
     .unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let examiner = Examiner { program, folder: folder.path().join("exam"), jobs: 2, timeout_s: 2.0 };
+    let examiner =
+        Examiner { program, folder: folder.path().join("exam"), jobs: 2, timeout_s: 2.0, follow_up: false };
     let orders: Vec<Request> = [Want::Null, Want::Null, Want::Null, Want::Effects(vec![Kind::DriftLinear])]
         .into_iter()
         .enumerate()

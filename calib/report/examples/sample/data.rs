@@ -448,6 +448,7 @@ fn whisker_error(pm: f64, pm95: [f64; 2], nmm: f64, nmm95: [f64; 2]) -> HeldOutE
         moment_rmse_nmm_each: Some([1.13 * nmm, 0.85 * nmm]),
         interval95: BTreeMap::from([(pm_key, pm95), (nmm_key, nmm95)]),
         points: 48,
+        loo: None,
     }
 }
 

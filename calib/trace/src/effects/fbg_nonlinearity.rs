@@ -5,6 +5,9 @@ use crate::candidate::{Candidate, Law};
 use crate::path::WhiskerPath;
 use crate::whisker::WhiskerEffect;
 
+/// Five times what is usual at most (4 % of full scale), which leaves room for its standard deviation: more is no grating's nonlinearity.
+const LARGEST_SHARE: f64 = 0.2;
+
 /// See the module.
 pub struct FbgNonlinearity;
 
@@ -17,7 +20,8 @@ impl Candidate for FbgNonlinearity {
             law("quadratic")
                 .column("quadratic_11", "pm/(N mm)^2")
                 .column("quadratic_12", "pm/(N mm)^2")
-                .column("quadratic_22", "pm/(N mm)^2"),
+                .column("quadratic_22", "pm/(N mm)^2")
+                .at_most(LARGEST_SHARE),
         ]
     }
     fn sentence(&self) -> &'static str {

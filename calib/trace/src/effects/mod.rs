@@ -53,7 +53,7 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
 
 /// A law without parameters of either kind yet.
 fn law(name: &'static str) -> Law {
-    Law { name, parameters: Vec::new(), linear: Vec::new() }
+    Law { name, parameters: Vec::new(), linear: Vec::new(), largest_share: None }
 }
 
 impl Law {
@@ -75,6 +75,11 @@ impl Law {
 
     fn column(mut self, name: &'static str, unit: &'static str) -> Self {
         self.linear.push((name, unit));
+        self
+    }
+
+    fn at_most(mut self, share: f64) -> Self {
+        self.largest_share = Some(share);
         self
     }
 }

@@ -71,7 +71,7 @@ impl Fit {
 }
 
 /// Coefficients and residual of `y` on `design` by Householder QR on scaled columns.
-fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {
+pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     let scaled = DMatrix::from_fn(design.nrows(), design.ncols(), |i, j| {
         if scale[j] > 0.0 { design[(i, j)] / scale[j] } else { 0.0 }

@@ -9,4 +9,7 @@ pub mod lasso;
 pub mod linear;
 pub mod null;
 pub mod outliers;
+pub mod rivalry;
 pub mod search;
+pub mod share;
+pub mod subsets;

@@ -6,6 +6,9 @@ use super::gate::{CATALOGUE_LEVEL, Gate, gate};
 use super::linear::stack;
 use super::null::f_test;
 use super::outliers::clean;
+use super::rivalry::{AMBIGUITY_LEVEL, rival_p};
+use super::share::within_shares;
+use super::subsets::best_subsets;
 use crate::candidate::{Role, System, Term};
 use crate::effects::SLIP_OUTLIERS;
 use rayon::prelude::*;
@@ -38,8 +41,9 @@ pub struct Hypothesis {
     pub flagged: Vec<usize>,
 }
 
-/// One-sided amplitudes below this share of their usual size are no explanation.
-const LEAST_SHARE: f64 = 0.2;
+/// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
+/// compliance, 2 um of backlash), and estimates scatter about them.
+const LEAST_SHARE: f64 = 0.1;
 /// Price of one flagged reading: it must stand out among all readings, in every channel.
 const PRICE_A_FLAG: f64 = 2.0;
 
@@ -95,7 +99,7 @@ impl Hypothesis {
                 }
             }
         }
-        self.fit.status != Status::RankDeficient
+        self.fit.status != Status::RankDeficient && within_shares(system, &self.fit)
     }
 }
 
@@ -112,8 +116,16 @@ pub struct Evidence {
     pub behind: f64,
     /// Parameters that it spends.
     pub parameters: usize,
-    /// Physical ranges kept.
-    pub physical: bool,
+    /// Chance of falling this far behind were it true (parametric bootstrap; 1 for the best).
+    pub p_value: f64,
+}
+
+impl Evidence {
+    /// The data do not reject it.
+    #[must_use]
+    pub fn survives(&self) -> bool {
+        self.p_value >= AMBIGUITY_LEVEL
+    }
 }
 
 /// What the search found.
@@ -135,10 +147,6 @@ pub struct Found {
     /// A generic driver explains more than the catalogue does.
     pub driver_beats_catalogue: bool,
 }
-
-/// Explanations this far behind the best are rejected (likelihood ratio with Akaike's price). For a true explanation at distance d
-/// from the best the chance of falling this far behind is at most Phi(-sqrt(5)) = 1.3 %, whatever d (exam: truth in the set).
-pub const BEHIND_LIMIT: f64 = 5.0;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
@@ -211,6 +219,37 @@ fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothe
     out
 }
 
+/// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
+fn by_subsets(
+    system: &dyn System,
+    base: &Hypothesis,
+    atoms: &[Atom],
+    next: &[Hypothesis],
+    size: usize,
+) -> Vec<Hypothesis> {
+    const KEPT: usize = 2;
+    let fitting = || next.iter().filter(|h| h.physical(system));
+    let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
+    let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
+    let residual = stack(&base.fit.residual);
+    let known: Vec<Vec<usize>> = next.iter().map(|h| h.effects(None)).collect();
+    best_subsets(atoms, &residual, size, scale, KEPT + known.len())
+        .into_iter()
+        .filter(|s| base.fit.ssr / scale - s.merit < top)
+        .filter_map(|s| {
+            let mut effects: Vec<usize> = s.atoms.iter().map(|&i| atoms[i].term.effect).collect();
+            effects.sort_unstable();
+            if known.contains(&effects) {
+                return None;
+            }
+            let law = |a: &Atom| system.catalogue()[a.term.effect].laws()[a.term.law].clone();
+            Some(s.atoms.iter().map(|&i| atoms[i].start(&residual, &law(&atoms[i]))).collect::<Vec<Term>>())
+        })
+        .take(KEPT)
+        .filter_map(|terms| refit(system, &[terms], base))
+        .collect()
+}
+
 /// Adds the explanations of `more` that are not there yet; of two with the same effects the better stays.
 fn merge(
     all: &mut Vec<Hypothesis>,
@@ -268,6 +307,10 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
             };
             merge(&mut next, more, outliers, &base.fit, variance);
         }
+        if size > 1 {
+            let more = by_subsets(system, &base, &first_gate.atoms, &next, size);
+            merge(&mut next, more, outliers, &base.fit, variance);
+        }
         let mut physical: Vec<Hypothesis> =
             next.into_iter().filter(|h| h.physical(system) && h.effects(outliers).len() == size).collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
@@ -284,14 +327,25 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
     }
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
+    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
+    let p_values: Vec<f64> =
+        final_level
+            .iter()
+            .enumerate()
+            .map(|(k, h)| {
+                if k == 0 { 1.0 } else { rival_p(&best, h, variance, options.draws, options.seed + k as u64) }
+            })
+            .collect();
     let survivors: Vec<Hypothesis> = final_level
         .iter()
-        .filter(|h| h.criterion(&base.fit, variance) - top <= BEHIND_LIMIT)
-        .cloned()
+        .zip(&p_values)
+        .filter(|(_, p)| **p >= AMBIGUITY_LEVEL)
+        .map(|(h, _)| h.clone())
         .collect();
     let evidence = final_level
         .iter()
-        .map(|h| Evidence {
+        .zip(&p_values)
+        .map(|(h, p_value)| Evidence {
             effects: h.effects(outliers).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect(),
             laws: h
                 .fit
@@ -300,9 +354,9 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
                 .map(|t| system.catalogue()[t.effect].laws()[t.law].name.to_owned())
                 .collect(),
             gain: (base.fit.ssr - h.fit.ssr) / variance,
-            behind: h.criterion(&base.fit, variance) - top,
+            behind: behind(h),
             parameters: h.parameters(&base.fit) as usize,
-            physical: h.physical(system),
+            p_value: *p_value,
         })
         .collect();
     let driver_beats_catalogue = driver_wins(&base, &first_gate, &best, variance);

@@ -212,6 +212,7 @@ pub fn summarise(rows: &[HeldOut], split: &str, name: &str, seed: u64) -> Option
         moment_rmse_nmm_each: None,
         interval95: BTreeMap::from([(name.to_owned(), interval)]),
         points: rows.len(),
+        loo: None,
     })
 }
 

@@ -3,8 +3,7 @@
 use super::system::ScalarSystem;
 use super::verdict::{Conclusion, outliers};
 use crate::candidate::System;
-use crate::engine::search::BEHIND_LIMIT;
-use statrs::distribution::{ContinuousCDF, Normal};
+use crate::engine::rivalry;
 use wcal_core::verify_document::NextMeasurement;
 
 /// More repetitions than this are not worth proposing.
@@ -25,11 +24,7 @@ pub fn next_measurement(system: &ScalarSystem, c: &Conclusion) -> Option<NextMea
         .map(|h| ((&h.fit.residual - &best.fit.residual).norm() / sd, h))
         .min_by(|a, b| a.0.total_cmp(&b.0))?;
     let (d, rival) = nearest;
-    let power = |sessions: usize| {
-        let far = d * (sessions as f64).sqrt();
-        // The log likelihood ratio is normal with mean d^2 and standard deviation 2 d.
-        Normal::standard().cdf((far * far - BEHIND_LIMIT) / (2.0 * far.max(1e-9)))
-    };
+    let power = |sessions: usize| rivalry::power(d * d * sessions as f64);
     let repeats = (1..=MOST_REPEATS).find(|&k| power(k + 1) >= 0.9);
     let mut separates = id(best);
     separates.extend(id(rival).into_iter().filter(|i| !separates.contains(i)).collect::<Vec<_>>());

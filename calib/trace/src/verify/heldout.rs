@@ -72,6 +72,7 @@ pub fn summarise(rows: &[HeldOut], split: &str, seed: u64) -> Option<HeldOutErro
             (names[1].to_owned(), interval(&mut m)),
         ]),
         points: rows.len(),
+        loo: None,
     })
 }
 

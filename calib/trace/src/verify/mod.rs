@@ -1,9 +1,11 @@
 //! `wcal verify`: the stages in order, from the twin check to the unsealed holdout.
 
+pub mod between;
 pub mod detect;
 pub mod floor;
 pub mod heldout;
 pub mod holdout_check;
+mod map_left_out;
 pub mod next;
 pub mod physical;
 pub mod predictions;

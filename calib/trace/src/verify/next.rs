@@ -3,15 +3,17 @@
 use crate::candidate::{System, Term};
 use crate::engine::fit::Fit;
 use crate::engine::linear::{Basis, in_channel, stack};
+use crate::engine::rivalry::power;
 use crate::engine::search::Hypothesis;
 use crate::whisker::WhiskerSystem;
 use nalgebra::DMatrix;
-use statrs::distribution::{ContinuousCDF, Normal};
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};
 
 /// Poses asked for at most.
 const POSES: usize = 3;
+/// Rivals that the poses are chosen against, nearest first: each costs a rod solution a proposal.
+pub(super) const RIVALS: usize = 4;
 /// Readings averaged at each proposed pose.
 const REPEATS: f64 = 4.0;
 
@@ -94,71 +96,104 @@ fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[Term]) -> Opt
     Some(design.rows(index, 1).into_owned())
 }
 
-/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted.
+/// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted. They come from a later
+/// session with a zero of its own, known from a rest reading before each.
 fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64>)], variance: f64) -> f64 {
     let channels = b.residual.ncols();
     let n = b.design.nrows();
-    let total = n + new.len();
+    let total = n + new.len() + 1;
     let weight = REPEATS.sqrt();
-    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64| -> Vec<f64> {
-        column.iter().copied().chain((0..new.len()).map(|k| weight * extra(k))).collect()
+    let at_rest = weight * (new.len() as f64).sqrt();
+    let extend = |column: &[f64], extra: &dyn Fn(usize) -> f64, rest: f64| -> Vec<f64> {
+        column
+            .iter()
+            .copied()
+            .chain((0..new.len()).map(|k| weight * extra(k)))
+            .chain([at_rest * rest])
+            .collect()
     };
     let mut basis = Basis::default();
-    for j in 0..b.design.ncols() {
-        let column = extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j]);
+    let mut free = |column: &[f64]| {
         for c in 0..channels {
-            basis.push(&in_channel(&column, c, channels));
+            basis.push(&in_channel(column, c, channels));
         }
+    };
+    free(&extend(&vec![0.0; n], &|_| 1.0, 1.0));
+    for j in 0..b.design.ncols() {
+        // At rest only the constant reads.
+        let rest = f64::from(u8::from(j == 0));
+        free(&extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j], rest));
     }
     let mut difference = DMatrix::zeros(total, channels);
     for c in 0..channels {
-        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c]);
+        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
         difference.column_mut(c).copy_from_slice(&column);
     }
     basis.project_off(&stack(&difference)).norm_squared() / variance
 }
 
-/// The poses that separate the best two explanations, and the power expected from them.
+/// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.
+struct Evaluated {
+    proposal: usize,
+    against: Vec<(DMatrix<f64>, DMatrix<f64>)>,
+}
+
+/// The poses that separate the best explanation from `rivals`, and the power expected from them: the chance that none of them
+/// survives where the best one is true (Bonferroni's lower bound).
 #[must_use]
 pub fn next_measurement(
     system: &WhiskerSystem,
     best: &Hypothesis,
-    rival: &Hypothesis,
+    rivals: &[&Hypothesis],
     separates: Vec<String>,
 ) -> Option<NextMeasurement> {
     let variance = best.fit.variance();
-    // The present readings separate the two by what their predictions differ.
-    let present = &rival.fit.residual - &best.fit.residual;
+    // The present readings separate each pair by what their predictions differ.
+    let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
     let candidates = proposals(system);
-    let evaluated: Vec<(usize, DMatrix<f64>, DMatrix<f64>)> = candidates
+    let evaluated: Vec<Evaluated> = candidates
         .iter()
         .enumerate()
-        .filter_map(|(i, p)| {
-            let (da, db) = (design_at(system, p, &best.fit.terms)?, design_at(system, p, &rival.fit.terms)?);
-            let gap = &da * &best.fit.coefficients - &db * &rival.fit.coefficients;
-            Some((i, gap, db))
+        .filter_map(|(proposal, p)| {
+            let expected = design_at(system, p, &best.fit.terms)? * &best.fit.coefficients;
+            let against = rivals
+                .iter()
+                .map(|r| {
+                    let design = design_at(system, p, &r.fit.terms)?;
+                    Some((&expected - &design * &r.fit.coefficients, design))
+                })
+                .collect::<Option<Vec<_>>>()?;
+            Some(Evaluated { proposal, against })
         })
         .collect();
+    let separations = |poses: &[usize]| -> Vec<f64> {
+        (0..rivals.len())
+            .map(|r| {
+                let new: Vec<_> = poses.iter().map(|&k| evaluated[k].against[r].clone()).collect();
+                separation(&rivals[r].fit, &present[r], &new, variance)
+            })
+            .collect()
+    };
+    let decides = |each: &[f64]| (1.0 - each.iter().map(|v| 1.0 - power(*v)).sum::<f64>()).max(0.0);
     let mut chosen: Vec<usize> = Vec::new();
-    let mut reached = 0.0;
+    let mut reached = Vec::new();
     for _ in 0..POSES {
+        // The least separated rival rules, so that no pose is spent on what is decided already.
         let scored = (0..evaluated.len()).filter(|k| !chosen.contains(k)).map(|k| {
-            let new: Vec<_> = chosen
-                .iter()
-                .chain([&k])
-                .map(|&j| (evaluated[j].1.clone(), evaluated[j].2.clone()))
-                .collect();
-            (k, separation(&rival.fit, &present, &new, variance))
+            let poses: Vec<usize> = chosen.iter().copied().chain([k]).collect();
+            let each = separations(&poses);
+            (k, each.iter().copied().fold(f64::INFINITY, f64::min), each)
         });
-        let (k, value) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let (k, _, each) = scored.max_by(|a, b| a.1.total_cmp(&b.1))?;
         chosen.push(k);
-        reached = value;
-        if power(value) > 0.95 {
+        reached = each;
+        if decides(&reached) > 0.95 {
             break;
         }
     }
-    let poses: Vec<NextPose> = chosen.iter().map(|&k| candidates[evaluated[k].0].pose.clone()).collect();
-    let expected_power = power(reached);
+    let poses: Vec<NextPose> =
+        chosen.iter().map(|&k| candidates[evaluated[k].proposal].pose.clone()).collect();
+    let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
         format!(
             "{} cannot be separated on this rig by three more poses; it needs another direction of approach, another medium or a second sensor.",
@@ -166,7 +201,10 @@ pub fn next_measurement(
         )
     } else {
         let list: Vec<String> = poses.iter().map(describe).collect();
-        format!("Read {} times each: {}.", REPEATS, list.join("; "))
+        format!(
+            "Read {REPEATS} times each, a rest reading before every one: {}; then `wcal verify --add` that session.",
+            list.join("; ")
+        )
     };
     Some(NextMeasurement { separates, instruction, poses, expected_power })
 }
@@ -179,12 +217,4 @@ fn describe(p: &NextPose) -> String {
     };
     let way = if p.direction < 0.0 { "unloading from the deepest pose" } else { "loading" };
     format!("trajectory {}, stage {:.2} mm, {way}, {how}", p.trajectory, p.stage_mm)
-}
-
-/// Probability that the rival falls past the limit: its lag is about N(lambda, 4 lambda).
-fn power(lambda: f64) -> f64 {
-    if lambda <= 0.0 {
-        return 0.0;
-    }
-    Normal::standard().cdf((lambda - crate::engine::search::BEHIND_LIMIT) / (2.0 * lambda.sqrt()))
 }

@@ -1,12 +1,14 @@
 //! Stage 11: the error on readings that no fit saw, before and after, beside a black-box rival.
 
 use super::heldout::{HeldOut, coverage95, summarise};
+use super::map_left_out::leave_one_out;
 use super::physical::PhysicalModel;
 use super::predictions::{Predicted, held_out, of_reading, predict};
 use super::rival::rival;
 use super::twin_check::labelled_moments;
 use super::verdict::Conclusion;
 use crate::engine::fit::{Weights, fit};
+use crate::engine::linear::{Basis, in_channel, stack};
 use crate::engine::search::{Found, Hypothesis};
 use crate::whisker::WhiskerSystem;
 use nalgebra::{DMatrix, Matrix2};
@@ -36,6 +38,7 @@ pub(super) fn held_out_errors(
     before: &[Predicted],
     after: &[Predicted],
     sensitivity: &Matrix2<f64>,
+    on_request: bool,
     seed: u64,
 ) -> Errors {
     let rows = held_out(whole, after);
@@ -48,22 +51,34 @@ pub(super) fn held_out_errors(
             remark: String::new(),
         };
     }
-    let left_out = leave_out(system, &conclusion.accepted, None);
+    let rivals: Vec<&Hypothesis> = if conclusion.effects.is_empty() || on_request {
+        Vec::new()
+    } else {
+        std::iter::once(&found.base).chain(&found.refitted).collect()
+    };
+    let left_out = leave_out(system, &conclusion.accepted, &rivals, found, None);
     let labelled = labelled_moments(data, &system.path);
-    let declared = leave_out(system, &found.base, labelled.as_deref());
+    let declared = leave_out(system, &found.base, &[], found, labelled.as_deref());
     let mut further = Vec::new();
     if labelled.is_some() {
-        let repaired = leave_out(system, &found.base, None);
+        let repaired = leave_out(system, &found.base, &[], found, None);
         if let Some(e) = summarise(&repaired, "loto", seed) {
             further.push(("declared model, labels repaired by the rod".to_owned(), e));
         }
     }
+    let of_pose = |p: &[Predicted]| p.iter().map(|p| p.pose_moment_nmm).collect::<Vec<_>>();
+    let with_map = |error: Option<HeldOutError>, moments: &[[f64; 2]]| {
+        error.map(|e| HeldOutError { loo: leave_one_out(&system.path, moments), ..e })
+    };
     Errors {
-        before: summarise(&declared, "loto", seed),
-        after: summarise(&left_out, "loto", seed),
+        before: with_map(
+            summarise(&declared, "loto", seed),
+            &labelled.unwrap_or_else(|| of_pose(before)),
+        ),
+        after: with_map(summarise(&left_out, "loto", seed), &of_pose(after)),
         coverage95: coverage95(&left_out),
         further,
-        remark: " Errors are leave-one-trajectory-out: every fitted value was refitted without the trajectory; the choice of effects was made on all of them.".to_owned(),
+        remark: " Errors are leave-one-trajectory-out: the choice among the refitted explanations and every fitted value were made without the trajectory.".to_owned(),
     }
 }
 
@@ -79,8 +94,37 @@ fn black_box(
     summarise(&rows, "holdout", seed).map(|e| (name, e)).into_iter().collect()
 }
 
-/// Leave-one-trajectory-out residuals of an explanation; with `labels` the moments come from the outside twin instead of the rod.
-fn leave_out(system: &WhiskerSystem, h: &Hypothesis, labels: Option<&[[f64; 2]]>) -> Vec<HeldOut> {
+/// The explanation that the readings of `weights` alone would choose among `rivals` (tangent models, Akaike's price).
+fn choice<'a>(rivals: &[&'a Hypothesis], found: &Found, weights: &Weights) -> Option<&'a Hypothesis> {
+    let variance = found.best.fit.variance();
+    let cost = |h: &Hypothesis| {
+        let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
+        let kept = |v: &DMatrix<f64>| DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.0[i]);
+        let mut basis = Basis::default();
+        for column in h.fit.design.column_iter() {
+            let column: Vec<f64> = column.iter().zip(&weights.0).map(|(v, w)| v * w).collect();
+            for c in 0..channels {
+                basis.push(&in_channel(&column, c, channels));
+            }
+        }
+        for t in &h.fit.tangents {
+            basis.push(&stack(&kept(t)));
+        }
+        let left = basis.project_off(&stack(&kept(&h.fit.residual))).norm_squared();
+        left / variance + (h.criterion(&found.base.fit, variance) - h.fit.ssr / variance)
+    };
+    rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)
+}
+
+/// Leave-one-trajectory-out residuals of `accepted`, or of what each fold chooses among `rivals` where there are some; with `labels` the
+/// moments come from the outside twin instead of the rod.
+fn leave_out(
+    system: &WhiskerSystem,
+    accepted: &Hypothesis,
+    rivals: &[&Hypothesis],
+    found: &Found,
+    labels: Option<&[[f64; 2]]>,
+) -> Vec<HeldOut> {
     let readings = &system.path.readings;
     let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
     groups.sort_unstable();
@@ -89,8 +133,9 @@ fn leave_out(system: &WhiskerSystem, h: &Hypothesis, labels: Option<&[[f64; 2]]>
         .par_iter()
         .flat_map_iter(|&group| {
             let inside = |i: usize| readings[i].group == group && !readings[i].rest;
-            let weights =
-                Weights((0..readings.len()).map(|i| if inside(i) { 0.0 } else { h.weights.0[i] }).collect());
+            let outside: Vec<f64> = (0..readings.len()).map(|i| f64::from(u8::from(!inside(i)))).collect();
+            let h = choice(rivals, found, &Weights(outside.clone())).unwrap_or(accepted);
+            let weights = Weights(outside.iter().zip(&h.weights.0).map(|(o, w)| o * w).collect());
             let predicted = match labels {
                 // From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
                 None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
@@ -102,7 +147,7 @@ fn leave_out(system: &WhiskerSystem, h: &Hypothesis, labels: Option<&[[f64; 2]]>
                 Some(moments) => by_labels(system, moments, &weights),
             };
             (0..readings.len())
-                .filter(|&i| inside(i) && h.weights.0[i] > 0.0)
+                .filter(|&i| inside(i) && accepted.weights.0[i] > 0.0)
                 .filter_map(|i| Some(of_reading(group, readings[i].shift_pm, &predicted.as_ref()?[i])))
                 .collect::<Vec<_>>()
         })

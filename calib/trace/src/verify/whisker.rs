@@ -1,5 +1,6 @@
 //! The residual loop for kind "whisker", stage by stage.
 
+use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
 use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use super::physical::PhysicalModel;
@@ -171,6 +172,7 @@ pub fn verify_whisker(
         &before,
         &after,
         &model_before.sensitivity(),
+        !options.accept.is_empty(),
         seed,
     );
     let document = document(
@@ -250,13 +252,19 @@ fn document(
     }
     notes.push("Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned());
     notes.extend(cross_check(system, found));
+    notes.extend(between_seatings(system, &conclusion.accepted.fit).map(|b| b.note()));
     notes.extend(errors.further.iter().filter_map(|(name, e)| {
         Some(format!("Held-out wavelength error, {name}: {:.3} pm.", e.rmse.get("wavelength_rmse_pm")?))
     }));
     let same = in_class(found);
     let next_measurement = (conclusion.verdict == Verdict::Ambiguous)
         .then(|| {
-            let rival = found.survivors.iter().zip(&same).find(|(_, s)| !**s)?.0;
+            // Only what the poses are chosen against is promised to be separated.
+            let others = found.survivors.iter().zip(&same).filter(|(_, s)| !**s).map(|(h, _)| h);
+            let rivals: Vec<&Hypothesis> = others.take(next::RIVALS).collect();
+            if rivals.is_empty() {
+                return None;
+            }
             let names = |h: &Hypothesis| {
                 h.fit
                     .terms
@@ -265,7 +273,8 @@ fn document(
                     .collect::<Vec<_>>()
                     .join(" with ")
             };
-            next::next_measurement(system, &found.best, rival, vec![names(&found.best), names(rival)])
+            let all = std::iter::once(&found.best).chain(rivals.iter().copied()).map(names).collect();
+            next::next_measurement(system, &found.best, &rivals, all)
         })
         .flatten();
     VerifyDocument {

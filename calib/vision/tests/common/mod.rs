@@ -1,11 +1,13 @@
 //! A small renderer for tests (simulated pictures): area sampling by 6x6 points a pixel, Gaussian blur, Gaussian noise.
 #![allow(dead_code)]
 
+pub mod bench;
+
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use wcal_vision::camera::Camera;
 use wcal_vision::picture::Picture;
 
@@ -37,6 +39,16 @@ pub fn draw(
             sharp[y * width + x] = sum / (SUB * SUB) as f64;
         }
     }
+    let blurred = blurred(&sharp, width, height, blur_px);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let normal = Normal::new(0.0, noise_dn.max(1e-9)).unwrap();
+    let data =
+        blurred.iter().map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8).collect();
+    Picture::new(width, height, data).unwrap()
+}
+
+/// A picture blurred by a Gaussian; the border is continued.
+pub fn blurred(sharp: &[f64], width: usize, height: usize, blur_px: f64) -> Vec<f64> {
     let reach = (4.0 * blur_px).ceil() as i64;
     let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / blur_px).powi(2)).exp()).collect();
     let total: f64 = kernel.iter().sum();
@@ -54,12 +66,7 @@ pub fn draw(
             })
             .collect()
     };
-    let blurred = pass(&pass(&sharp, 1, 0), 0, 1);
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let normal = Normal::new(0.0, noise_dn.max(1e-9)).unwrap();
-    let data =
-        blurred.iter().map(|v| (v + normal.sample(&mut rng)).round().clamp(0.0, 255.0) as u8).collect();
-    Picture::new(width, height, data).unwrap()
+    pass(&pass(sharp, 1, 0), 0, 1)
 }
 
 /// Where a camera's pixel meets the plane z = 0 of a board.
@@ -70,4 +77,22 @@ pub fn on_plane(camera: &Camera, camera_from_board: &Isometry3<f64>, x: f64, y: 
     let ray: Vector3<f64> = inverse.rotation * Vector3::new(n.x, n.y, 1.0);
     let s = -origin.z / ray.z;
     (s > 0.0).then(|| Vector2::new(origin.x + s * ray.x, origin.y + s * ray.y))
+}
+
+/// Writes a picture as binary PGM.
+pub fn write_pgm(path: &Path, picture: &Picture) {
+    let mut bytes = format!("P5\n{} {}\n255\n", picture.width, picture.height).into_bytes();
+    bytes.extend(&picture.data);
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Distance of a point from a polyline.
+pub fn distance(p: &Vector3<f64>, line: &[Vector3<f64>]) -> f64 {
+    line.windows(2)
+        .map(|w| {
+            let d = w[1] - w[0];
+            let u = ((p - w[0]).dot(&d) / d.norm_squared()).clamp(0.0, 1.0);
+            (p - w[0] - d * u).norm()
+        })
+        .fold(f64::INFINITY, f64::min)
 }

@@ -5,5 +5,5 @@ mod score;
 mod summary;
 
 pub use run::{Examiner, Paper, answer};
-pub use score::{Kind as Mark, Outcome, score};
+pub use score::{FollowUp, Kind as Mark, Outcome, score};
 pub use summary::{Goal, clopper_pearson, summarise};

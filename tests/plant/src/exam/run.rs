@@ -6,9 +6,10 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use super::score::{Outcome, crash, score};
+use super::score::{FollowUp, Kind, Outcome, crash, score};
 use crate::PlantError;
-use crate::session::{Case, Request, draw};
+use crate::layout::Asked;
+use crate::session::{Case, Request, draw, later};
 
 /// A drawn case with its name.
 #[derive(Debug, Clone)]
@@ -30,6 +31,8 @@ pub struct Examiner {
     pub jobs: usize,
     /// Seconds before a session counts as a crash.
     pub timeout_s: f64,
+    /// Whether the measurement that an ambiguous answer asks for is made and judged.
+    pub follow_up: bool,
 }
 
 impl Examiner {
@@ -70,15 +73,54 @@ impl Examiner {
         let case = draw(order)?;
         let session = self.folder.join(&name);
         case.write(&session)?;
-        Ok(answer(&self.program, &Paper { name, case }, &session, self.timeout_s))
+        let paper = Paper { name, case };
+        let mut outcome = answer(&self.program, &paper, &session, self.timeout_s);
+        let known = !matches!(outcome.label.as_str(), "null" | "unknown" | "adversarial");
+        if self.follow_up && known && outcome.verdict == "ambiguous" {
+            outcome.follow_up = self.follow_up(&paper, &session)?;
+        }
+        Ok(outcome)
+    }
+
+    /// Makes the measurement that the answer in `session` asks for, and asks again with it; none where it asks for no poses.
+    fn follow_up(&self, paper: &Paper, session: &Path) -> Result<Option<FollowUp>, PlantError> {
+        let text = std::fs::read_to_string(session.join("verify-out/verify.json")).unwrap_or_default();
+        let Ok(verify) = serde_json::from_str::<serde_json::Value>(&text) else { return Ok(None) };
+        let next = &verify["next_measurement"];
+        let asked: Vec<Asked> = serde_json::from_value(next["poses"].clone()).unwrap_or_default();
+        if asked.is_empty() {
+            return Ok(None);
+        }
+        let folder = session.with_file_name(format!("{}-later", paper.name));
+        later(&paper.case, &asked)?.write(&folder)?;
+        let second = answer_with(&self.program, paper, session, Some(&folder), self.timeout_s);
+        Ok(Some(FollowUp {
+            expected_power: next["expected_power"].as_f64().unwrap_or(0.0),
+            poses: asked.len(),
+            resolved: second.kind == Kind::Right,
+            kind: second.kind,
+            verdict: second.verdict,
+            got: second.got,
+            why: second.why,
+        }))
     }
 }
 
 /// Runs the program on one written session and scores what it left.
 pub fn answer(program: &Path, paper: &Paper, session: &Path, timeout_s: f64) -> Outcome {
-    let out = session.join("verify-out");
+    answer_with(program, paper, session, None, timeout_s)
+}
+
+fn answer_with(
+    program: &Path,
+    paper: &Paper,
+    session: &Path,
+    added: Option<&Path>,
+    timeout_s: f64,
+) -> Outcome {
+    let out = session.join(if added.is_some() { "verify-later" } else { "verify-out" });
     let start = Instant::now();
-    let run = spawn(program, session, &out, timeout_s);
+    let run = spawn(program, session, added, &out, timeout_s);
     let seconds = start.elapsed().as_secs_f64();
     let (name, case) = (paper.name.as_str(), &paper.case);
     let code = match run {
@@ -107,13 +149,20 @@ pub fn answer(program: &Path, paper: &Paper, session: &Path, timeout_s: f64) -> 
     }
 }
 
-fn spawn(program: &Path, session: &Path, out: &Path, timeout_s: f64) -> Result<Option<i32>, String> {
+fn spawn(
+    program: &Path,
+    session: &Path,
+    added: Option<&Path>,
+    out: &Path,
+    timeout_s: f64,
+) -> Result<Option<i32>, String> {
     let log = |name: &str| {
         std::fs::File::create(session.join(name)).map(Stdio::from).map_err(|e| format!("making {name}: {e}"))
     };
     let mut child = Command::new(program)
         .arg("verify")
         .arg(session)
+        .args(added.iter().flat_map(|a| [std::ffi::OsStr::new("--add"), a.as_os_str()]))
         .arg("--out")
         .arg(out)
         .args(["--json", "--seed", "1"])

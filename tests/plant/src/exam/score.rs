@@ -70,10 +70,31 @@ pub struct Outcome {
     pub oracle_ratio: f64,
     /// Values inside the stated 95 % interval, and values.
     pub covered: Option<(usize, usize)>,
+    /// What the measurement that an ambiguous answer asked for brought, where it was made.
+    pub follow_up: Option<FollowUp>,
     /// Seconds.
     pub seconds: f64,
     /// Exit code.
     pub code: Option<i32>,
+    /// What went wrong, if anything.
+    pub why: String,
+}
+
+/// The answer after the measurement that an ambiguous one asked for.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FollowUp {
+    /// Power that the first answer stated.
+    pub expected_power: f64,
+    /// Poses that it asked for.
+    pub poses: usize,
+    /// The second answer names the right effects and nothing else.
+    pub resolved: bool,
+    /// Its mark.
+    pub kind: Kind,
+    /// Its verdict.
+    pub verdict: String,
+    /// Effects it names.
+    pub got: Vec<String>,
     /// What went wrong, if anything.
     pub why: String,
 }
@@ -198,6 +219,7 @@ fn blank(name: &str, case: &Case) -> Outcome {
         after_ratio: None,
         oracle_ratio: t.oracle_after_nmm / floor_nmm(t),
         covered: None,
+        follow_up: None,
         seconds: 0.0,
         code: None,
         why: String::new(),

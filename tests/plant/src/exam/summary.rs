@@ -3,7 +3,7 @@
 use serde::Serialize;
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::score::{Kind, Outcome};
+use super::score::{FollowUp, Kind, Outcome};
 use crate::Design;
 
 /// One line of the table.
@@ -103,6 +103,8 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     let paper = pick(&|o| !rich(o) && o.label != "null" && !tampered(o));
     let ambiguous =
         pick(&|o| o.verdict == "ambiguous" && !tampered(o) && o.label != "unknown" && o.label != "null");
+    let followed: Vec<&FollowUp> = outcomes.iter().filter_map(|o| o.follow_up.as_ref()).collect();
+    let resolvable: Vec<&FollowUp> = followed.iter().copied().filter(|f| f.expected_power >= 0.95).collect();
     let covered: Vec<(usize, usize)> =
         outcomes.iter().filter(|o| !tampered(o) && o.label != "unknown").filter_map(|o| o.covered).collect();
     let (inside, values) = covered.iter().fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
@@ -160,6 +162,27 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
             ambiguous.iter().map(|o| o.set_size as f64).collect(),
             0.5,
             f64::INFINITY,
+        ),
+        rate(
+            "ambiguities that the program calls resolvable by three poses (power >= 0.95)",
+            "-",
+            resolvable.len(),
+            followed.len(),
+            Side::None,
+        ),
+        rate(
+            "of these resolved by the measurement asked for",
+            ">= 95 %",
+            resolvable.iter().filter(|f| f.resolved).count(),
+            resolvable.len(),
+            Side::AtLeast(0.95),
+        ),
+        rate(
+            "a wrong name after the measurement asked for",
+            "-",
+            followed.iter().filter(|f| matches!(f.kind, Kind::Wrong | Kind::Part)).count(),
+            followed.len(),
+            Side::None,
         ),
         number("held-out error after / floor, median", "<= 1.05", ratios(&after, &sizeable), 0.5, 1.05),
         number(

@@ -55,7 +55,7 @@ pub fn scalar_catalogue(frame: &Frame, covariate_names: &[String]) -> Vec<Arc<dy
 }
 
 fn law(name: &'static str, parameters: Vec<Parameter>, linear: &[(&'static str, &'static str)]) -> Law {
-    Law { name, parameters, linear: linear.to_vec() }
+    Law { name, parameters, linear: linear.to_vec(), largest_share: None }
 }
 
 fn amplitude(name: &'static str, unit: &'static str, range: [f64; 2], probe: f64) -> Parameter {

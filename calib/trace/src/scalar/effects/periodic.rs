@@ -62,6 +62,31 @@ fn share_explained(u: &[f64], phase: &[f64]) -> f64 {
     }
 }
 
+/// Strokes from which on a wave that follows stimulus and direction counts as the strokes' own.
+const LEAST_STROKES: usize = 5;
+
+/// Degree of the polynomial of the stimulus that stands for whatever repeats with the strokes.
+const STROKE_DEGREE: usize = 6;
+
+/// A polynomial of the stimulus for each direction explains sine and cosine: the wave or its fundamental repeats with the strokes.
+fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
+    let Some(direction) = frame.direction.as_ref() else { return false };
+    let strokes = 1 + direction.windows(2).filter(|d| d[0] * d[1] < 0.0).count();
+    if strokes < LEAST_STROKES {
+        return false;
+    }
+    let design = nalgebra::DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
+        let power = frame.u[i].powi(j as i32 / 2);
+        if j % 2 == 0 { power } else { power * direction[i] }
+    });
+    let svd = design.clone().svd(true, true);
+    [f64::sin as fn(f64) -> f64, f64::cos].into_iter().all(|wave| {
+        let y = nalgebra::DVector::from_iterator(phase.len(), phase.iter().map(|p| wave(*p)));
+        let total = y.map(|v| v - y.mean()).norm_squared();
+        svd.solve(&y, 1e-9).is_ok_and(|b| (&y - &design * b).norm_squared() < (1.0 - LOCKED) * total)
+    })
+}
+
 /// Two covariates that run together this closely are one.
 const SAME: f64 = 0.9999;
 /// Fewer places than this do not show a period.
@@ -95,7 +120,8 @@ impl ScalarEffect for Periodic {
             return false;
         }
         let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * values[0] * p).collect();
-        if law > 0 && !frame.new_rows && share_explained(&frame.u, &phase) > LOCKED {
+        let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
+        if law > 0 && !frame.new_rows && locked() {
             return false;
         }
         out.push(phase.iter().map(|p| p.sin()).collect());

@@ -1,0 +1,255 @@
+//! The engine's stages one by one on a toy system with known answers (SIMULATED), each with a negative control.
+
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+mod toy;
+
+use nalgebra::DVector;
+use statrs::distribution::{Binomial, DiscreteCDF};
+use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
+use wcal_trace::candidate::{System, Term};
+use wcal_trace::engine::atoms::{nuisance, of_candidate};
+use wcal_trace::engine::fit::{Fit, Status, Weights, fit};
+use wcal_trace::engine::gate::gate;
+use wcal_trace::engine::inference::parameters;
+use wcal_trace::engine::linear::{Basis, stack};
+use wcal_trace::engine::null::{NullFamily, f_test};
+use wcal_trace::engine::outliers::clean;
+use wcal_trace::engine::search::{Hypothesis, Options, search};
+
+const HEIGHT: f64 = 0.03;
+const PLACE: f64 = 0.55;
+
+fn shelved(seed: u64) -> ToySystem {
+    ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * shelf(x, PLACE))
+}
+
+fn plain(seed: u64) -> ToySystem {
+    ToySystem::draw(seed, |_, _| 0.0)
+}
+
+fn base(system: &ToySystem) -> Fit {
+    fit(system, &[], &Weights::equal(READINGS), 15).unwrap()
+}
+
+/// 99.9 % upper quantile of the hits that chance at `rate` gives in `trials`.
+fn most(rate: f64, trials: u64) -> u64 {
+    Binomial::new(rate, trials).unwrap().inverse_cdf(0.999)
+}
+
+// Stage 3: the fit.
+
+#[test]
+fn the_fit_recovers_a_shelf_and_its_coefficients() {
+    let system = shelved(1);
+    let start = Term { effect: SHELF, law: 0, values: vec![0.01, 0.4] };
+    let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
+    assert_eq!(f.status, Status::Converged);
+    assert!((f.terms[0].values[0] - HEIGHT).abs() < 0.006, "{:?}", f.terms);
+    assert!((f.terms[0].values[1] - PLACE).abs() < 0.03, "{:?}", f.terms);
+    assert!((f.variance().sqrt() / NOISE - 1.0).abs() < 0.3);
+    assert_eq!(f.dof, READINGS as f64 - 4.0);
+}
+
+#[test]
+fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explanation() {
+    let system = ToySystem::draw(2, |_, x| -LINE[1] * HEIGHT * shelf(x, PLACE));
+    let start = Term { effect: SHELF, law: 0, values: vec![0.01, PLACE] };
+    let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
+    assert_eq!(f.terms[0].values[0], 0.0);
+    assert!(f.at_bound[0]);
+    let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new() };
+    assert!(!h.physical(&system));
+}
+
+#[test]
+fn a_linear_effect_beyond_its_share_is_no_explanation() {
+    // The part of c x^2 in 20 x + c x^2 is c / (20 + c).
+    let physical = |share: f64, seed: u64| {
+        let c = LINE[1] * share / (1.0 - share);
+        let system = ToySystem::draw(seed, |_, x| c * x * x);
+        let term = Term { effect: BEND, law: 0, values: Vec::new() };
+        let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
+        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new() }.physical(&system)
+    };
+    // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
+    let kept = (0..200).filter(|&seed| physical(BEND_SHARE, 7000 + seed)).count() as u64;
+    assert!(200 - kept <= most(0.005, 200), "{kept} of 200");
+    assert!(physical(0.5 * BEND_SHARE, 3));
+    assert!(!physical(1.5 * BEND_SHARE, 3));
+}
+
+#[test]
+fn columns_that_depend_on_each_other_are_said() {
+    // A shelf of fixed place and the scale together with a free slope: the scale is the slope again.
+    let system = plain(3);
+    let terms = [Term { effect: SCALE, law: 0, values: vec![0.1] }];
+    let f = fit(&system, &terms, &Weights::equal(READINGS), 5).unwrap();
+    let tangent = nuisance(&base(&system)).project_off(&stack(&f.tangents[0]));
+    assert!(tangent.norm() < 1e-9 * stack(&f.tangents[0]).norm().max(1e-300));
+}
+
+// Stage 5: signatures.
+
+#[test]
+fn what_the_slope_takes_up_has_no_signature() {
+    let system = plain(4);
+    let f = base(&system);
+    let atoms = |e| of_candidate(&system, e, &f, &Weights::equal(READINGS), &nuisance(&f));
+    assert!(atoms(SCALE).is_empty(), "absorbed by the slope");
+    assert_eq!(atoms(BEND).len(), 1);
+    let shelves = atoms(SHELF);
+    assert_eq!(shelves.len(), 4, "one a place of the grid");
+    assert!(shelves.iter().all(|a| a.one_sided && a.share_left > 0.05 && a.share_left < 1.0));
+}
+
+#[test]
+fn a_one_sided_signature_of_the_wrong_sign_gains_nothing() {
+    let system = plain(5);
+    let f = base(&system);
+    let atom = &of_candidate(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance(&f))[2];
+    let along: &DVector<f64> = &atom.projected[0];
+    assert!((atom.gain(along) - along.norm_squared()).abs() < 1e-9 * along.norm_squared());
+    assert_eq!(atom.gain(&-along), 0.0);
+}
+
+#[test]
+fn a_basis_is_orthonormal_and_refuses_what_it_spans() {
+    let mut basis = Basis::default();
+    let a = DVector::from_fn(30, |i, _| (i as f64).sin());
+    let b = DVector::from_fn(30, |i, _| (i as f64).cos());
+    assert!(basis.push(&a) && basis.push(&b) && !basis.push(&(&a * 2.0 - &b)));
+    assert!((basis.vectors()[0].dot(&basis.vectors()[1])).abs() < 1e-14);
+    assert!(basis.project_off(&(&a + &b)).norm() < 1e-12);
+}
+
+// Stage 4: the gate.
+
+#[test]
+fn the_family_holds_its_level_and_the_f_test_its_distribution() {
+    let (mut family, mut single) = (0, 0);
+    let trials = 400;
+    for seed in 0..trials {
+        let system = plain(1000 + seed);
+        let f = base(&system);
+        let basis = nuisance(&f);
+        let weights = Weights::equal(READINGS);
+        let atoms: Vec<_> =
+            [SHELF, BEND].into_iter().flat_map(|e| of_candidate(&system, e, &f, &weights, &basis)).collect();
+        let refs: Vec<_> = atoms.iter().collect();
+        let null = NullFamily::simulate(&refs, f.dof, 300, seed);
+        let residual = stack(&f.residual);
+        let p = |a| wcal_trace::engine::null::atom_p(a, a.gain(&residual), f.ssr, f.dof);
+        let smallest = atoms.iter().map(p).fold(1.0, f64::min);
+        family += u64::from(null.adjusted(smallest) < 0.05);
+        let bend = atoms.last().unwrap();
+        single += u64::from(f_test(bend.gain(&residual), f.ssr, f.dof, 1) < 0.05);
+    }
+    assert!(family <= most(0.05, trials) && family >= 5, "family-wise {family} of {trials}");
+    assert!(single <= most(0.05, trials) && single >= 5, "single {single} of {trials}");
+}
+
+#[test]
+fn the_gate_lets_noise_pass_and_stops_an_effect() {
+    let weights = Weights::equal(READINGS);
+    let trials = 200;
+    let rejected = (0..trials)
+        .filter(|&s| {
+            let system = plain(2000 + s);
+            gate(&system, &base(&system), &weights, s, 500).rejected()
+        })
+        .count() as u64;
+    assert!(rejected <= most(0.02, trials), "{rejected} of {trials} nulls");
+    let system = shelved(6);
+    let g = gate(&system, &base(&system), &weights, 1, 500);
+    assert!(g.rejected() && g.p_catalogue < 1e-3, "{}", g.p_catalogue);
+}
+
+#[test]
+fn a_wave_in_time_is_seen_with_its_driver() {
+    let system = ToySystem::draw(7, |i, _| 0.4 * (i as f64 * std::f64::consts::TAU / 13.0).sin());
+    let g = gate(&system, &base(&system), &Weights::equal(READINGS), 1, 500);
+    assert!(g.generic());
+    assert_eq!((g.drivers[0].driver.as_str(), g.drivers[0].shape), ("t_s", "sinusoid"));
+    let period = g.drivers[0].period.unwrap();
+    assert!((period - 13.0).abs() < 1.5, "{period}");
+}
+
+// Single readings.
+
+#[test]
+fn exactly_the_moved_readings_are_flagged() {
+    let system = ToySystem::draw(8, |i, _| if i == 17 || i == 40 { 12.0 * NOISE } else { 0.0 });
+    let weights = Weights::equal(READINGS);
+    assert_eq!(clean(&system, &[], &base(&system), &weights).unwrap().flagged, [17, 40]);
+    let trials = 300;
+    let false_flags = (0..trials)
+        .filter(|&s| {
+            let system = plain(3000 + s);
+            clean(&system, &[], &base(&system), &weights).is_some()
+        })
+        .count() as u64;
+    // The level is shared over all readings; the median's own scatter adds a little.
+    assert!(false_flags <= most(0.01, trials), "{false_flags} of {trials}");
+}
+
+// Stages 6 to 9: the search.
+
+fn names(system: &ToySystem, h: &Hypothesis) -> Vec<&'static str> {
+    h.effects(Some(OUTLIERS)).iter().map(|&e| system.catalogue()[e].id()).collect()
+}
+
+#[test]
+fn the_search_finds_nothing_one_or_two_effects() {
+    let options = Options { draws: 500, ..Options::default() };
+    let weights = Weights::equal(READINGS);
+    let find = |system: &ToySystem| {
+        let found = search(system, &weights, &options).unwrap();
+        (names(system, &found.best), found.last_gate.rejected())
+    };
+    assert_eq!(find(&plain(9)), (vec![], false));
+    assert_eq!(find(&shelved(10)), (vec!["shelf"], false));
+    let both = ToySystem::draw(11, |_, x| LINE[1] * HEIGHT * shelf(x, PLACE) - 2.0 * x * x);
+    assert_eq!(find(&both), (vec!["shelf", "bend"], false));
+    let (named, left) = find(&ToySystem::draw(12, |i, _| 0.4 * (i as f64 * 0.48).sin()));
+    assert!(left && !named.contains(&"shelf"), "{named:?}");
+}
+
+#[test]
+fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
+    // A gentle bend looks like a broad shelf on noisy readings: the true one must stay among the survivors.
+    let options = Options { draws: 300, ..Options::default() };
+    let trials = 60;
+    let (mut named, mut kept) = (0, 0);
+    for seed in 0..trials {
+        let system = ToySystem::draw(4000 + seed, |_, x| -1.0 * x * x);
+        let found = search(&system, &Weights::equal(READINGS), &options).unwrap();
+        if names(&system, &found.best).is_empty() {
+            continue;
+        }
+        named += 1;
+        kept += u64::from(found.survivors.iter().any(|h| names(&system, h).contains(&"bend")));
+    }
+    assert!(named > 30, "{named}");
+    assert!(named - kept <= most(0.02, named), "{kept} of {named}");
+}
+
+#[test]
+fn stated_intervals_cover() {
+    let trials = 200;
+    let mut inside = [0u64; 2];
+    for seed in 0..trials {
+        let system = shelved(5000 + seed);
+        let weights = Weights::equal(READINGS);
+        let start = Term { effect: SHELF, law: 0, values: vec![HEIGHT, PLACE] };
+        let f = fit(&system, &[start], &weights, 30).unwrap();
+        let h = Hypothesis { fit: f, weights, flagged: Vec::new() };
+        for (k, (p, truth)) in parameters(&system, &h, SHELF).iter().zip([HEIGHT, PLACE]).enumerate() {
+            inside[k] += u64::from(p.interval95[0] <= truth && truth <= p.interval95[1]);
+        }
+    }
+    for count in inside {
+        let missed = trials - count;
+        assert!(missed <= most(0.05, trials), "{inside:?} of {trials}");
+    }
+}

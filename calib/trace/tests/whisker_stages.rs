@@ -1,0 +1,192 @@
+//! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED (fixtures/practice/case-004, no effect).
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
+
+use std::path::Path;
+use std::sync::OnceLock;
+use wcal_core::SessionData;
+use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
+use wcal_core::verify_document::{TwinFault, Verdict};
+use wcal_trace::candidate::{System, Term};
+use wcal_trace::engine::fit::{Weights, fit};
+use wcal_trace::engine::search::{Found, Hypothesis, Options, search};
+use wcal_trace::mechanics::Mechanics;
+use wcal_trace::verify::between::between_seatings;
+use wcal_trace::verify::detect;
+use wcal_trace::verify::floor::noise_floor;
+use wcal_trace::verify::heldout::{HeldOut, coverage95, summarise};
+use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
+use wcal_trace::verify::physical::PhysicalModel;
+use wcal_trace::verify::predictions::predict;
+use wcal_trace::verify::twin_check::check_labels;
+use wcal_trace::verify::verdict::conclude;
+use wcal_trace::whisker::WhiskerSystem;
+
+fn data(name: &str) -> WhiskerData {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name);
+    match wcal_session::load(&folder).unwrap().data {
+        SessionData::Whisker(data) => data,
+        _ => panic!("{name} is no whisker session"),
+    }
+}
+
+fn system(data: &WhiskerData) -> WhiskerSystem {
+    WhiskerSystem::new(data, &data.rows.iter().collect::<Vec<_>>()).unwrap()
+}
+
+fn fitted(system: &WhiskerSystem, terms: &[Term]) -> Hypothesis {
+    let weights = Weights::equal(system.path.readings.len());
+    Hypothesis { fit: fit(system, terms, &weights, 15).unwrap(), weights, flagged: Vec::new() }
+}
+
+/// The session without effect, searched once for all tests.
+fn null() -> &'static (WhiskerData, WhiskerSystem, Found) {
+    static NULL: OnceLock<(WhiskerData, WhiskerSystem, Found)> = OnceLock::new();
+    NULL.get_or_init(|| {
+        let data = data("practice/case-004");
+        let system = system(&data);
+        let weights = Weights::equal(system.path.readings.len());
+        let found = search(&system, &weights, &Options { draws: 500, ..Options::default() }).unwrap();
+        (data, system, found)
+    })
+}
+
+// Stage 0.
+
+/// The session with labels made from the rod itself by `change`.
+fn labelled(change: impl Fn(usize, [f64; 2]) -> [f64; 2]) -> (WhiskerData, WhiskerSystem) {
+    let mut data = data("whiskerfbg");
+    let made = system(&data);
+    let tables = made.bench.tables(&Mechanics::default()).unwrap();
+    let mut twin = Vec::new();
+    for (k, (reading, row)) in made.path.readings.iter().zip(&made.path.rows).enumerate() {
+        let m = match reading.line.filter(|_| !reading.rest) {
+            Some(l) => tables[l].moment(reading.x_mm).unwrap(),
+            None => [0.0; 2],
+        };
+        twin.push(TwinLabel { point: data.rows[*row].point, moment_nmm: change(k, m) });
+    }
+    data.twin = twin;
+    (data, made)
+}
+
+fn faults(data: &WhiskerData, system: &WhiskerSystem) -> Vec<TwinFault> {
+    check_labels(data, &system.path, &system.bench).faults
+}
+
+#[test]
+fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
+    let (data, system) = labelled(|_, m| m);
+    assert_eq!(faults(&data, &system), []);
+    let (data, system) = labelled(|k, m| if k == 9 { [m[0] - 0.8, m[1] + 0.5] } else { m });
+    let found = faults(&data, &system);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!((found[0].kind.as_str(), found[0].points.len()), ("branch", 1));
+    let (data, system) = labelled(|_, m| m.map(|v| v * 1e-3));
+    assert!(faults(&data, &system).iter().any(|f| f.kind == "unit" && f.points.len() > 20));
+    let (data, system) = labelled(|_, m| m.map(|v| v * 1.06));
+    assert!(faults(&data, &system).iter().any(|f| f.kind == "discretisation"));
+}
+
+// Stage 1.
+
+#[test]
+fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
+    let (_, rich, found) = null();
+    let floor = noise_floor(&rich.path, &found.base).unwrap();
+    assert_eq!(floor.source, "replicates");
+    // Nothing acts there: pure error and residual agree within their scatter.
+    let ratio = floor.sd_pm / found.base.fit.variance().sqrt();
+    assert!((ratio - 1.0).abs() < 0.15, "{ratio}");
+    let single = data("whiskerfbg");
+    let system = system(&single);
+    assert_eq!(noise_floor(&system.path, &fitted(&system, &[])).unwrap().source, "difference");
+}
+
+// Stages 4, 9 and the order of verdicts.
+
+#[test]
+fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
+    let (_, system, found) = null();
+    assert_eq!(conclude(system, found, &[]).verdict, Verdict::Adequate);
+    let fault = TwinFault { points: vec![3], kind: "branch".into(), detail: String::new() };
+    assert_eq!(conclude(system, found, &[fault]).verdict, Verdict::TwinFault);
+}
+
+#[test]
+fn every_effect_has_a_line_saying_what_could_have_been_seen() {
+    let (_, system, found) = null();
+    let table = detect::table(system, &found.best.fit, &found.last_gate);
+    assert_eq!(table.len(), system.catalogue().len());
+    let row = |id: &str| table.iter().find(|d| d.id == id).unwrap();
+    assert_eq!(row("gravity").status, "not-observable", "no gravity direction in the session");
+    let friction = row("groove-friction");
+    assert!(friction.status == "testable" && friction.smallest.is_some_and(|s| s > 0.0 && s < 0.5));
+    assert!(table.iter().all(|d| !d.why.is_empty()));
+}
+
+// Stage 11.
+
+#[test]
+fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
+    let row = |group: u32, e: f64| HeldOut {
+        group,
+        wavelength_pm: [e, -e],
+        moment_nmm: [0.1 * e, 0.0],
+        moment_sd_nmm: [0.1, 0.1],
+    };
+    let rows: Vec<HeldOut> = (0..12).map(|k| row(k / 2, if k < 6 { 1.0 } else { 3.0 })).collect();
+    let e = summarise(&rows, "holdout", 1).unwrap();
+    let rmse = e.rmse["wavelength_rmse_pm"];
+    assert!((rmse - 5.0_f64.sqrt()).abs() < 1e-12);
+    let [low, high] = e.interval95["wavelength_rmse_pm"];
+    assert!(low < rmse && rmse < high && low >= 1.0 && high <= 3.0, "{low} {high}");
+    assert_eq!(e.points, 12);
+    // |0.1| and |0| of 0.1 sd are inside 1.96 sd, |0.3| is not: 18 of 24.
+    assert_eq!(coverage95(&rows), Some(0.75));
+    assert!(summarise(&[], "holdout", 1).is_none() && coverage95(&[]).is_none());
+}
+
+#[test]
+fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
+    let (data, system, found) = null();
+    let p_of = |moved_pm: f64| {
+        let mut data = data.clone();
+        for r in &mut data.holdout {
+            r.shift_pm[0] += moved_pm;
+        }
+        let rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
+        let whole = WhiskerSystem::new(&data, &rows).unwrap();
+        let model = PhysicalModel::new(system, &found.base, found.base.fit.variance().sqrt());
+        let after = predict(&whole, &found.base, &model).unwrap();
+        holdout_p(&whole, &found.base, &after).unwrap()
+    };
+    assert!(p_of(0.0) > 0.01);
+    assert!(p_of(5.0) < HOLDOUT_LEVEL);
+}
+
+// Several sessions.
+
+#[test]
+fn a_sensitivity_that_changes_between_seatings_is_said() {
+    let (data, _, _) = null();
+    let changed = |factor: f64| {
+        let mut data = data.clone();
+        let half = data.rows.len() / 2;
+        for r in data.rows.iter_mut().skip(half) {
+            r.seating = 1;
+            for s in &mut r.shift_pm {
+                *s = *s * factor + 12.0;
+            }
+        }
+        let system = system(&data);
+        let h = fitted(&system, &[]);
+        between_seatings(&system, &h.fit).unwrap()
+    };
+    let same = changed(1.0);
+    assert!(same.sensitivity_p > 0.01, "{same:?}");
+    assert!(same.zero_sd_pm.iter().all(|sd| (sd - 12.0 / 2.0_f64.sqrt()).abs() < 1.0), "{same:?}");
+    let other = changed(1.03);
+    assert!(other.sensitivity_p < 1e-6 && (other.sensitivity_change - 0.03).abs() < 0.01, "{other:?}");
+    assert!(other.note().contains("differ"));
+}

@@ -1,0 +1,136 @@
+//! ChArUco boards and AprilGrids, whole and partly hidden, on drawn pictures (simulated): the cameras come back as drawn.
+
+mod common;
+
+use common::bench::cameras;
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector2, Vector3};
+use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
+use opencv::core::{Mat, Size};
+use opencv::prelude::*;
+use rayon::prelude::*;
+use wcal_vision::apriltag_ffi::draw_tag;
+use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
+use wcal_vision::chessboard::BoardSize;
+use wcal_vision::document::StereoDocument;
+
+const WIDTH: usize = 1280;
+const HEIGHT: usize = 960;
+const PAIRS: u64 = 8;
+
+/// Grey value of a printed board at a place on it (mm from its middle, x right, y down), 255 beyond its edge.
+type Print = Box<dyn Fn(Vector2<f64>) -> f64 + Sync>;
+
+/// OpenCV's own drawing of its board of 10 x 7 squares of 6 mm.
+fn charuco() -> Print {
+    let dictionary = get_predefined_dictionary_i32(0).unwrap();
+    let mut board = CharucoBoard::create(10, 7, 6.0, 4.4, &dictionary).unwrap();
+    const PX_A_MM: f64 = 20.0;
+    let (width, height) = (60.0 * PX_A_MM, 42.0 * PX_A_MM);
+    let mut mat = Mat::default();
+    board.draw(Size::new(width as i32, height as i32), &mut mat, 0, 1).unwrap();
+    let pixels = mat.data_bytes().unwrap().to_vec();
+    Box::new(move |p| {
+        let (u, v) = (p.x * PX_A_MM + 0.5 * width, p.y * PX_A_MM + 0.5 * height);
+        let inside = (0.0..width).contains(&u) && (0.0..height).contains(&v);
+        if inside { f64::from(pixels[v as usize * width as usize + u as usize]) } else { 255.0 }
+    })
+}
+
+/// 5 x 4 upright tags of 9 mm with gaps of 3 mm; number 0 at the lower left as in Kalibr's grids.
+fn april_grid() -> Print {
+    let tags: Vec<_> = (0..20).map(|k| draw_tag("tag36h11", k).unwrap()).collect();
+    Box::new(move |p| {
+        let (x, y) = (p.x + 2.0 * 12.0, -p.y + 1.5 * 12.0);
+        let (column, row) = ((x / 12.0).round(), (y / 12.0).round());
+        if !(0.0..5.0).contains(&column) || !(0.0..4.0).contains(&row) {
+            return 255.0;
+        }
+        // Ten cells with the white margin, eight between the corners.
+        let cell = |d: f64| (d / 9.0 * 8.0 + 5.0).floor();
+        let (u, v) = (cell(x - column * 12.0), cell(row * 12.0 - y));
+        let inside = (0.0..10.0).contains(&u) && (0.0..10.0).contains(&v);
+        let tag = &tags[row as usize * 5 + column as usize];
+        if inside { f64::from(tag.data[v as usize * tag.width + u as usize]) } else { 255.0 }
+    })
+}
+
+fn right_from_left() -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.01, 0.414, 0.02));
+    Isometry3::from_parts(Vector3::new(-118.0, 2.0, 25.0).into(), turn)
+}
+
+/// Writes pairs of a board that tilts and moves; every third is partly hidden by a grey card.
+fn write_pairs(folder: &std::path::Path, print: &Print) {
+    (0..PAIRS).into_par_iter().for_each(|k| {
+        let t = k as f64;
+        let tilt = Vector3::new(0.4 * (1.9 * t).sin(), 0.4 * (1.1 * t + 1.0).cos() - 0.2, 0.1 * t);
+        let place = Vector3::new(4.0 * (1.3 * t).sin(), 4.0 * (2.1 * t).cos(), 280.0 + 12.0 * (0.7 * t).sin());
+        let left = Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt));
+        for (camera, side) in ["left", "right"].into_iter().enumerate() {
+            let pose = if camera == 0 { left } else { right_from_left() * left };
+            let eye = cameras()[camera];
+            let picture = common::draw(WIDTH, HEIGHT, 0.75, 1.2, 10 * k + camera as u64, |x, y| {
+                let Some(p) = common::on_plane(&eye, &pose, x, y) else { return 120.0 };
+                if p.x.abs() > 34.0 || p.y.abs() > 26.0 || (k % 3 == 0 && p.x > 14.0) {
+                    return 120.0;
+                }
+                35.0 + 0.65 * print(p)
+            });
+            common::write_pgm(&folder.join(format!("{side}{k:02}.pgm")), &picture);
+        }
+    });
+}
+
+fn calibrated(folder: &std::path::Path, board: &Board) -> Result<StereoDocument, String> {
+    let side = |s: &str| folder.join(format!("{s}*")).display().to_string();
+    calibrate_folders(&side("left"), &side("right"), board, &|_| {}).map(|r| r.0).map_err(|e| e.to_string())
+}
+
+fn assert_as_drawn(document: &StereoDocument) {
+    assert_eq!(document.views.len(), PAIRS as usize, "{:?}", document.rejected_views);
+    assert!(document.rms_px < 0.06, "{}", document.rms_px);
+    for (found, drawn) in document.cameras.iter().zip(cameras()) {
+        let focal = found.k[0][0];
+        assert!((focal - drawn.focal_px[0]).abs() < 0.002 * focal, "{focal} against {}", drawn.focal_px[0]);
+    }
+    let m = document.right_from_left;
+    let found = Matrix3::from_fn(|i, j| m[i][j]);
+    let truth = right_from_left();
+    let turned = truth.rotation.to_rotation_matrix().matrix().transpose() * found;
+    let angle = ((turned.trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
+    assert!(angle < 3e-3, "{angle} rad");
+    let base = Vector3::new(m[0][3], m[1][3], m[2][3]);
+    assert!((base.norm() - truth.translation.vector.norm()).abs() < 0.2, "{base}");
+}
+
+#[test]
+fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pairs(folder.path(), &charuco());
+    let board = |marker_mm: f64, dictionary: &str| Board {
+        size: BoardSize { columns: 9, rows: 6 },
+        square_mm: 6.0,
+        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into() },
+    };
+    assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
+    // Negative controls: markers of another dictionary, markers larger than their squares.
+    let why = calibrated(folder.path(), &board(4.4, "DICT_6X6_250")).unwrap_err();
+    assert!(why.contains("found 0"), "{why}");
+    assert!(calibrated(folder.path(), &board(6.5, "DICT_4X4_50")).unwrap_err().contains("smaller"));
+    assert!(calibrated(folder.path(), &board(4.4, "DICT_9X9")).unwrap_err().contains("DICT_4X4_50"));
+}
+
+#[test]
+fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pairs(folder.path(), &april_grid());
+    let board = |gap_mm: f64| Board {
+        size: BoardSize { columns: 5, rows: 4 },
+        square_mm: 9.0,
+        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into() },
+    };
+    assert_as_drawn(&calibrated(folder.path(), &board(3.0)).unwrap());
+    // Negative control: a gap stated wrongly fits no cameras, or not well.
+    let wrong = calibrated(folder.path(), &board(4.0));
+    assert!(wrong.is_err() || wrong.unwrap().rms_px > 0.5);
+}

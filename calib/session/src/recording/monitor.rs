@@ -23,6 +23,12 @@ pub struct StreamCounts {
     pub lost: u64,
     /// Scans with a lost or crossing peak.
     pub unusable: u64,
+    /// Camera pairs recorded.
+    pub pairs: u64,
+    /// Camera pairs refused: skew past the limit, or a camera that repeats itself.
+    pub pairs_refused: u64,
+    /// Largest skew of a recorded pair, ms.
+    pub worst_skew_ms: f64,
 }
 
 /// Watches a stream.
@@ -105,6 +111,17 @@ impl Monitor {
         let kind = if invalid { DeviceErrorKind::DataInvalid } else { DeviceErrorKind::Health };
         let found = format!("{} (error code {})", faults.join(", "), reading.health.error_code);
         self.fail(kind, "read the stream", "a healthy unit", &found);
+    }
+
+    /// Counts a camera pair: its skew (ms), or `None` where it was refused.
+    pub fn pair(&mut self, skew_ms: Option<f64>) {
+        match skew_ms {
+            Some(skew_ms) => {
+                self.counts.pairs += 1;
+                self.counts.worst_skew_ms = self.counts.worst_skew_ms.max(skew_ms.abs());
+            }
+            None => self.counts.pairs_refused += 1,
+        }
     }
 
     /// Ends the sweep with this fault, unless there is one already.

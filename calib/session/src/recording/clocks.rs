@@ -52,7 +52,8 @@ impl ClockPair {
         let interval = (x / INTERVAL_S).floor() as i64;
         match &mut self.current {
             // The least delayed arrival has the largest device minus host time.
-            Some((current, best_x, best_y)) if *current == interval => {
+            // An arrival of the interval before the newest one changes nothing about when that began.
+            Some((current, best_x, best_y)) if *current >= interval => {
                 if y > *best_y {
                     (*best_x, *best_y) = (x, y);
                 }

@@ -50,6 +50,8 @@ pub struct Monitor {
 struct Block {
     start_s: f64,
     count: f64,
+    /// Of the times since its start.
+    sum_s: f64,
     sum_pm: [f64; 2],
 }
 
@@ -173,9 +175,10 @@ impl Monitor {
         match self.blocks.back_mut() {
             Some(block) if device_s - block.start_s < BLOCK_S => {
                 block.count += 1.0;
+                block.sum_s += device_s - block.start_s;
                 block.sum_pm = std::array::from_fn(|k| block.sum_pm[k] + value[k]);
             }
-            _ => self.blocks.push_back(Block { start_s: device_s, count: 1.0, sum_pm: value }),
+            _ => self.blocks.push_back(Block { start_s: device_s, count: 1.0, sum_s: 0.0, sum_pm: value }),
         }
         while self.blocks.front().is_some_and(|b| b.start_s < device_s - KEPT_S) {
             self.blocks.pop_front();
@@ -196,8 +199,10 @@ impl Monitor {
             return None;
         }
         let slopes = [0, 1].map(|k| {
-            let xy: Vec<(f64, f64)> =
-                points.iter().map(|b| (b.start_s - from_s, b.sum_pm[k] / b.count)).collect();
+            let xy: Vec<(f64, f64)> = points
+                .iter()
+                .map(|b| (b.start_s - from_s + b.sum_s / b.count, b.sum_pm[k] / b.count))
+                .collect();
             slope(&xy)
         });
         slopes.into_iter().max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))

@@ -12,7 +12,7 @@ use wcal_session::recording::RecordingError;
 use wcal_session::recording::sweep::Mount;
 
 /// Bench seconds per wall second.
-pub const SPEED: f64 = 8.0;
+pub const SPEED: f64 = 4.0;
 /// Two trajectories of two depths.
 pub const PLAN: &str = r#"
 format = "wcal-plan/1"

@@ -1,6 +1,6 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev chromium
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium
 export DEBIAN_FRONTEND := noninteractive
 
 .PHONY: demo test setup check exam peers
@@ -24,7 +24,7 @@ exam:
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
-# Side by side with scipy, scikit-learn and cv2 in one run each; prints tables and writes peers-*.json.
+# Side by side with scipy, scikit-learn, cv2 and the stage maker's client in one run each; prints tables and writes peers-*.json.
 peers: setup
 	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
@@ -34,3 +34,4 @@ peers: setup
 	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
 	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
 	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal
+	cargo test --locked -p wcal-drivers --test vendor_client -- --ignored --nocapture

@@ -9,10 +9,20 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         "wcal-core" => &[],
         "wcal-session" | "wcal-rod" | "wcal-map" | "wcal-report" | "wcal-vision" => &["wcal-core"],
         "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
+        "wcal-drivers" => &["wcal-core", "wcal-session"],
         "wcal-plant" => &[],
-        "wcal" => {
-            &["wcal-core", "wcal-session", "wcal-rod", "wcal-map", "wcal-trace", "wcal-report", "wcal-vision"]
-        }
+        "wcal" => &[
+            "wcal-core",
+            "wcal-session",
+            "wcal-drivers",
+            "wcal-rod",
+            "wcal-map",
+            "wcal-trace",
+            "wcal-report",
+            "wcal-vision",
+            // The virtual bench's wire: physics that shares no code with the fitter.
+            "wcal-plant",
+        ],
         _ => return None,
     })
 }

@@ -11,10 +11,13 @@ mod labels;
 mod picture_output;
 mod predict;
 mod progress;
+mod reduce;
 mod report_input;
+mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;
 mod verify;
+mod virtual_bench;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
@@ -46,6 +49,12 @@ enum Command {
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
     StereoShape(stereo_shape::StereoShapeArgs),
+    /// Drive the stage through a plan, record every stream, reduce to a session
+    StageSweep(stage_sweep::StageSweepArgs),
+    /// Rebuild the tables of a recorded session from its raw streams
+    Reduce(reduce::ReduceArgs),
+    /// Serve simulated devices that speak the real ones' protocols
+    VirtualBench(virtual_bench::VirtualBenchArgs),
     /// Write commented templates
     Init(init::InitArgs),
     /// Shell completions on stdout
@@ -66,6 +75,9 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
         Command::StereoShape(args) => stereo_shape::run(args),
+        Command::StageSweep(args) => stage_sweep::run(args),
+        Command::Reduce(args) => reduce::run(args),
+        Command::VirtualBench(args) => virtual_bench::run(args),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Cli::command(), "wcal", &mut std::io::stdout());

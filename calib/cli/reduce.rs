@@ -8,8 +8,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_session::recording::reduce::{Reduction, reduce};
 
-/// Rebuild points.csv, holdout.csv and session.toml of a recorded session from its raw streams
+/// Arguments of `wcal reduce`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Exit code 0: good; 1: cannot be reduced; 3: reduced, with scans lost, a recording cut off or another warning."
+)]
 pub struct ReduceArgs {
     /// Session folder with rig.toml, run.json and recording.mcap
     pub session: PathBuf,
@@ -18,14 +21,18 @@ pub struct ReduceArgs {
     pub json: bool,
 }
 
-/// Reduces and reports; exit code 3 when scans were lost or a recording was cut off.
+/// Reduces and reports; exit code 3 when something was lost.
 ///
 /// # Errors
 /// When the session cannot be read or written.
 pub fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
     let result = reduce(&arguments.session)?;
     report(&result, arguments.json)?;
-    Ok(ExitCode::from(if result.lost > 0 || result.cut_off > 0 { 3 } else { 0 }))
+    let warnings = result.warnings();
+    for warning in &warnings {
+        writeln!(std::io::stderr(), "reduce: warning: {warning}")?;
+    }
+    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }
 
 /// One line for people on stderr, or a JSON document on stdout.
@@ -34,9 +41,11 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
         let document = json!({
             "format": "wcal-reduction/1", "rows": result.rows, "holdout": result.holdout,
             "scans": result.scans, "lost_scans": result.lost, "outliers": result.outliers,
-            "cut_off": result.cut_off, "lag_s": result.lag_s,
+            "cut_off": result.cut_off, "lag_s": result.lag_s, "warnings": result.warnings(),
+            "camera_pairs": result.pairs[0], "camera_pairs_refused": result.pairs[1],
             "clocks": result.clocks.iter().map(|c| json!({
-                "device_minus_host_s": c.offset_s, "drift_ppm": c.drift * 1e6, "scatter_ms": c.scatter_s * 1e3
+                "device_minus_host_s": c.offset_s, "drift_ppm": c.drift * 1e6,
+                "drift_sd_ppm": c.drift_sd.is_finite().then_some(c.drift_sd * 1e6), "scatter_ms": c.scatter_s * 1e3
             })).collect::<Vec<_>>(),
         });
         writeln!(std::io::stdout(), "{document}")?;

@@ -12,14 +12,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 use wcal_drivers::record::{Order, Recorded, plan_only, record};
-use wcal_session::recording::plan::{Step, draw, duration_s};
+use wcal_session::recording::path_text::{draw, duration_s};
+use wcal_session::recording::plan::Step;
 use wcal_session::recording::sweep::{Ending, Mount, Progress};
 
-/// Drive the stage through a plan, record every stream, and reduce to a session
+/// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
+#[command(after_help = "Example, without hardware (two terminals):
+  wcal virtual-bench --scenario rigs/virtual/scenario.toml > bench.json
+  wcal stage-sweep --rig rigs/virtual --plan rigs/plans/paper-27.toml --bench bench.json --home --out session
+  wcal fit-gpr session --out fit; wcal verify session --out verify
+
+Ctrl-C and every fault stop the stage and leave a session that opens; `--resume SESSION` goes on where it stopped.
+Exit code 0: good; 1: stopped, or nothing could be recorded; 3: finished, with data lost or warnings that matter.")]
 pub struct StageSweepArgs {
-    /// Rig file
-    #[arg(long, value_name = "rig.toml")]
+    /// Rig: rig.toml or the folder that holds it
+    #[arg(long, value_name = "RIG")]
     pub rig: PathBuf,
     /// Plan file
     #[arg(long, value_name = "plan.toml")]
@@ -44,21 +52,22 @@ pub struct StageSweepArgs {
     pub json: bool,
 }
 
-/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or Ctrl-C (the session is intact), 3 finished with lost scans or
-/// windows that did not settle.
+/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or Ctrl-C (the session is intact), 3 finished with warnings.
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
 pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let read =
         |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
-    let (mut rig, plan) = (read(&arguments.rig)?, read(&arguments.plan)?);
+    let rig_file =
+        if arguments.rig.is_dir() { arguments.rig.join("rig.toml") } else { arguments.rig.clone() };
+    let (mut rig, plan) = (read(&rig_file)?, read(&arguments.plan)?);
     if let Some(bench) = &arguments.bench {
         rig = with_addresses(&rig, &read(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
     if arguments.dry_run {
-        return dry_run(&rig, &plan, arguments.json);
+        return dry_run((&rig_file, &rig), (&arguments.plan, &plan), arguments.json);
     }
     let (resume, folder) = match (&arguments.resume, &arguments.out) {
         (Some(folder), _) => (true, folder.clone()),
@@ -71,7 +80,8 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let order = Order {
         rig,
         plan,
-        folder,
+        places: [&rig_file, &arguments.plan].map(|p| p.display().to_string()),
+        folder: folder.clone(),
         resume,
         home: arguments.home,
         created: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
@@ -80,8 +90,8 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let mut view = View::new();
     let recorded = record(&order, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
     view.end();
-    report(&recorded, arguments.json)?;
-    Ok(ExitCode::from(recorded.sweep.exit_code()))
+    report(&recorded, &folder, arguments.json)?;
+    Ok(ExitCode::from(recorded.exit_code()))
 }
 
 /// Puts the addresses of a virtual bench into a rig.
@@ -96,6 +106,15 @@ fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
         let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
         value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
     };
+    // The bench's clock may run faster than the wall's.
+    if let Some(speed) = addresses.get("speed").and_then(serde_json::Value::as_f64) {
+        rig.insert("clock_scale".to_owned(), speed.into());
+    }
+    let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
+    for (k, camera) in cameras.into_iter().flatten().enumerate() {
+        let own = text(&format!("/cameras/{k}"))?;
+        camera.as_table_mut().map(|t| t.insert("source".to_owned(), own.into()));
+    }
     let mut stage = table(&mut rig, "stage")?;
     stage.insert("port".to_owned(), format!("tcp://{}", text("/stage_tcp")?).into());
     let mut interrogator = table(&mut rig, "interrogator")?;
@@ -110,8 +129,9 @@ fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
-fn dry_run(rig: &str, plan: &str, as_json: bool) -> Result<ExitCode> {
-    let (rig, plan, steps) = plan_only(rig, plan)?;
+fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<ExitCode> {
+    let (rig, plan, steps) =
+        plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
     if as_json {
@@ -119,36 +139,51 @@ fn dry_run(rig: &str, plan: &str, as_json: bool) -> Result<ExitCode> {
             json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
         writeln!(std::io::stdout(), "{document}")?;
     } else {
-        let mut out = std::io::stderr();
+        let mut out = std::io::stdout();
         write!(out, "{}", draw(&steps, &rig))?;
         writeln!(out, "{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil())?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn report(recorded: &Recorded, as_json: bool) -> Result<()> {
+fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
     let sweep = &recorded.sweep;
     let (ending, cause) = match &sweep.ending {
         Ending::Finished => ("finished", None),
         Ending::Stopped { cause, .. } => ("stopped", Some(cause)),
     };
+    let warnings = recorded.warnings();
+    for warning in &warnings {
+        writeln!(std::io::stderr(), "stage-sweep: warning: {warning}")?;
+    }
+    if let Err(e) = &recorded.reduction {
+        writeln!(std::io::stderr(), "stage-sweep: the raw streams are kept, but reducing them failed: {e}")?;
+    }
+    let tables = recorded.reduction.as_ref().ok();
     if as_json {
         let document = json!({
-            "format": "wcal-sweep/1", "ending": ending,
+            "format": "wcal-sweep/1", "session": folder, "ending": ending, "warnings": warnings,
             "cause": cause.map(|c| json!({"kind": c.kind.name(), "text": c.to_string()})),
             "stage_stopped": match sweep.ending { Ending::Stopped { stage_stopped, .. } => stage_stopped, Ending::Finished => true },
             "steps_done": sweep.done, "unsettled": sweep.unsettled, "scans": sweep.counts.scans,
             "gaps": sweep.counts.gaps, "lost_scans": sweep.counts.lost, "stage_repeats": recorded.repeats,
-            "rows": recorded.reduction.as_ref().map(|r| r.rows), "holdout": recorded.reduction.as_ref().map(|r| r.holdout),
-            "lag_s": recorded.reduction.as_ref().map(|r| &r.lag_s),
+            "camera_pairs": sweep.counts.pairs, "camera_pairs_refused": sweep.counts.pairs_refused,
+            "worst_skew_ms": sweep.counts.worst_skew_ms,
+            "rows": tables.map(|r| r.rows), "holdout": tables.map(|r| r.holdout), "lag_s": tables.map(|r| &r.lag_s),
         });
         writeln!(std::io::stdout(), "{document}")?;
         return Ok(());
     }
     let mut out = std::io::stderr();
     if let Some(cause) = cause {
-        writeln!(out, "stopped: {cause}")?;
-        writeln!(out, "go on with: wcal stage-sweep --resume SESSION (same rig and plan)")?;
+        writeln!(out, "stage-sweep: stopped: {cause}")?;
+        if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
+            writeln!(
+                out,
+                "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
+            )?;
+        }
+        writeln!(out, "go on with the same rig and plan and --resume {}", folder.display())?;
     }
     writeln!(
         out,
@@ -160,7 +195,7 @@ fn report(recorded: &Recorded, as_json: bool) -> Result<()> {
         sweep.unsettled,
         recorded.repeats
     )?;
-    recorded.reduction.as_ref().map_or(Ok(()), |r| reduce::report(r, false))
+    tables.map_or(Ok(()), |r| reduce::report(r, false))
 }
 
 /// A mount that a person turns.

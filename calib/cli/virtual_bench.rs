@@ -5,11 +5,18 @@ use clap::Args;
 use std::io::{BufRead, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_drivers::bench::scenario::Scenario;
+use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
+use wcal_drivers::bench::scenario::{PlantKind, Scenario};
 use wcal_drivers::bench::{VirtualBench, faults};
+use wcal_plant::rod::Wire;
+use wcal_plant::table::{Path as GroovePath, Table};
 
-/// Serve the simulated devices of a scenario; faults may be typed while it runs
+/// Arguments of `wcal virtual-bench`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Prints one JSON line of addresses and runs until its input closes. Lines of input are faults: stall, reset,
+unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md)."
+)]
 pub struct VirtualBenchArgs {
     /// Scenario file
     #[arg(long, value_name = "S.toml")]
@@ -38,7 +45,13 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
         scenario.speed = speed;
     }
     scenario.seed = arguments.seed.unwrap_or(scenario.seed);
-    let bench = VirtualBench::start(scenario, None).context("opening the ports of the bench")?;
+    let plant: Option<Box<dyn Plant>> = match scenario.plant {
+        PlantKind::Cantilever => None,
+        PlantKind::Rod => {
+            Some(Box::new(RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?))
+        }
+    };
+    let bench = VirtualBench::start(scenario, plant).context("opening the ports of the bench")?;
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", serde_json::to_string(bench.addresses())?)?;
     out.flush()?;
@@ -54,4 +67,45 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Deepest push that is tabulated, as a share of the contact's arc length; the paper's go to 0.29.
+const REACH: f64 = 0.4;
+/// Chebyshev points a piece of a table.
+const NODES: usize = 14;
+
+/// The examiner's large-deflection rod behind the virtual sensor: it shares no code with the fitter.
+struct RodPlant {
+    tables: Vec<(u32, Table)>,
+}
+
+impl RodPlant {
+    fn new(scenario: &Scenario) -> Result<Self> {
+        let w = &scenario.whisker;
+        let wire =
+            Wire::new(w.diameter_mm, w.length_mm, w.straight_mm, w.arc_radius_mm, w.youngs_gpa, w.shear_gpa);
+        let table = |t: &wcal_drivers::bench::scenario::TrajectoryScenario| {
+            let arclength_mm = rest_arclength_mm(w, t.origin_mm);
+            let path = GroovePath {
+                origin_mm: t.origin_mm.into(),
+                direction: nalgebra::Vector3::from(t.direction).normalize(),
+                arclength_mm,
+                offset_mm: nalgebra::Vector3::zeros(),
+            };
+            let table = Table::build(&wire, &path, REACH * arclength_mm, &[0.0], NODES)
+                .with_context(|| format!("trajectory {}", t.id))?;
+            Ok((t.id, table))
+        };
+        Ok(Self { tables: scenario.trajectories().iter().map(table).collect::<Result<_>>()? })
+    }
+}
+
+impl Plant for RodPlant {
+    fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2] {
+        let table = self.tables.iter().find(|(t, _)| *t == id).filter(|_| depth_mm > 0.0);
+        table.map_or([0.0; 2], |(_, table)| {
+            let [y, z, _] = table.at(depth_mm, 0.0);
+            [y, z]
+        })
+    }
 }

@@ -1,12 +1,11 @@
 """Runs the stage maker's own client (zaber-motion) against the virtual stage, over TCP and the pseudo-terminal.
 
-Usage: zaber_motion_session.py BENCH SCENARIO [--out JSON]
-BENCH is a program that serves a scenario and prints one JSON line of addresses (`wcal virtual-bench --scenario`, or
-the example `bench` of wcal-drivers). Needs: pip install zaber-motion, in an environment of its own.
+Usage: zaber_motion_session.py ADDRESSES [--out JSON]
+ADDRESSES is the JSON line of a virtual bench. Faults are asked for by printing `inject NAME`; the bench's owner answers
+with a line. Driven by rigs/drivers/tests/vendor_client.rs; by hand, press Enter after typing the fault into the bench.
 """
 import argparse
 import json
-import subprocess
 import sys
 import time
 from importlib.metadata import version
@@ -75,16 +74,14 @@ def session(connection, checksums, inject, rows, label):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("bench", nargs="+")
+    parser.add_argument("addresses")
     parser.add_argument("--out")
     arguments = parser.parse_args()
-    bench = subprocess.Popen(arguments.bench, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    addresses = json.loads(bench.stdout.readline())
+    addresses = json.loads(arguments.addresses)
 
     def inject(fault):
-        bench.stdin.write(fault + "\n")
-        bench.stdin.flush()
-        time.sleep(0.1)
+        print("inject", fault, flush=True)
+        sys.stdin.readline()
 
     rows = []
     host, port = addresses["stage_tcp"].split(":")
@@ -92,25 +89,21 @@ def main():
         ("TCP", lambda: Connection.open_tcp(host, int(port))),
         ("PTY", lambda: Connection.open_serial_port(addresses["stage_pty"])),
     ]
-    try:
-        for name, opener in opened:
-            for checksums in (False, True):
-                with opener() as connection:
-                    label = f"{name} {'with' if checksums else 'without'} checksums"
-                    session(connection, checksums, inject, rows, label)
-        # Negative control: a lost reply must be seen by the client.
-        with Connection.open_tcp(host, int(port)) as connection:
-            axis = connection.get_device(1).get_axis(1)
-            connection.default_request_timeout = 300
-            inject("lose-reply")
-            try:
-                axis.settings.get("pos")
-                check(rows, "control: a lost reply is a timeout", False)
-            except MotionLibException as error:
-                check(rows, "control: a lost reply is a timeout", "Timeout" in type(error).__name__, type(error).__name__)
-    finally:
-        bench.stdin.close()
-        bench.wait(10)
+    for name, opener in opened:
+        for checksums in (False, True):
+            with opener() as connection:
+                label = f"{name} {'with' if checksums else 'without'} checksums"
+                session(connection, checksums, inject, rows, label)
+    # Negative control: a lost reply must be seen by the client.
+    with Connection.open_tcp(host, int(port)) as connection:
+        axis = connection.get_device(1).get_axis(1)
+        connection.default_request_timeout = 300
+        inject("lose-reply")
+        try:
+            axis.settings.get("pos")
+            check(rows, "control: a lost reply is a timeout", False)
+        except MotionLibException as error:
+            check(rows, "control: a lost reply is a timeout", "Timeout" in type(error).__name__, type(error).__name__)
     for row in rows:
         row["peer"] = f"zaber-motion {version('zaber-motion')}"
         print("ok  " if row["met"] else "FAIL", row["what"], row["note"])

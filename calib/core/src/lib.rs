@@ -4,6 +4,7 @@
 //! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
 pub mod calibration;
+pub mod device;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;

@@ -9,6 +9,7 @@ mod document;
 mod error;
 mod findings;
 mod holdout;
+pub mod recording;
 mod row;
 mod session;
 mod table;

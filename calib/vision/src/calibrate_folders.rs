@@ -195,17 +195,16 @@ fn usable(
 
 /// Coarse corners of the whole board, or why there are none.
 fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vector2<f64>>, String> {
-    let find =
-        |size: BoardSize, finder: Finder| find_chessboard(picture, size, finder).map_err(|e| e.to_string());
+    let find = |finder: Finder| find_chessboard(picture, size, finder).map_err(|e| e.to_string());
     let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
         None => Ok(points),
         Some(edge) => Err(format!(
             "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
         )),
     };
-    let found = match find(size, Finder::Classic)? {
+    let found = match find(Finder::Classic)? {
         Some(points) => Some(points),
-        None => find(size, Finder::Sectors)?,
+        None => find(Finder::Sectors)?,
     };
     match found {
         Some(points) => whole(points),
@@ -213,21 +212,34 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
     }
 }
 
-/// Left pictures that are looked at before the size is doubted.
+/// Left pictures, spread over the folder, that are looked at before the size is doubted.
 const PROBES: usize = 3;
 
-/// Refuses a size that the first pictures do not show while they show another: the finders take minutes to fail on a whole folder.
+/// Refuses a size that no probe shows while all of them show one other whole size: the finders take minutes to fail on a whole folder, and a
+/// board cut off in one picture looks smaller than it is.
 fn check_size(files: &[PairFiles], size: BoardSize) -> Result<(), VisionError> {
-    let probes: Vec<(&PairFiles, Picture)> = files
-        .iter()
-        .filter_map(|f| Some((f, read_pair(f).ok()?[0].reduced(PROBE_PX))))
-        .take(PROBES)
+    let count = PROBES.min(files.len());
+    let probes: Vec<Picture> = (0..count)
+        .filter_map(|k| files[k * files.len() / count].left.as_ref())
+        .filter_map(|path| Some(Picture::read(path).ok()?.reduced(PROBE_PX)))
         .collect();
-    let shown: Result<Vec<bool>, VisionError> = probes
+    let shows = |picture: &Picture, size: BoardSize| -> Result<bool, VisionError> {
+        let found = find_chessboard(picture, size, Finder::Classic)?;
+        Ok(found.is_some_and(|points| continues_beyond(picture, size, &points).is_none()))
+    };
+    let all_show = |size: BoardSize| -> Result<bool, VisionError> {
+        for picture in &probes {
+            if !shows(picture, size)? {
+                return Ok(false);
+            }
+        }
+        Ok(!probes.is_empty())
+    };
+    let stated: Result<Vec<bool>, VisionError> = probes
         .par_iter()
-        .map(|(_, picture)| Ok(find_chessboard(picture, size, Finder::Classic)?.is_some()))
+        .map(|picture| Ok(find_chessboard(picture, size, Finder::Classic)?.is_some()))
         .collect();
-    if shown?.contains(&true) {
+    if stated?.contains(&true) {
         return Ok(());
     }
     let (c, r) = (size.columns as i64, size.rows as i64);
@@ -241,18 +253,14 @@ fn check_size(files: &[PairFiles], size: BoardSize) -> Result<(), VisionError> {
         (c - 2, r),
         (c, r - 2),
     ];
-    for (file, picture) in &probes {
-        for (columns, rows) in others.into_iter().filter(|(c, r)| c.min(r) >= &3) {
-            let other = BoardSize { columns: columns as usize, rows: rows as usize };
-            if let Some(points) = find_chessboard(picture, other, Finder::Classic)?
-                && continues_beyond(picture, other, &points).is_none()
-            {
-                return Err(VisionError::result(
-                    "find the board",
-                    format!("{size} inner corners"),
-                    format!("a whole board of {other} in {}: wrong board size?", file.name),
-                ));
-            }
+    for (columns, rows) in others.into_iter().filter(|(c, r)| c.min(r) >= &3) {
+        let other = BoardSize { columns: columns as usize, rows: rows as usize };
+        if all_show(other)? {
+            return Err(VisionError::result(
+                "find the board",
+                format!("{size} inner corners"),
+                format!("a whole board of {other} in {} pictures: wrong board size?", probes.len()),
+            ));
         }
     }
     Ok(())

@@ -1,15 +1,18 @@
 //! From `rig.toml` to open devices.
 
+use crate::cameras::{CameraPair, FolderCamera, NetCamera};
 use crate::host::HostClock;
 use crate::hyperion::Hyperion;
+use crate::replay::ReplayInterrogator;
 use crate::sm130::Sm130;
 use crate::zaber::units::Microsteps;
 use crate::zaber::{Chain, Port, ZaberBinary, ZaberStage};
 use std::cell::RefCell;
+use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Stage};
-use wcal_session::recording::rig::{InterrogatorRig, MountRig, StageRig};
+use wcal_core::device::{Camera, DeviceError, DeviceErrorKind, Interrogator, Stage};
+use wcal_session::recording::rig::{CameraRig, InterrogatorRig, MountRig, Rig, StageRig};
 use wcal_session::recording::sweep::Mount;
 
 /// An open stage and, for ASCII units, its chain.
@@ -71,7 +74,33 @@ pub fn open_interrogator(
             let peaks = peaks.ok_or_else(|| unknown("interrogator", "peaks_address", "none"))?;
             Ok(Box::new(Hyperion::connect(&rig.address, peaks, rig.rate_hz, clock)?))
         }
-        other => Err(unknown("interrogator", "driver sm130 or hyperion", other)),
+        "replay" => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+        other => Err(unknown("interrogator", "driver sm130, hyperion or replay", other)),
+    }
+}
+
+/// Opens the camera pair of a rig, if it has one.
+///
+/// # Errors
+/// `Configuration` for an unknown driver, else what a camera reports.
+pub fn open_cameras(rig: &Rig, clock: HostClock) -> Result<Option<CameraPair>, DeviceError> {
+    let open = |camera: &CameraRig| -> Result<Box<dyn Camera + Send>, DeviceError> {
+        let mut opened: Box<dyn Camera + Send> = match camera.driver.as_str() {
+            "net" => Box::new(NetCamera::connect(&camera.source, clock)?),
+            "folder" => {
+                let period_s = 1.0 / camera.rate_hz.unwrap_or(10.0);
+                Box::new(FolderCamera::open(Path::new(&camera.source), period_s)?)
+            }
+            other => {
+                return Err(unknown(&format!("camera {}", camera.name), "driver net or folder", other));
+            }
+        };
+        opened.configure(camera.exposure_ms, camera.gain_db)?;
+        Ok(opened)
+    };
+    match rig.camera.as_slice() {
+        [first, second] => Ok(Some(CameraPair::new([open(first)?, open(second)?], rig.camera_skew_limit_ms))),
+        _ => Ok(None),
     }
 }
 

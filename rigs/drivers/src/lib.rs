@@ -8,6 +8,7 @@ pub mod cameras;
 pub mod host;
 pub mod hyperion;
 pub mod record;
+pub mod replay;
 pub mod sm130;
 pub mod zaber;
 

@@ -1,6 +1,7 @@
 //! One recorded sweep from rig and plan to a reduced session.
 
-use crate::bench_files::{ZaberMount, open_interrogator, open_stage};
+use crate::bench_files::{ZaberMount, open_cameras, open_interrogator, open_stage};
+use crate::cameras::watch::watch;
 use crate::host::HostClock;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ use wcal_session::recording::reduce::{Reduction, recordings, reduce};
 use wcal_session::recording::replay::completed_steps;
 use wcal_session::recording::rig::Rig;
 use wcal_session::recording::run_file::{RUN_FORMAT, RunFile};
-use wcal_session::recording::sweep::{Mount, Progress, SweepBench, SweepReport, acquire, run};
+use wcal_session::recording::sweep::{Ending, Mount, Progress, SweepBench, SweepReport, acquire, run};
 use wcal_session::recording::tables::temperature_ratio;
 use wcal_session::write_atomic;
 
@@ -28,6 +29,8 @@ pub struct Order {
     pub rig: String,
     /// Text of the plan.
     pub plan: String,
+    /// Where both were read, for messages.
+    pub places: [String; 2],
     /// Session folder; new, or with `resume` one that was begun.
     pub folder: PathBuf,
     /// Go on where an earlier run stopped.
@@ -41,23 +44,48 @@ pub struct Order {
 }
 
 /// What came of it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub struct Recorded {
     /// The sweep.
     pub sweep: SweepReport,
-    /// The tables; absent when nothing could be reduced.
-    pub reduction: Option<Reduction>,
+    /// The tables, or why there are none: a sweep that stopped before its first window has nothing to reduce.
+    pub reduction: Result<Reduction, RecordingError>,
     /// Questions to the stage that had to be repeated.
     pub repeats: u64,
 }
 
-/// Reads rig and plan and expands the steps against the travel the rig states; moves nothing.
+impl Recorded {
+    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut all = self.sweep.warnings();
+        let clocks = self.reduction.iter().flat_map(|r| &r.clocks).filter(|c| c.broken());
+        all.extend(clocks.map(|c| format!("the device clock drifts by {:.0} ppm", c.drift * 1e6)));
+        all
+    }
+
+    /// 0 good, 1 stopped or without tables, 3 finished with warnings.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self.sweep.ending {
+            Ending::Finished if self.reduction.is_ok() => {
+                if self.warnings().is_empty() {
+                    0
+                } else {
+                    3
+                }
+            }
+            _ => 1,
+        }
+    }
+}
+
+/// Reads rig and plan (place and text) and expands the steps against the travel the rig states; moves nothing.
 ///
 /// # Errors
 /// Whatever does not fit.
-pub fn plan_only(rig: &str, plan: &str) -> Result<(Rig, Plan, Vec<Step>), RecordingError> {
-    let rig = Rig::parse("rig.toml", rig)?;
-    let plan = Plan::parse("plan.toml", plan)?;
+pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), RecordingError> {
+    let (rig, plan) = (Rig::parse(rig.0, rig.1)?, Plan::parse(plan.0, plan.1)?);
     let steps = plan.steps(&rig, [0.0, rig.stage.travel_mm])?;
     Ok((rig, plan, steps))
 }
@@ -73,13 +101,20 @@ pub fn record(
     interrupt: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Recorded, RecordingError> {
-    let (rig, plan, _) = plan_only(&order.rig, &order.plan)?;
+    let (rig, plan, _) = plan_only((&order.places[0], &order.rig), (&order.places[1], &order.plan))?;
     let skip = prepare_folder(order)?;
     let clock = HostClock::start(rig.clock_scale);
     let (mut stage, chain) = open_stage(&rig.stage, clock)?;
     let mut interrogator = open_interrogator(&rig.interrogator, clock)?;
     let mut devices = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
     devices.insert("interrogator".to_owned(), interrogator.identity()?);
+    let mut cameras = open_cameras(&rig, clock)?;
+    let names: [String; 2] =
+        std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
+    if let Some(pair) = &mut cameras {
+        let identities = names.iter().cloned().zip(pair.identities()?);
+        devices.extend(identities.map(|(name, identity)| (format!("camera_{name}"), identity)));
+    }
     // Every position is checked against the unit's own travel before the first move.
     let steps = plan.steps(&rig, stage.travel_mm()?)?;
     let mut motor = match &chain {
@@ -99,6 +134,10 @@ pub fn record(
     let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { Ok(open_stage(&rig.stage, clock)?.0) };
     let sweep = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
+        if let Some(pair) = &mut cameras {
+            let (names, monitor, recorder, done) = (&names, &monitor, &recorder, &done);
+            scope.spawn(move || watch(pair, names, monitor, recorder, done));
+        }
         let bench = SweepBench {
             stage,
             reopen: &mut reopen,
@@ -112,8 +151,7 @@ pub fn record(
         report
     });
     recorder.finish()?;
-    // A sweep that stopped before its first window has nothing to reduce; the raw streams are there.
-    let reduction = reduce(&order.folder).ok();
+    let reduction = reduce(&order.folder);
     let repeats = chain.map_or(0, |c| c.borrow().repeats());
     Ok(Recorded { sweep, reduction, repeats })
 }
@@ -150,13 +188,7 @@ fn same(folder: &Path, name: &str, text: &str) -> Result<(), RecordingError> {
     let path = folder.join(name);
     let io = |source| RecordingError::Io { action: "reading", path: path.clone(), source };
     let old = std::fs::read_to_string(&path).map_err(io)?;
-    let bare = |t: &str| -> String {
-        let keep = |l: &&str| {
-            !["port ", "port=", "address ", "address=", "peaks_address"].iter().any(|k| l.starts_with(k))
-        };
-        t.lines().filter(keep).collect::<Vec<_>>().join("\n")
-    };
-    if bare(&old) == bare(text) {
+    if without_links(&old) == without_links(text) {
         return Ok(());
     }
     Err(RecordingError::input(
@@ -164,6 +196,26 @@ fn same(folder: &Path, name: &str, text: &str) -> Result<(), RecordingError> {
         "the same content as when the session was begun",
         "other content",
     ))
+}
+
+/// A document without what says where the devices hang; `None` where it is no TOML.
+fn without_links(text: &str) -> Option<toml::Table> {
+    let mut table: toml::Table = text.parse().ok()?;
+    for (section, keys) in [
+        ("stage", &["port", "baud"][..]),
+        ("interrogator", &["address", "peaks_address"]),
+        ("camera", &["source"]),
+    ] {
+        let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
+            Some(toml::Value::Table(one)) => vec![one],
+            Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),
+            _ => Vec::new(),
+        };
+        for entry in entries {
+            keys.iter().for_each(|k| drop(entry.remove(*k)));
+        }
+    }
+    Some(table)
 }
 
 fn save(path: &Path, text: &str) -> Result<(), RecordingError> {

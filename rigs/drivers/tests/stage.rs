@@ -148,20 +148,35 @@ fn a_binary_stage_homes_moves_and_names_its_stall() {
     stage.stop().unwrap();
 }
 
-/// 10^5 commands without a lost reply; run with `--ignored` (under a minute).
-#[test]
-#[ignore = "takes a minute"]
-fn a_hundred_thousand_commands_lose_no_reply() {
+/// Questions and moves without a lost reply.
+fn commands_lose_no_reply(count: u32) -> u64 {
     let bench = bench(HOMED);
     let mut stage = tcp(&bench);
     let start = std::time::Instant::now();
-    for k in 0..100_000 {
+    for k in 0..count {
         if k % 100 == 0 {
             stage.start_move(30.0 + f64::from(k % 1000) * 0.01, 20.0).unwrap();
         }
         stage.read().unwrap();
     }
     let repeats = stage.chain().borrow().repeats();
-    println!("103000 commands, {repeats} repeated, {:.1} s", start.elapsed().as_secs_f64());
-    assert_eq!(repeats, 0);
+    let rate = f64::from(count) / start.elapsed().as_secs_f64();
+    println!(
+        "{count} readings and {} moves, {repeats} questions repeated, {rate:.0} readings/s",
+        count / 100
+    );
+    repeats
+}
+
+/// Every command has its reply; on a busy machine one may come late and be asked for again.
+#[test]
+fn two_thousand_commands_lose_no_reply() {
+    assert!(commands_lose_no_reply(2000) < 10);
+}
+
+/// Run with `--ignored`.
+#[test]
+#[ignore = "takes a minute"]
+fn a_hundred_thousand_commands_lose_no_reply() {
+    assert_eq!(commands_lose_no_reply(100_000), 0);
 }

@@ -1,80 +1,20 @@
-//! Sweeps against the virtual bench: good weather, and one test for every fault with its named outcome.
+//! Sweeps against the virtual bench: good weather, interruptions, resuming, limits. Faults: faults.rs.
 
-use std::path::Path;
+mod common;
+
+use common::{NoMount, PLAN, bench, go, order, rows};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use wcal_core::device::{DeviceError, DeviceErrorKind as Kind};
-use wcal_core::{Role, SessionData};
-use wcal_drivers::bench::VirtualBench;
-use wcal_drivers::bench::faults::Fault;
+use wcal_core::Role;
+use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::record::{Order, Recorded, record};
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::sweep::{Ending, Mount};
-
-const SPEED: f64 = 8.0;
-const PLAN: &str = r#"
-format = "wcal-plan/1"
-name = "short"
-[settle]
-gate_pm_per_s = 3.0
-window_s = 0.3
-timeout_s = 3.0
-[[block]]
-role = "calibration"
-trajectories = [1, 5]
-depths_mm = [1.5, 3.0]
-dwell_s = 0.3
-average_s = 0.4
-"#;
-
-struct NoMount;
-
-impl Mount for NoMount {
-    fn select(&mut self, _: u32) -> Result<(), DeviceError> {
-        panic!("the virtual bench has a motorised mount");
-    }
-}
-
-fn bench(extra: &str) -> VirtualBench {
-    let text = format!(
-        "format = \"wcal-scenario/1\"\nseed = 4\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n\
-         [cameras]\ncount = 0\n{extra}"
-    );
-    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
-}
-
-fn rig(bench: &VirtualBench) -> String {
-    let text = include_str!("../../virtual/rig.toml");
-    let a = bench.addresses();
-    text.replace("tcp://127.0.0.1:PORT", &format!("tcp://{}", a.stage_tcp))
-        .replace("127.0.0.1:PORT", &a.sm130.to_string())
-        .replace("clock_scale = 10.0", &format!("clock_scale = {SPEED:?}"))
-        .replace("rate_hz = 2000.0", "rate_hz = 500.0")
-}
-
-fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
-    Order {
-        rig: rig(bench),
-        plan: plan.to_owned(),
-        folder: folder.join("session"),
-        resume: false,
-        home: true,
-        created: "2026-01-02T03:04:05Z".to_owned(),
-        command: vec!["test".to_owned()],
-    }
-}
-
-fn go(order: &Order) -> Result<Recorded, RecordingError> {
-    record(order, &mut NoMount, &AtomicBool::new(false), &mut |_| {})
-}
-
-fn rows(folder: &Path) -> wcal_core::WhiskerData {
-    let loaded = wcal_session::load(folder).unwrap();
-    match loaded.data {
-        SessionData::Whisker(data) => data,
-        other => panic!("{:?}", other.kind()),
-    }
-}
+use wcal_drivers::record::{Order, record};
+use wcal_drivers::replay::ReplayInterrogator;
+use wcal_session::recording::assign::ChannelMap;
+use wcal_session::recording::monitor::Monitor;
+use wcal_session::recording::recorder::Recorder;
+use wcal_session::recording::rig::Rig;
+use wcal_session::recording::sweep::{Ending, acquire};
 
 #[test]
 fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
@@ -122,79 +62,6 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     assert!(go(&order).is_err(), "a session is never overwritten");
 }
 
-/// A fault in the middle of a sweep: kind of the ending, stage at rest, session readable.
-fn stopped_by(fault: Fault, expected: Kind) {
-    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
-    let order = order(&bench, PLAN, dir.path());
-    let injected = AtomicBool::new(false);
-    let recorded = record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
-        // The second depth of the first trajectory: a rest and a depth have been recorded by then.
-        if p.step >= 5 && !injected.swap(true, Ordering::SeqCst) {
-            bench.inject(fault);
-        }
-    })
-    .unwrap();
-    let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else {
-        panic!("{fault:?} did not stop the sweep: {recorded:?}");
-    };
-    assert_eq!(cause.kind, expected, "{fault:?}: {cause}");
-    assert_eq!(recorded.sweep.exit_code(), 1);
-    let unreachable = fault == Fault::UnplugStage;
-    assert_eq!(*stage_stopped, !unreachable, "{fault:?}");
-    if !unreachable {
-        assert_eq!(bench.true_stage().1, 0.0, "{fault:?}: the stage moves");
-    }
-    let reduction = recorded.reduction.as_ref().unwrap();
-    assert!(reduction.rows >= 2, "{fault:?}: {reduction:?}");
-    assert_eq!(reduction.cut_off, 0);
-    assert!(!rows(&order.folder).rows.is_empty());
-}
-
-#[test]
-fn stage_faults_stop_the_sweep_by_name() {
-    stopped_by(Fault::Stall, Kind::Stalled);
-    stopped_by(Fault::Limit, Kind::OutOfRange);
-    stopped_by(Fault::Displaced, Kind::Displaced);
-    stopped_by(Fault::DriverOff, Kind::DriverOff);
-    stopped_by(Fault::Critical, Kind::CriticalFault);
-    stopped_by(Fault::UnplugStage, Kind::Disconnected);
-}
-
-#[test]
-fn a_power_cut_of_the_stage_is_a_lost_reference() {
-    stopped_by(Fault::PowerCut, Kind::NotHomed);
-}
-
-#[test]
-fn stream_faults_stop_the_sweep_by_name() {
-    stopped_by(Fault::CalibrationFault { on: true }, Kind::Health);
-    stopped_by(Fault::TecFault { on: true }, Kind::Health);
-    stopped_by(Fault::DataInvalid { on: true }, Kind::DataInvalid);
-    stopped_by(Fault::PeakLost { grating: 1, on: true }, Kind::PeakLost);
-    stopped_by(Fault::PeakCrossing { on: true }, Kind::PeakLost);
-    stopped_by(Fault::UnplugInterrogator, Kind::Disconnected);
-    stopped_by(Fault::StreamGap { seconds: 60.0 }, Kind::Timeout);
-}
-
-#[test]
-fn lost_scans_and_garbage_are_counted_and_the_sweep_goes_on() {
-    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
-    let order = order(&bench, PLAN, dir.path());
-    let step = std::cell::Cell::new(0);
-    let recorded = record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
-        if p.step >= 4 && step.replace(step.get() + 1) == 0 {
-            bench.inject(Fault::LostSamples { count: 37 });
-            bench.inject(Fault::StreamGarbage);
-            bench.inject(Fault::CorruptReply);
-        }
-    })
-    .unwrap();
-    assert_eq!(recorded.sweep.ending, Ending::Finished, "{recorded:?}");
-    assert_eq!((recorded.sweep.counts.gaps, recorded.sweep.counts.lost), (1, 37));
-    assert_eq!(recorded.sweep.exit_code(), 3);
-    assert_eq!(recorded.reduction.unwrap().lost, 37);
-}
-
 #[test]
 fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
@@ -234,4 +101,24 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let recorded = go(&unreferenced).unwrap();
     assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
     assert_eq!(bench.true_stage(), before);
+}
+
+/// Live and replayed scans are the same to the monitor: rate, counts and the last wavelengths.
+#[test]
+fn a_recording_is_an_interrogator_again() {
+    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
+    let order = order(&bench, PLAN, dir.path());
+    let live = go(&order).unwrap().sweep.counts;
+    let rig = Rig::parse("rig.toml", &order.rig).unwrap();
+    let mut replay = ReplayInterrogator::open(&order.folder.join("recording.mcap")).unwrap();
+    assert!((replay.rate_hz() - 500.0).abs() < 1.0, "{}", replay.rate_hz());
+    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), [1.0, 1.0]));
+    let again = Recorder::create(&dir.path().join("again.mcap"), Default::default()).unwrap();
+    acquire(&mut replay, &monitor, &again, &AtomicBool::new(false));
+    again.finish().unwrap();
+    let monitor = monitor.into_inner().unwrap();
+    assert_eq!((monitor.counts().scans, monitor.counts().lost), (live.scans, 0));
+    assert_eq!(monitor.fault().unwrap().kind, Kind::Disconnected, "the end of a recording is an end");
+    assert!(monitor.latest().usable().is_some());
+    assert!(ReplayInterrogator::open(&dir.path().join("none.mcap")).is_err());
 }

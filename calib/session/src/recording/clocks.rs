@@ -21,11 +21,22 @@ pub struct ClockFit {
     pub offset_s: f64,
     /// Drift of the device clock, s/s.
     pub drift: f64,
+    /// Standard error of the drift, s/s.
+    pub drift_sd: f64,
     /// Scatter of the best pairs about the line, s.
     pub scatter_s: f64,
 }
 
+/// A drift above this is no crystal's, s/s: the clock is broken or the recording is not what it says.
+const BROKEN_CLOCK: f64 = 300e-6;
+
 impl ClockFit {
+    /// Whether the device clock drifts more than any working clock does, its own error counted against that.
+    #[must_use]
+    pub fn broken(&self) -> bool {
+        self.drift.abs() > BROKEN_CLOCK + 4.0 * self.drift_sd
+    }
+
     /// Device time at a host time, s.
     #[must_use]
     pub fn device_s(&self, host_s: f64) -> f64 {
@@ -41,7 +52,8 @@ impl ClockPair {
         let interval = (x / INTERVAL_S).floor() as i64;
         match &mut self.current {
             // The least delayed arrival has the largest device minus host time.
-            Some((current, best_x, best_y)) if *current == interval => {
+            // An arrival of the interval before the newest one changes nothing about when that began.
+            Some((current, best_x, best_y)) if *current >= interval => {
                 if y > *best_y {
                     (*best_x, *best_y) = (x, y);
                 }
@@ -68,10 +80,12 @@ impl ClockPair {
         // A drift needs some length of recording to stand out from delays.
         let drift = if points.len() >= 5 { sxy / sxx } else { 0.0 };
         let scatter = points.iter().map(|p| (p.1 - mean_y - drift * (p.0 - mean_x)).powi(2)).sum::<f64>();
+        let drift_sd = if points.len() >= 5 { (scatter / (n - 2.0) / sxx).sqrt() } else { f64::INFINITY };
         Some(ClockFit {
             origin_host_s: host0,
             offset_s: device0 - host0 + mean_y - drift * mean_x,
             drift,
+            drift_sd,
             scatter_s: (scatter / n).sqrt(),
         })
     }
@@ -92,8 +106,18 @@ mod tests {
             pair.add(host + late, device);
         }
         let fit = pair.fit().unwrap();
-        assert!((fit.drift - 50e-6).abs() < 5e-6, "{fit:?}");
+        assert!((fit.drift - 50e-6).abs() < 5e-6 && fit.drift_sd < 5e-6 && !fit.broken(), "{fit:?}");
         assert!((fit.device_s(1.7e9 + 20.0) - (1000.0 + 20.0 * (1.0 + 50e-6))).abs() < 1e-3, "{fit:?}");
+    }
+
+    #[test]
+    fn a_clock_that_runs_away_is_called_broken_and_a_short_recording_never_is() {
+        let run = |drift: f64, seconds: u64| {
+            let mut pair = ClockPair::default();
+            (0..seconds * 100).for_each(|k| pair.add(k as f64 / 100.0, k as f64 / 100.0 * (1.0 + drift)));
+            pair.fit().unwrap().broken()
+        };
+        assert!(run(1e-3, 60) && !run(1e-4, 60) && !run(1e-3, 3));
     }
 
     #[test]

@@ -190,7 +190,7 @@ impl From<&StageReading> for StagePosition {
 /// What happened in the sweep. Times are device times of the interrogator.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SweepEvent {
-    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `rest-limit`, `done`, `stopped`, `finished`.
+    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `pair-refused`, `done`, `stopped`, `finished`.
     #[prost(string, tag = "1")]
     pub kind: String,
     /// Index of the step.

@@ -23,6 +23,12 @@ pub struct StreamCounts {
     pub lost: u64,
     /// Scans with a lost or crossing peak.
     pub unusable: u64,
+    /// Camera pairs recorded.
+    pub pairs: u64,
+    /// Camera pairs refused: skew past the limit, or a camera that repeats itself.
+    pub pairs_refused: u64,
+    /// Largest skew of a recorded pair, ms.
+    pub worst_skew_ms: f64,
 }
 
 /// Watches a stream.
@@ -44,6 +50,8 @@ pub struct Monitor {
 struct Block {
     start_s: f64,
     count: f64,
+    /// Of the times since its start.
+    sum_s: f64,
     sum_pm: [f64; 2],
 }
 
@@ -107,6 +115,17 @@ impl Monitor {
         self.fail(kind, "read the stream", "a healthy unit", &found);
     }
 
+    /// Counts a camera pair: its skew (ms), or `None` where it was refused.
+    pub fn pair(&mut self, skew_ms: Option<f64>) {
+        match skew_ms {
+            Some(skew_ms) => {
+                self.counts.pairs += 1;
+                self.counts.worst_skew_ms = self.counts.worst_skew_ms.max(skew_ms.abs());
+            }
+            None => self.counts.pairs_refused += 1,
+        }
+    }
+
     /// Ends the sweep with this fault, unless there is one already.
     pub fn fail(&mut self, kind: DeviceErrorKind, action: &str, expected: &str, found: &str) {
         self.fail_with(DeviceError::new(kind, "interrogator", action, expected, found));
@@ -156,9 +175,10 @@ impl Monitor {
         match self.blocks.back_mut() {
             Some(block) if device_s - block.start_s < BLOCK_S => {
                 block.count += 1.0;
+                block.sum_s += device_s - block.start_s;
                 block.sum_pm = std::array::from_fn(|k| block.sum_pm[k] + value[k]);
             }
-            _ => self.blocks.push_back(Block { start_s: device_s, count: 1.0, sum_pm: value }),
+            _ => self.blocks.push_back(Block { start_s: device_s, count: 1.0, sum_s: 0.0, sum_pm: value }),
         }
         while self.blocks.front().is_some_and(|b| b.start_s < device_s - KEPT_S) {
             self.blocks.pop_front();
@@ -179,8 +199,10 @@ impl Monitor {
             return None;
         }
         let slopes = [0, 1].map(|k| {
-            let xy: Vec<(f64, f64)> =
-                points.iter().map(|b| (b.start_s - from_s, b.sum_pm[k] / b.count)).collect();
+            let xy: Vec<(f64, f64)> = points
+                .iter()
+                .map(|b| (b.start_s - from_s + b.sum_s / b.count, b.sum_pm[k] / b.count))
+                .collect();
             slope(&xy)
         });
         slopes.into_iter().max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))

@@ -65,10 +65,9 @@ impl Recorder {
             .map_err(RecordingError::io("creating", path))?;
         let copy = file.try_clone().map_err(RecordingError::io("creating", path))?;
         let context = Context::new();
-        let options = McapWriteOptions::new()
-            .chunk_size(Some(512 * 1024))
-            .compression(Some(foxglove::McapCompression::Lz4))
-            .calculate_chunk_crcs(true);
+        // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
+        let options =
+            McapWriteOptions::new().chunk_size(Some(512 * 1024)).compression(None).calculate_chunk_crcs(true);
         let writer =
             context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(broken)?;
         writer.write_metadata("wcal", about).map_err(broken)?;

@@ -31,10 +31,32 @@ pub struct Reduction {
     pub outliers: usize,
     /// Recordings that were cut off.
     pub cut_off: usize,
+    /// Camera pairs recorded, and refused.
+    pub pairs: [u64; 2],
     /// Delay of the interrogator behind the stage at each sync move, s.
     pub lag_s: Vec<f64>,
     /// Clock fits, one a recording.
     pub clocks: Vec<ClockFit>,
+}
+
+impl Reduction {
+    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut all = Vec::new();
+        if self.lost > 0 {
+            all.push(format!("{} scans lost", self.lost));
+        }
+        if self.cut_off > 0 {
+            all.push(format!("{} recordings cut off", self.cut_off));
+        }
+        if self.pairs[1] > 0 {
+            all.push(format!("{} camera pairs refused", self.pairs[1]));
+        }
+        let broken = self.clocks.iter().filter(|c| c.broken());
+        all.extend(broken.map(|c| format!("device clock drifts by {:.0} ppm", c.drift * 1e6)));
+        all
+    }
 }
 
 /// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
@@ -100,7 +122,7 @@ fn reduce_part(
 ) -> Result<(), RecordingError> {
     // First pass: what was done, where the stage was, how the clocks ran.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::default());
-    let mut next_serial: Option<u64> = None;
+    let (mut next_serial, mut pictures) = (None::<u64>, 0);
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
             clocks.add(scan.host_s, scan.device_s);
@@ -110,9 +132,13 @@ fn reduce_part(
             next_serial = Some(scan.serial + 1);
         }
         Message::Stage(reading) => stage.push(reading),
-        Message::Event(event) => events.push(event),
-        Message::Other(..) => {}
+        Message::Event(event) => {
+            result.pairs[1] += u64::from(event.kind == "pair-refused");
+            events.push(event);
+        }
+        Message::Other(topic, _) => pictures += u64::from(topic.starts_with("/camera/")),
     })?;
+    result.pairs[0] += pictures / 2;
     result.cut_off += usize::from(end != End::Closed);
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(()) };
     result.clocks.push(fit);

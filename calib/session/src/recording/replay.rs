@@ -37,8 +37,9 @@ pub enum End {
 /// When the file cannot be opened, is no MCAP file, or holds a message that cannot be decoded.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, RecordingError> {
     let mut file = File::open(path).map_err(RecordingError::io("opening", path))?;
+    // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
     let mut reader =
-        MessageReader::new_with_options(LinearReaderOptions::default().with_validate_chunk_crcs(true));
+        MessageReader::new_with_options(LinearReaderOptions::default().with_prevalidate_chunk_crcs(true));
     let mut any = false;
     while let Some(event) = reader.next_event() {
         match event {

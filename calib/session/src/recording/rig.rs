@@ -156,20 +156,21 @@ pub struct GratingRig {
     pub window_nm: f64,
 }
 
-/// A camera.
+/// A camera. Keys that only other commands need (image size, calibration file) are kept, not read.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct CameraRig {
-    /// `folder`, `net` or `v4l2`.
+    /// Name, e.g. `left`; its pictures are recorded under it.
+    pub name: String,
+    /// `net` or `folder`.
     pub driver: String,
-    /// Folder, `host:port` or device path.
+    /// `host:port`, or a folder of numbered pictures.
     pub source: String,
+    /// Pictures per second of a folder.
+    pub rate_hz: Option<f64>,
     /// Exposure, ms.
     pub exposure_ms: Option<f64>,
     /// Gain, dB.
     pub gain_db: Option<f64>,
-    /// Calibration file.
-    pub calibration: Option<String>,
 }
 
 /// A path of the groove, base frame.
@@ -223,6 +224,9 @@ impl Rig {
         }
         if let Some(odd) = rig.interrogator.grating.iter().find(|g| g.channel == 0 || g.window_nm <= 0.0) {
             return fail("interrogator.grating", "a channel from 1 and a window above 0", odd.name.clone());
+        }
+        if !matches!(rig.camera.len(), 0 | 2) {
+            return fail("camera", "no camera or two", rig.camera.len().to_string());
         }
         for (k, t) in rig.trajectory.iter().enumerate() {
             if !(Vector3::from(t.direction).norm() > 1e-6) {
@@ -320,6 +324,11 @@ shear_gpa = 28.2
             ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
             ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
             ("retract_mm = -2", "retrct_mm = -2", "rig file"),
+            (
+                "[whisker]",
+                "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]",
+                "camera",
+            ),
         ] {
             let error = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap_err().to_string();
             assert!(error.contains(field), "{field}: {error}");

@@ -262,12 +262,21 @@ fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<T
     stream.insert("lost_scans".to_owned(), Value::Integer(result.lost as i64));
     stream
         .insert("recordings".to_owned(), Value::Array(recordings.iter().map(|r| r.clone().into()).collect()));
+    if result.pairs != [0; 2] {
+        let count = |n: u64| Value::Integer(n as i64);
+        stream.insert("camera_pairs".to_owned(), count(result.pairs[0]));
+        stream.insert("camera_pairs_refused".to_owned(), count(result.pairs[1]));
+    }
     stream.insert("clock_scale".to_owned(), Value::Float(run.clock_scale));
     stream.insert("lag_s".to_owned(), Value::Array(result.lag_s.iter().map(|s| Value::Float(*s)).collect()));
     let fits = result.clocks.iter().map(|fit| {
         let mut table = Table::new();
         table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
         table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
+        // A recording of some seconds cannot tell.
+        if fit.drift_sd.is_finite() {
+            table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
+        }
         table.insert("scatter_ms".to_owned(), Value::Float(fit.scatter_s * 1e3));
         Value::Table(table)
     });

@@ -18,6 +18,8 @@ pub enum Fault {
     Critical,
     /// Stage power lost and back: reference gone, silent for a second.
     PowerCut,
+    /// The unit restarts by itself; as after a power cut.
+    Reset,
     /// Stage cable out.
     UnplugStage,
     /// Stage cable back in.
@@ -84,6 +86,16 @@ pub enum Fault {
     CameraSkew {
         /// Delay, ms.
         ms: f64,
+    },
+    /// The unit's clock runs wrong from now on.
+    ClockDrift {
+        /// Parts per million.
+        ppm: f64,
+    },
+    /// The unloaded sensing gratings drift from now on: the signal never settles.
+    SignalDrift {
+        /// Rate, pm/s.
+        pm_per_s: f64,
     },
     /// The room warms at once.
     TemperatureStep {

@@ -80,10 +80,9 @@ fn refusal(message: &str) -> Vec<u8> {
 }
 
 fn record(shared: &Shared, scan: &Scan) -> Vec<u8> {
-    let spec = &shared.scenario.interrogator;
     let mut peaks: Vec<f64> = scan.peaks_nm.iter().flatten().copied().collect();
     peaks.sort_by(f64::total_cmp);
-    let device_s = shared.clock.epoch_s(scan.t_s * (1.0 + spec.clock_drift_ppm * 1e-6)) + spec.clock_offset_s;
+    let device_s = shared.device_s(scan.t_s);
     let mut b = Vec::with_capacity(64);
     b.extend(32_u16.to_le_bytes());
     b.extend([1, 0, 0, 0, 0, 0]);

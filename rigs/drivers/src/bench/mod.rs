@@ -31,7 +31,7 @@ use std::time::Duration;
 use world::Shared;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Addresses {
     /// Path of the stage's pseudo-terminal.
     pub stage_pty: String,
@@ -43,6 +43,8 @@ pub struct Addresses {
     pub hyperion: HyperionAddresses,
     /// Picture streams.
     pub cameras: Vec<SocketAddr>,
+    /// Bench seconds per wall second.
+    pub speed: f64,
 }
 
 /// Ports of the Hyperion.
@@ -67,7 +69,7 @@ impl VirtualBench {
     /// # Errors
     /// When a port or the pseudo-terminal cannot be opened.
     pub fn start(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> io::Result<Self> {
-        let camera_count = scenario.cameras.count;
+        let (camera_count, speed) = (scenario.cameras.count, scenario.speed);
         let shared = Shared::new(scenario, plant);
         let mut threads = Vec::new();
         let pty = Pty::open()?;
@@ -85,7 +87,7 @@ impl VirtualBench {
         }
         threads.push(scanner(&shared));
         let hyperion = HyperionAddresses { commands, peaks };
-        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras };
+        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras, speed };
         Ok(Self { shared, addresses, threads })
     }
 

@@ -28,6 +28,28 @@ pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) 
     ([x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)], [cos, 0.0, -sin])
 }
 
+/// Arc length (mm) of the point of the resting wire nearest to `point_mm`.
+#[must_use]
+pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
+    let point = Vector3::from(point_mm);
+    let far = |s: f64| (Vector3::from(rest_point(whisker, s).0) - point).norm();
+    let step = whisker.length_mm / PIECES as f64;
+    let all = (0..=PIECES).map(|k| step * k as f64);
+    let near = all.min_by(|a, b| far(*a).total_cmp(&far(*b))).unwrap_or(whisker.length_mm);
+    // Golden section between its neighbours: a first contact off by half a step would push before it touches.
+    let (mut low, mut high) = ((near - step).max(0.0), (near + step).min(whisker.length_mm));
+    const RATIO: f64 = 0.618_033_988_749_895;
+    for _ in 0..60 {
+        let (a, b) = (high - RATIO * (high - low), low + RATIO * (high - low));
+        if far(a) < far(b) {
+            high = b;
+        } else {
+            low = a;
+        }
+    }
+    (low + high) / 2.0
+}
+
 /// First-order compliance of the curved wire (Castigliano) with a cubic term: quasi-static, frictionless.
 #[derive(Debug, Clone)]
 pub struct Cantilever {
@@ -59,14 +81,7 @@ impl Cantilever {
         let paths = trajectories.iter().map(|t| {
             let origin = Vector3::from(t.origin_mm);
             let push = Vector3::from(t.direction).normalize();
-            // Arc length of the nearest point of the resting wire.
-            let contact = (0..=PIECES)
-                .map(|k| w.length_mm * k as f64 / PIECES as f64)
-                .min_by(|a, b| {
-                    let far = |s: &f64| (Vector3::from(rest_point(w, *s).0) - origin).norm();
-                    far(a).total_cmp(&far(b))
-                })
-                .unwrap_or(w.length_mm);
+            let contact = rest_arclength_mm(w, t.origin_mm);
             let ds = contact / PIECES as f64;
             let compliance = (0..PIECES)
                 .map(|k| {
@@ -106,6 +121,8 @@ pub struct Physics {
     lagged_mm: Option<f64>,
     crept_nmm: [f64; 2],
     temperature_step_degc: f64,
+    /// Bench time since which both zeros drift, and their rate, pm/s.
+    drift: (f64, f64),
 }
 
 impl Physics {
@@ -121,12 +138,18 @@ impl Physics {
             lagged_mm: None,
             crept_nmm: [0.0; 2],
             temperature_step_degc: 0.0,
+            drift: (0.0, 0.0),
         }
     }
 
     /// The room warms at once, K.
     pub fn step_temperature(&mut self, degc: f64) {
         self.temperature_step_degc += degc;
+    }
+
+    /// Both zeros drift from `t_s` on.
+    pub fn drift(&mut self, t_s: f64, pm_per_s: f64) {
+        self.drift = (t_s, pm_per_s);
     }
 
     /// Temperature at `t_s`, deg C.
@@ -161,7 +184,8 @@ impl Physics {
             let pm = linear * (1.0 + effects.quadratic_fraction * size)
                 + fbg.zero_pm[g]
                 + fbg.temperature_pm_per_degc[g] * rise
-                + effects.zero_drift_pm_per_min * t_s / 60.0;
+                + effects.zero_drift_pm_per_min * t_s / 60.0
+                + (t_s - self.drift.0) * self.drift.1;
             out[g + 1] = fbg.nominal_nm[g] + (pm + draw()) * 1e-3;
         }
         out

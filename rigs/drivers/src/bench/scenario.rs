@@ -19,6 +19,9 @@ pub struct Scenario {
     /// Bench seconds per wall second.
     #[serde(default = "one")]
     pub speed: f64,
+    /// What the wire is made of.
+    #[serde(default)]
+    pub plant: PlantKind,
     /// The linear stage.
     #[serde(default)]
     pub stage: StageScenario,
@@ -89,6 +92,17 @@ impl Scenario {
 
 fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Model of the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PlantKind {
+    /// Large deflection; `wcal virtual-bench` brings it.
+    #[default]
+    Rod,
+    /// The bench's own first-order compliance.
+    Cantilever,
 }
 
 /// Protocol that the stage speaks.

@@ -115,13 +115,12 @@ fn answer(shared: &Shared, command: &str) -> Vec<u8> {
 
 /// One data frame, field by field at its offset.
 fn frame(shared: &Shared, scan: &Scan) -> Vec<u8> {
-    let spec = &shared.scenario.interrogator;
     let mut counts: Vec<u32> =
         scan.peaks_nm.iter().flatten().map(|nm| (nm * GRANULARITY).round() as u32).collect();
     counts.sort_unstable();
     let mut b = vec![0_u8; 88];
     let mut put = |at: usize, bytes: &[u8]| b[at..at + bytes.len()].copy_from_slice(bytes);
-    let device_s = shared.clock.epoch_s(scan.t_s * (1.0 + spec.clock_drift_ppm * 1e-6)) + spec.clock_offset_s;
+    let device_s = shared.device_s(scan.t_s);
     let microseconds = (device_s * 1e6).round() as u64;
     let h = scan.health;
     let bit = |on: bool, value: u8| if on { value } else { 0 };

@@ -69,6 +69,8 @@ pub struct Shared {
     ring: Mutex<Ring>,
     fresh: Condvar,
     pause_until_s: Mutex<f64>,
+    /// Bench time since which the unit's clock runs wrong, and by how many ppm.
+    clock_fault: Mutex<(f64, f64)>,
     garbage: AtomicBool,
     stop: AtomicBool,
 }
@@ -116,6 +118,7 @@ impl Shared {
             ring: Mutex::new(Ring::default()),
             fresh: Condvar::new(),
             pause_until_s: Mutex::new(0.0),
+            clock_fault: Mutex::new((0.0, 0.0)),
             garbage: AtomicBool::new(false),
             stop: AtomicBool::new(false),
         })
@@ -152,6 +155,15 @@ impl Shared {
     #[must_use]
     pub fn paused_until_s(&self) -> f64 {
         *guard(&self.pause_until_s)
+    }
+
+    /// What the interrogator's clock shows at bench time `t_s`, s since 1970.
+    #[must_use]
+    pub fn device_s(&self, t_s: f64) -> f64 {
+        let spec = &self.scenario.interrogator;
+        let (since_s, ppm) = *guard(&self.clock_fault);
+        let wrong_s = (t_s * spec.clock_drift_ppm + (t_s - since_s).max(0.0) * ppm) * 1e-6;
+        self.clock.epoch_s(t_s + wrong_s) + spec.clock_offset_s
     }
 
     /// The newest scan.
@@ -223,6 +235,7 @@ impl Shared {
             Fault::PlugInterrogator => self.interrogator_cable.unplug(false),
             Fault::StreamGap { seconds } => *guard(&self.pause_until_s) = t_s + seconds,
             Fault::StreamGarbage => self.garbage.store(true, Ordering::SeqCst),
+            Fault::ClockDrift { ppm } => *guard(&self.clock_fault) = (t_s, ppm),
             Fault::FrozenCamera { on } => guard(&self.cameras).frozen = on,
             Fault::CameraSkew { ms } => guard(&self.cameras).skew_ms = ms,
             other => self.world().inject(other, t_s),
@@ -258,7 +271,8 @@ impl World {
             Fault::Displaced => stage.axis.raise("WM"),
             Fault::DriverOff => stage.axis.stop_dead(t_s, "FD"),
             Fault::Critical => stage.axis.stop_dead(t_s, "FF"),
-            Fault::PowerCut => stage.power_cycle(t_s),
+            Fault::PowerCut | Fault::Reset => stage.power_cycle(t_s),
+            Fault::SignalDrift { pm_per_s } => self.physics.drift(t_s, pm_per_s),
             Fault::LostSamples { count } => self.skip += count,
             Fault::CalibrationFault { on } => self.health.calibration_fault = on,
             Fault::TecFault { on } => self.health.tec_over = on,

@@ -5,6 +5,7 @@
 pub mod folder;
 pub mod net;
 pub mod pair;
+pub mod watch;
 
 pub use folder::FolderCamera;
 pub use net::NetCamera;

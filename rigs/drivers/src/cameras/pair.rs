@@ -1,7 +1,7 @@
 //! Two cameras as one: frames of one trigger, their skew measured, pairs past a limit refused.
 
 use std::time::Duration;
-use wcal_core::device::{Camera, CameraFrame, DeviceError, DeviceErrorKind};
+use wcal_core::device::{Camera, CameraFrame, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// A pair of one trigger.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,10 +14,11 @@ pub struct FramePair {
 
 /// A pair of cameras.
 pub struct CameraPair {
-    cameras: [Box<dyn Camera>; 2],
+    cameras: [Box<dyn Camera + Send>; 2],
     limit_ms: f64,
     refused: u64,
     last: Option<FramePair>,
+    host_s: f64,
 }
 
 /// Frames that one camera may be ahead of the other.
@@ -26,8 +27,23 @@ const AHEAD: usize = 32;
 impl CameraPair {
     /// Two cameras and the largest skew, ms.
     #[must_use]
-    pub fn new(cameras: [Box<dyn Camera>; 2], limit_ms: f64) -> Self {
-        Self { cameras, limit_ms, refused: 0, last: None }
+    pub fn new(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
+        Self { cameras, limit_ms, refused: 0, last: None, host_s: 0.0 }
+    }
+
+    /// What both say of themselves.
+    ///
+    /// # Errors
+    /// When a unit does not answer.
+    pub fn identities(&mut self) -> Result<[DeviceIdentity; 2], DeviceError> {
+        let [first, second] = &mut self.cameras;
+        Ok([first.identity()?, second.identity()?])
+    }
+
+    /// Host time of the newest frame, s.
+    #[must_use]
+    pub fn host_s(&self) -> f64 {
+        self.host_s
     }
 
     /// Pairs refused so far.
@@ -44,6 +60,7 @@ impl CameraPair {
         let [first, second] = &mut self.cameras;
         let (mut a, mut b) = (first.grab(timeout)?, second.grab(timeout)?);
         for _ in 0..AHEAD {
+            self.host_s = a.clocks.host_s.max(b.clocks.host_s);
             if a.trigger == b.trigger {
                 return self.judge(a, b);
             }

@@ -66,7 +66,7 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
         return Err(format!("at least {PEAK_HEADER} bytes, found {}", content.len()));
     }
     let header = usize::from(u16::from_le_bytes([content[0], content[1]]));
-    if header < PEAK_HEADER || header > content.len() || (header - PEAK_HEADER) % 2 != 0 {
+    if header < PEAK_HEADER || header > content.len() || !(header - PEAK_HEADER).is_multiple_of(2) {
         return Err(format!("a header length of {PEAK_HEADER} and two a channel, found {header}"));
     }
     let u32_at =

@@ -155,9 +155,10 @@ impl Stage for ZaberBinary {
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
+        // Status first: a motion that ends between the two questions must not leave a position from before its end.
+        let moving = self.ask(54, 0, 54)? != 0;
         let steps = self.ask(60, 0, 60)?;
         let host_s = self.clock.now_s();
-        let moving = self.ask(54, 0, 54)? != 0;
         if self.stalled && !moving {
             let found = format!("standing at {steps} microsteps");
             return Err(self.fail(DeviceErrorKind::Stalled, "read position", "the target", &found));

@@ -28,7 +28,7 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
 
 /// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
 #[must_use]
-pub fn worst<'a>(flags: &'a [String], homing: bool) -> Option<(&'a str, DeviceErrorKind, &'static str)> {
+pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {
     flags.iter().find_map(|flag| {
         let (kind, text) = meaning(flag)?;
         let excused = homing && kind == DeviceErrorKind::NotHomed;

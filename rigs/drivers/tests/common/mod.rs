@@ -1,0 +1,93 @@
+//! A virtual bench, its rig, and a short plan, for the sweep tests.
+#![allow(dead_code, reason = "each test file uses its part")]
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use wcal_core::SessionData;
+use wcal_core::device::DeviceError;
+use wcal_drivers::bench::VirtualBench;
+use wcal_drivers::bench::scenario::Scenario;
+use wcal_drivers::record::{Order, Recorded, record};
+use wcal_session::recording::RecordingError;
+use wcal_session::recording::sweep::Mount;
+
+/// Bench seconds per wall second.
+pub const SPEED: f64 = 4.0;
+/// Two trajectories of two depths.
+pub const PLAN: &str = r#"
+format = "wcal-plan/1"
+name = "short"
+[settle]
+gate_pm_per_s = 3.0
+window_s = 0.3
+timeout_s = 3.0
+[[block]]
+role = "calibration"
+trajectories = [1, 5]
+depths_mm = [1.5, 3.0]
+dwell_s = 0.3
+average_s = 0.4
+"#;
+
+/// The virtual bench has a motorised mount: nobody is asked.
+pub struct NoMount;
+
+impl Mount for NoMount {
+    fn select(&mut self, _: u32) -> Result<(), DeviceError> {
+        panic!("the virtual bench has a motorised mount");
+    }
+}
+
+/// A bench whose `[interrogator]` has `extra` too; no cameras unless `extra` ends in a `[cameras]` table.
+pub fn bench(extra: &str) -> VirtualBench {
+    let cameras = if extra.contains("[cameras]") { "" } else { "\n[cameras]\ncount = 0\n" };
+    let text = format!(
+        "format = \"wcal-scenario/1\"\nseed = 4\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n{extra}{cameras}"
+    );
+    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+}
+
+/// The rig of `rigs/virtual` at the addresses of a bench.
+pub fn rig(bench: &VirtualBench) -> String {
+    let text = include_str!("../../../virtual/rig.toml");
+    let a = bench.addresses();
+    // Cameras are replaced first: all ports look the same.
+    let text = match a.cameras.as_slice() {
+        [left, right] => text
+            .replacen("source = \"127.0.0.1:PORT\"", &format!("source = \"{left}\""), 1)
+            .replacen("source = \"127.0.0.1:PORT\"", &format!("source = \"{right}\""), 1),
+        _ => text.split("[[camera]]").next().unwrap_or_default().to_owned(),
+    };
+    text.replace("tcp://127.0.0.1:PORT", &format!("tcp://{}", a.stage_tcp))
+        .replace("127.0.0.1:PORT", &a.sm130.to_string())
+        .replace("clock_scale = 10.0", &format!("clock_scale = {SPEED:?}"))
+        .replace("rate_hz = 2000.0", "rate_hz = 500.0")
+}
+
+/// A new session in `folder`.
+pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
+    Order {
+        rig: rig(bench),
+        plan: plan.to_owned(),
+        places: ["rig.toml", "plan.toml"].map(str::to_owned),
+        folder: folder.join("session"),
+        resume: false,
+        home: true,
+        created: "2026-01-02T03:04:05Z".to_owned(),
+        command: vec!["test".to_owned()],
+    }
+}
+
+/// Records without anybody watching.
+pub fn go(order: &Order) -> Result<Recorded, RecordingError> {
+    record(order, &mut NoMount, &AtomicBool::new(false), &mut |_| {})
+}
+
+/// Rows of a session.
+pub fn rows(folder: &Path) -> wcal_core::WhiskerData {
+    let loaded = wcal_session::load(folder).unwrap();
+    match loaded.data {
+        SessionData::Whisker(data) => data,
+        other => panic!("{:?}", other.kind()),
+    }
+}

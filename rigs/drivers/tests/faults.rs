@@ -1,0 +1,180 @@
+//! The fault table: every fault of the virtual bench has a named outcome, a stage that stands, a session that opens, and
+//! the documented exit code. Several runs a fault, with the fault at other moments: on the move and at rest.
+
+mod common;
+
+use common::{NoMount, PLAN, bench, order, rows};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use wcal_core::device::DeviceErrorKind as Kind;
+use wcal_drivers::bench::VirtualBench;
+use wcal_drivers::bench::faults::Fault;
+use wcal_drivers::record::{Recorded, record};
+use wcal_session::recording::sweep::Ending;
+
+/// Runs a fault: two, or as many as WCAL_FAULT_RUNS says.
+fn runs() -> usize {
+    std::env::var("WCAL_FAULT_RUNS").map_or(2, |n| n.parse().unwrap())
+}
+
+/// What the sweep makes of a fault.
+#[derive(Debug, Clone, Copy)]
+enum Outcome {
+    /// It stops with a fault of this kind, exit code 1.
+    Stops(Kind),
+    /// It goes on and finishes: nothing is lost, exit code 0.
+    Survives,
+    /// It finishes with exit code 3, and a warning says so.
+    Warns(&'static str),
+}
+
+/// One run: the fault comes at a step of its own, on the move when `moving`.
+fn run(fault: Fault, extra: &str, step: usize, moving: bool) -> (VirtualBench, tempfile::TempDir, Recorded) {
+    let (bench, dir) = (bench(extra), tempfile::tempdir().unwrap());
+    let order = order(&bench, PLAN, dir.path());
+    let injected = AtomicBool::new(false);
+    let recorded = std::thread::scope(|scope| {
+        record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
+            let state = (bench.true_stage().1 != 0.0) == moving;
+            if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
+                bench.inject(fault);
+                // A cable that is plugged in again: the stage is reached again and stopped.
+                if fault == Fault::UnplugStage {
+                    scope.spawn(|| {
+                        std::thread::sleep(Duration::from_millis(120));
+                        bench.inject(Fault::PlugStage);
+                    });
+                }
+            }
+        })
+    });
+    assert!(injected.load(Ordering::SeqCst), "{fault:?} was never injected");
+    (bench, dir, recorded.unwrap())
+}
+
+fn judge(fault: Fault, extra: &str, outcome: Outcome, k: usize) {
+    let (bench, dir, recorded) = run(fault, extra, 3 + k % 3, k.is_multiple_of(2));
+    let warnings = recorded.warnings();
+    match (outcome, &recorded.sweep.ending) {
+        (Outcome::Stops(kind), Ending::Stopped { cause, stage_stopped }) => {
+            assert_eq!(cause.kind, kind, "{fault:?} in run {k}: {cause}");
+            assert!(*stage_stopped, "{fault:?} in run {k}: the stop was not confirmed");
+            assert_eq!(recorded.exit_code(), 1);
+        }
+        (Outcome::Survives, Ending::Finished) => {
+            assert_eq!(recorded.exit_code(), 0, "{fault:?} in run {k}: {warnings:?}");
+        }
+        (Outcome::Warns(word), Ending::Finished) => {
+            assert_eq!(recorded.exit_code(), 3, "{fault:?} in run {k}");
+            assert!(warnings.iter().any(|w| w.contains(word)), "{fault:?} in run {k}: {warnings:?}");
+        }
+        (_, ending) => panic!("{fault:?} in run {k}: expected {outcome:?}, found {ending:?}"),
+    }
+    assert_eq!(bench.true_stage().1, 0.0, "{fault:?} in run {k}: the stage moves");
+    let reduction = recorded.reduction.unwrap();
+    assert_eq!(reduction.cut_off, 0, "{fault:?} in run {k}");
+    // The first rest was read before every fault; a finished sweep has all six rows.
+    let finished = matches!(recorded.sweep.ending, Ending::Finished);
+    let count = rows(&dir.path().join("session")).rows.len();
+    assert!(
+        if finished { count == 6 } else { (1..6).contains(&count) },
+        "{fault:?} in run {k}: {count} rows"
+    );
+}
+
+fn several(fault: Fault, extra: &str, outcome: Outcome) {
+    std::thread::scope(|scope| {
+        (0..runs()).for_each(|k| {
+            scope.spawn(move || judge(fault, extra, outcome, k));
+        });
+    });
+}
+
+const CAMERAS: &str = "[cameras]\nrate_hz = 2\nsize_px = [64, 48]\n";
+
+#[test]
+fn a_stalled_or_pushed_stage_stops_the_sweep_by_name() {
+    several(Fault::Stall, "", Outcome::Stops(Kind::Stalled));
+    several(Fault::Limit, "", Outcome::Stops(Kind::OutOfRange));
+    several(Fault::Displaced, "", Outcome::Stops(Kind::Displaced));
+}
+
+#[test]
+fn a_stage_that_switches_off_stops_the_sweep_by_name() {
+    several(Fault::DriverOff, "", Outcome::Stops(Kind::DriverOff));
+    several(Fault::Critical, "", Outcome::Stops(Kind::CriticalFault));
+}
+
+#[test]
+fn a_reset_or_power_cut_in_mid_move_is_a_lost_reference() {
+    several(Fault::Reset, "", Outcome::Stops(Kind::NotHomed));
+    several(Fault::PowerCut, "", Outcome::Stops(Kind::NotHomed));
+}
+
+#[test]
+fn an_unplugged_stage_is_a_disconnection_and_is_stopped_once_reached() {
+    several(Fault::UnplugStage, "", Outcome::Stops(Kind::Disconnected));
+}
+
+#[test]
+fn disturbed_replies_are_asked_for_again() {
+    for fault in
+        [Fault::CorruptReply, Fault::SplitReply, Fault::LoseReply, Fault::DoubleReply, Fault::NoiseReply]
+    {
+        several(fault, "", Outcome::Survives);
+    }
+}
+
+#[test]
+fn lost_samples_and_gaps_are_counted_and_a_dead_stream_stops_the_sweep() {
+    several(Fault::LostSamples { count: 37 }, "", Outcome::Warns("37 scans lost in 1 gaps"));
+    several(Fault::StreamGap { seconds: 2.0 }, "buffer = 200", Outcome::Warns("scans lost"));
+    several(Fault::StreamGap { seconds: 1.0 }, "", Outcome::Survives);
+    several(Fault::StreamGarbage, "", Outcome::Survives);
+    several(Fault::StreamGap { seconds: 60.0 }, "", Outcome::Stops(Kind::Timeout));
+    several(Fault::UnplugInterrogator, "", Outcome::Stops(Kind::Disconnected));
+}
+
+#[test]
+fn an_interrogator_that_says_it_is_unwell_stops_the_sweep() {
+    several(Fault::CalibrationFault { on: true }, "", Outcome::Stops(Kind::Health));
+    several(Fault::TecFault { on: true }, "", Outcome::Stops(Kind::Health));
+    several(Fault::DataInvalid { on: true }, "", Outcome::Stops(Kind::DataInvalid));
+    several(Fault::PeakLost { grating: 1, on: true }, "", Outcome::Stops(Kind::PeakLost));
+    several(Fault::PeakCrossing { on: true }, "", Outcome::Stops(Kind::PeakLost));
+}
+
+#[test]
+fn a_frozen_camera_and_a_skewed_pair_stop_the_sweep() {
+    several(Fault::FrozenCamera { on: true }, CAMERAS, Outcome::Stops(Kind::DataInvalid));
+    several(Fault::CameraSkew { ms: 5.0 }, CAMERAS, Outcome::Stops(Kind::DataInvalid));
+}
+
+#[test]
+fn drifts_of_the_clock_and_of_the_signal_are_warned_of() {
+    several(Fault::ClockDrift { ppm: 20_000.0 }, "", Outcome::Warns("clock drifts"));
+    several(Fault::SignalDrift { pm_per_s: 30.0 }, "", Outcome::Warns("did not settle"));
+}
+
+/// Negative control: without a fault nothing stops and nothing is warned of, cameras included.
+#[test]
+fn without_a_fault_there_is_no_outcome() {
+    several(Fault::PlugStage, "", Outcome::Survives);
+    several(Fault::PlugStage, CAMERAS, Outcome::Survives);
+}
+
+/// A cable that stays out: the report says that the stop was not confirmed.
+#[test]
+fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
+    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
+    let order = order(&bench, PLAN, dir.path());
+    let recorded = record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
+        if p.step >= 4 {
+            bench.inject(Fault::UnplugStage);
+        }
+    })
+    .unwrap();
+    let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else { panic!("{recorded:?}") };
+    assert_eq!((cause.kind, *stage_stopped, recorded.exit_code()), (Kind::Disconnected, false, 1));
+    assert!(!rows(&order.folder).rows.is_empty());
+}

@@ -1,0 +1,264 @@
+//! The program against its own virtual bench: record, fit, verify; crash and resume; Ctrl-C; a pulled cable; dry run.
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// Bench seconds per wall second.
+const SPEED: f64 = 20.0;
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn wcal() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_wcal"))
+}
+
+/// A running `wcal virtual-bench`, ended with the test.
+struct Bench {
+    child: Child,
+    addresses: PathBuf,
+    rig: PathBuf,
+    folder: tempfile::TempDir,
+}
+
+impl Bench {
+    fn start(scenario: &str) -> Self {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = |name: &str| folder.path().join(name);
+        let head = format!("format = \"wcal-scenario/1\"\nseed = 7\nspeed = {SPEED}\n");
+        let rest = "[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
+        std::fs::write(path("scenario.toml"), format!("{head}{scenario}\n{rest}")).expect("scenario");
+        let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).expect("rig");
+        std::fs::write(path("rig.toml"), rig.replace("rate_hz = 2000.0", "rate_hz = 500.0")).expect("rig");
+        let mut child = wcal()
+            .arg("virtual-bench")
+            .arg("--scenario")
+            .arg(path("scenario.toml"))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the bench starts");
+        let mut line = String::new();
+        let out = child.stdout.take().expect("stdout");
+        BufReader::new(out).read_line(&mut line).expect("addresses");
+        let all: Value = serde_json::from_str(&line).expect("one JSON line");
+        for key in ["stage_pty", "stage_tcp", "sm130", "hyperion", "cameras"] {
+            assert!(!all[key].is_null(), "{key}: {line}");
+        }
+        let (addresses, rig) = (path("bench.json"), path("rig.toml"));
+        std::fs::write(&addresses, line).expect("addresses");
+        Self { child, addresses, rig, folder }
+    }
+
+    fn type_fault(&mut self, line: &str) {
+        writeln!(self.child.stdin.as_mut().expect("stdin"), "{line}").expect("typed");
+    }
+
+    fn session(&self) -> PathBuf {
+        self.folder.path().join("session")
+    }
+
+    /// `wcal stage-sweep` with the paper's plan and the given further arguments.
+    fn sweep(&self, arguments: &[&str]) -> Command {
+        let mut command = wcal();
+        command.arg("stage-sweep").arg("--rig").arg(&self.rig);
+        command.arg("--plan").arg(repository("rigs/plans/paper-27.toml"));
+        command.arg("--bench").arg(&self.addresses).args(["--home", "--json"]).args(arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    fn begin(&self) -> Child {
+        self.sweep(&["--out", &self.session().display().to_string()]).spawn().expect("wcal runs")
+    }
+
+    fn go(&self, how: &str) -> Output {
+        self.sweep(&[how, &self.session().display().to_string()]).output().expect("wcal runs")
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        // Its input closes, and it ends.
+        drop(self.child.stdin.take());
+        let _ = self.child.wait();
+    }
+}
+
+fn document(run: &Output) -> Value {
+    serde_json::from_slice(&run.stdout)
+        .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)))
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Waits until the recording has grown to a size that a sweep reaches in its middle.
+fn until_recorded(session: &Path, bytes: u64) {
+    let start = Instant::now();
+    let size = || std::fs::metadata(session.join("recording.mcap")).map_or(0, |m| m.len());
+    while size() < bytes {
+        assert!(start.elapsed() < Duration::from_secs(60), "only {} bytes recorded", size());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn doctor(session: &Path) -> i32 {
+    let run = wcal().arg("doctor").arg(session).output().expect("wcal runs");
+    run.status.code().unwrap_or(-1)
+}
+
+#[test]
+fn the_27_points_are_recorded_fitted_and_verified() {
+    let bench = Bench::start("");
+    let run = bench.go("--out");
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let sweep = document(&run);
+    assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &36.into()), "{sweep}");
+    assert_eq!((&sweep["lost_scans"], &sweep["unsettled"]), (&0.into(), &0.into()), "{sweep}");
+    assert!(sweep["camera_pairs"].as_u64() > Some(50) && sweep["camera_pairs_refused"] == 0, "{sweep}");
+    // The same tables from the raw streams, by the program alone.
+    let points = || std::fs::read(bench.session().join("points.csv")).expect("points");
+    let before = points();
+    let reduced = wcal().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
+    assert_eq!(before, points(), "reducing again changes nothing");
+    // Fit and verify what was recorded.
+    let out = bench.folder.path().join("fit");
+    let fit = wcal().arg("fit-gpr").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let fit = fit.expect("wcal runs");
+    assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
+    assert_eq!(document(&fit)["points"], 27);
+    let out = bench.folder.path().join("verify");
+    let verify = wcal().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let verify = verify.expect("wcal runs");
+    let verdict = document(&verify);
+    println!("{} {} {}", verdict["verdict"], verdict["before"], verdict["reason"]);
+    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect.
+    assert_eq!(verdict["verdict"], "adequate", "{verdict}");
+    assert_eq!(verify.status.code(), Some(0));
+}
+
+#[test]
+fn kill_9_leaves_a_session_that_reduces_and_resumes() {
+    let bench = Bench::start("");
+    let mut child = bench.begin();
+    until_recorded(&bench.session(), 900_000);
+    // SIGKILL: nothing can be tidied up.
+    child.kill().expect("killed");
+    child.wait().expect("gone");
+    let reduced = wcal().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    assert_eq!(reduced.status.code(), Some(3), "{}", text(&reduced.stderr));
+    let first = document(&reduced);
+    let rows = first["rows"].as_u64().expect("rows");
+    assert!(first["cut_off"] == 1 && (1..36).contains(&rows), "{first}");
+    assert!(text(&reduced.stderr).contains("cut off"), "{}", text(&reduced.stderr));
+    // A new sweep into the same folder is refused; going on is not.
+    let again = bench.go("--out");
+    assert_eq!(again.status.code(), Some(1));
+    assert!(text(&again.stderr).contains("--resume"), "{}", text(&again.stderr));
+    let resumed = bench.go("--resume");
+    assert_eq!(resumed.status.code(), Some(0), "{}", text(&resumed.stderr));
+    let second = document(&resumed);
+    assert_eq!(second["rows"], 36, "{second}");
+    assert!(second["steps_done"].as_u64().expect("steps") < 38, "{second}");
+    assert_ne!(doctor(&bench.session()), 1);
+}
+
+#[test]
+fn ctrl_c_stops_the_stage_and_leaves_a_session() {
+    let bench = Bench::start("");
+    let child = bench.begin();
+    until_recorded(&bench.session(), 600_000);
+    let id = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
+    let run = child.wait_with_output().expect("ends");
+    assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+    let sweep = document(&run);
+    assert_eq!((&sweep["ending"], &sweep["cause"]["kind"]), (&"stopped".into(), &"interrupted".into()));
+    assert_eq!(sweep["stage_stopped"], true);
+    assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
+    assert_ne!(doctor(&bench.session()), 1);
+}
+
+#[test]
+fn a_lost_connection_is_named_and_the_stage_is_said_to_be_unreached() {
+    let mut bench = Bench::start("");
+    let child = bench.begin();
+    until_recorded(&bench.session(), 600_000);
+    bench.type_fault("unplug-stage");
+    let run = child.wait_with_output().expect("ends");
+    assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+    let sweep = document(&run);
+    assert_eq!((&sweep["cause"]["kind"], &sweep["stage_stopped"]), (&"disconnected".into(), &false.into()));
+    assert_ne!(doctor(&bench.session()), 1);
+    // Plugged in again it goes on; the reference was not lost.
+    bench.type_fault("plug-stage");
+    let resumed = bench.go("--resume");
+    assert_eq!(resumed.status.code(), Some(0), "{}", text(&resumed.stderr));
+    assert_eq!(document(&resumed)["rows"], 36);
+}
+
+fn dry_run(rig: &Path, plan: &Path, json: bool) -> Output {
+    let mut command = wcal();
+    command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(rig).arg("--plan").arg(plan);
+    command.args(json.then_some("--json")).output().expect("wcal runs")
+}
+
+#[test]
+fn a_dry_run_draws_the_path_and_checks_the_limits() {
+    let (rig, plan) = (repository("rigs/paper"), repository("rigs/plans/paper-27.toml"));
+    let drawn = dry_run(&rig, &plan, false);
+    assert_eq!(drawn.status.code(), Some(0), "{}", text(&drawn.stderr));
+    let lines = text(&drawn.stdout);
+    assert_eq!(
+        lines.lines().filter(|l| l.starts_with("trajectory") && l.contains('o')).count(),
+        9,
+        "{lines}"
+    );
+    let listed = document(&dry_run(&rig, &plan, true));
+    assert_eq!((&listed["format"], &listed["readings"]), (&"wcal-path/1".into(), &36.into()));
+    // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and usage.
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let broken = |name: &str, from: &str, to: &str| {
+        let path = folder.path().join(name);
+        let content = std::fs::read_to_string(&plan).expect("plan");
+        assert!(content.contains(from));
+        std::fs::write(&path, content.replace(from, to)).expect("written");
+        let run = dry_run(&rig, &path, false);
+        assert_eq!(run.status.code(), Some(1));
+        let message = text(&run.stderr);
+        assert_eq!(message.lines().count(), 1, "one clear error: {message}");
+        message
+    };
+    let far = broken("far.toml", "5.0]", "45.0]");
+    assert!(far.contains("expected a stage position in 5.000..40.000 mm, found 65.000 mm"), "{far}");
+    let format = broken("format.toml", "wcal-plan/1", "wcal-plan/9");
+    assert!(format.contains("format.toml: format: expected wcal-plan/1, found wcal-plan/9"), "{format}");
+    let missing = dry_run(&rig, &folder.path().join("none.toml"), false);
+    assert!(missing.status.code() == Some(1) && text(&missing.stderr).contains("none.toml"));
+    let usage = wcal().arg("stage-sweep").output().expect("wcal runs");
+    assert_eq!(usage.status.code(), Some(2));
+}
+
+#[test]
+fn the_templates_are_a_rig_and_a_plan_that_fit() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    for kind in ["rig", "plan"] {
+        let run = wcal().args(["init", "--kind", kind]).arg(folder.path()).output().expect("wcal runs");
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    }
+    let run = dry_run(folder.path(), &folder.path().join("plan.toml"), true);
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    for plan in ["rigs/plans/paper-27.toml", "rigs/plans/rich.toml"] {
+        for rig in ["rigs/paper", "rigs/virtual"] {
+            let run = dry_run(&repository(rig), &repository(plan), true);
+            assert_eq!(run.status.code(), Some(0), "{rig} {plan}: {}", text(&run.stderr));
+        }
+    }
+}

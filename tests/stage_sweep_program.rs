@@ -4,7 +4,9 @@ use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use wcal_session::recording::replay::completed_steps;
 
 /// Bench seconds per wall second.
 const SPEED: f64 = 20.0;
@@ -17,8 +19,12 @@ fn wcal() -> Command {
     Command::new(env!("CARGO_BIN_EXE_wcal"))
 }
 
+/// One bench at a time: several at this speed starve each other on a small machine.
+static ONE: Mutex<()> = Mutex::new(());
+
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
+    _turn: MutexGuard<'static, ()>,
     child: Child,
     addresses: PathBuf,
     rig: PathBuf,
@@ -27,6 +33,7 @@ struct Bench {
 
 impl Bench {
     fn start(scenario: &str) -> Self {
+        let turn = ONE.lock().unwrap_or_else(PoisonError::into_inner);
         let folder = tempfile::tempdir().expect("temporary folder");
         let path = |name: &str| folder.path().join(name);
         let head = format!("format = \"wcal-scenario/1\"\nseed = 7\nspeed = {SPEED}\n");
@@ -51,7 +58,7 @@ impl Bench {
         }
         let (addresses, rig) = (path("bench.json"), path("rig.toml"));
         std::fs::write(&addresses, line).expect("addresses");
-        Self { child, addresses, rig, folder }
+        Self { _turn: turn, child, addresses, rig, folder }
     }
 
     fn type_fault(&mut self, line: &str) {
@@ -98,13 +105,13 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Waits until the recording has grown to a size that a sweep reaches in its middle.
-fn until_recorded(session: &Path, bytes: u64) {
+/// Waits until that many steps of the plan are done.
+fn until_done(session: &Path, steps: usize) {
     let start = Instant::now();
-    let size = || std::fs::metadata(session.join("recording.mcap")).map_or(0, |m| m.len());
-    while size() < bytes {
-        assert!(start.elapsed() < Duration::from_secs(60), "only {} bytes recorded", size());
-        std::thread::sleep(Duration::from_millis(20));
+    let done = || completed_steps(&session.join("recording.mcap")).map_or(0, |s| s.len());
+    while done() < steps {
+        assert!(start.elapsed() < Duration::from_secs(60), "only {} steps done", done());
+        std::thread::sleep(Duration::from_millis(50));
     }
 }
 
@@ -148,7 +155,7 @@ fn the_27_points_are_recorded_fitted_and_verified() {
 fn kill_9_leaves_a_session_that_reduces_and_resumes() {
     let bench = Bench::start("");
     let mut child = bench.begin();
-    until_recorded(&bench.session(), 900_000);
+    until_done(&bench.session(), 8);
     // SIGKILL: nothing can be tidied up.
     child.kill().expect("killed");
     child.wait().expect("gone");
@@ -174,7 +181,7 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
 fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let bench = Bench::start("");
     let child = bench.begin();
-    until_recorded(&bench.session(), 600_000);
+    until_done(&bench.session(), 8);
     let id = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
     let run = child.wait_with_output().expect("ends");
@@ -190,7 +197,7 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
 fn a_lost_connection_is_named_and_the_stage_is_said_to_be_unreached() {
     let mut bench = Bench::start("");
     let child = bench.begin();
-    until_recorded(&bench.session(), 600_000);
+    until_done(&bench.session(), 8);
     bench.type_fault("unplug-stage");
     let run = child.wait_with_output().expect("ends");
     assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));

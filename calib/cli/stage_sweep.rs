@@ -5,6 +5,7 @@ use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use serde_json::json;
 use std::io::{BufRead, IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -44,6 +45,9 @@ pub struct StageSweepArgs {
     /// Search the stage's reference where it has none (moves to the home switch)
     #[arg(long)]
     pub home: bool,
+    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); loopback unless another address is given
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    pub live: Option<SocketAddr>,
     /// Check limits and print the path; nothing moves
     #[arg(long)]
     pub dry_run: bool,
@@ -84,6 +88,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         folder: folder.clone(),
         resume,
         home: arguments.home,
+        live: arguments.live,
         created: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
         command: std::env::args().collect(),
     };

@@ -29,6 +29,10 @@ pub struct StereoShapeArgs {
     /// Rig: whisker, tags, groove
     #[arg(long, value_name = "rig.toml")]
     pub rig: PathBuf,
+    /// Pictures of the same scene without the wire, left and right (a picture, a folder or a pattern; several are averaged):
+    /// cables and texture in them are not taken for the wire
+    #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
+    pub background: Option<Vec<String>>,
     /// Folder for shapes.json and the overlays
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -53,9 +57,18 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         .map_err(|why| anyhow::anyhow!("{}: {why}", args.cameras.display()))?;
     let rig = Rig::read(&args.rig)?;
     let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
-    let mut result = shapes_of_pairs(&stereo, &rig, &files, &|name| eprintln!("stereo-shape: {name}"));
+    let mut backgrounds = Vec::new();
+    let background = match args.background.as_deref() {
+        Some([left, right]) => Some([
+            empty_scene(left, stereo.cameras[0].image_size_px, &mut backgrounds)?,
+            empty_scene(right, stereo.cameras[1].image_size_px, &mut backgrounds)?,
+        ]),
+        _ => None,
+    };
+    let told = |name: &str| eprintln!("stereo-shape: {name}");
+    let mut result = shapes_of_pairs(&stereo, &rig, &files, background.as_ref(), &told);
     let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
-    let read = [&args.cameras, &args.rig].into_iter().chain(pictures);
+    let read = [&args.cameras, &args.rig].into_iter().chain(pictures).chain(&backgrounds);
     result.document.provenance = provenance(read.map(PathBuf::as_path));
     let text = serde_json::to_string_pretty(&result.document)?;
     let path = write(&args.out, "shapes.json", text.as_bytes())?;
@@ -90,6 +103,23 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         path.display()
     );
     Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// Mean of the pictures without the wire; their files are added to `files`.
+fn empty_scene(source: &str, size_px: [usize; 2], files: &mut Vec<PathBuf>) -> anyhow::Result<Picture> {
+    let listed = list_pictures(source)?;
+    let pictures = listed.iter().map(|p| Picture::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let mean = Picture::mean(&pictures)?;
+    anyhow::ensure!(
+        [mean.width, mean.height] == size_px,
+        "background {source}: expected {}x{} px as calibrated, found {}x{}",
+        size_px[0],
+        size_px[1],
+        mean.width,
+        mean.height
+    );
+    files.extend(listed);
+    Ok(mean)
 }
 
 /// Overlays of every usable pair: `overlay-NAME-left.png` and `-right.png`.

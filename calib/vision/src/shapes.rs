@@ -37,7 +37,7 @@ const TAG_MISFIT_PX: f64 = 1.0;
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;
 
-/// A pair with its pictures and tags.
+/// A pair: pictures in which to look for the wire (background taken off, where there is one), and tags.
 struct Loaded {
     name: String,
     pictures: [Picture; 2],
@@ -54,15 +54,18 @@ pub struct ShapesResult {
     pub stereo: StereoCameras,
 }
 
-/// Runs all pairs. `progress` is told each pair's name when it is done.
+/// Runs all pairs. `background`: the scene of both cameras without the wire; what it shows is no wire. `progress` is told each pair's
+/// name when it is done.
 #[must_use]
 pub fn shapes_of_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
     files: &[PairFiles],
+    background: Option<&[Picture; 2]>,
     progress: &(dyn Fn(&str) + Sync),
 ) -> ShapesResult {
-    let loaded: Vec<Result<Loaded, String>> = files.par_iter().map(|f| load(stereo, rig, f)).collect();
+    let load = |f| load(stereo, rig, f, background);
+    let loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
     let tags: Vec<PairTags> =
         loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
     let base = folder_base(stereo, rig, &tags);
@@ -171,7 +174,12 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     2 * votes.iter().filter(|v| **v).count() > votes.len()
 }
 
-fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<Loaded, String> {
+fn load(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    files: &PairFiles,
+    background: Option<&[Picture; 2]>,
+) -> Result<Loaded, String> {
     let (Some(left), Some(right)) = (&files.left, &files.right) else {
         return Err(format!(
             "the {} picture is missing",
@@ -222,6 +230,10 @@ fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<Loaded, 
             tags.extend(found.into_iter().map(|t| (camera, t)));
         }
     }
+    let pictures = match background {
+        Some(empty) => std::array::from_fn(|k| pictures[k].less(&empty[k])),
+        None => pictures,
+    };
     Ok(Loaded { name: files.name.clone(), pictures, tags })
 }
 

@@ -190,22 +190,26 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     for step in 0..steps {
         let mut next: Vec<Candidate> = Vec::new();
         // While the started curves still lie side by side there is nothing to branch.
-        let branch = step >= 5;
+        let branch = step >= 4;
         for (index, c) in now.iter().enumerate() {
+            // Curves that bend differently from here on part by a hundredth of a pixel in a step: one look serves them all.
+            let mut grown = Candidate { parent: index, ..c.clone() };
+            advance(scene, whisker, &mut grown, step);
+            if grown.score > grown.best {
+                grown.best = grown.score;
+                grown.best_step = step + 1;
+            }
+            if !branch {
+                next.push(grown);
+                continue;
+            }
             for (a, b) in (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b))) {
-                if !branch && (a != 0 || b != 0) {
-                    continue;
-                }
-                let bend =
-                    [c.bend[0] + f64::from(a) * CURVATURE_STEP, c.bend[1] + f64::from(b) * CURVATURE_STEP];
-                let mut child = Candidate { bend, parent: index, ..c.clone() };
-                child.score -= 0.5 * f64::from(a * a + b * b);
-                advance(scene, whisker, &mut child, step);
-                if child.score > child.best {
-                    child.best = child.score;
-                    child.best_step = step + 1;
-                }
-                next.push(child);
+                let bend = [
+                    grown.bend[0] + f64::from(a) * CURVATURE_STEP,
+                    grown.bend[1] + f64::from(b) * CURVATURE_STEP,
+                ];
+                let score = grown.score - 0.5 * f64::from(a * a + b * b);
+                next.push(Candidate { bend, score, ..grown.clone() });
             }
         }
         history.push(std::mem::take(&mut now));
@@ -236,13 +240,15 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     curvatures.reverse();
     path.reverse();
     path.truncate(best_step + 1);
-    let end = curvatures[best_step.min(curvatures.len() - 1)];
+    // A curve's bend is that of its next step: the last one's is not used.
+    curvatures.pop();
+    let end = curvatures[best_step - 1];
     // Beyond the end the curve goes on as it was.
     for c in curvatures.iter_mut().skip(best_step) {
         *c = end;
     }
     Some(Trace {
-        curvatures: curvatures.into_iter().skip(1).collect(),
+        curvatures,
         length_mm: best_step as f64 * STEP_MM,
         score,
         strength: responses.map(|r| crate::initial::median(&r)),

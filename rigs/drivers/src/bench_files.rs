@@ -1,6 +1,6 @@
 //! From `rig.toml` to open devices.
 
-use crate::cameras::{CameraPair, FolderCamera, NetCamera};
+use crate::cameras::{CameraPair, FolderCamera, NetCamera, V4l2Camera, V4l2Settings};
 use crate::host::HostClock;
 use crate::hyperion::Hyperion;
 use crate::replay::ReplayInterrogator;
@@ -91,15 +91,30 @@ pub fn open_cameras(rig: &Rig, clock: HostClock) -> Result<Option<CameraPair>, D
                 let period_s = 1.0 / camera.rate_hz.unwrap_or(10.0);
                 Box::new(FolderCamera::open(Path::new(&camera.source), period_s)?)
             }
+            "v4l2" => {
+                let settings = V4l2Settings {
+                    size_px: camera.image_size_px,
+                    rate_hz: camera.rate_hz,
+                    controls: camera.controls.clone().into_iter().collect(),
+                };
+                Box::new(V4l2Camera::open(&camera.source, &settings, clock)?)
+            }
             other => {
-                return Err(unknown(&format!("camera {}", camera.name), "driver net or folder", other));
+                let name = format!("camera {}", camera.name);
+                return Err(unknown(&name, "driver v4l2, net or folder", other));
             }
         };
         opened.configure(camera.exposure_ms, camera.gain_db)?;
         Ok(opened)
     };
     match rig.camera.as_slice() {
-        [first, second] => Ok(Some(CameraPair::new([open(first)?, open(second)?], rig.camera_skew_limit_ms))),
+        [first, second] => {
+            let cameras = [open(first)?, open(second)?];
+            // V4L2 counts the frames of each camera from its own start.
+            let own_numbers = first.driver == "v4l2" || second.driver == "v4l2";
+            let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
+            Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
+        }
         _ => Ok(None),
     }
 }

@@ -4,9 +4,10 @@ use crate::bench_files::{ZaberMount, open_cameras, open_interrogator, open_stage
 use crate::cameras::watch::watch;
 use crate::host::HostClock;
 use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use wcal_core::device::{DeviceError, Stage};
 use wcal_core::provenance::sha256_hex;
 use wcal_session::recording::RecordingError;
@@ -37,6 +38,8 @@ pub struct Order {
     pub resume: bool,
     /// Search the reference where there is none.
     pub home: bool,
+    /// Where a live view listens, if there is to be one.
+    pub live: Option<SocketAddr>,
     /// Time of creation, RFC 3339.
     pub created: String,
     /// Command line.
@@ -129,10 +132,11 @@ pub fn record(
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&order.folder.join(name), about)?;
+    let _live = order.live.map(|address| recorder.serve(address)).transpose()?;
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig)));
     let done = AtomicBool::new(false);
     let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { Ok(open_stage(&rig.stage, clock)?.0) };
-    let sweep = std::thread::scope(|scope| {
+    let mut sweep = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
         if let Some(pair) = &mut cameras {
             let (names, monitor, recorder, done) = (&names, &monitor, &recorder, &done);
@@ -151,6 +155,8 @@ pub fn record(
         report
     });
     recorder.finish()?;
+    // Scans that came while the last step ended are in the recording as well.
+    sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
     let reduction = reduce(&order.folder);
     let repeats = chain.map_or(0, |c| c.borrow().repeats());
     Ok(Recorded { sweep, reduction, repeats })

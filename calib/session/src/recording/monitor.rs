@@ -160,10 +160,10 @@ impl Monitor {
         self.counts
     }
 
-    /// Host against device clock.
+    /// Device time at a host time, s; the stream itself may not have got there yet.
     #[must_use]
-    pub fn clocks(&self) -> &ClockPair {
-        &self.clocks
+    pub fn device_s_at(&self, host_s: f64) -> Option<f64> {
+        self.clocks.device_s(host_s)
     }
 
     fn add_block(&mut self, device_s: f64, sensing_nm: [f64; 2]) {
@@ -183,6 +183,12 @@ impl Monitor {
         while self.blocks.front().is_some_and(|b| b.start_s < device_s - KEPT_S) {
             self.blocks.pop_front();
         }
+    }
+
+    /// Usable scans between two device times of the last half minute, to within a block.
+    #[must_use]
+    pub fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
+        self.blocks.iter().filter(|b| (begin_s..end_s).contains(&b.start_s)).map(|b| b.count).sum()
     }
 
     /// Largest drift of the sensing gratings over the last `window_s`, temperature taken out, pm/s, with its standard

@@ -47,7 +47,9 @@ pub fn draw(steps: &[Step], rig: &Rig) -> String {
     let mut out = format!("depth {low:.1} .. {deepest:.2} mm; | contact, o settled, = moving\n");
     let mut line: Option<(u32, Vec<char>, usize)> = None;
     let mut flush = |line: &mut Option<(u32, Vec<char>, usize)>| {
-        if let Some((id, marks, count)) = line.take() {
+        // A mount that is turned only for a soak or a sync move has no path of its own.
+        let taken = line.take().filter(|(_, marks, _)| marks.iter().any(|m| !matches!(m, ' ' | '|')));
+        if let Some((id, marks, count)) = taken {
             let text: String = marks.into_iter().collect();
             out.push_str(&format!("trajectory {id:>3} [{text}] {count} readings\n"));
         }

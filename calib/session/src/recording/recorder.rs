@@ -5,11 +5,13 @@ use super::message::{Recorded, Scan, StagePosition, SweepEvent, topic};
 use foxglove::messages::{Log, Pose, PoseInFrame, Quaternion, RawImage, Timestamp, log::Level};
 use foxglove::{
     Channel, ChannelBuilder, Context, McapWriteOptions, McapWriterHandle, PartialMetadata, RawChannel,
+    WebSocketServer, WebSocketServerHandle,
 };
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::BufWriter;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -32,6 +34,29 @@ pub struct Recorder {
     groove: Channel<PoseInFrame>,
     images: Mutex<HashMap<String, Channel<RawImage>>>,
     pace: Mutex<Pace>,
+}
+
+/// A WebSocket server of the Foxglove protocol; ends when dropped.
+pub struct LiveView {
+    address: SocketAddr,
+    server: Option<WebSocketServerHandle>,
+}
+
+impl LiveView {
+    /// Where it listens.
+    #[must_use]
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for LiveView {
+    fn drop(&mut self) {
+        if let Some(server) = self.server.take() {
+            // Clients see the end of the connection; nothing is awaited.
+            drop(server.stop());
+        }
+    }
 }
 
 struct Pace {
@@ -88,10 +113,22 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// Where a live view may listen in (a Foxglove WebSocket server takes it).
-    #[must_use]
-    pub fn context(&self) -> &Arc<Context> {
-        &self.context
+    /// Shows everything that is recorded from now on to Foxglove clients at `address` (port 0: one of the system's choice). A client
+    /// that is too slow misses messages; the recording does not.
+    ///
+    /// # Errors
+    /// When the address cannot be used.
+    pub fn serve(&self, address: SocketAddr) -> Result<LiveView, RecordingError> {
+        let server = WebSocketServer::new().name("wcal").context(&self.context);
+        let bound = server.bind(address.ip().to_string(), address.port()).start_blocking();
+        let server = bound.map_err(|e| {
+            RecordingError::input(
+                format!("live view at {address}"),
+                "a free address of this machine",
+                e.to_string(),
+            )
+        })?;
+        Ok(LiveView { address: SocketAddr::new(address.ip(), server.port()), server: Some(server) })
     }
 
     /// Records a scan.

@@ -40,31 +40,18 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Recording
     // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
     let mut reader =
         MessageReader::new_with_options(LinearReaderOptions::default().with_prevalidate_chunk_crcs(true));
-    let mut any = false;
     while let Some(event) = reader.next_event() {
         match event {
             Ok(MessageReadEvent::ReadRequest(need)) => {
                 let count = file.read(reader.insert(need)).map_err(RecordingError::io("reading", path))?;
-                any |= count > 0;
                 reader.notify_read(count);
             }
             Ok(MessageReadEvent::Message(message)) => {
                 take(decode(path, &message)?);
             }
-            Err(mcap::McapError::BadMagic) if !any => {
-                let found = "a file that does not begin like one".to_owned();
-                return Err(RecordingError::input(path.display().to_string(), "an MCAP file", found));
-            }
-            Err(e @ mcap::McapError::BadMagic) => {
-                let size = file.metadata().map(|m| m.len()).unwrap_or(0);
-                if size < 16 || !begins_like_mcap(path) {
-                    return Err(RecordingError::input(
-                        path.display().to_string(),
-                        "an MCAP file",
-                        "other bytes",
-                    ));
-                }
-                return Ok(End::CutOff(e.to_string()));
+            // A recorder that was killed before its first flush leaves an empty file, no other bytes.
+            Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
+                return Err(RecordingError::input(path.display().to_string(), "an MCAP file", "other bytes"));
             }
             Err(e) => return Ok(End::CutOff(e.to_string())),
         }
@@ -72,9 +59,13 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Recording
     Ok(End::Closed)
 }
 
-fn begins_like_mcap(path: &Path) -> bool {
-    let mut magic = [0_u8; 8];
-    File::open(path).and_then(|mut f| f.read_exact(&mut magic)).is_ok() && magic == *mcap::MAGIC
+/// Whether as much of the magic bytes is there as the file's length allows.
+fn begins_like_mcap(path: &Path) -> Result<bool, RecordingError> {
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(RecordingError::io("opening", path))?;
+    let size = mcap::MAGIC.len();
+    file.take(size as u64).read_to_end(&mut start).map_err(RecordingError::io("reading", path))?;
+    Ok(mcap::MAGIC.starts_with(&start))
 }
 
 fn decode(path: &Path, message: &mcap::Message<'_>) -> Result<Message, RecordingError> {

@@ -3,6 +3,7 @@
 use super::error::RecordingError;
 use nalgebra::Vector3;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 
 /// `format` of a rig file.
 pub const RIG_FORMAT: &str = "wcal-rig/1";
@@ -161,12 +162,17 @@ pub struct GratingRig {
 pub struct CameraRig {
     /// Name, e.g. `left`; its pictures are recorded under it.
     pub name: String,
-    /// `net` or `folder`.
+    /// `v4l2`, `net` or `folder`.
     pub driver: String,
-    /// `host:port`, or a folder of numbered pictures.
+    /// `/dev/videoN`, `host:port`, or a folder of numbered pictures.
     pub source: String,
-    /// Pictures per second of a folder.
+    /// Pictures per second.
     pub rate_hz: Option<f64>,
+    /// Width and height, px; a V4L2 camera is set to it.
+    pub image_size_px: Option<[u32; 2]>,
+    /// Further settings of a V4L2 camera by the driver's names (gain, trigger mode).
+    #[serde(default)]
+    pub controls: BTreeMap<String, i64>,
     /// Exposure, ms.
     pub exposure_ms: Option<f64>,
     /// Gain, dB.

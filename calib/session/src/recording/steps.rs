@@ -19,6 +19,9 @@ const ARRIVAL_MM: f64 = 0.005;
 /// Depth of the sync move past contact (mm) and its speed (mm/s).
 const SYNC_MM: f64 = 1.0;
 const SYNC_MM_S: f64 = 4.0;
+/// Share of a window's scans that must have come, and windows tried.
+const LEAST_COVERED: f64 = 0.5;
+const WINDOWS: usize = 5;
 /// Attempts to reach a lost stage again to stop it.
 const REACH: u32 = 5;
 
@@ -103,7 +106,7 @@ impl Sweep<'_, '_, '_> {
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
         self.bench.mount.select(trajectory)?;
         self.trajectory = Some(trajectory);
-        let begin_s = self.device_s();
+        let begin_s = self.stage_s();
         self.event(&SweepEvent { kind: "mount".to_owned(), trajectory, begin_s, ..SweepEvent::default() })
     }
 
@@ -120,12 +123,12 @@ impl Sweep<'_, '_, '_> {
     fn sync(&mut self) -> Result<(), DeviceError> {
         let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
         self.go_to(-0.5, speed_mm_s)?;
-        let begin_s = self.device_s();
-        self.wait_s(0.3)?;
+        let begin_s = self.stage_s();
+        self.wait_until(begin_s + 0.3)?;
         self.go_to(SYNC_MM, speed_mm_s)?;
         self.go_to(-0.5, speed_mm_s)?;
-        self.wait_s(0.3)?;
-        let end_s = self.device_s();
+        let end_s = self.stage_s() + 0.3;
+        self.wait_until(end_s)?;
         let trajectory = self.trajectory.unwrap_or(0);
         let event = SweepEvent { begin_s, end_s, speed_mm_s, trajectory, ..SweepEvent::default() };
         self.event(&SweepEvent { kind: "sync".to_owned(), ..event })
@@ -139,8 +142,8 @@ impl Sweep<'_, '_, '_> {
             self.go_to(pose.stage_mm - self.rig.stage.approach_mm, pose.speed_mm_s)?;
         }
         self.go_to(pose.stage_mm, pose.speed_mm_s)?;
-        let arrived_s = self.device_s();
-        self.wait_s(pose.dwell_s)?;
+        let arrived_s = self.stage_s();
+        self.wait_until(arrived_s + pose.dwell_s)?;
         let settle = self.plan.settle;
         let settled = self.wait_for_gate(arrived_s, settle.window_s, settle.timeout_s)?;
         if !settled {
@@ -148,21 +151,34 @@ impl Sweep<'_, '_, '_> {
             let text = format!("step {}: the signal did not settle in {} s", self.step, settle.timeout_s);
             self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text);
         }
-        let begin_s = self.device_s();
-        self.wait_s(pose.average_s)?;
-        let end_s = begin_s + pose.average_s;
+        let (begin_s, end_s) = self.window(pose.average_s)?;
         let event = self.pose_event("window", pose);
         self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
+    }
+
+    /// An averaging window that the stream covers: one that fell into a gap is taken again.
+    fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
+        let least = LEAST_COVERED * average_s * self.rig.interrogator.rate_hz;
+        for _ in 0..WINDOWS {
+            let begin_s = self.device_s();
+            let end_s = begin_s + average_s;
+            self.wait_until(end_s)?;
+            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= least {
+                return Ok((begin_s, end_s));
+            }
+        }
+        let expected = format!("{LEAST_COVERED} of a window's scans in one of {WINDOWS}");
+        Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
     }
 
     /// Rows on the way.
     fn moving(&mut self, from_mm: f64, rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
         self.go_to(from_mm, pose.speed_mm_s)?;
-        self.wait_s(0.1)?;
-        let begin_s = self.device_s();
+        let begin_s = self.stage_s() + 0.1;
+        self.wait_until(begin_s)?;
         self.go_to(pose.stage_mm, pose.speed_mm_s)?;
-        let end_s = self.device_s();
-        self.wait_s(0.1)?;
+        let end_s = self.stage_s();
+        self.wait_until(end_s + 0.1)?;
         let event = self.pose_event("moving", pose);
         self.event(&SweepEvent { begin_s, end_s, arrived_s: end_s, rows_hz, ..event })
     }
@@ -204,8 +220,8 @@ impl Sweep<'_, '_, '_> {
         }
     }
 
-    fn wait_s(&mut self, seconds: f64) -> Result<(), DeviceError> {
-        let end_s = self.device_s() + seconds;
+    /// Waits for the stream to get there.
+    fn wait_until(&mut self, end_s: f64) -> Result<(), DeviceError> {
         while self.device_s() < end_s {
             self.tick(POLL_STANDING)?;
         }
@@ -265,8 +281,15 @@ impl Sweep<'_, '_, '_> {
         Ok(())
     }
 
+    /// Device time of the newest scan, s.
     fn device_s(&self) -> f64 {
         lock(self.bench.monitor).device_s().unwrap_or(0.0)
+    }
+
+    /// Device time of the last stage reading, s: a stream that is behind has not shown that moment yet.
+    fn stage_s(&self) -> f64 {
+        let (monitor, host_s) = (lock(self.bench.monitor), self.last.clocks.host_s);
+        monitor.device_s_at(host_s).unwrap_or(0.0)
     }
 
     fn event(&mut self, event: &SweepEvent) -> Result<(), DeviceError> {

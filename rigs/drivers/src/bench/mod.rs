@@ -85,6 +85,8 @@ impl VirtualBench {
             let serve = move |s: &Shared, link| camera_server::serve(s, link, index);
             cameras.push(listen(&shared, &mut threads, Cord::None, serve)?);
         }
+        // Units answer with a scan from the first question on.
+        shared.scan();
         threads.push(scanner(&shared));
         let hyperion = HyperionAddresses { commands, peaks };
         let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras, speed };

@@ -19,6 +19,8 @@ pub struct CameraPair {
     refused: u64,
     last: Option<FramePair>,
     host_s: f64,
+    /// Number of the second camera less that of the first for one trigger, once known.
+    offset: Option<i64>,
 }
 
 /// Frames that one camera may be ahead of the other.
@@ -28,7 +30,13 @@ impl CameraPair {
     /// Two cameras and the largest skew, ms.
     #[must_use]
     pub fn new(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
-        Self { cameras, limit_ms, refused: 0, last: None, host_s: 0.0 }
+        Self { cameras, limit_ms, refused: 0, last: None, host_s: 0.0, offset: Some(0) }
+    }
+
+    /// Two cameras whose frames carry numbers of their own: the first pair closer in time than the limit sets the count.
+    #[must_use]
+    pub fn by_time(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
+        Self { offset: None, ..Self::new(cameras, limit_ms) }
     }
 
     /// What both say of themselves.
@@ -61,26 +69,33 @@ impl CameraPair {
         let (mut a, mut b) = (first.grab(timeout)?, second.grab(timeout)?);
         for _ in 0..AHEAD {
             self.host_s = a.clocks.host_s.max(b.clocks.host_s);
-            if a.trigger == b.trigger {
+            let ahead = match self.offset {
+                Some(offset) => (a.trigger as i64 + offset) - b.trigger as i64,
+                None if skew_ms(&a, &b).abs() <= self.limit_ms => {
+                    self.offset = Some(b.trigger as i64 - a.trigger as i64);
+                    0
+                }
+                None => -skew_ms(&a, &b).signum() as i64,
+            };
+            if ahead == 0 {
                 return self.judge(a, b);
             }
             if self.last.as_ref().is_some_and(|l| l.frames[1].trigger == b.trigger) {
                 return Err(self.refuse("a new picture of each camera", "the second repeats its last"));
             }
             let [first, second] = &mut self.cameras;
-            if a.trigger < b.trigger {
+            if ahead < 0 {
                 a = first.grab(timeout)?;
             } else {
                 b = second.grab(timeout)?;
             }
         }
-        let found = format!("triggers {} and {}", a.trigger, b.trigger);
+        let found = format!("frames {} and {}, {:.1} ms apart", a.trigger, b.trigger, skew_ms(&a, &b));
         Err(self.refuse("frames of one trigger", &found))
     }
 
     fn judge(&mut self, a: CameraFrame, b: CameraFrame) -> Result<FramePair, DeviceError> {
-        let start = |f: &CameraFrame| f.clocks.device_s.unwrap_or(f.clocks.host_s);
-        let skew_ms = (start(&b) - start(&a)) * 1e3;
+        let skew_ms = skew_ms(&a, &b);
         if skew_ms.abs() > self.limit_ms {
             let expected = format!("a skew of at most {} ms", self.limit_ms);
             return Err(self.refuse(&expected, &format!("{skew_ms:.3} ms at trigger {}", a.trigger)));
@@ -93,5 +108,64 @@ impl CameraPair {
     fn refuse(&mut self, expected: &str, found: &str) -> DeviceError {
         self.refused += 1;
         DeviceError::new(DeviceErrorKind::DataInvalid, "camera pair", "grab", expected, found)
+    }
+}
+
+/// Start of exposure of `b` after that of `a`, ms.
+fn skew_ms(a: &CameraFrame, b: &CameraFrame) -> f64 {
+    let start = |f: &CameraFrame| f.clocks.device_s.unwrap_or(f.clocks.host_s);
+    (start(b) - start(a)) * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wcal_core::device::Clocks;
+
+    /// Frames by number and time, s.
+    struct Script(std::vec::IntoIter<(u64, f64)>);
+
+    impl Camera for Script {
+        fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+            Ok(DeviceIdentity::default())
+        }
+
+        fn configure(&mut self, _: Option<f64>, _: Option<f64>) -> Result<(), DeviceError> {
+            Ok(())
+        }
+
+        fn grab(&mut self, _: Duration) -> Result<CameraFrame, DeviceError> {
+            let end =
+                || DeviceError::new(DeviceErrorKind::Disconnected, "script", "grab", "a frame", "the end");
+            let (trigger, at_s) = self.0.next().ok_or_else(end)?;
+            let clocks = Clocks { host_s: at_s, device_s: Some(at_s) };
+            Ok(CameraFrame { trigger, clocks, ..CameraFrame::default() })
+        }
+    }
+
+    fn pair(first: Vec<(u64, f64)>, second: Vec<(u64, f64)>) -> CameraPair {
+        CameraPair::by_time([Box::new(Script(first.into_iter())), Box::new(Script(second.into_iter()))], 2.0)
+    }
+
+    #[test]
+    fn numbers_of_their_own_are_paired_by_time_and_a_lost_frame_is_skipped() {
+        // The second camera began two frames later and loses one.
+        let first = (10..18).map(|k| (k, k as f64 * 0.1)).collect();
+        let second = [0, 1, 3, 4, 5].map(|k: u64| (k, (k + 12) as f64 * 0.1 + 0.0005)).to_vec();
+        let mut pair = pair(first, second);
+        for expected in [[12, 0], [13, 1], [15, 3], [16, 4]] {
+            let got = pair.grab(Duration::ZERO).unwrap();
+            assert_eq!(got.frames.map(|f| f.trigger), expected);
+            assert!((got.skew_ms - 0.5).abs() < 1e-6);
+        }
+        assert_eq!(pair.refused(), 0);
+    }
+
+    #[test]
+    fn cameras_without_a_common_trigger_are_refused() {
+        let at = |shift: f64| (0..100).map(|k| (k, k as f64 * 0.1 + shift)).collect::<Vec<_>>();
+        let error = pair(at(0.0), at(0.05)).grab(Duration::ZERO).unwrap_err();
+        assert_eq!(error.kind, DeviceErrorKind::DataInvalid);
+        assert!(error.to_string().contains("frames of one trigger"), "{error}");
     }
 }

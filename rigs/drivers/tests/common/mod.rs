@@ -73,6 +73,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
         folder: folder.join("session"),
         resume: false,
         home: true,
+        live: None,
         created: "2026-01-02T03:04:05Z".to_owned(),
         command: vec!["test".to_owned()],
     }

@@ -4,6 +4,9 @@
 use crate::error::VisionError;
 use crate::picture::Picture;
 use apriltag_sys as sys;
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 /// A detection as the library states it, its corners moved to pixel centres at integers.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,13 +62,35 @@ impl Drop for Handles {
     }
 }
 
+thread_local! {
+    /// A family's table of codes with up to two wrong bits takes longer to make than a picture to search: each thread keeps its own.
+    static DETECTORS: RefCell<HashMap<&'static str, Handles>> = RefCell::default();
+}
+
+impl Handles {
+    fn new(create: Create, destroy_family: Destroy) -> Option<Self> {
+        // SAFETY: both are checked before use; `add_family_bits` takes a detector and a family that outlive it in `Handles`.
+        unsafe {
+            let (family, detector) = (create(), sys::apriltag_detector_create());
+            if family.is_null() || detector.is_null() {
+                return None;
+            }
+            (*detector).nthreads = 1;
+            (*detector).refine_edges = true;
+            sys::apriltag_detector_add_family_bits(detector, family, 2);
+            Some(Self { detector, family, destroy_family })
+        }
+    }
+}
+
 /// Detects the tags of one family. `decimate` >= 1 searches for quads in a picture smaller by that factor (edges are
 /// refined at full size all the same).
 ///
 /// # Errors
 /// Where the family is unknown or the library gives no detector.
 pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec<RawTag>, VisionError> {
-    let (create, destroy_family) = family(family_name).ok_or_else(|| {
+    let known = FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
+    let (name, (create, destroy_family)) = known.ok_or_else(|| {
         VisionError::result(
             "detect tags",
             format!("one of the families {}", FAMILIES.join(", ")),
@@ -78,44 +103,52 @@ pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec
     for (row, source) in buffer.chunks_exact_mut(stride).zip(picture.data.chunks_exact(picture.width)) {
         row[..picture.width].copy_from_slice(source);
     }
-    // SAFETY: the handles live until the end of this function (`Handles` destroys them); the image header points into
-    // `buffer`, which outlives the call and has `stride * height` bytes; every detection is read before the array is destroyed.
-    unsafe {
-        let family = create();
-        let detector = sys::apriltag_detector_create();
-        if family.is_null() || detector.is_null() {
-            return Err(VisionError::result("detect tags", "a detector", "none (out of memory?)"));
-        }
-        let handles = Handles { detector, family, destroy_family };
-        (*detector).nthreads = 1;
-        (*detector).quad_decimate = decimate.max(1.0);
-        (*detector).refine_edges = true;
-        sys::apriltag_detector_add_family_bits(handles.detector, handles.family, 2);
+    DETECTORS.with_borrow_mut(|all| {
+        let handles = match all.entry(name) {
+            Entry::Occupied(kept) => kept.into_mut(),
+            Entry::Vacant(place) => {
+                place.insert(Handles::new(create, destroy_family).ok_or_else(|| {
+                    VisionError::result("detect tags", "a detector", "none (out of memory?)")
+                })?)
+            }
+        };
         let mut image = sys::image_u8_t {
             width: picture.width as i32,
             height: picture.height as i32,
             stride: stride as i32,
             buf: buffer.as_mut_ptr(),
         };
-        let found = sys::apriltag_detector_detect(handles.detector, &raw mut image);
-        if found.is_null() {
-            return Ok(Vec::new());
+        Ok(handles.detect(name, &mut image, decimate))
+    })
+}
+
+impl Handles {
+    /// Tags of a picture whose header points into a buffer of `stride * height` bytes.
+    fn detect(&mut self, family_name: &str, image: &mut sys::image_u8_t, decimate: f32) -> Vec<RawTag> {
+        // SAFETY: the detector lives as long as `self`; the picture's buffer outlives the call, which keeps no pointer to it;
+        // every detection is read before the array is destroyed.
+        unsafe {
+            (*self.detector).quad_decimate = decimate.max(1.0);
+            let found = sys::apriltag_detector_detect(self.detector, image);
+            if found.is_null() {
+                return Vec::new();
+            }
+            let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
+            for k in 0..(*found).size {
+                let element =
+                    (*found).data.add(k as usize * (*found).el_sz).cast::<*mut sys::apriltag_detection_t>();
+                let detection = &**element;
+                tags.push(RawTag {
+                    family: family_name.to_string(),
+                    id: detection.id.max(0) as u32,
+                    hamming: detection.hamming.max(0) as u32,
+                    decision_margin: f64::from(detection.decision_margin),
+                    corners_px: detection.p.map(|p| [p[0] - CENTRE_OFFSET, p[1] - CENTRE_OFFSET]),
+                });
+            }
+            sys::apriltag_detections_destroy(found);
+            tags
         }
-        let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
-        for k in 0..(*found).size {
-            let element =
-                (*found).data.add(k as usize * (*found).el_sz).cast::<*mut sys::apriltag_detection_t>();
-            let detection = &**element;
-            tags.push(RawTag {
-                family: family_name.to_string(),
-                id: detection.id.max(0) as u32,
-                hamming: detection.hamming.max(0) as u32,
-                decision_margin: f64::from(detection.decision_margin),
-                corners_px: detection.p.map(|p| [p[0] - CENTRE_OFFSET, p[1] - CENTRE_OFFSET]),
-            });
-        }
-        sys::apriltag_detections_destroy(found);
-        Ok(tags)
     }
 }
 

@@ -13,7 +13,7 @@ const STEP_MM: f64 = 1.0;
 /// Places scored a step.
 const PLACES: usize = 3;
 /// Curves kept.
-pub const BEAM: usize = 160;
+pub const BEAM: usize = 480;
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
 /// Change of curvature a step, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
@@ -52,8 +52,8 @@ pub struct Scene<'a> {
     camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
     maps: &'a [RidgeMap<'a>; 2],
     evidence: [Evidence; 2],
-    /// Cells of each picture that are covered up.
-    covered: [HashSet<[i32; 2]>; 2],
+    /// Cells of each picture, row by row, that are covered up; empty where none is.
+    covered: [Vec<bool>; 2],
 }
 
 impl<'a> Scene<'a> {
@@ -74,23 +74,34 @@ impl<'a> Scene<'a> {
     /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
     #[must_use]
     pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
-        let reach = (distance_px / COVER_PX).ceil() as i32;
+        let reach = (distance_px / COVER_PX).ceil() as i64;
         for camera in 0..2 {
+            let [columns, rows] = self.cells(camera);
+            self.covered[camera] = vec![false; columns * rows];
             for w in path.windows(2) {
                 let (Some((a, _)), Some((b, _))) =
                     (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
                 else {
                     continue;
                 };
-                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i32;
+                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
                 for k in 0..=steps {
-                    let [x, y] = cell(&(a + (b - a) * (f64::from(k) / f64::from(steps))));
-                    let square = (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| [x + i, y + j]));
-                    self.covered[camera].extend(square);
+                    let [x, y] = cell(&(a + (b - a) * (k as f64 / steps as f64)));
+                    for (i, j) in (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| (x + i, y + j)))
+                    {
+                        if (0..columns as i64).contains(&i) && (0..rows as i64).contains(&j) {
+                            self.covered[camera][j as usize * columns + i as usize] = true;
+                        }
+                    }
                 }
             }
         }
         self
+    }
+
+    /// Cells of a picture, across and down.
+    fn cells(&self, camera: usize) -> [usize; 2] {
+        self.stereo.cameras[camera].image_size_px.map(|n| (n as f64 / COVER_PX).ceil() as usize)
     }
 
     /// Pixel and unit normal of the wire's image in one camera.
@@ -131,12 +142,17 @@ impl<'a> Scene<'a> {
     }
 
     fn covers(&self, camera: usize, px: &Vector2<f64>) -> bool {
-        !self.covered[camera].is_empty() && self.covered[camera].contains(&cell(px))
+        if self.covered[camera].is_empty() {
+            return false;
+        }
+        let ([x, y], [columns, _]) = (cell(px), self.cells(camera));
+        let inside = (0..columns as i64).contains(&x) && y >= 0;
+        inside && self.covered[camera].get(y as usize * columns + x as usize) == Some(&true)
     }
 }
 
-fn cell(px: &Vector2<f64>) -> [i32; 2] {
-    [(px.x / COVER_PX).floor() as i32, (px.y / COVER_PX).floor() as i32]
+fn cell(px: &Vector2<f64>) -> [i64; 2] {
+    [(px.x / COVER_PX).floor() as i64, (px.y / COVER_PX).floor() as i64]
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected line.
@@ -280,7 +296,8 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
 /// Keeps the best curves, one a place and direction, so that the beam does not fill with copies of one.
 fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
     let mut order: Vec<usize> = (0..all.len()).collect();
-    order.sort_by(|&a, &b| all[b].score.total_cmp(&all[a].score));
+    // Ties keep the order of their parents: the result must not depend on the sort.
+    order.sort_unstable_by(|&a, &b| all[b].score.total_cmp(&all[a].score).then(a.cmp(&b)));
     // Nothing recovers from being this much worse than the best.
     let floor = order.first().map_or(0.0, |&k| all[k].score) - 80.0 + 4.0 * HIDDEN;
     let mut seen: HashSet<[i64; 6]> = HashSet::new();
@@ -297,7 +314,8 @@ fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
             cell(c.position.z, 0.06),
             cell(t.y, 0.01),
             cell(t.z, 0.01),
-            cell(c.bend[0], 0.003) * 1000 + cell(c.bend[1], 0.003),
+            // Siblings lie in one place until they bend: each keeps its own cell.
+            cell(c.bend[0], CURVATURE_STEP) * 1000 + cell(c.bend[1], CURVATURE_STEP),
         ];
         if seen.insert(key) {
             kept.push(c.clone());

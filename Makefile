@@ -24,9 +24,9 @@ exam:
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
-# Side by side with scipy, scikit-learn, cv2 and the stage maker's client in one run each; prints tables and writes peers-*.json.
+# Side by side with scipy, scikit-learn, cv2, mrcal and the stage maker's client in one run each; prints tables and writes peers-*.json.
 peers: setup
-	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
+	for p in python3-venv mrcal; do dpkg -s $$p >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends $$p >/dev/null; done
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
 	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless
 	tests/peers/.venv/bin/python tests/peers/rod_peers.py --json peers-rod.json

@@ -129,6 +129,13 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &36.into()), "{sweep}");
     assert_eq!((&sweep["lost_scans"], &sweep["unsettled"]), (&0.into(), &0.into()), "{sweep}");
     assert!(sweep["camera_pairs"].as_u64() > Some(50) && sweep["camera_pairs_refused"] == 0, "{sweep}");
+    let session = std::fs::read_to_string(bench.session().join("session.toml")).expect("session.toml");
+    let session: toml::Table = session.parse().expect("TOML");
+    let clocks = session["devices"]["stream"]["camera_clocks"].as_array().expect("clocks of the cameras");
+    assert_eq!(clocks.len(), 2, "{clocks:?}");
+    // The virtual cameras stamp in bench time, the host's clock runs beside it: they agree to what the machine is late.
+    let offset_s = clocks[0]["device_minus_host_s"].as_float().expect("offset");
+    assert!(offset_s.abs() < 5.0, "{clocks:?}");
     // The same tables from the raw streams, by the program alone.
     let points = || std::fs::read(bench.session().join("points.csv")).expect("points");
     let before = points();

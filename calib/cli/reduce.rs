@@ -6,6 +6,7 @@ use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_session::recording::clocks::ClockFit;
 use wcal_session::recording::reduce::{Reduction, reduce};
 
 /// Arguments of `wcal reduce`.
@@ -43,10 +44,9 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
             "scans": result.scans, "lost_scans": result.lost, "outliers": result.outliers,
             "cut_off": result.cut_off, "lag_s": result.lag_s, "warnings": result.warnings(),
             "camera_pairs": result.pairs[0], "camera_pairs_refused": result.pairs[1],
-            "clocks": result.clocks.iter().map(|c| json!({
-                "device_minus_host_s": c.offset_s, "drift_ppm": c.drift * 1e6,
-                "drift_sd_ppm": c.drift_sd.is_finite().then_some(c.drift_sd * 1e6), "scatter_ms": c.scatter_s * 1e3
-            })).collect::<Vec<_>>(),
+            "clocks": result.clocks.iter().map(|c| clock(c, None)).collect::<Vec<_>>(),
+            "camera_clocks":
+                result.camera_clocks.iter().map(|(name, c)| clock(c, Some(name))).collect::<Vec<_>>(),
         });
         writeln!(std::io::stdout(), "{document}")?;
         return Ok(());
@@ -62,4 +62,11 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
         result.cut_off
     )?;
     Ok(())
+}
+
+fn clock(fit: &ClockFit, name: Option<&str>) -> serde_json::Value {
+    json!({
+        "name": name, "device_minus_host_s": fit.offset_s, "drift_ppm": fit.drift * 1e6,
+        "drift_sd_ppm": fit.drift_sd.is_finite().then_some(fit.drift_sd * 1e6), "scatter_ms": fit.scatter_s * 1e3
+    })
 }

@@ -62,8 +62,7 @@ impl Recorded {
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut all = self.sweep.warnings();
-        let clocks = self.reduction.iter().flat_map(|r| &r.clocks).filter(|c| c.broken());
-        all.extend(clocks.map(|c| format!("the device clock drifts by {:.0} ppm", c.drift * 1e6)));
+        all.extend(self.reduction.iter().flat_map(Reduction::clock_warnings));
         all
     }
 

@@ -18,6 +18,8 @@ pub mod topic {
     pub const EVENT: &str = "/sweep/event";
     /// Text for people (`foxglove.Log`).
     pub const LOG: &str = "/log";
+    /// Pictures (`foxglove.RawImage`): followed by the camera's name.
+    pub const CAMERA: &str = "/camera/";
     /// Groove in the base frame (`foxglove.PoseInFrame`).
     pub const GROOVE: &str = "/groove/pose";
 }

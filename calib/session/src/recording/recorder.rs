@@ -188,9 +188,9 @@ impl Recorder {
     /// When the disk does not take it.
     pub fn picture(&self, name: &str, frame: &CameraFrame) -> Result<(), RecordingError> {
         let mut images = self.images.lock().unwrap_or_else(PoisonError::into_inner);
-        let channel = images
-            .entry(name.to_owned())
-            .or_insert_with(|| ChannelBuilder::new(format!("/camera/{name}")).context(&self.context).build());
+        let channel = images.entry(name.to_owned()).or_insert_with(|| {
+            ChannelBuilder::new(format!("{}{name}", topic::CAMERA)).context(&self.context).build()
+        });
         let message = RawImage {
             timestamp: timestamp(frame.clocks.device_s.unwrap_or(frame.clocks.host_s)),
             frame_id: name.to_owned(),

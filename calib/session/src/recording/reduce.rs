@@ -11,6 +11,7 @@ use super::run_file::RunFile;
 use super::tables::{self, Row};
 use super::windows::Samples;
 use crate::write_atomic;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Length of the window of a row on the fly, s.
@@ -35,8 +36,10 @@ pub struct Reduction {
     pub pairs: [u64; 2],
     /// Delay of the interrogator behind the stage at each sync move, s.
     pub lag_s: Vec<f64>,
-    /// Clock fits, one a recording.
+    /// Fits of the interrogator's clock, one a recording.
     pub clocks: Vec<ClockFit>,
+    /// Fits of the cameras' clocks by name, one a camera and recording.
+    pub camera_clocks: Vec<(String, ClockFit)>,
 }
 
 impl Reduction {
@@ -53,9 +56,18 @@ impl Reduction {
         if self.pairs[1] > 0 {
             all.push(format!("{} camera pairs refused", self.pairs[1]));
         }
-        let broken = self.clocks.iter().filter(|c| c.broken());
-        all.extend(broken.map(|c| format!("device clock drifts by {:.0} ppm", c.drift * 1e6)));
+        all.extend(self.clock_warnings());
         all
+    }
+
+    /// Clocks that no crystal explains.
+    #[must_use]
+    pub fn clock_warnings(&self) -> Vec<String> {
+        let cameras = self.camera_clocks.iter().map(|(name, fit)| (format!("camera {name}"), fit));
+        let all = self.clocks.iter().map(|fit| ("interrogator".to_owned(), fit)).chain(cameras);
+        all.filter(|(_, fit)| fit.broken())
+            .map(|(name, fit)| format!("{name}: the device clock drifts by {:.0} ppm", fit.drift * 1e6))
+            .collect()
     }
 }
 
@@ -123,6 +135,7 @@ fn reduce_part(
     // First pass: what was done, where the stage was, how the clocks ran.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::default());
     let (mut next_serial, mut pictures) = (None::<u64>, 0);
+    let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
             clocks.add(scan.host_s, scan.device_s);
@@ -136,10 +149,15 @@ fn reduce_part(
             result.pairs[1] += u64::from(event.kind == "pair-refused");
             events.push(event);
         }
-        Message::Other(topic, _) => pictures += u64::from(topic.starts_with("/camera/")),
+        Message::Picture(camera, host_s, device_s) => {
+            pictures += 1;
+            cameras.entry(camera).or_default().add(host_s, device_s);
+        }
+        Message::Other(..) => {}
     })?;
     result.pairs[0] += pictures / 2;
     result.cut_off += usize::from(end != End::Closed);
+    result.camera_clocks.extend(cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))));
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(()) };
     result.clocks.push(fit);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);

@@ -18,6 +18,8 @@ pub enum Message {
     Stage(StagePosition),
     /// An event of the sweep.
     Event(SweepEvent),
+    /// A picture: name of the camera, host time, start of exposure by the camera's clock, s.
+    Picture(String, f64, f64),
     /// Anything else: topic and host time, s.
     Other(String, f64),
 }
@@ -82,8 +84,24 @@ fn decode(path: &Path, message: &mcap::Message<'_>) -> Result<Message, Recording
         topic::SCAN => Message::Scan(Scan::decode(bytes).map_err(bad)?),
         topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
         topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
-        other => Message::Other(other.to_owned(), message.log_time as f64 * 1e-9),
+        other => {
+            let host_s = message.log_time as f64 * 1e-9;
+            match other.strip_prefix(topic::CAMERA) {
+                Some(name) => {
+                    let at = PictureTime::decode(bytes).map_err(bad)?.timestamp.unwrap_or_default();
+                    Message::Picture(name.to_owned(), host_s, at.seconds as f64 + f64::from(at.nanos) * 1e-9)
+                }
+                None => Message::Other(other.to_owned(), host_s),
+            }
+        }
     })
+}
+
+/// The time stamp of a `foxglove.RawImage`; its pixels are passed over.
+#[derive(Clone, PartialEq, prost::Message)]
+struct PictureTime {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<prost_types::Timestamp>,
 }
 
 /// Steps that a recording has completed; a sweep that is resumed leaves them out.

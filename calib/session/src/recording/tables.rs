@@ -1,5 +1,6 @@
 //! Text of the reduced tables and of `session.toml`.
 
+use super::clocks::ClockFit;
 use super::error::RecordingError;
 use super::reduce::Reduction;
 use super::rig::Rig;
@@ -269,18 +270,25 @@ fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<T
     }
     stream.insert("clock_scale".to_owned(), Value::Float(run.clock_scale));
     stream.insert("lag_s".to_owned(), Value::Array(result.lag_s.iter().map(|s| Value::Float(*s)).collect()));
-    let fits = result.clocks.iter().map(|fit| {
-        let mut table = Table::new();
-        table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
-        table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
-        // A recording of some seconds cannot tell.
-        if fit.drift_sd.is_finite() {
-            table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
-        }
-        table.insert("scatter_ms".to_owned(), Value::Float(fit.scatter_s * 1e3));
-        Value::Table(table)
-    });
-    stream.insert("clocks".to_owned(), Value::Array(fits.collect()));
+    stream.insert("clocks".to_owned(), Value::Array(result.clocks.iter().map(|f| clock(f, None)).collect()));
+    let cameras = result.camera_clocks.iter().map(|(name, fit)| clock(fit, Some(name)));
+    stream.insert("camera_clocks".to_owned(), Value::Array(cameras.collect()));
     devices.insert("stream".to_owned(), Value::Table(stream));
     Ok(devices)
+}
+
+/// A clock fit, named where it is one of several.
+fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
+    let mut table = Table::new();
+    if let Some(name) = name {
+        table.insert("name".to_owned(), Value::String(name.to_owned()));
+    }
+    table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
+    table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
+    // A recording of some seconds cannot tell.
+    if fit.drift_sd.is_finite() {
+        table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
+    }
+    table.insert("scatter_ms".to_owned(), Value::Float(fit.scatter_s * 1e3));
+    Value::Table(table)
 }

@@ -13,7 +13,7 @@ const STEP_MM: f64 = 1.0;
 /// Places scored a step.
 const PLACES: usize = 3;
 /// Curves kept.
-pub const BEAM: usize = 480;
+pub const BEAM: usize = 160;
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
 /// Change of curvature a step, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
@@ -52,8 +52,8 @@ pub struct Scene<'a> {
     camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
     maps: &'a [RidgeMap<'a>; 2],
     evidence: [Evidence; 2],
-    /// Cells of each picture, row by row, that are covered up; empty where none is.
-    covered: [Vec<bool>; 2],
+    /// Cells of each picture that are covered up.
+    covered: [HashSet<[i32; 2]>; 2],
 }
 
 impl<'a> Scene<'a> {
@@ -74,34 +74,23 @@ impl<'a> Scene<'a> {
     /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
     #[must_use]
     pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
-        let reach = (distance_px / COVER_PX).ceil() as i64;
+        let reach = (distance_px / COVER_PX).ceil() as i32;
         for camera in 0..2 {
-            let [columns, rows] = self.cells(camera);
-            self.covered[camera] = vec![false; columns * rows];
             for w in path.windows(2) {
                 let (Some((a, _)), Some((b, _))) =
                     (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
                 else {
                     continue;
                 };
-                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
+                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i32;
                 for k in 0..=steps {
-                    let [x, y] = cell(&(a + (b - a) * (k as f64 / steps as f64)));
-                    for (i, j) in (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| (x + i, y + j)))
-                    {
-                        if (0..columns as i64).contains(&i) && (0..rows as i64).contains(&j) {
-                            self.covered[camera][j as usize * columns + i as usize] = true;
-                        }
-                    }
+                    let [x, y] = cell(&(a + (b - a) * (f64::from(k) / f64::from(steps))));
+                    let square = (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| [x + i, y + j]));
+                    self.covered[camera].extend(square);
                 }
             }
         }
         self
-    }
-
-    /// Cells of a picture, across and down.
-    fn cells(&self, camera: usize) -> [usize; 2] {
-        self.stereo.cameras[camera].image_size_px.map(|n| (n as f64 / COVER_PX).ceil() as usize)
     }
 
     /// Pixel and unit normal of the wire's image in one camera.
@@ -142,17 +131,12 @@ impl<'a> Scene<'a> {
     }
 
     fn covers(&self, camera: usize, px: &Vector2<f64>) -> bool {
-        if self.covered[camera].is_empty() {
-            return false;
-        }
-        let ([x, y], [columns, _]) = (cell(px), self.cells(camera));
-        let inside = (0..columns as i64).contains(&x) && y >= 0;
-        inside && self.covered[camera].get(y as usize * columns + x as usize) == Some(&true)
+        !self.covered[camera].is_empty() && self.covered[camera].contains(&cell(px))
     }
 }
 
-fn cell(px: &Vector2<f64>) -> [i64; 2] {
-    [(px.x / COVER_PX).floor() as i64, (px.y / COVER_PX).floor() as i64]
+fn cell(px: &Vector2<f64>) -> [i32; 2] {
+    [(px.x / COVER_PX).floor() as i32, (px.y / COVER_PX).floor() as i32]
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected line.
@@ -206,26 +190,22 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     for step in 0..steps {
         let mut next: Vec<Candidate> = Vec::new();
         // While the started curves still lie side by side there is nothing to branch.
-        let branch = step >= 4;
+        let branch = step >= 5;
         for (index, c) in now.iter().enumerate() {
-            // Curves that bend differently from here on part by a hundredth of a pixel in a step: one look serves them all.
-            let mut grown = Candidate { parent: index, ..c.clone() };
-            advance(scene, whisker, &mut grown, step);
-            if grown.score > grown.best {
-                grown.best = grown.score;
-                grown.best_step = step + 1;
-            }
-            if !branch {
-                next.push(grown);
-                continue;
-            }
             for (a, b) in (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b))) {
-                let bend = [
-                    grown.bend[0] + f64::from(a) * CURVATURE_STEP,
-                    grown.bend[1] + f64::from(b) * CURVATURE_STEP,
-                ];
-                let score = grown.score - 0.5 * f64::from(a * a + b * b);
-                next.push(Candidate { bend, score, ..grown.clone() });
+                if !branch && (a != 0 || b != 0) {
+                    continue;
+                }
+                let bend =
+                    [c.bend[0] + f64::from(a) * CURVATURE_STEP, c.bend[1] + f64::from(b) * CURVATURE_STEP];
+                let mut child = Candidate { bend, parent: index, ..c.clone() };
+                child.score -= 0.5 * f64::from(a * a + b * b);
+                advance(scene, whisker, &mut child, step);
+                if child.score > child.best {
+                    child.best = child.score;
+                    child.best_step = step + 1;
+                }
+                next.push(child);
             }
         }
         history.push(std::mem::take(&mut now));
@@ -256,15 +236,13 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     curvatures.reverse();
     path.reverse();
     path.truncate(best_step + 1);
-    // A curve's bend is that of its next step: the last one's is not used.
-    curvatures.pop();
-    let end = curvatures[best_step - 1];
+    let end = curvatures[best_step.min(curvatures.len() - 1)];
     // Beyond the end the curve goes on as it was.
     for c in curvatures.iter_mut().skip(best_step) {
         *c = end;
     }
     Some(Trace {
-        curvatures,
+        curvatures: curvatures.into_iter().skip(1).collect(),
         length_mm: best_step as f64 * STEP_MM,
         score,
         strength: responses.map(|r| crate::initial::median(&r)),
@@ -296,8 +274,7 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
 /// Keeps the best curves, one a place and direction, so that the beam does not fill with copies of one.
 fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
     let mut order: Vec<usize> = (0..all.len()).collect();
-    // Ties keep the order of their parents: the result must not depend on the sort.
-    order.sort_unstable_by(|&a, &b| all[b].score.total_cmp(&all[a].score).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| all[b].score.total_cmp(&all[a].score));
     // Nothing recovers from being this much worse than the best.
     let floor = order.first().map_or(0.0, |&k| all[k].score) - 80.0 + 4.0 * HIDDEN;
     let mut seen: HashSet<[i64; 6]> = HashSet::new();
@@ -314,8 +291,7 @@ fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
             cell(c.position.z, 0.06),
             cell(t.y, 0.01),
             cell(t.z, 0.01),
-            // Siblings lie in one place until they bend: each keeps its own cell.
-            cell(c.bend[0], CURVATURE_STEP) * 1000 + cell(c.bend[1], CURVATURE_STEP),
+            cell(c.bend[0], 0.003) * 1000 + cell(c.bend[1], 0.003),
         ];
         if seen.insert(key) {
             kept.push(c.clone());

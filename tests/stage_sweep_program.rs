@@ -131,11 +131,13 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     assert!(sweep["camera_pairs"].as_u64() > Some(50) && sweep["camera_pairs_refused"] == 0, "{sweep}");
     let session = std::fs::read_to_string(bench.session().join("session.toml")).expect("session.toml");
     let session: toml::Table = session.parse().expect("TOML");
-    let clocks = session["devices"]["stream"]["camera_clocks"].as_array().expect("clocks of the cameras");
-    assert_eq!(clocks.len(), 2, "{clocks:?}");
-    // The virtual cameras stamp in bench time, the host's clock runs beside it: they agree to what the machine is late.
-    let offset_s = clocks[0]["device_minus_host_s"].as_float().expect("offset");
-    assert!(offset_s.abs() < 5.0, "{clocks:?}");
+    let stream = &session["devices"]["stream"];
+    let offset_s = |fit: &toml::Value| fit["device_minus_host_s"].as_float().expect("offset");
+    let cameras = stream["camera_clocks"].as_array().expect("clocks of the cameras");
+    assert_eq!(cameras.len(), 2, "{cameras:?}");
+    // Interrogator and cameras stamp in bench time: their clocks agree to what the host is late at 20 x real time.
+    let apart_s = offset_s(&cameras[0]) - offset_s(&stream["clocks"][0]);
+    assert!(apart_s.abs() < 2.0, "{stream}");
     // The same tables from the raw streams, by the program alone.
     let points = || std::fs::read(bench.session().join("points.csv")).expect("points");
     let before = points();

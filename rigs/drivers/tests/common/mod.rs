@@ -60,7 +60,7 @@ pub fn rig(bench: &VirtualBench) -> String {
     };
     text.replace("tcp://127.0.0.1:PORT", &format!("tcp://{}", a.stage_tcp))
         .replace("127.0.0.1:PORT", &a.sm130.to_string())
-        .replace("clock_scale = 10.0", &format!("clock_scale = {SPEED:?}"))
+        .replace("clock_scale = 4.0", &format!("clock_scale = {SPEED:?}"))
         .replace("rate_hz = 2000.0", "rate_hz = 500.0")
 }
 

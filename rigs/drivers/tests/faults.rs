@@ -153,6 +153,7 @@ fn a_frozen_camera_and_a_skewed_pair_stop_the_sweep() {
 #[test]
 fn drifts_of_the_clock_and_of_the_signal_are_warned_of() {
     several(Fault::ClockDrift { ppm: 20_000.0 }, "", Outcome::Warns("clock drifts"));
+    // Past the gate of 3 pm/s, and slow enough that no peak leaves its window of 0.7 nm while the sweep lasts.
     several(Fault::SignalDrift { pm_per_s: 8.0 }, "", Outcome::Warns("did not settle"));
 }
 

@@ -112,6 +112,39 @@ fn a_perturbed_pose_is_noticed() {
 }
 
 #[test]
+fn the_rods_own_labels_are_taken_without_a_fault() {
+    let folder = copy(&fixture("practice/case-004"));
+    let table = folder.path().join("twin.csv");
+    let twin = |session: &Path| {
+        let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+            .arg("twin")
+            .arg(session)
+            .arg("--out")
+            .arg(&table)
+            .output();
+        run.expect("wcal runs").status.code()
+    };
+    assert_eq!(twin(folder.path()), Some(0));
+    let text = std::fs::read_to_string(&table).expect("twin.csv");
+    let header = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled";
+    assert_eq!(text.lines().next(), Some(header));
+    assert!(text.lines().filter(|l| l.ends_with("first-touch,true")).count() > 20, "{text}");
+    let description = folder.path().join("session.toml");
+    let declared = std::fs::read_to_string(&description).expect("session.toml");
+    std::fs::write(&description, declared.replace("[files]", "[files]\ntwin = \"twin.csv\""))
+        .expect("written");
+    let (_, v) = verify(folder.path());
+    assert_eq!(v["twin"]["faults"].as_array().map(Vec::len), Some(0), "{}", v["twin"]);
+    // One pose far past anything the wire reaches: no moment, no label, and it is said.
+    let moved = |i: usize, mm: f64| format!("{:.6}", if i == 14 && mm > 0.0 { mm + 60.0 } else { mm });
+    let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
+    let far = edited(stage.path(), "groove_z_mm", moved);
+    assert_eq!(twin(far.path()), Some(3));
+    let text = std::fs::read_to_string(&table).expect("twin.csv");
+    assert_eq!(text.lines().filter(|l| l.contains(",,,s") && l.ends_with(",false")).count(), 1, "{text}");
+}
+
+#[test]
 fn labels_in_another_unit_are_named_so() {
     let folder = copy(&fixture("whiskerfbg"));
     let path = folder.path().join("twin.csv");

@@ -72,6 +72,35 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     let report = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
     assert!(report.contains("<canvas") && report.contains("zero bytes") && !report.contains("://"));
 
+    // The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and 61.
+    let nominal = std::fs::read_to_string(&rig).unwrap();
+    let table: toml::Table = nominal.parse().unwrap();
+    let mut other = table.clone();
+    let whisker = other["whisker"].as_table_mut().unwrap();
+    for (key, value) in [("straight_mm", 29.0), ("arc_radius_mm", 21.0), ("length_mm", 61.0)] {
+        whisker.insert(key.to_owned(), value.into());
+    }
+    std::fs::write(place.path().join("nominal.toml"), other.to_string()).unwrap();
+    let (shapes, whisker) = (format!("{out}/shapes.json"), at("whisker"));
+    let fit = ["fit-whisker", &shapes, "--out", &whisker, "--json", "--rig"];
+    let (code, output, text) = wcal(&[&fit[..], &[&at("nominal.toml")]].concat());
+    assert_eq!(code, 3, "one shape was left out: {text}");
+    assert!(text.contains("t9 is left out: ") && text.contains("zero bytes"), "{text}");
+    let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let truth: Value = serde_json::from_slice(&std::fs::read(fixture("truth.json")).unwrap()).unwrap();
+    for (key, drawn, limit) in
+        [("straight_mm", "straight", 0.2), ("arc_radius_mm", "radius", 0.1), ("length_mm", "length", 0.2)]
+    {
+        let off = fitted["whisker"][key].as_f64().unwrap() - truth["spec"][drawn].as_f64().unwrap();
+        assert!(off.abs() < limit, "{key}: {off} mm off");
+    }
+    let written = std::fs::read_to_string(Path::new(&whisker).join("whisker.toml")).unwrap();
+    let written: toml::Table = written.parse().unwrap();
+    assert_eq!(written["format"].as_str(), Some("wcal-whisker/1"));
+    std::fs::write(place.path().join("none.json"), "{}").unwrap();
+    let none = ["fit-whisker", &at("none.json"), "--out", &whisker, "--rig", &rig];
+    assert_eq!(wcal(&none).0, 1);
+
     // No base tag in any pair: an error, and the reasons are on file.
     let text = std::fs::read_to_string(&rig).unwrap().replace("id = 0", "id = 17");
     std::fs::write(place.path().join("other.toml"), text).unwrap();

@@ -5,6 +5,7 @@ mod artefact;
 mod demo;
 mod doctor;
 mod fit_gpr;
+mod fit_whisker;
 mod import;
 mod init;
 mod labels;
@@ -16,6 +17,7 @@ mod report_input;
 mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;
+mod twin;
 mod verify;
 mod virtual_bench;
 
@@ -49,6 +51,10 @@ enum Command {
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
     StereoShape(stereo_shape::StereoShapeArgs),
+    /// The whisker's rest geometry from measured shapes
+    FitWhisker(fit_whisker::FitWhiskerArgs),
+    /// The twin's base moments at a session's poses
+    Twin(twin::TwinArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),
     /// Rebuild the tables of a recorded session from its raw streams
@@ -75,6 +81,8 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
         Command::StereoShape(args) => stereo_shape::run(args),
+        Command::FitWhisker(args) => fit_whisker::run(args),
+        Command::Twin(args) => twin::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),

@@ -13,4 +13,7 @@ pub enum RodError {
         /// What was found.
         found: String,
     },
+    /// The rest geometry could not be fitted.
+    #[error("fitting the rest geometry: {0}")]
+    RestFit(String),
 }

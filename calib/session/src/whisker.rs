@@ -281,14 +281,20 @@ pub(crate) fn read_twin(
     let mut table = Table::open(path, name)?;
     let point = table.required("point")?;
     let moments = [table.required("moment_1_nmm")?, table.required("moment_2_nmm")?];
-    // `wcal twin` writes these beside the labels.
-    for extra in ["contact_arclength_mm", "branch", "settled"] {
+    // `wcal twin` writes these beside the labels, and no moment where it finds no equilibrium.
+    for extra in ["contact_arclength_mm", "settled"] {
         table.optional(extra)?;
     }
+    let may_be_empty = table.optional("branch")?.is_some();
     warnings.extend(unused_columns(&table));
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
     while let Some(row) = table.next_row()? {
+        if may_be_empty && row.number(Some(moments[0]))?.is_none() && row.number(Some(moments[1]))?.is_none()
+        {
+            points.note(&row, row.point(point)?)?;
+            continue;
+        }
         let label = TwinLabel {
             point: row.point(point)?,
             moment_nmm: [row.required(moments[0])?, row.required(moments[1])?],

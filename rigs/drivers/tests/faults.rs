@@ -12,9 +12,9 @@ use wcal_drivers::bench::faults::Fault;
 use wcal_drivers::record::{Recorded, record};
 use wcal_session::recording::sweep::Ending;
 
-/// Runs a fault: two, or as many as WCAL_FAULT_RUNS says.
+/// Runs a fault: one, or as many as WCAL_FAULT_RUNS says.
 fn runs() -> usize {
-    std::env::var("WCAL_FAULT_RUNS").map_or(2, |n| n.parse().unwrap())
+    std::env::var("WCAL_FAULT_RUNS").map_or(1, |n| n.parse().unwrap())
 }
 
 /// What the sweep makes of a fault.

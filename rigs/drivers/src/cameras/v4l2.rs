@@ -1,12 +1,15 @@
 //! A camera of the Linux kernel (V4L2: UVC and MIPI cameras) through the crate `moq-v4l`; grey values as the sensor gave them.
 
-use crate::host::{HostClock, io_error, is_timeout};
+use crate::host::{HostClock, io_error};
 use moq_v4l::buffer::{Flags, Type};
+use moq_v4l::capability::Flags as Able;
 use moq_v4l::control::{Control, Value};
 use moq_v4l::io::mmap::Stream;
-use moq_v4l::io::traits::CaptureStream;
+use moq_v4l::io::traits::{CaptureStream, Stream as _};
 use moq_v4l::video::Capture;
 use moq_v4l::{Device, FourCC};
+use rustix::event::PollFlags;
+use std::io::ErrorKind;
 use std::time::{Duration, Instant};
 use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
@@ -17,7 +20,7 @@ const EXPOSURE_ABSOLUTE: u32 = 0x009a_0902;
 /// `V4L2_CID_EXPOSURE_AUTO_PRIORITY`; 0 keeps the frame rate.
 const EXPOSURE_AUTO_PRIORITY: u32 = 0x009a_0903;
 const MANUAL: i64 = 1;
-/// Buffers the kernel fills ahead.
+/// Buffers asked for: one is read while the kernel fills the others.
 const BUFFERS: u32 = 4;
 
 /// What a V4L2 camera is asked for.
@@ -71,6 +74,16 @@ impl V4l2Camera {
             DeviceError::new(DeviceErrorKind::Configuration, &name, action, expected, found)
         };
         let device = Device::with_path(path).map_err(io("open"))?;
+        let caps =
+            device.query_caps().map_err(|e| refuse("open", "a video device".to_owned(), e.to_string()))?;
+        // A UVC camera has a second node that carries no pictures.
+        if !caps.capabilities.contains(Able::VIDEO_CAPTURE | Able::STREAMING) {
+            return Err(refuse(
+                "open",
+                "a node that gives pictures".to_owned(),
+                caps.capabilities.to_string(),
+            ));
+        }
         let offered = device.enum_formats().map_err(io("list the formats"))?;
         let chosen = LAYOUTS.iter().find(|(code, _)| offered.iter().any(|f| f.fourcc == FourCC::new(code)));
         let Some((code, layout)) = chosen else {
@@ -104,11 +117,20 @@ impl V4l2Camera {
                 return Err(refuse("set a control", format!("one of {}", names.join(", ")), control.clone()));
             };
             let setting = Control { id: description.id, value: Value::Integer(*value) };
-            device.set_control(setting).map_err(io("set a control"))?;
+            let range = format!("{control} of {} to {}", description.minimum, description.maximum);
+            device
+                .set_control(setting)
+                .map_err(|e| refuse("set a control", range, format!("{value}: {e}")))?;
             settings.push((control.clone(), value.to_string()));
         }
-        let stream =
+        let mut stream =
             Stream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(io("map its buffers"))?;
+        // `next` gives the buffer in hand (the first) back before it takes another: only the others are queued here.
+        let queued = (1..BUFFERS as usize).take_while(|i| stream.queue(*i).is_ok()).count();
+        if queued == 0 {
+            return Err(refuse("queue its buffers", "at least 2 buffers".to_owned(), "1".to_owned()));
+        }
+        stream.start().map_err(io("start"))?;
         Ok(Self {
             name,
             stream,
@@ -149,12 +171,25 @@ impl Camera for V4l2Camera {
             return Err(DeviceError::new(kind, &self.name, "configure", expected, "gain_db"));
         }
         let Some(exposure_ms) = exposure_ms else { return Ok(()) };
-        let fail = |e: std::io::Error| io_error(&self.name, "set the exposure", &e);
         let set = |id: u32, value: i64| self.device.set_control(Control { id, value: Value::Integer(value) });
-        set(EXPOSURE_AUTO, MANUAL).map_err(fail)?;
+        let refuse = |expected: &str| {
+            let (name, expected) = (self.name.clone(), expected.to_owned());
+            move |e: std::io::Error| {
+                DeviceError::new(
+                    DeviceErrorKind::Configuration,
+                    name,
+                    "set the exposure",
+                    expected,
+                    e.to_string(),
+                )
+            }
+        };
+        set(EXPOSURE_AUTO, MANUAL).map_err(refuse("a manual mode"))?;
         // Not every driver has it; where it is missing the rate does not depend on the light.
         let _ = set(EXPOSURE_AUTO_PRIORITY, 0);
-        set(EXPOSURE_ABSOLUTE, (exposure_ms * 10.0).round() as i64).map_err(fail)?;
+        let tenths = (exposure_ms * 10.0).round() as i64;
+        set(EXPOSURE_ABSOLUTE, tenths)
+            .map_err(refuse(&format!("{exposure_ms} ms within the camera's range")))?;
         self.commanded_exposure_ms = Some(exposure_ms);
         Ok(())
     }
@@ -163,17 +198,19 @@ impl Camera for V4l2Camera {
         let end = Instant::now() + timeout;
         let measured_exposure_ms = self.measured_exposure_ms();
         loop {
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(kind, &self.name, "grab", "a picture", "none in time"));
-            }
-            self.stream.set_timeout(left);
-            let (bytes, about) = match self.stream.next() {
-                Ok(taken) => taken,
-                Err(e) if is_timeout(&e) => continue,
+            let left_ms = end.saturating_duration_since(Instant::now()).as_millis().min(60_000) as i32;
+            let handle = self.device.handle();
+            match handle.poll(PollFlags::IN.bits() as i16, left_ms) {
+                Ok(0) => {
+                    let kind = DeviceErrorKind::Timeout;
+                    return Err(DeviceError::new(kind, &self.name, "grab", "a picture", "none in time"));
+                }
+                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
                 Err(e) => return Err(io_error(&self.name, "grab", &e)),
-            };
+                Ok(_) => {}
+            }
+            // Asked only when a picture waits: a wait that fails inside `next` would give its buffer back twice.
+            let (bytes, about) = self.stream.next().map_err(|e| io_error(&self.name, "grab", &e))?;
             // A damaged picture keeps its sequence number: the pair finds the gap.
             if about.flags.contains(Flags::ERROR) {
                 continue;
@@ -190,8 +227,9 @@ impl Camera for V4l2Camera {
                     format!("{} bytes", used.len()),
                 ));
             };
-            // Stamps are of the machine's monotonic clock, the same for all cameras of one machine.
-            let device_s = about.timestamp.sec as f64 + about.timestamp.usec as f64 * 1e-6;
+            // Stamps of the machine's monotonic clock are the same for all cameras of one machine; others say nothing.
+            let monotonic = about.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
+            let stamp_s = about.timestamp.sec as f64 + about.timestamp.usec as f64 * 1e-6;
             return Ok(CameraFrame {
                 trigger: u64::from(about.sequence),
                 commanded_exposure_ms: self.commanded_exposure_ms,
@@ -199,7 +237,7 @@ impl Camera for V4l2Camera {
                 width_px: self.size_px[0],
                 height_px: self.size_px[1],
                 grey,
-                clocks: Clocks { host_s: self.clock.now_s(), device_s: Some(device_s) },
+                clocks: Clocks { host_s: self.clock.now_s(), device_s: monotonic.then_some(stamp_s) },
             });
         }
     }

@@ -1,0 +1,221 @@
+//! `wcal fit-whisker`: the whisker's rest geometry from measured shapes.
+
+use crate::picture_output::{provenance, write};
+use anyhow::Context;
+use clap::Args;
+use nalgebra::Vector3;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wcal_core::Provenance;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_rod::rest_fit::NAMES;
+use wcal_rod::{MeasuredShape, RestFit, fit_rest};
+use wcal_vision::rig::Rig;
+use wcal_vision::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
+
+/// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
+const YOUNGS_GPA: f64 = 75.0;
+const SHEAR_GPA: f64 = 28.2;
+/// Residual over stated deviation past which straight part, arc and frictionless groove do not describe the lines.
+const DOUBTFUL: f64 = 3.0;
+
+/// Arguments of `wcal fit-whisker`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  wcal fit-whisker shapes/shapes.json --rig rig.toml --out whisker
+
+The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations are those between shapes: an error of the
+cameras' scale is common to all shapes and not in them. Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
+pub struct FitWhiskerArgs {
+    /// Shapes by `wcal stereo-shape`
+    pub shapes: PathBuf,
+    /// Rig with the nominal whisker
+    #[arg(long, value_name = "rig.toml")]
+    pub rig: PathBuf,
+    /// Folder for whisker.toml
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `whisker.toml`.
+#[derive(Debug, Serialize)]
+struct WhiskerDocument {
+    format: &'static str,
+    whisker: Geometry,
+    root: Root,
+    fit: Fit,
+    provenance: Provenance,
+}
+
+#[derive(Debug, Serialize)]
+struct Geometry {
+    diameter_mm: f64,
+    length_mm: f64,
+    straight_mm: f64,
+    arc_radius_mm: f64,
+}
+
+/// The clamp in the base frame: turn as a rotation vector.
+#[derive(Debug, Serialize)]
+struct Root {
+    turn_rad: [f64; 3],
+    offset_mm: [f64; 3],
+}
+
+#[derive(Debug, Serialize)]
+struct Fit {
+    parameters: Vec<&'static str>,
+    sd: Vec<f64>,
+    covariance: Vec<Vec<f64>>,
+    rms_mm: f64,
+    rms_over_sd: f64,
+    warnings: Vec<String>,
+    shapes: Vec<ShapeRow>,
+}
+
+#[derive(Debug, Serialize)]
+struct ShapeRow {
+    name: String,
+    rms_mm: f64,
+    largest_mm: f64,
+    largest_at_mm: f64,
+}
+
+/// Runs the command: 0, or 3 where shapes were left out or residuals are past what is stated.
+///
+/// # Errors
+/// Where the files cannot be read or no geometry comes out.
+pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
+    let text = std::fs::read_to_string(&args.shapes)
+        .with_context(|| format!("reading {}", args.shapes.display()))?;
+    let document: ShapesDocument =
+        serde_json::from_str(&text).with_context(|| format!("reading {}", args.shapes.display()))?;
+    anyhow::ensure!(
+        document.format == SHAPES_FORMAT,
+        "{}: expected format {SHAPES_FORMAT}, found {:?}",
+        args.shapes.display(),
+        document.format
+    );
+    let rig = Rig::read(&args.rig)?.whisker;
+    anyhow::ensure!(
+        rig.arc_curvature_per_mm > 0.0 && rig.straight_mm < rig.length_mm,
+        "{}: expected a whisker with straight_mm and arc_radius_mm, found none",
+        args.rig.display()
+    );
+    let nominal = WhiskerSpec {
+        diameter_mm: rig.diameter_mm,
+        youngs_gpa: YOUNGS_GPA,
+        shear_gpa: SHEAR_GPA,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc {
+            straight_mm: rig.straight_mm,
+            arc_radius_mm: 1.0 / rig.arc_curvature_per_mm,
+            length_mm: rig.length_mm,
+        },
+        gravity_direction: None,
+    };
+    let (mut usable, mut warnings) = (Vec::new(), Vec::new());
+    for pair in &document.pairs {
+        match measured(pair) {
+            Ok(shape) => usable.push(shape),
+            Err(why) => warnings.push(format!("{} is left out: {why}", pair.name)),
+        }
+    }
+    let fit = fit_rest(&nominal, &usable)?;
+    warnings.extend(fit.left_out.iter().map(|(name, why)| format!("{name} is left out: {why}")));
+    if fit.covariance.is_none() {
+        warnings.push(format!(
+            "expected three shapes or more for standard deviations, found {}",
+            fit.shapes.len()
+        ));
+    }
+    if fit.rms_over_sd > DOUBTFUL {
+        warnings.push(format!(
+            "the residuals are {:.1} times what the shapes state: a straight part with an arc in a frictionless groove is not the whole truth",
+            fit.rms_over_sd
+        ));
+    }
+    for warning in &warnings {
+        eprintln!("fit-whisker: warning: {warning}");
+    }
+    let result = WhiskerDocument {
+        format: "wcal-whisker/1",
+        whisker: Geometry {
+            diameter_mm: rig.diameter_mm,
+            length_mm: fit.values[2],
+            straight_mm: fit.values[0],
+            arc_radius_mm: fit.values[1],
+        },
+        root: Root {
+            turn_rad: [fit.values[3], fit.values[4], fit.values[5]],
+            offset_mm: [0.0, fit.values[6], fit.values[7]],
+        },
+        fit: described(&fit, &warnings),
+        provenance: provenance([args.shapes.as_path(), args.rig.as_path()]),
+    };
+    let path = write(&args.out, "whisker.toml", toml::to_string(&result)?.as_bytes())?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&result)?);
+    } else {
+        for (k, name) in NAMES.iter().enumerate() {
+            let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
+            println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
+        }
+        println!(
+            "{} shapes, RMS {:.4} mm, {:.2} of the stated sd",
+            fit.shapes.len(),
+            fit.rms_mm,
+            fit.rms_over_sd
+        );
+    }
+    eprintln!("fit-whisker: {}", path.display());
+    Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// A usable pair as a shape: free, or held at one place.
+fn measured(pair: &PairDocument) -> Result<MeasuredShape, String> {
+    if pair.status != "ok" {
+        return Err(pair.why.clone());
+    }
+    let held = pair.groove.as_ref().filter(|g| g.contact != "none");
+    if held.is_some_and(|g| g.contacts_mm.len() > 1) {
+        return Err("expected one contact, found the groove's two rims".to_owned());
+    }
+    if pair.centreline_sd_mm.len() != pair.centreline_mm.len() {
+        let (points, sds) = (pair.centreline_mm.len(), pair.centreline_sd_mm.len());
+        return Err(format!("expected a standard deviation for each of {points} points, found {sds}"));
+    }
+    Ok(MeasuredShape {
+        name: pair.name.clone(),
+        centreline_mm: pair.centreline_mm.iter().map(|p| Vector3::from(*p)).collect(),
+        sd_mm: pair.centreline_sd_mm.clone(),
+        length_mm: [pair.length_mm, pair.length_sd_mm],
+        groove: held.map(|g| (Vector3::from(g.position_mm), g.contact_arclength_mm)),
+    })
+}
+
+fn described(fit: &RestFit, warnings: &[String]) -> Fit {
+    let rows = |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
+    Fit {
+        parameters: NAMES.to_vec(),
+        sd: (0..NAMES.len()).filter_map(|k| fit.sd(k)).collect(),
+        covariance: fit.covariance.as_ref().map(rows).unwrap_or_default(),
+        rms_mm: fit.rms_mm,
+        rms_over_sd: fit.rms_over_sd,
+        warnings: warnings.to_vec(),
+        shapes: fit
+            .shapes
+            .iter()
+            .map(|s| ShapeRow {
+                name: s.name.clone(),
+                rms_mm: s.rms_mm,
+                largest_mm: s.largest_mm[0],
+                largest_at_mm: s.largest_mm[1],
+            })
+            .collect(),
+    }
+}

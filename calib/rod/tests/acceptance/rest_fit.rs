@@ -1,0 +1,127 @@
+//! Rest geometry from centre lines (SIMULATED by the rod, with noise of the size that the cameras have).
+
+use super::spec;
+use nalgebra::{Rotation3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use wcal_core::observation::RestShape;
+use wcal_rod::rest_fit::NAMES;
+use wcal_rod::{Guess, MeasuredShape, Rod, Tangential, fit_rest};
+
+const TRUE_MM: [f64; 3] = [29.3, 21.1, 59.6];
+
+fn arc([straight_mm, arc_radius_mm, length_mm]: [f64; 3]) -> RestShape {
+    RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm }
+}
+
+fn turn() -> Rotation3<f64> {
+    Rotation3::new(Vector3::new(0.004, -0.003, 0.002))
+}
+
+const OFFSET_MM: Vector3<f64> = Vector3::new(0.0, 0.02, -0.03);
+
+/// A free wire and eight held ones; errors go with the whole line (a bow and a tilt) and with each point.
+fn shapes(noise_mm: f64, rng: &mut ChaCha8Rng) -> Vec<MeasuredShape> {
+    let rod = Rod::new(&spec(arc(TRUE_MM)), 0.5).unwrap();
+    let mut made = Vec::new();
+    for k in 0..9 {
+        let s = 18.0 + 2.5 * f64::from(k);
+        let from = rod.shape.rest_point(s);
+        let push =
+            Vector3::new(0.0, if k % 2 == 0 { 2.5 } else { -2.0 }, if k % 3 == 0 { 3.0 } else { -1.5 });
+        let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: s };
+        let mut held = None;
+        for leg in 1..=10 {
+            let found = rod
+                .solve(&(from + push * (f64::from(leg) / 10.0)), &guess, Tangential::Frictionless)
+                .unwrap();
+            guess = Guess::from(&found);
+            held = Some(found);
+        }
+        let held = held.unwrap();
+        let nodes = if k == 0 {
+            let (p, _) = wcal_rod::integrate::unloaded(&rod.shape);
+            p
+        } else {
+            rod.loaded_shape(&held).into_iter().map(|n| n.1).collect()
+        };
+        let mut normal = || rng.sample::<f64, _>(rand_distr::StandardNormal) * noise_mm;
+        let (tilt, bow) = ([normal(), normal()], [normal(), normal()]);
+        let count = nodes.len() as f64;
+        let points: Vec<Vector3<f64>> = nodes
+            .iter()
+            .enumerate()
+            .map(|(i, p)| {
+                let x = i as f64 / count;
+                let smooth = |c: usize| tilt[c] * x + bow[c] * 4.0 * x * (1.0 - x);
+                turn() * p
+                    + OFFSET_MM
+                    + Vector3::new(0.0, smooth(0) + 0.3 * normal(), smooth(1) + 0.3 * normal())
+            })
+            .collect();
+        made.push(MeasuredShape {
+            name: format!("t{k}"),
+            sd_mm: vec![noise_mm.max(1e-6); points.len()],
+            centreline_mm: points,
+            length_mm: [TRUE_MM[2] + normal(), noise_mm.max(1e-6)],
+            groove: (k > 0).then(|| (turn() * held.point_mm + OFFSET_MM, held.arclength_mm)),
+        });
+    }
+    made
+}
+
+/// Truth in the order of the fit's unknowns.
+fn truth() -> [f64; 8] {
+    let [a, b, c] = TRUE_MM;
+    let w = turn().scaled_axis();
+    [a, b, c, w.x, w.y, w.z, OFFSET_MM.y, OFFSET_MM.z]
+}
+
+#[test]
+fn exact_lines_give_the_geometry_back() {
+    let made = shapes(0.0, &mut ChaCha8Rng::seed_from_u64(1));
+    let fit = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &made).unwrap();
+    for (k, t) in truth().into_iter().enumerate() {
+        // Polyline lengths between mesh nodes and the fit's coarser mesh: micrometres.
+        assert!(
+            (fit.values[k] - t).abs() < 2e-3 * t.abs().max(0.1),
+            "{}: {} for {t}",
+            NAMES[k],
+            fit.values[k]
+        );
+    }
+    assert!(fit.rms_mm < 1e-3 && fit.left_out.is_empty(), "{}", fit.rms_mm);
+}
+
+#[test]
+fn stated_sds_cover_the_truth() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let (mut inside, mut all) = (0, 0);
+    for _ in 0..12 {
+        let fit = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &shapes(0.01, &mut rng)).unwrap();
+        assert!((fit.values[1] - TRUE_MM[1]).abs() < 0.1 && (fit.values[2] - TRUE_MM[2]).abs() < 0.2);
+        for (k, t) in truth().into_iter().enumerate() {
+            // Student's t with eight degrees of freedom: 95 %.
+            inside += usize::from((fit.values[k] - t).abs() < 2.306 * fit.sd(k).unwrap());
+            all += 1;
+        }
+    }
+    // 96 draws, not independent within a fit: 85 to 100 % is what twelve fits can tell.
+    assert!(inside * 100 >= 85 * all, "{inside} of {all}");
+}
+
+#[test]
+fn a_wrong_groove_and_a_wrong_model_show_in_the_residual() {
+    let mut made = shapes(0.003, &mut ChaCha8Rng::seed_from_u64(3));
+    let good = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &made).unwrap();
+    // A rod laid through the measured lines cannot follow a groove that was 0.3 mm elsewhere.
+    for shape in &mut made {
+        if let Some((point, _)) = &mut shape.groove {
+            point.z += 0.3;
+        }
+    }
+    let bad = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &made).unwrap();
+    assert!(bad.rms_over_sd > 5.0 * good.rms_over_sd, "{} against {}", bad.rms_over_sd, good.rms_over_sd);
+    let none = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &[]).unwrap_err();
+    assert!(none.to_string().contains("at least one usable shape"), "{none}");
+}

@@ -185,6 +185,9 @@ fn measured(pair: &PairDocument) -> Result<MeasuredShape, String> {
     if held.is_some_and(|g| g.contacts_mm.len() > 1) {
         return Err("expected one contact, found the groove's two rims".to_owned());
     }
+    if pair.centreline_mm.len() < 2 {
+        return Err("expected a centre line, found none".to_owned());
+    }
     if pair.centreline_sd_mm.len() != pair.centreline_mm.len() {
         let (points, sds) = (pair.centreline_mm.len(), pair.centreline_sd_mm.len());
         return Err(format!("expected a standard deviation for each of {points} points, found {sds}"));

@@ -53,7 +53,8 @@ fn run(fault: Fault, extra: &str, step: usize, moving: bool) -> (VirtualBench, t
 }
 
 fn judge(fault: Fault, extra: &str, outcome: Outcome, k: usize) {
-    let (bench, dir, recorded) = run(fault, extra, 3 + k % 3, k.is_multiple_of(2));
+    // Step 3 is the first rest reading: from step 4 on there is a row to keep.
+    let (bench, dir, recorded) = run(fault, extra, 4 + k % 3, k.is_multiple_of(2));
     let warnings = recorded.warnings();
     match (outcome, &recorded.sweep.ending) {
         (Outcome::Stops(kind), Ending::Stopped { cause, stage_stopped }) => {

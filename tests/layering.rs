@@ -8,6 +8,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
     Some(match name {
         "wcal-core" => &[],
         "wcal-session" | "wcal-rod" | "wcal-map" | "wcal-report" | "wcal-vision" => &["wcal-core"],
+        "wcal-mujoco" => &["wcal-core", "wcal-rod"],
         "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
         "wcal-drivers" => &["wcal-core", "wcal-session"],
         "wcal-plant" => &[],
@@ -20,6 +21,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-trace",
             "wcal-report",
             "wcal-vision",
+            "wcal-mujoco",
             // The virtual bench's wire: physics that shares no code with the fitter.
             "wcal-plant",
         ],

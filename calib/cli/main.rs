@@ -14,6 +14,7 @@ mod predict;
 mod progress;
 mod reduce;
 mod report_input;
+mod simulate;
 mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;
@@ -55,6 +56,8 @@ enum Command {
     FitWhisker(fit_whisker::FitWhiskerArgs),
     /// The twin's base moments at a session's poses
     Twin(twin::TwinArgs),
+    /// Sweeps of the simulated whisker over objects, as shards
+    Simulate(simulate::SimulateArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),
     /// Rebuild the tables of a recorded session from its raw streams
@@ -83,6 +86,7 @@ fn main() -> ExitCode {
         Command::StereoShape(args) => stereo_shape::run(args),
         Command::FitWhisker(args) => fit_whisker::run(args),
         Command::Twin(args) => twin::run(args),
+        Command::Simulate(args) => simulate::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),

@@ -5,21 +5,25 @@
 //!
 //! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in TRACING of the project.
 
+pub mod chain;
 pub mod dual;
 mod error;
 pub mod integrate;
 pub mod material;
 pub mod near;
 pub mod path;
+pub mod pressed;
 pub mod rest_fit;
 pub mod shape;
 pub mod solve;
 pub mod stability;
 
+pub use chain::{Chain, Links};
 pub use error::RodError;
 pub use material::{Section, Softening};
 pub use near::Anchor;
 pub use path::{Line, Outcome, Touch, Tracker};
+pub use pressed::{Contact, Near, Pressed, Surface};
 pub use rest_fit::{MeasuredShape, RestFit, fit_rest};
 pub use shape::Shape;
 pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};

@@ -49,6 +49,21 @@ pub trait Candidate: Send + Sync {
     fn id(&self) -> &'static str;
     /// Laws, the plainest first.
     fn laws(&self) -> Vec<Law>;
+    /// Richer laws, tried only where the effect is accepted already and something is left. Their indices go on after those of `laws`.
+    fn refinements(&self) -> Vec<Law> {
+        Vec::new()
+    }
+    /// A law by its index.
+    ///
+    /// # Panics
+    /// Where there is none.
+    fn law(&self, index: usize) -> Law {
+        let mut all = self.laws();
+        if index >= all.len() {
+            all.extend(self.refinements());
+        }
+        all.swap_remove(index)
+    }
     /// One plain sentence for the report.
     fn sentence(&self) -> &'static str;
     /// Where the law and its ranges come from.

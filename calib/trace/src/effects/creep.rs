@@ -23,11 +23,22 @@ impl Candidate for Creep {
             law("log-time").amplitude("creep_fraction", "1", [0.0, 0.3], 0.02),
         ]
     }
+    fn refinements(&self) -> Vec<Law> {
+        const GRID: &[f64] = &[1.0, 10.0, 100.0, 1000.0];
+        let seconds = [0.3, 3000.0];
+        vec![
+            law("prony-2")
+                .amplitude("creep_fraction", "1", [0.0, 0.3], 0.02)
+                .shape("time_constant_s", "s", seconds, GRID)
+                .amplitude("second_creep_fraction", "1", [0.0, 0.3], 0.02)
+                .shape("second_time_constant_s", "s", seconds, GRID),
+        ]
+    }
     fn sentence(&self) -> &'static str {
         "The gratings go on moving after the load has changed, as a bond that creeps."
     }
     fn source(&self) -> &'static str {
-        "linear viscoelasticity, one Prony term or a spectrum that gives log-time creep"
+        "linear viscoelasticity, one or two Prony terms or a spectrum that gives log-time creep"
     }
 }
 
@@ -37,15 +48,14 @@ impl WhiskerEffect for Creep {
     }
 
     fn sensor(&self, law: usize, values: &[f64], path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let (fraction, spectrum): (f64, Vec<f64>) = if law == 0 {
-            (values[0], vec![values[1]])
-        } else {
-            // Equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
-            (values[0], (0..8).map(|k| 10f64.powf(0.5 * f64::from(k))).collect())
+        // Weights and time constants; equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
+        let spectrum: Vec<(f64, f64)> = match law {
+            0 => vec![(values[0], values[1])],
+            1 => (0..8).map(|k| (values[0] / 8.0, 10f64.powf(0.5 * f64::from(k)))).collect(),
+            _ => vec![(values[0], values[1]), (values[2], values[3])],
         };
-        let share = fraction / spectrum.len() as f64;
         let driven = moments_nmm.to_vec();
-        for time_constant_s in spectrum {
+        for (share, time_constant_s) in spectrum {
             let mut relaxed = [0.0; 2];
             for k in 1..driven.len() {
                 let dt = path.nodes[k].t_s - path.nodes[k - 1].t_s;

@@ -127,7 +127,7 @@ fn slots(terms: &[Term]) -> Vec<(usize, usize)> {
 }
 
 fn step_size(system: &dyn System, term: &Term, k: usize) -> f64 {
-    let p = system.catalogue()[term.effect].laws()[term.law].parameters[k];
+    let p = system.catalogue()[term.effect].law(term.law).parameters[k];
     match p.role {
         Role::Amplitude { probe } => 0.02 * probe.abs().max(0.1 * term.values[k].abs()),
         Role::Shape { grid } => {
@@ -153,7 +153,7 @@ fn tangents(
     slots(terms)
         .iter()
         .map(|&(t, k)| {
-            let p = system.catalogue()[terms[t].effect].laws()[terms[t].law].parameters[k];
+            let p = system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k];
             let mut h = step_size(system, &terms[t], k);
             if terms[t].values[k] + h > p.range[1] {
                 h = -h;
@@ -185,7 +185,7 @@ pub fn fit(system: &dyn System, terms: &[Term], weights: &Weights, iterations: u
     let mut here = evaluate(system, &terms, weights, &y)?;
     let index = slots(&terms);
     let range = |terms: &[Term], (t, k): (usize, usize)| {
-        system.catalogue()[terms[t].effect].laws()[terms[t].law].parameters[k].range
+        system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
     };
     let mut damping = 1e-3;
     let mut status = if index.is_empty() { Status::Converged } else { Status::NotConverged };

@@ -44,10 +44,10 @@ pub fn parameters(system: &dyn System, h: &Hypothesis, effect: usize) -> Vec<Eff
     let mut slot = q * c;
     // Columns of linear terms follow the declared model's in term order.
     let own: usize =
-        fit.terms.iter().map(|term| system.catalogue()[term.effect].laws()[term.law].linear.len()).sum();
+        fit.terms.iter().map(|term| system.catalogue()[term.effect].law(term.law).linear.len()).sum();
     let mut column = q - own.min(q);
     for term in &fit.terms {
-        let law = &system.catalogue()[term.effect].laws()[term.law];
+        let law = &system.catalogue()[term.effect].law(term.law);
         for (p, v) in law.parameters.iter().zip(&term.values) {
             let half = t * covariance[(slot, slot)].max(0.0).sqrt();
             slot += 1;

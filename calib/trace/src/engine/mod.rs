@@ -9,6 +9,7 @@ pub mod lasso;
 pub mod linear;
 pub mod null;
 pub mod outliers;
+mod refine;
 pub mod rivalry;
 pub mod search;
 pub mod share;

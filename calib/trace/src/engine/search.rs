@@ -6,6 +6,7 @@ use super::gate::{CATALOGUE_LEVEL, Gate, gate};
 use super::linear::stack;
 use super::null::f_test;
 use super::outliers::clean;
+use super::refine::refine_level;
 use super::rivalry::{AMBIGUITY_LEVEL, rival_p};
 use super::share::within_shares;
 use super::subsets::best_subsets;
@@ -83,7 +84,7 @@ impl Hypothesis {
     pub fn physical(&self, system: &dyn System) -> bool {
         let mut slot = 0;
         for t in &self.fit.terms {
-            let law = &system.catalogue()[t.effect].laws()[t.law];
+            let law = &system.catalogue()[t.effect].law(t.law);
             for (p, v) in law.parameters.iter().zip(&t.values) {
                 let at_bound = self.fit.at_bound[slot];
                 slot += 1;
@@ -160,7 +161,7 @@ fn outlier_index(system: &dyn System) -> Option<usize> {
 }
 
 /// Refits `terms` from each start and keeps the best physical one (else the best).
-fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option<Hypothesis> {
+pub(super) fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis) -> Option<Hypothesis> {
     let mut best: Option<Hypothesis> = None;
     for terms in starts {
         let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
@@ -242,7 +243,7 @@ fn by_subsets(
             if known.contains(&effects) {
                 return None;
             }
-            let law = |a: &Atom| system.catalogue()[a.term.effect].laws()[a.term.law].clone();
+            let law = |a: &Atom| system.catalogue()[a.term.effect].law(a.term.law).clone();
             Some(s.atoms.iter().map(|&i| atoms[i].start(&residual, &law(&atoms[i]))).collect::<Vec<Term>>())
         })
         .take(KEPT)
@@ -322,6 +323,10 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
         }
         best = candidate;
         level_gate = gate_again(system, &best, options, size as u64);
+        if level_gate.rejected() && refine_level(system, &base, &mut physical) {
+            best = physical[0].clone();
+            level_gate = gate_again(system, &best, options, (options.largest + size) as u64);
+        }
         level = physical.clone();
         final_level = physical;
     }
@@ -351,7 +356,7 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
                 .fit
                 .terms
                 .iter()
-                .map(|t| system.catalogue()[t.effect].laws()[t.law].name.to_owned())
+                .map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned())
                 .collect(),
             gain: (base.fit.ssr - h.fit.ssr) / variance,
             behind: behind(h),

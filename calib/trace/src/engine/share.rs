@@ -12,7 +12,7 @@ const LEVEL: f64 = 0.01;
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
 #[must_use]
 pub fn within_shares(system: &dyn System, fit: &Fit) -> bool {
-    let laws: Vec<_> = fit.terms.iter().map(|t| system.catalogue()[t.effect].laws()[t.law].clone()).collect();
+    let laws: Vec<_> = fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).clone()).collect();
     let own: usize = laws.iter().map(|l| l.linear.len()).sum();
     // Columns of linear terms follow the declared model's in term order.
     let mut first = fit.design.ncols() - own.min(fit.design.ncols());

@@ -140,7 +140,7 @@ impl ScalarModel {
                     let candidate = &system.catalogue()[t.effect];
                     ModelTerm {
                         id: candidate.id().to_owned(),
-                        law: candidate.laws()[t.law].name.to_owned(),
+                        law: candidate.law(t.law).name.to_owned(),
                         values: t.values.clone(),
                     }
                 })

@@ -98,11 +98,11 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
     let t = t95(fit.dof);
     let mut out: Vec<EffectParameter> = Vec::new();
     let mut slot = q;
-    let linear = |t: &crate::candidate::Term| system.catalogue()[t.effect].laws()[t.law].linear.len();
+    let linear = |t: &crate::candidate::Term| system.catalogue()[t.effect].law(t.law).linear.len();
     let own: usize = fit.terms.iter().map(linear).sum();
     let mut column = q - own;
     for term in &fit.terms {
-        let law = &system.catalogue()[term.effect].laws()[term.law];
+        let law = &system.catalogue()[term.effect].law(term.law);
         let mut push = |name: &str, unit: &str, value: f64, half: f64, lowest: f64| {
             let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
             let (value_out, unit_out) = at(value);

@@ -31,7 +31,7 @@ pub fn steadiness(system: &ScalarSystem, h: &Hypothesis) -> Option<Steadiness> {
     let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
     let term = &h.fit.terms[place];
     let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
-    let linear = |t: &crate::candidate::Term| system.catalogue()[t.effect].laws()[t.law].linear.len();
+    let linear = |t: &crate::candidate::Term| system.catalogue()[t.effect].law(t.law).linear.len();
     let own: usize = h.fit.terms.iter().map(linear).sum();
     let column = h.fit.design.ncols() - own + h.fit.terms[..place].iter().map(linear).sum::<usize>();
     let frame = &system.frame;

@@ -74,7 +74,7 @@ impl PhysicalModel {
                 let effect = &system.effects()[t.effect];
                 AcceptedEffect {
                     id: effect.id().to_owned(),
-                    law: effect.laws()[t.law].name.to_owned(),
+                    law: effect.law(t.law).name.to_owned(),
                     values: t.values.clone(),
                     parameters: crate::engine::inference::parameters(system, h, t.effect),
                 }
@@ -108,7 +108,9 @@ impl PhysicalModel {
             .iter()
             .filter_map(|a| {
                 let index = catalogue.iter().position(|e| e.id() == a.id)?;
-                let law = catalogue[index].laws().iter().position(|l| l.name == a.law)?;
+                let mut laws = catalogue[index].laws();
+                laws.extend(catalogue[index].refinements());
+                let law = laws.iter().position(|l| l.name == a.law)?;
                 Some((catalogue[index].clone(), Term { effect: index, law, values: a.values.clone() }))
             })
             .collect()

@@ -1,0 +1,50 @@
+//! Sweeps a second and core by the rod engine: `sweep_rate SWEEPS [STL ...]`; built-in objects without files.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::rod_engine::LINKS;
+use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, objects};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut words = std::env::args().skip(1);
+    let count: u64 = words.next().ok_or("expected the number of sweeps an object")?.parse()?;
+    let files: Vec<String> = words.collect();
+    let meshes: Vec<Mesh> = if files.is_empty() {
+        objects::NAMES.iter().map(|n| objects::built_in(n)).collect::<Result<_, _>>()?
+    } else {
+        files.iter().map(|f| Mesh::read(f.as_ref())).collect::<Result<_, _>>()?
+    };
+    let whisker = WhiskerSpec {
+        diameter_mm: 0.3,
+        youngs_gpa: 75.0,
+        shear_gpa: 28.2,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+        gravity_direction: None,
+    };
+    let (engine, plan) = (RodEngine::new(&whisker, LINKS)?, SweepPlan::default());
+    let (mut sweeps, mut samples, mut solves, mut iterations) = (0, 0, 0, 0);
+    let mut verdicts: BTreeMap<&str, u64> = BTreeMap::new();
+    let begin = Instant::now();
+    for mesh in &meshes {
+        for index in 0..count {
+            let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, engine.reach_mm()) else { continue };
+            let run = engine.run(mesh, &sweep, &plan);
+            sweeps += 1;
+            (samples, solves, iterations) =
+                (samples + run.samples.len(), solves + run.solves, iterations + run.iterations);
+            *verdicts.entry(run.verdict.name()).or_default() += 1;
+        }
+    }
+    let seconds = begin.elapsed().as_secs_f64();
+    println!(
+        "{sweeps} sweeps in {seconds:.2} s: {:.2} a second and core; {verdicts:?}",
+        f64::from(sweeps) / seconds
+    );
+    println!(
+        "{samples} samples, {solves} equilibria, {iterations} Newton steps, {:.1} us a step",
+        seconds * 1e6 / iterations as f64
+    );
+    Ok(())
+}

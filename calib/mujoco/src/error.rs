@@ -1,0 +1,52 @@
+use std::path::PathBuf;
+
+/// What went wrong with an object, a sweep plan or a shard.
+#[derive(Debug, thiserror::Error)]
+pub enum TwinError {
+    /// A file could not be read or written.
+    #[error("{action} {}: {source}", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// Where.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A mesh that no sweep can use.
+    #[error("object {object}: expected {expected}, found {found}")]
+    Mesh {
+        /// Its name.
+        object: String,
+        /// What a sweep needs.
+        expected: &'static str,
+        /// What is there.
+        found: String,
+    },
+    /// A value that no sweep can have.
+    #[error("{what}: expected {expected}, found {found}")]
+    Value {
+        /// Which.
+        what: &'static str,
+        /// What it may be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// A shard that is damaged.
+    #[error("shard {}: {detail}", path.display())]
+    Shard {
+        /// Which.
+        path: PathBuf,
+        /// How.
+        detail: String,
+    },
+}
+
+impl TwinError {
+    /// For `map_err` on file operations.
+    pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { action, path, source }
+    }
+}

@@ -1,0 +1,19 @@
+//! The digital twin's world: objects, sweeps of the whisker over them, and the dataset that they make.
+//!
+//! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
+//! toward -z. All that these modules make is SIMULATED.
+
+pub mod columns;
+pub mod dataset;
+mod error;
+pub mod mesh;
+pub mod objects;
+pub mod rod_engine;
+pub mod shard;
+pub mod sweep;
+
+pub use dataset::{Dataset, Total};
+pub use error::TwinError;
+pub use mesh::Mesh;
+pub use rod_engine::RodEngine;
+pub use sweep::{Sample, Sweep, SweepPlan, Verdict};

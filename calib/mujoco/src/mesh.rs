@@ -1,0 +1,210 @@
+//! Triangle meshes with exact signed distance.
+
+use crate::TwinError;
+use nalgebra::{Matrix3, Vector3};
+use parry3d_f64::math::Vector as Place;
+use parry3d_f64::query::{PointQuery, PointQueryWithLocation};
+use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
+use std::collections::HashMap;
+use std::path::Path;
+use wcal_rod::Near;
+
+/// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
+const SIZE_MM: [f64; 2] = [3.0, 2000.0];
+/// Largest number of triangles that is read.
+const MOST_TRIANGLES: usize = 5_000_000;
+/// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
+const ON_SURFACE_MM: f64 = 1e-9;
+
+/// An object's surface.
+#[derive(Debug, Clone)]
+pub struct Mesh {
+    /// Name of the object.
+    pub name: String,
+    /// Corners of its box, mm.
+    pub low_mm: Vector3<f64>,
+    /// See `low_mm`.
+    pub high_mm: Vector3<f64>,
+    /// What is remarkable, in words: open edges, another unit.
+    pub notes: Vec<String>,
+    surface: TriMesh,
+}
+
+impl Mesh {
+    /// From corners (mm) and triangles whose normals point outward.
+    ///
+    /// # Errors
+    /// Where there is nothing, too much, a value that is not finite, or an object of impossible size.
+    pub fn new(name: &str, points_mm: &[Vector3<f64>], triangles: &[[u32; 3]]) -> Result<Self, TwinError> {
+        let refuse = |expected, found: String| TwinError::Mesh { object: name.to_owned(), expected, found };
+        if triangles.is_empty() || triangles.len() > MOST_TRIANGLES {
+            return Err(refuse("1 to 5,000,000 triangles", format!("{}", triangles.len())));
+        }
+        if triangles.iter().flatten().any(|&k| k as usize >= points_mm.len()) {
+            return Err(refuse("triangles between known corners", "a corner that is not there".to_owned()));
+        }
+        if points_mm.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
+            return Err(refuse("finite corners", "NaN or infinity".to_owned()));
+        }
+        let (points, triangles) = merged(points_mm, triangles);
+        if triangles.is_empty() {
+            return Err(refuse("triangles with an area", "none".to_owned()));
+        }
+        let low_mm = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
+        let high_mm = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let size_mm = (high_mm - low_mm).max();
+        if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
+            return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+        }
+        let notes = topology(&triangles);
+        let places = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
+        let surface = TriMesh::with_flags(places, triangles, TriMeshFlags::ORIENTED)
+            .map_err(|e| refuse("a mesh that can be searched", e.to_string()))?;
+        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface })
+    }
+
+    /// From an STL file. Metres taken for millimetres are told by the size and said in `notes`.
+    ///
+    /// # Errors
+    /// As [`Self::new`], or where the file cannot be read.
+    pub fn read(path: &Path) -> Result<Self, TwinError> {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let file = std::fs::File::open(path).map_err(TwinError::io("opening", path))?;
+        let stl =
+            stl_io::read_stl(&mut std::io::BufReader::new(file)).map_err(TwinError::io("reading", path))?;
+        let mut points: Vec<Vector3<f64>> = stl
+            .vertices
+            .iter()
+            .map(|v| Vector3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2])))
+            .collect();
+        let triangles: Vec<[u32; 3]> = stl.faces.iter().map(|f| f.vertices.map(|k| k as u32)).collect();
+        let low = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
+        let high = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
+        let size = (high - low).max();
+        // Nothing that a whisker of 60 mm sweeps over is smaller than 3 mm; in metres everything is.
+        let metres = size.is_finite() && size > 0.0 && size < SIZE_MM[0] && size * 1e3 >= SIZE_MM[0];
+        if metres {
+            points.iter_mut().for_each(|p| *p *= 1e3);
+        }
+        let mut mesh = Self::new(&name, &points, &triangles)?;
+        if metres {
+            mesh.notes.push(format!("longest side {size:.4}: taken as metres"));
+        }
+        Ok(mesh)
+    }
+
+    /// Turned and then shifted.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn placed(&self, turn: &Matrix3<f64>, shift_mm: &Vector3<f64>) -> Result<Self, TwinError> {
+        let points: Vec<Vector3<f64>> = self.points().map(|p| turn * p + shift_mm).collect();
+        let mut mesh = Self::new(&self.name, &points, self.surface.indices())?;
+        mesh.notes.clone_from(&self.notes);
+        Ok(mesh)
+    }
+
+    /// Corners, mm.
+    pub fn points(&self) -> impl Iterator<Item = Vector3<f64>> + '_ {
+        self.surface.vertices().iter().map(|v| vector(*v))
+    }
+
+    /// Triangles.
+    #[must_use]
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        self.surface.indices()
+    }
+
+    /// The surface near a point: exact distance, negative inside (of a closed mesh).
+    #[must_use]
+    pub fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+        // Most questions are asked far away.
+        let outside = (self.low_mm - p).sup(&(p - self.high_mm)).sup(&Vector3::zeros());
+        if outside.norm() > within_mm {
+            return None;
+        }
+        let place = Place::new(p.x, p.y, p.z);
+        let (found, (triangle, feature)) = self.surface.project_local_point_and_get_location_with_max_dist(
+            place,
+            false,
+            within_mm.max(30.0),
+        )?;
+        let point_mm = vector(found.point);
+        let off = p - point_mm;
+        let size = off.norm();
+        let distance_mm = if found.is_inside { -size } else { size };
+        if distance_mm > within_mm {
+            return None;
+        }
+        if size < ON_SURFACE_MM {
+            let normal = self.surface.triangle(triangle).normal().map_or_else(Vector3::x, vector);
+            return Some(Near { distance_mm, normal, point_mm, second_per_mm: Matrix3::zeros() });
+        }
+        let normal = off / distance_mm;
+        // Distance from a plane is linear; from an edge or a corner it bends with the inverse of itself.
+        let across = match feature {
+            TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => Matrix3::zeros(),
+            TrianglePointLocation::OnVertex(_) => Matrix3::identity() - normal * normal.transpose(),
+            TrianglePointLocation::OnEdge(k, _) => {
+                let corners = self.surface.triangle(triangle).vertices().map(vector);
+                let edge = (corners[(k as usize + 1) % 3] - corners[k as usize]).normalize();
+                let side = edge.cross(&normal);
+                side * side.transpose()
+            }
+        };
+        Some(Near { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
+    }
+
+    /// Distance from the surface, whatever the side, mm.
+    #[must_use]
+    pub fn distance_mm(&self, p: &Vector3<f64>) -> f64 {
+        self.surface.distance_to_local_point(Place::new(p.x, p.y, p.z), false).abs()
+    }
+}
+
+fn vector(p: Place) -> Vector3<f64> {
+    Vector3::new(p.x, p.y, p.z)
+}
+
+/// Equal corners made one; triangles without area left out.
+fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>, Vec<[u32; 3]>) {
+    let mut known: HashMap<[u64; 3], u32> = HashMap::new();
+    let mut kept = Vec::new();
+    let place: Vec<u32> = points
+        .iter()
+        .map(|p| {
+            // Adding zero makes -0 the same as 0.
+            *known.entry([0, 1, 2].map(|k| (p[k] + 0.0).to_bits())).or_insert_with(|| {
+                kept.push(*p);
+                (kept.len() - 1) as u32
+            })
+        })
+        .collect();
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|k| kept[k as usize]);
+        (b - a).cross(&(c - a)).norm()
+    };
+    let triangles: Vec<[u32; 3]> =
+        triangles.iter().map(|t| t.map(|k| place[k as usize])).filter(|t| area(t) > 0.0).collect();
+    (kept, triangles)
+}
+
+/// Open and crowded edges, in words.
+fn topology(triangles: &[[u32; 3]]) -> Vec<String> {
+    let mut edges: HashMap<[u32; 2], usize> = HashMap::new();
+    for t in triangles {
+        for [a, b] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
+            *edges.entry([a.min(b), a.max(b)]).or_default() += 1;
+        }
+    }
+    let open = edges.values().filter(|n| **n == 1).count();
+    let crowded = edges.values().filter(|n| **n > 2).count();
+    let mut notes = Vec::new();
+    if open > 0 {
+        notes.push(format!("not watertight: {open} open edges"));
+    }
+    if crowded > 0 {
+        notes.push(format!("not a manifold: {crowded} edges of more than two triangles"));
+    }
+    notes
+}

@@ -1,0 +1,240 @@
+//! Sweeps by the quasi-static rod: no friction, no damping, the exact mesh as contact surface.
+//!
+//! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
+//! which neither came to rest are marked.
+
+use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
+use crate::{Mesh, TwinError};
+use nalgebra::Vector3;
+use wcal_core::observation::WhiskerSpec;
+use wcal_rod::{Chain, Contact, Links, Pressed, Section, Shape, Surface};
+
+/// Links of the wire: base moments are within 0.6 % of the continuous rod's (tests/acceptance/pressed.rs of wcal-rod).
+pub const LINKS: usize = 40;
+/// Longest step of the base between equilibria, mm, and how often it is halved where Newton's method does not get there.
+const STEP_MM: f64 = 1.0;
+const HALVINGS: u32 = 2;
+/// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
+const NEWTON_STEPS: usize = 25;
+const SOFT_STEPS: usize = 400;
+/// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled, and the share of such samples
+/// with which a sweep is kept.
+const UNSETTLED_MM: f64 = 0.05;
+const MOST_UNSETTLED: f64 = 0.2;
+/// A node that moves by more than this (mm) beyond three times the base's step has sprung.
+const SPRING_MM: f64 = 1.5;
+/// A contact that runs faster than this many times the base's speed slips.
+const SLIP_RATIO: f64 = 4.0;
+/// The first samples keep this distance, mm: nearer, the wire begins inside the object.
+const CLEAR_MM: f64 = 0.0;
+/// Mesh on which the rest shape is read, mm.
+const SHAPE_STEP_MM: f64 = 0.25;
+
+/// A whisker on which sweeps are run.
+#[derive(Debug, Clone)]
+pub struct RodEngine {
+    chain: Chain,
+    rest: Links,
+}
+
+/// What a sweep gave.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// Samples at the plan's rate, also of a rejected sweep as far as it got.
+    pub samples: Vec<Sample>,
+    /// Kept, or why not.
+    pub verdict: Verdict,
+    /// Equilibria solved.
+    pub solves: usize,
+    /// Newton steps.
+    pub iterations: usize,
+}
+
+impl RodEngine {
+    /// For a whisker.
+    ///
+    /// # Errors
+    /// Where its rest shape cannot be used.
+    pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, TwinError> {
+        let refuse = |e: wcal_rod::RodError| TwinError::Value {
+            what: "whisker",
+            expected: "a wire that can be bent".to_owned(),
+            found: e.to_string(),
+        };
+        let shape = Shape::new(&whisker.rest_shape, SHAPE_STEP_MM).map_err(refuse)?;
+        let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
+        let chain = Chain::new(&section, &shape, whisker.diameter_mm, links).map_err(refuse)?;
+        let rest = chain.at_rest();
+        Ok(Self { chain, rest })
+    }
+
+    /// How far the wire reaches along the straight part's direction, mm.
+    #[must_use]
+    pub fn reach_mm(&self) -> f64 {
+        self.rest.nodes_mm.iter().map(|p| p.x).fold(0.0, f64::max)
+    }
+
+    /// Runs a sweep to its end.
+    #[must_use]
+    pub fn run(&self, mesh: &Mesh, sweep: &Sweep, plan: &SweepPlan) -> Run {
+        let mut way = Way {
+            engine: self,
+            mesh,
+            sweep,
+            travel_mm: 0.0,
+            pressed: self.free(),
+            solves: 0,
+            iterations: 0,
+            sprung: false,
+            settled: true,
+        };
+        let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
+        let (mut touched, mut free_since_mm) = (false, None::<f64>);
+        if way.clearance_mm() < CLEAR_MM {
+            run.verdict = Verdict::Rejected("starts-inside");
+            return run;
+        }
+        for k in 0.. {
+            let t_s = f64::from(k) / plan.rate_hz;
+            let (travel_mm, speed_mm_s) = sweep.travel(t_s);
+            if travel_mm > plan.most_mm {
+                break;
+            }
+            let before = way.pressed.contacts.clone();
+            let reached = way.go_to(travel_mm);
+            let contacts = way.pressed.contacts.clone();
+            let moment_nmm = self.chain.root_moment_nmm(&way.pressed.links);
+            let step_mm = speed_mm_s / plan.rate_hz;
+            let event = event(&before, &contacts, way.sprung, step_mm);
+            run.samples.push(Sample {
+                t_s,
+                travel_mm,
+                speed_mm_s,
+                moment_nmm,
+                contacts,
+                event,
+                settled: way.settled,
+            });
+            if !reached {
+                run.verdict = Verdict::Rejected("no-equilibrium");
+                break;
+            }
+            let strain = self.chain.largest_bend_per_mm(&way.pressed.links) * self.chain.radius_mm;
+            if strain > plan.most_strain {
+                run.verdict = Verdict::Rejected("torque-too-high");
+                break;
+            }
+            touched |= !way.pressed.contacts.is_empty();
+            if touched && way.pressed.contacts.is_empty() {
+                let since = *free_since_mm.get_or_insert(travel_mm);
+                if travel_mm - since >= plan.tail_mm {
+                    break;
+                }
+            } else {
+                free_since_mm = None;
+            }
+        }
+        let unsettled = run.samples.iter().filter(|s| !s.settled).count();
+        if run.verdict == Verdict::Kept && unsettled as f64 > MOST_UNSETTLED * run.samples.len() as f64 {
+            run.verdict = Verdict::Rejected("no-equilibrium");
+        }
+        if run.verdict == Verdict::Kept && !touched {
+            run.verdict = Verdict::Rejected("no-contact");
+        }
+        (run.solves, run.iterations) = (way.solves, way.iterations);
+        run
+    }
+
+    fn free(&self) -> Pressed {
+        Pressed {
+            links: self.rest.clone(),
+            contacts: Vec::new(),
+            converged: true,
+            iterations: 0,
+            overlap_mm: 0.0,
+        }
+    }
+}
+
+/// A wire on its way.
+struct Way<'a> {
+    engine: &'a RodEngine,
+    mesh: &'a Mesh,
+    sweep: &'a Sweep,
+    travel_mm: f64,
+    pressed: Pressed,
+    solves: usize,
+    iterations: usize,
+    /// Since the last sample: whether the wire sprang, and whether it came to rest everywhere.
+    sprung: bool,
+    settled: bool,
+}
+
+impl Way<'_> {
+    fn at(&self, travel_mm: f64) -> Passing<'_> {
+        Passing { mesh: self.mesh, sweep: self.sweep, travel_mm }
+    }
+
+    /// Least gap of the wire's nodes where they are, mm; infinite where nothing is near.
+    fn clearance_mm(&self) -> f64 {
+        let body = self.at(self.travel_mm);
+        let within = 4.0 * STEP_MM;
+        let gap = |p: &Vector3<f64>| {
+            body.near(p, within).map_or(f64::INFINITY, |n| n.distance_mm - self.engine.chain.radius_mm)
+        };
+        self.pressed.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Follows the equilibrium; false where it is lost for good.
+    fn go_to(&mut self, travel_mm: f64) -> bool {
+        (self.sprung, self.settled) = (false, true);
+        let mut halvings = 0;
+        while travel_mm - self.travel_mm > 1e-12 {
+            let step_mm = (STEP_MM / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
+            let next_mm = self.travel_mm + step_mm;
+            let moved = Vector3::new(0.0, 0.0, -step_mm);
+            let chain = &self.engine.chain;
+            let mut next = chain.press(
+                &self.at(next_mm),
+                &self.pressed.links,
+                &self.pressed.contacts,
+                &moved,
+                NEWTON_STEPS,
+            );
+            self.iterations += next.iterations;
+            if !next.converged && halvings == HALVINGS {
+                next = chain.press_softly(&self.at(next_mm), &self.pressed.links, SOFT_STEPS);
+                self.iterations += next.iterations;
+            }
+            self.solves += 1;
+            let nodes = next.links.nodes_mm.iter().zip(&self.pressed.links.nodes_mm);
+            let largest = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            let springs = largest > SPRING_MM + 3.0 * step_mm;
+            // Smaller steps tell a spring from a step that was too long.
+            if (!next.converged || springs) && halvings < HALVINGS {
+                halvings += 1;
+                continue;
+            }
+            self.sprung |= springs;
+            self.settled &= next.converged;
+            let lost = !next.converged && !(next.overlap_mm < UNSETTLED_MM);
+            self.pressed = next;
+            self.travel_mm = next_mm;
+            if lost {
+                return false;
+            }
+            halvings = halvings.saturating_sub(1);
+        }
+        true
+    }
+}
+
+fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
+    match (before.first(), after.first()) {
+        (None, Some(_)) => Event::Onset,
+        (Some(_), None) => Event::Release,
+        _ if sprung => Event::Jump,
+        (Some(a), Some(b)) if (a.arclength_mm - b.arclength_mm).abs() > SLIP_RATIO * step_mm => Event::Slip,
+        _ => Event::None,
+    }
+}

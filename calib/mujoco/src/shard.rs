@@ -1,0 +1,213 @@
+//! Shards: what a block of sweeps over one object gave, in three tables and a manifest that is written last.
+
+use crate::columns::{Column, to_bytes};
+use crate::rod_engine::Run;
+use crate::sweep::Sweep;
+use crate::{TwinError, Verdict};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_core::provenance::sha256_hex;
+
+/// Version of the tables.
+pub const FORMAT: &str = "wcal-sweeps/1";
+
+/// What a shard holds, and the checksums of its tables.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// `wcal-sweeps/1`.
+    pub format: String,
+    /// Always true: no shard is measured.
+    pub simulated: bool,
+    /// Object.
+    pub object: String,
+    /// SHA-256 of engine, whisker, plan, mesh and seed: what the tables follow from.
+    pub made_from: String,
+    /// First sweep and their number.
+    pub sweeps: [u64; 2],
+    /// Seconds that one core took: not part of what is reproducible.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub core_s: Option<f64>,
+    /// How many were kept, and how many were rejected for which reason.
+    pub verdicts: BTreeMap<String, u64>,
+    /// Samples in all.
+    pub samples: u64,
+    /// SHA-256 of each table.
+    pub sha256: BTreeMap<String, String>,
+}
+
+/// One sweep with what it gave; `None` where its plane misses the object.
+pub type Outcome = (u64, Option<(Sweep, Run)>);
+
+/// Whether a shard is there, whole, and of the same making.
+#[must_use]
+pub fn is_done(folder: &Path, name: &str, made_from: &str) -> Option<Manifest> {
+    let manifest = read_manifest(&folder.join(format!("{name}.json"))).ok()?;
+    (manifest.made_from == made_from && check(folder, &manifest).is_ok()).then_some(manifest)
+}
+
+/// # Errors
+/// Where the manifest cannot be read.
+pub fn read_manifest(path: &Path) -> Result<Manifest, TwinError> {
+    let text = std::fs::read_to_string(path).map_err(TwinError::io("reading", path))?;
+    serde_json::from_str(&text).map_err(|e| TwinError::Shard { path: path.to_owned(), detail: e.to_string() })
+}
+
+/// Compares the tables with their checksums.
+///
+/// # Errors
+/// Names the first table that is missing or differs.
+pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), TwinError> {
+    for (table, expected) in &manifest.sha256 {
+        let path = folder.join(table);
+        let bytes = std::fs::read(&path).map_err(TwinError::io("reading", &path))?;
+        let found = sha256_hex(&bytes);
+        if found != *expected {
+            return Err(TwinError::Shard {
+                path,
+                detail: format!("expected SHA-256 {expected}, found {found}"),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Writes a shard; each file is complete or not there.
+///
+/// # Errors
+/// Where the folder cannot be written.
+pub fn write(
+    folder: &Path,
+    name: &str,
+    object: &str,
+    made_from: &str,
+    outcomes: &[Outcome],
+    core_s: f64,
+) -> Result<Manifest, TwinError> {
+    let about =
+        [("format", FORMAT.to_owned()), ("simulated", "true".to_owned()), ("object", object.to_owned())];
+    let mut manifest = Manifest {
+        format: FORMAT.to_owned(),
+        simulated: true,
+        object: object.to_owned(),
+        made_from: made_from.to_owned(),
+        sweeps: [outcomes.first().map_or(0, |o| o.0), outcomes.len() as u64],
+        core_s: Some(core_s),
+        verdicts: BTreeMap::new(),
+        samples: 0,
+        sha256: BTreeMap::new(),
+    };
+    for (_, outcome) in outcomes {
+        let name = outcome.as_ref().map_or("no-section", |(_, run)| run.verdict.name());
+        *manifest.verdicts.entry(name.to_owned()).or_default() += 1;
+        manifest.samples += outcome.as_ref().map_or(0, |(_, run)| run.samples.len() as u64);
+    }
+    for (table, columns) in
+        [("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))]
+    {
+        let file = format!("{name}.{table}.parquet");
+        let bytes = to_bytes(&columns, &about)
+            .map_err(|e| TwinError::Shard { path: folder.join(&file), detail: e.to_string() })?;
+        manifest.sha256.insert(file.clone(), sha256_hex(&bytes));
+        write_whole(&folder.join(&file), &bytes)?;
+    }
+    let path = folder.join(format!("{name}.json"));
+    let text = serde_json::to_string_pretty(&manifest)
+        .map_err(|e| TwinError::Shard { path: path.clone(), detail: e.to_string() })?;
+    write_whole(&path, text.as_bytes())?;
+    Ok(manifest)
+}
+
+/// Under another name first: a reader never sees half a file.
+fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
+    let part = path.with_extension("part");
+    std::fs::write(&part, bytes).map_err(TwinError::io("writing", &part))?;
+    std::fs::rename(&part, path).map_err(TwinError::io("writing", path))
+}
+
+type Columns = Vec<(&'static str, Column)>;
+
+fn sweeps(outcomes: &[Outcome]) -> Columns {
+    let real = |value: &dyn Fn(&Sweep) -> f64| {
+        Column::Maybe(outcomes.iter().map(|(_, o)| o.as_ref().map(|(s, _)| value(s))).collect())
+    };
+    let turn = |s: &Sweep| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(s.turn));
+    let verdict =
+        |o: &Option<(Sweep, Run)>| o.as_ref().map_or("no-section", |(_, run)| run.verdict.name()).to_owned();
+    let kept =
+        |o: &Option<(Sweep, Run)>| i64::from(o.as_ref().is_some_and(|(_, r)| r.verdict == Verdict::Kept));
+    vec![
+        ("sweep", Column::Whole(outcomes.iter().map(|o| o.0 as i64).collect())),
+        ("kept", Column::Whole(outcomes.iter().map(|o| kept(&o.1)).collect())),
+        ("verdict", Column::Text(outcomes.iter().map(|o| verdict(&o.1)).collect())),
+        ("speed_mm_s", real(&|s| s.speed_mm_s)),
+        ("gap_mm", real(&|s| s.gap_mm)),
+        ("base_from_object_qw", real(&|s| turn(s).w)),
+        ("base_from_object_qx", real(&|s| turn(s).i)),
+        ("base_from_object_qy", real(&|s| turn(s).j)),
+        ("base_from_object_qz", real(&|s| turn(s).k)),
+        ("base_from_object_x_mm", real(&|s| s.shift_mm.x)),
+        ("base_from_object_y_mm", real(&|s| s.shift_mm.y)),
+        ("base_from_object_z_mm", real(&|s| s.shift_mm.z)),
+    ]
+}
+
+fn runs(outcomes: &[Outcome]) -> impl Iterator<Item = (i64, &Run)> {
+    outcomes.iter().filter_map(|(k, o)| Some((*k as i64, &o.as_ref()?.1)))
+}
+
+fn samples(outcomes: &[Outcome]) -> Columns {
+    let all: Vec<_> =
+        runs(outcomes).flat_map(|(k, r)| r.samples.iter().enumerate().map(move |(i, s)| (k, i, s))).collect();
+    let whole =
+        |value: &dyn Fn(&(i64, usize, &crate::Sample)) -> i64| Column::Whole(all.iter().map(value).collect());
+    let real = |value: &dyn Fn(&crate::Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
+    let first = |value: &dyn Fn(&wcal_rod::Contact) -> f64| {
+        Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
+    };
+    vec![
+        ("sweep", whole(&|s| s.0)),
+        ("sample", whole(&|s| s.1 as i64)),
+        ("t_s", real(&|s| s.t_s)),
+        ("travel_mm", real(&|s| s.travel_mm)),
+        ("speed_mm_s", real(&|s| s.speed_mm_s)),
+        ("moment_x_nmm", real(&|s| s.moment_nmm.x)),
+        ("moment_y_nmm", real(&|s| s.moment_nmm.y)),
+        ("moment_z_nmm", real(&|s| s.moment_nmm.z)),
+        ("contacts", whole(&|s| s.2.contacts.len() as i64)),
+        ("contact_x_mm", first(&|c| c.point_mm.x)),
+        ("contact_y_mm", first(&|c| c.point_mm.y)),
+        ("contact_z_mm", first(&|c| c.point_mm.z)),
+        ("contact_arclength_mm", first(&|c| c.arclength_mm)),
+        ("contact_force_n", first(&|c| c.force_n)),
+        ("settled", whole(&|s| i64::from(s.2.settled))),
+        ("event", Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect())),
+    ]
+}
+
+fn contacts(outcomes: &[Outcome]) -> Columns {
+    let mut all = Vec::new();
+    for (k, run) in runs(outcomes) {
+        for (i, sample) in run.samples.iter().enumerate() {
+            all.extend(sample.contacts.iter().enumerate().map(|(n, c)| (k, i as i64, n as i64, c)));
+        }
+    }
+    let real =
+        |value: &dyn Fn(&wcal_rod::Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
+    let axes = |value: fn(&wcal_rod::Contact) -> Vector3<f64>, k: usize| real(&move |c| value(c)[k]);
+    vec![
+        ("sweep", Column::Whole(all.iter().map(|c| c.0).collect())),
+        ("sample", Column::Whole(all.iter().map(|c| c.1).collect())),
+        ("contact", Column::Whole(all.iter().map(|c| c.2).collect())),
+        ("x_mm", axes(|c| c.point_mm, 0)),
+        ("y_mm", axes(|c| c.point_mm, 1)),
+        ("z_mm", axes(|c| c.point_mm, 2)),
+        ("normal_x", axes(|c| c.normal, 0)),
+        ("normal_y", axes(|c| c.normal, 1)),
+        ("normal_z", axes(|c| c.normal, 2)),
+        ("arclength_mm", real(&|c| c.arclength_mm)),
+        ("force_n", real(&|c| c.force_n)),
+        ("gap_mm", real(&|c| c.gap_mm)),
+    ]
+}

@@ -1,0 +1,115 @@
+//! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again; meshes refused by name.
+
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::{Dataset, Mesh, SweepPlan, objects, shard};
+
+fn dataset(seed: u64) -> Dataset {
+    Dataset {
+        whisker: WhiskerSpec {
+            diameter_mm: 0.3,
+            youngs_gpa: 75.0,
+            shear_gpa: 28.2,
+            density_kg_m3: None,
+            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+            gravity_direction: None,
+        },
+        plan: SweepPlan { most_mm: 40.0, rate_hz: 2.0, ..SweepPlan::default() },
+        objects: ["can", "wedge"].map(|n| objects::built_in(n).unwrap()).to_vec(),
+        sweeps: 27,
+        seed,
+        share: [0, 1],
+    }
+}
+
+/// Every table's bytes.
+fn tables(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
+    let tables = files.filter(|f| f.extension().is_some_and(|e| e == "parquet"));
+    tables
+        .map(|f| (f.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(&f).unwrap()))
+        .collect()
+}
+
+#[test]
+fn shards_do_not_depend_on_threads_or_shares_and_go_on_where_they_stopped() {
+    let [one, shared] = [0; 2].map(|_| tempfile::tempdir().unwrap());
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let first = pool.install(|| dataset(1).make(one.path(), |_, _| {}).unwrap());
+    assert_eq!(first["can"].sweeps, 27);
+    for share in 0..3 {
+        Dataset { share: [share, 3], ..dataset(1) }.make(shared.path(), |_, _| {}).unwrap();
+    }
+    let whole = tables(one.path());
+    assert_eq!(whole.len(), 12, "two blocks of two objects, three tables each");
+    assert!(whole == tables(shared.path()));
+    // A damaged table is made again, what is whole is not.
+    std::fs::write(one.path().join("can-000025.samples.parquet"), b"PAR1").unwrap();
+    let again = dataset(1).make(one.path(), |_, _| {}).unwrap();
+    assert_eq!([again["can"].made, again["wedge"].made], [2, 0]);
+    assert!(whole == tables(one.path()));
+    // Negative control: another seed is another dataset, also in the same folder.
+    let other = dataset(2).make(one.path(), |_, _| {}).unwrap();
+    assert_eq!([other["can"].made, other["wedge"].made], [27, 27]);
+    assert!(whole != tables(one.path()));
+}
+
+#[test]
+fn a_wrong_byte_is_told_by_the_checksum() {
+    let folder = tempfile::tempdir().unwrap();
+    Dataset { sweeps: 2, ..dataset(1) }.make(folder.path(), |_, _| {}).unwrap();
+    let manifest = shard::read_manifest(&folder.path().join("can-000000.json")).unwrap();
+    assert!(manifest.simulated && shard::check(folder.path(), &manifest).is_ok());
+    let table = folder.path().join("can-000000.samples.parquet");
+    let mut bytes = std::fs::read(&table).unwrap();
+    bytes[100] ^= 1;
+    std::fs::write(&table, bytes).unwrap();
+    let error = shard::check(folder.path(), &manifest).unwrap_err().to_string();
+    assert!(error.contains("can-000000.samples.parquet") && error.contains("SHA-256"), "{error}");
+}
+
+fn stl(path: &Path, corners: &[[f32; 3]], triangles: &[[usize; 3]]) {
+    let triangles: Vec<stl_io::Triangle> = triangles
+        .iter()
+        .map(|t| stl_io::Triangle {
+            normal: stl_io::Normal::new([0.0; 3]),
+            vertices: t.map(|k| stl_io::Vertex::new(corners[k])),
+        })
+        .collect();
+    stl_io::write_stl(&mut std::fs::File::create(path).unwrap(), triangles.iter()).unwrap();
+}
+
+#[test]
+fn meshes_are_refused_or_noted_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let tetra = |s: f32| [[0.0; 3], [s, 0.0, 0.0], [0.0, s, 0.0], [0.0, 0.0, s]];
+    let closed = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+    stl(&place("metres.stl"), &tetra(0.05), &closed);
+    let metres = Mesh::read(&place("metres.stl")).unwrap();
+    assert!(metres.notes.iter().any(|n| n.contains("metres")), "{:?}", metres.notes);
+    assert!((metres.high_mm.x - 50.0).abs() < 1e-4);
+    stl(&place("open.stl"), &tetra(50.0), &closed[..3]);
+    let open = Mesh::read(&place("open.stl")).unwrap();
+    assert!(open.notes.iter().any(|n| n.contains("3 open edges")), "{:?}", open.notes);
+    // Negative control: nothing is remarkable about a closed mesh in millimetres.
+    stl(&place("good.stl"), &tetra(50.0), &closed);
+    assert!(Mesh::read(&place("good.stl")).unwrap().notes.is_empty());
+    stl(&place("empty.stl"), &[], &[]);
+    stl(&place("huge.stl"), &tetra(5000.0), &closed);
+    stl(&place("flat.stl"), &tetra(50.0), &[[0, 1, 1]]);
+    std::fs::write(place("cut.stl"), vec![0_u8; 90]).unwrap();
+    for (name, word) in [
+        ("empty", "expected 1 to 5,000,000 triangles, found 0"),
+        ("huge", "expected a longest side of 3 to 2000 mm, found 5000"),
+        ("flat", "expected triangles with an area, found none"),
+        ("missing", "missing.stl"),
+    ] {
+        let error = Mesh::read(&place(&format!("{name}.stl"))).unwrap_err().to_string();
+        assert!(error.contains(word), "{name}: {error}");
+    }
+    let nan = Mesh::new("nan", &[Vector3::repeat(f64::NAN); 3], &[[0, 1, 2]]).unwrap_err().to_string();
+    assert!(nan.contains("object nan: expected finite corners"), "{nan}");
+}

@@ -1,0 +1,371 @@
+//! The wire as rigid links with springs at their joints: energy, balance and stiffness in absolute link rotations.
+//!
+//! Joints lie between link centres; the clamp's spring spans half a link, which makes the scheme second order at the root. In spatial
+//! rotation increments of each link the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links).
+//! Formulation: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
+
+use crate::{RodError, Section, Shape};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+/// A joint: rest turn (rad, frame of the link beyond it) and stiffness (N mm/rad).
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Joint {
+    rest: Vector3<f64>,
+    stiffness: Vector3<f64>,
+}
+
+/// Links of equal length from a clamp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    /// Length of a link, mm.
+    pub link_mm: f64,
+    /// Radius of the wire, mm.
+    pub radius_mm: f64,
+    /// Load along the wire, N/mm (weight less buoyancy).
+    pub load_n_per_mm: Vector3<f64>,
+    joints: Vec<Joint>,
+    clamp: Matrix3<f64>,
+}
+
+/// Where the links are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Links {
+    /// Frame of each link; its first column is the link's direction.
+    pub frames: Vec<Matrix3<f64>>,
+    /// Ends of the links from the root on, mm: one more than links.
+    pub nodes_mm: Vec<Vector3<f64>>,
+}
+
+/// Energy, its gradient and its Hessian by blocks, at some place of the links.
+#[derive(Debug, Clone)]
+pub(crate) struct Balance {
+    pub energy_nmm: f64,
+    /// Elastic gradient less that of the load, a link.
+    pub gradient: Vec<Vector3<f64>>,
+    /// Diagonal blocks, and the block to the link before.
+    pub diagonal: Vec<Matrix3<f64>>,
+    pub before: Vec<Matrix3<f64>>,
+}
+
+impl Chain {
+    /// `links` links for a wire at rest in `shape`.
+    ///
+    /// # Errors
+    /// Without links, or where the wire has no thickness or stiffness.
+    pub fn new(section: &Section, shape: &Shape, diameter_mm: f64, links: usize) -> Result<Self, RodError> {
+        if links < 2 || !(diameter_mm > 0.0) || !(section.ei_nmm2 > 0.0 && section.gj_nmm2 > 0.0) {
+            return Err(RodError::Shape {
+                expected: "two links or more, diameter and stiffness above 0",
+                found: format!("{links} links, diameter {diameter_mm} mm, EI {} N mm2", section.ei_nmm2),
+            });
+        }
+        let link_mm = shape.length_mm / links as f64;
+        let joints = (0..links)
+            .map(|j| {
+                let (from, to) = ((j as f64 - 0.5).max(0.0) * link_mm, (j as f64 + 0.5) * link_mm);
+                let span = to - from;
+                let factor = section.taper_factor((from + to) / 2.0 / shape.length_mm) / span;
+                Joint {
+                    rest: turn(shape, from, to),
+                    stiffness: Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor,
+                }
+            })
+            .collect();
+        let load_n_per_mm = Vector3::zeros();
+        Ok(Self { link_mm, radius_mm: diameter_mm / 2.0, load_n_per_mm, joints, clamp: shape.root })
+    }
+
+    /// Number of links.
+    #[must_use]
+    pub fn links(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// The stress-free wire.
+    #[must_use]
+    pub fn at_rest(&self) -> Links {
+        let mut frame = self.clamp;
+        let frames = self
+            .joints
+            .iter()
+            .map(|joint| {
+                frame *= Rotation3::from_scaled_axis(joint.rest).matrix();
+                frame
+            })
+            .collect();
+        self.placed(frames)
+    }
+
+    fn placed(&self, frames: Vec<Matrix3<f64>>) -> Links {
+        let mut node = Vector3::zeros();
+        let mut nodes_mm = vec![node];
+        for frame in &frames {
+            node += frame.column(0) * self.link_mm;
+            nodes_mm.push(node);
+        }
+        Links { frames, nodes_mm }
+    }
+
+    /// The links turned by spatial rotation vectors (rad).
+    #[must_use]
+    pub(crate) fn turned(&self, links: &Links, by: &[Vector3<f64>]) -> Links {
+        let turn = |(frame, phi): (&Matrix3<f64>, &Vector3<f64>)| {
+            orthonormal(Rotation3::from_scaled_axis(*phi).matrix() * frame)
+        };
+        self.placed(links.frames.iter().zip(by).map(turn).collect())
+    }
+
+    /// Moment at the root, N mm: what the clamp's spring carries.
+    #[must_use]
+    pub fn root_moment_nmm(&self, links: &Links) -> Vector3<f64> {
+        self.joint(links, 0).0
+    }
+
+    /// Largest change of curvature from rest, 1/mm.
+    #[must_use]
+    pub fn largest_bend_per_mm(&self, links: &Links) -> f64 {
+        let bend = |j: usize| {
+            let span = if j == 0 { self.link_mm / 2.0 } else { self.link_mm };
+            let (w, rest) = (self.relative(links, j), self.joints[j].rest);
+            (w - rest).yz().norm() / span
+        };
+        (0..self.links()).map(bend).fold(0.0, f64::max)
+    }
+
+    fn relative(&self, links: &Links, j: usize) -> Vector3<f64> {
+        let frame = if j == 0 { &self.clamp } else { &links.frames[j - 1] };
+        let relative = frame.transpose() * links.frames[j];
+        rotation_vector(&relative)
+    }
+
+    /// Spatial moment, stiffness block and energy of a joint.
+    fn joint(&self, links: &Links, j: usize) -> (Vector3<f64>, Matrix3<f64>, f64) {
+        let w = self.relative(links, j);
+        let Joint { rest, stiffness } = self.joints[j];
+        let stress = stiffness.component_mul(&(w - rest));
+        // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame of link j.
+        let b = inverse_right_jacobian(&w) * links.frames[j].transpose();
+        let bt = b.transpose();
+        (bt * stress, bt * Matrix3::from_diagonal(&stiffness) * b, 0.5 * stress.dot(&(w - rest)))
+    }
+
+    pub(crate) fn balance(&self, links: &Links) -> Balance {
+        let n = self.links();
+        let mut all = Balance {
+            energy_nmm: 0.0,
+            gradient: vec![Vector3::zeros(); n],
+            diagonal: vec![Matrix3::zeros(); n],
+            before: vec![Matrix3::zeros(); n],
+        };
+        for j in 0..n {
+            let (moment, block, energy) = self.joint(links, j);
+            all.energy_nmm += energy;
+            all.gradient[j] += moment;
+            all.diagonal[j] += block;
+            if j > 0 {
+                all.gradient[j - 1] -= moment;
+                all.diagonal[j - 1] += block;
+                // log(exp(-a) exp(b)) = b - a - a x b / 2: the moment turns with the links.
+                all.before[j] = -block - moment.cross_matrix() * 0.5;
+            }
+        }
+        if self.load_n_per_mm != Vector3::zeros() {
+            self.add_load(links, &mut all);
+        }
+        all
+    }
+
+    /// A dead load along the wire: what lies beyond a link pulls at its end, its own half at its middle.
+    fn add_load(&self, links: &Links, all: &mut Balance) {
+        let n = self.links();
+        for j in 0..n {
+            let beyond_mm = self.link_mm * (n - j) as f64 - self.link_mm / 2.0;
+            let force = self.load_n_per_mm * beyond_mm;
+            let arm: Vector3<f64> = links.frames[j].column(0) * self.link_mm;
+            all.energy_nmm -= force.dot(&arm);
+            all.gradient[j] -= arm.cross(&force);
+            all.diagonal[j] += pull_stiffness(&arm, &force);
+        }
+    }
+}
+
+/// Hessian of `-force . R arm` in the rotation of a link.
+pub(crate) fn pull_stiffness(arm: &Vector3<f64>, force: &Vector3<f64>) -> Matrix3<f64> {
+    let outer = arm * force.transpose();
+    Matrix3::identity() * arm.dot(force) - (outer + outer.transpose()) * 0.5
+}
+
+/// Rest turn between two arc lengths, rad: integral of the rest curvature.
+fn turn(shape: &Shape, from_mm: f64, to_mm: f64) -> Vector3<f64> {
+    let mut total = Vector3::zeros();
+    for interval in &shape.intervals {
+        let a = from_mm.max(interval.start_mm);
+        let b = to_mm.min(interval.start_mm + interval.length_mm);
+        if b > a {
+            let middle = (a + b) / 2.0 - interval.start_mm;
+            let u = Vector3::from(interval.u_start) + Vector3::from(interval.u_slope) * middle;
+            total += u * (b - a);
+        }
+    }
+    total
+}
+
+/// Logarithm of a rotation below half a turn; exact near none, where the arc cosine is not.
+fn rotation_vector(r: &Matrix3<f64>) -> Vector3<f64> {
+    let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    let sine = twice_sine.norm() / 2.0;
+    let angle = sine.atan2((r.trace() - 1.0) / 2.0);
+    twice_sine * if sine > 1e-12 { angle / (2.0 * sine) } else { 0.5 }
+}
+
+fn inverse_right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+    let angle2 = w.norm_squared();
+    let k = if angle2 < 1e-6 {
+        1.0 / 12.0 + angle2 / 720.0
+    } else {
+        let angle = angle2.sqrt();
+        1.0 / angle2 - (1.0 + angle.cos()) / (2.0 * angle * angle.sin())
+    };
+    let hat = w.cross_matrix();
+    Matrix3::identity() + hat * 0.5 + hat * hat * k
+}
+
+fn orthonormal(m: Matrix3<f64>) -> Matrix3<f64> {
+    let x: Vector3<f64> = m.column(0).normalize();
+    let z = x.cross(&Vector3::from(m.column(1))).normalize();
+    Matrix3::from_columns(&[x, z.cross(&x), z])
+}
+
+/// Factors of a symmetric block tridiagonal matrix.
+pub(crate) struct Factors {
+    inverse: Vec<Matrix3<f64>>,
+    before: Vec<Matrix3<f64>>,
+    /// Negative eigenvalues of the matrix (Sylvester's law on the pivots).
+    pub(crate) negative: usize,
+}
+
+impl Factors {
+    /// Block LDL^T; `None` where a pivot is singular.
+    pub(crate) fn new(diagonal: &[Matrix3<f64>], before: &[Matrix3<f64>]) -> Option<Self> {
+        let mut inverse: Vec<Matrix3<f64>> = Vec::with_capacity(diagonal.len());
+        let mut negative = 0;
+        for (j, block) in diagonal.iter().enumerate() {
+            let mut pivot = *block;
+            if j > 0 {
+                pivot -= before[j] * inverse[j - 1] * before[j].transpose();
+            }
+            let pivot = (pivot + pivot.transpose()) * 0.5;
+            negative += negative_eigenvalues(&pivot);
+            inverse.push(pivot.try_inverse()?);
+        }
+        Some(Self { inverse, before: before.to_vec(), negative })
+    }
+
+    /// Solves in place.
+    pub(crate) fn solve(&self, x: &mut [Vector3<f64>]) {
+        for j in 1..x.len() {
+            let carried = times(&self.before[j], &times(&self.inverse[j - 1], &x[j - 1]));
+            x[j] -= carried;
+        }
+        for j in (0..x.len()).rev() {
+            let mut value = x[j];
+            if j + 1 < x.len() {
+                value -= transposed_times(&self.before[j + 1], &x[j + 1]);
+            }
+            x[j] = times(&self.inverse[j], &value);
+        }
+    }
+}
+
+/// Matrix times vector, written out: the library's general product is not inlined and took a quarter of a sweep's time.
+#[inline(always)]
+fn times(m: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(
+        m[(0, 0)] * v.x + m[(0, 1)] * v.y + m[(0, 2)] * v.z,
+        m[(1, 0)] * v.x + m[(1, 1)] * v.y + m[(1, 2)] * v.z,
+        m[(2, 0)] * v.x + m[(2, 1)] * v.y + m[(2, 2)] * v.z,
+    )
+}
+
+#[inline(always)]
+fn transposed_times(m: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(
+        m[(0, 0)] * v.x + m[(1, 0)] * v.y + m[(2, 0)] * v.z,
+        m[(0, 1)] * v.x + m[(1, 1)] * v.y + m[(2, 1)] * v.z,
+        m[(0, 2)] * v.x + m[(1, 2)] * v.y + m[(2, 2)] * v.z,
+    )
+}
+
+/// By the signs of the leading minors' ratios.
+fn negative_eigenvalues(m: &Matrix3<f64>) -> usize {
+    let first = m[(0, 0)];
+    let second = m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)];
+    let minors = [1.0, first, second, m.determinant()];
+    minors.windows(2).filter(|w| w[0] * w[1] < 0.0).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Chain, Factors};
+    use crate::{Section, Shape};
+    use nalgebra::{Matrix3, Vector3};
+    use wcal_core::observation::RestShape;
+
+    fn chain() -> Chain {
+        let rest = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
+        let mut chain =
+            Chain::new(&Section::round(0.3, 75.0, 28.2), &Shape::new(&rest, 0.5).unwrap(), 0.3, 12).unwrap();
+        chain.load_n_per_mm = Vector3::new(1e-3, -2e-3, 3e-3);
+        chain
+    }
+
+    fn turns(size: f64, seed: usize) -> Vec<Vector3<f64>> {
+        let wave = |k: usize| ((k * 37 + seed * 11) as f64).sin() * size;
+        (0..12).map(|j| Vector3::new(wave(3 * j), wave(3 * j + 1), wave(3 * j + 2))).collect()
+    }
+
+    /// Gradient and Hessian against differences of the energy, at a bent place.
+    #[test]
+    fn gradient_and_stiffness_are_the_energys() {
+        let chain = chain();
+        let links = chain.turned(&chain.at_rest(), &turns(0.05, 1));
+        let balance = chain.balance(&links);
+        let energy = |t: f64, by: &[Vector3<f64>]| {
+            let by: Vec<_> = by.iter().map(|v| v * t).collect();
+            chain.balance(&chain.turned(&links, &by)).energy_nmm
+        };
+        for seed in 2..6 {
+            let by = turns(1.0, seed);
+            let t = 1e-4;
+            let slope = (energy(t, &by) - energy(-t, &by)) / (2.0 * t);
+            let stated: f64 = balance.gradient.iter().zip(&by).map(|(g, v)| g.dot(v)).sum();
+            assert!((slope - stated).abs() < 1e-4 * stated.abs().max(1.0), "{slope} {stated}");
+            let bend = (energy(t, &by) - 2.0 * energy(0.0, &by) + energy(-t, &by)) / (t * t);
+            let mut stated = 0.0;
+            for j in 0..12 {
+                stated += by[j].dot(&(balance.diagonal[j] * by[j]));
+                if j > 0 {
+                    stated += 2.0 * by[j].dot(&(balance.before[j] * by[j - 1]));
+                }
+            }
+            // What is left out is of the size of a joint's turn times its moment.
+            assert!((bend - stated).abs() < 0.02 * stated.abs(), "{bend} {stated}");
+        }
+    }
+
+    #[test]
+    fn factors_solve_and_count_negative_eigenvalues() {
+        let diagonal = vec![Matrix3::identity() * 4.0; 5];
+        let before = vec![Matrix3::new(0.3, 0.1, 0.0, -0.2, 0.4, 0.1, 0.0, 0.2, 0.5); 5];
+        let x: Vec<Vector3<f64>> = (0..5).map(|k| Vector3::new(1.0, k as f64, -2.0)).collect();
+        let mut b: Vec<Vector3<f64>> = (0..5).map(|j| diagonal[j] * x[j]).collect();
+        for j in 1..5 {
+            b[j] += before[j] * x[j - 1];
+            b[j - 1] += before[j].transpose() * x[j];
+        }
+        Factors::new(&diagonal, &before).unwrap().solve(&mut b);
+        assert!(b.iter().zip(&x).all(|(a, b)| (a - b).norm() < 1e-12));
+        let factors = |diagonal: &[Matrix3<f64>]| Factors::new(diagonal, &before).unwrap().negative;
+        assert_eq!([factors(&diagonal), factors(&vec![-Matrix3::identity() * 4.0; 5])], [0, 15]);
+    }
+}

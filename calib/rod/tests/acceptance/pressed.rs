@@ -1,0 +1,136 @@
+//! The wire against bodies: balance, gaps, and agreement with the continuous rod under refinement.
+
+use super::{bent, bent_shape, spec};
+use nalgebra::{Matrix3, Vector3};
+use wcal_rod::{Chain, Contact, Guess, Links, Near, Pressed, Section, Shape, Surface, Tangential};
+
+/// Half space below `z = height_mm`.
+struct Floor {
+    height_mm: f64,
+}
+
+impl Surface for Floor {
+    fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+        let distance_mm = p.z - self.height_mm;
+        let point_mm = Vector3::new(p.x, p.y, self.height_mm);
+        (distance_mm < within_mm).then_some(Near {
+            distance_mm,
+            normal: Vector3::z(),
+            point_mm,
+            second_per_mm: Matrix3::zeros(),
+        })
+    }
+}
+
+struct Ball {
+    centre_mm: Vector3<f64>,
+    radius_mm: f64,
+}
+
+impl Surface for Ball {
+    fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+        let off = p - self.centre_mm;
+        let distance_mm = off.norm() - self.radius_mm;
+        let normal = off.normalize();
+        let point_mm = self.centre_mm + normal * self.radius_mm;
+        let second_per_mm = (Matrix3::identity() - normal * normal.transpose()) / off.norm();
+        (distance_mm < within_mm).then_some(Near { distance_mm, normal, point_mm, second_per_mm })
+    }
+}
+
+fn chain(links: usize) -> Chain {
+    let section = Section::round(0.3, 75.0, 28.2);
+    let shape = Shape::new(&spec(bent_shape()).rest_shape, 0.25).unwrap();
+    Chain::new(&section, &shape, 0.3, links).unwrap()
+}
+
+/// A body moves along its path in `steps` steps.
+fn follow<S: Surface>(chain: &Chain, steps: usize, by: &Vector3<f64>, at: impl Fn(f64) -> S) -> Pressed {
+    let mut pressed: Option<Pressed> = None;
+    let rest = chain.at_rest();
+    for k in 0..=steps {
+        let (links, known): (&Links, &[Contact]) =
+            pressed.as_ref().map_or((&rest, &[]), |p| (&p.links, &p.contacts));
+        let next = chain.press(&at(k as f64 / steps as f64), links, known, &(by / steps as f64), 60);
+        assert!(next.converged, "step {k}: {} iterations, {:?}", next.iterations, next.contacts);
+        pressed = Some(next);
+    }
+    pressed.unwrap()
+}
+
+fn ball(chain: &Chain) -> Pressed {
+    // From below into the straight part, off the plane of the wire.
+    let (from, by) = (Vector3::new(42.0, 1.0, -18.0), Vector3::new(0.0, 0.0, 15.0));
+    follow(chain, 28, &by, |x| Ball { centre_mm: from + by * x, radius_mm: 5.0 })
+}
+
+#[test]
+fn the_root_carries_what_the_contacts_apply() {
+    for pressed in [
+        ball(&chain(40)),
+        follow(&chain(40), 20, &Vector3::new(0.0, 0.0, 12.0), |x| Floor { height_mm: -20.0 + 12.0 * x }),
+    ] {
+        let moment = chain(40).root_moment_nmm(&pressed.links);
+        assert!(moment.norm() > 0.2, "{moment}");
+        let applied: Vector3<f64> =
+            pressed.contacts.iter().map(|c| c.centre_mm.cross(&(c.normal * c.force_n))).sum();
+        assert!((moment - applied).norm() < 1e-5 * moment.norm(), "{moment} {applied}");
+        for contact in &pressed.contacts {
+            assert!(contact.gap_mm.abs() < 1e-4, "{contact:?}");
+        }
+    }
+}
+
+/// At the point where the ball holds the wire, the continuous rod needs the same force: error of second order in the link.
+#[test]
+fn links_agree_with_the_rod_to_second_order() {
+    let errors: Vec<f64> = [20, 40, 80]
+        .into_iter()
+        .map(|links| {
+            let chain = chain(links);
+            let pressed = ball(&chain);
+            assert_eq!(pressed.contacts.len(), 1, "{:?}", pressed.contacts);
+            let contact = pressed.contacts[0];
+            let point = contact.centre_mm;
+            let guess =
+                Guess { force_n: contact.normal * contact.force_n, arclength_mm: contact.arclength_mm };
+            let rod = bent(1.0).solve(&point, &guess, Tangential::Frictionless).unwrap();
+            (chain.root_moment_nmm(&pressed.links) - rod.moment_nmm).norm() / rod.moment_nmm.norm()
+        })
+        .collect();
+    assert!(errors[1] < 6e-3, "{errors:?}");
+    assert!(errors[0] / errors[2] > 8.0, "{errors:?}");
+}
+
+/// Negative control of the agreement: a clamp spring of a whole link (the plain layout) would miss by far more.
+#[test]
+fn a_floor_holds_the_tip_first_and_then_a_line() {
+    let chain = chain(60);
+    let floor = |to: f64| {
+        follow(&chain, 60, &Vector3::new(0.0, 0.0, to + 20.0), |x| Floor {
+            height_mm: -20.0 + (to + 20.0) * x,
+        })
+    };
+    let tip = floor(-14.0);
+    assert_eq!(tip.contacts.len(), 1);
+    assert!((tip.contacts[0].arclength_mm - 60.0).abs() < 1e-9, "{:?}", tip.contacts);
+    let lying = floor(-0.5);
+    let lowest = lying.links.nodes_mm.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    assert!((lowest - (-0.5 + 0.15)).abs() < 1e-3, "{lowest}");
+}
+
+/// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten times as deep it would not.
+#[test]
+fn a_soft_contact_gives_the_hard_ones_moment() {
+    let chain = chain(40);
+    let hard = ball(&chain);
+    let body = |lower_mm: f64| Ball { centre_mm: Vector3::new(42.0, 1.0, -3.0 - lower_mm), radius_mm: 5.0 };
+    let moment = chain.root_moment_nmm(&hard.links);
+    let off = |lower_mm: f64| {
+        let soft = chain.press_softly(&body(lower_mm), &hard.links, 300);
+        assert!(soft.converged && soft.overlap_mm < 0.05, "{} {}", soft.converged, soft.overlap_mm);
+        (chain.root_moment_nmm(&soft.links) - moment).norm() / moment.norm()
+    };
+    assert!(off(0.0) < 0.02, "{}", off(0.0));
+    assert!(off(0.3) > 0.03, "negative control: a ball 0.3 mm lower shows ({})", off(0.3));
+}

@@ -95,6 +95,8 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
         assert!(off.abs() < limit, "{key}: {off} mm off");
     }
     let written = std::fs::read_to_string(Path::new(&whisker).join("whisker.toml")).unwrap();
+    let model = std::fs::read_to_string(Path::new(&whisker).join("whisker.xml")).unwrap();
+    assert!(model.starts_with("<mujoco") && model.matches("<body ").count() == 41);
     let written: toml::Table = written.parse().unwrap();
     assert_eq!(written["format"].as_str(), Some("wcal-whisker/1"));
     std::fs::write(place.path().join("none.json"), "{}").unwrap();

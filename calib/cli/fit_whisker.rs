@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::Provenance;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::rest_fit::NAMES;
 use wcal_rod::{MeasuredShape, RestFit, fit_rest};
 use wcal_vision::rig::Rig;
@@ -26,14 +27,15 @@ const DOUBTFUL: f64 = 3.0;
   wcal fit-whisker shapes/shapes.json --rig rig.toml --out whisker
 
 The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations are those between shapes: an error of the
-cameras' scale is common to all shapes and not in them. Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
+cameras' scale is common to all shapes and not in them. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
+damping of 0.02 s that is not fitted). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
 pub struct FitWhiskerArgs {
     /// Shapes by `wcal stereo-shape`
     pub shapes: PathBuf,
     /// Rig with the nominal whisker
     #[arg(long, value_name = "rig.toml")]
     pub rig: PathBuf,
-    /// Folder for whisker.toml
+    /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Print the result as JSON on stdout
@@ -157,6 +159,21 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         fit: described(&fit, &warnings),
         provenance: provenance([args.shapes.as_path(), args.rig.as_path()]),
     };
+    let fitted = WhiskerSpec {
+        rest_shape: RestShape::StraightArc {
+            straight_mm: fit.values[0],
+            arc_radius_mm: fit.values[1],
+            length_mm: fit.values[2],
+        },
+        ..nominal
+    };
+    let options = MjcfOptions {
+        root_turn_rad: Vector3::from(result.root.turn_rad),
+        root_offset_mm: Vector3::from(result.root.offset_mm),
+        provenance: format!("{}: {}", result.provenance.program, result.provenance.command.join(" ")),
+        ..MjcfOptions::default()
+    };
+    write(&args.out, "whisker.xml", mjcf(&fitted, &options)?.as_bytes())?;
     let path = write(&args.out, "whisker.toml", toml::to_string(&result)?.as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);

@@ -7,6 +7,7 @@ pub mod columns;
 pub mod dataset;
 mod error;
 pub mod mesh;
+pub mod mjcf;
 pub mod objects;
 pub mod rod_engine;
 pub mod shard;

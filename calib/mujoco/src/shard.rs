@@ -1,4 +1,15 @@
 //! Shards: what a block of sweeps over one object gave, in three tables and a manifest that is written last.
+//!
+//! `OBJECT-FIRST.sweeps.parquet`, a row a sweep: `sweep`, `kept` (0 or 1), `verdict` (kept, no-section, no-contact, starts-inside,
+//! torque-too-high, no-equilibrium), `speed_mm_s` at the start, `gap_mm`, and the object's pose in the base frame at the start:
+//! `base_from_object_q{w,x,y,z}`, `base_from_object_{x,y,z}_mm`; in time it moves along -z by `travel_mm`.
+//!
+//! `.samples.parquet`, a row a sample: `sweep`, `sample`, `t_s`, `travel_mm`, `speed_mm_s`, `moment_{x,y,z}_nmm` at the root (the
+//! gratings see y and z), `contacts` (their number), `contact_{x,y,z}_mm`, `contact_arclength_mm` and `contact_force_n` of the one
+//! nearest to the base (absent without contact), `settled` (0 or 1), `event` (none, onset, release, jump, slip).
+//!
+//! `.contacts.parquet`, a row a contact: `sweep`, `sample`, `contact` (from the base on), `x_mm`, `y_mm`, `z_mm` (a point of the mesh),
+//! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n`, `gap_mm` (negative: overlap).
 
 use crate::columns::{Column, to_bytes};
 use crate::rod_engine::Run;

@@ -81,6 +81,12 @@ impl Chain {
         self.joints.len()
     }
 
+    /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
+    #[must_use]
+    pub fn joints(&self) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+        self.joints.iter().map(|j| (j.rest, j.stiffness)).collect()
+    }
+
     /// The stress-free wire.
     #[must_use]
     pub fn at_rest(&self) -> Links {

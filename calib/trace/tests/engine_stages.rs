@@ -215,6 +215,23 @@ fn the_search_finds_nothing_one_or_two_effects() {
     assert!(left && !named.contains(&"shelf"), "{named:?}");
 }
 
+/// A richer law of the same effect where the plain one leaves something, and only there.
+#[test]
+fn an_effect_is_refined_where_its_plain_law_leaves_something() {
+    let law_of = |system: &ToySystem| {
+        let found = search(system, &Weights::equal(READINGS), &Options::default()).unwrap();
+        let laws: Vec<usize> = found.best.fit.terms.iter().map(|t| t.law).collect();
+        (names(system, &found.best), laws, found.last_gate.rejected())
+    };
+    let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (shelf(x, 0.25) + shelf(x, 0.7)));
+    let refined =
+        (0..10).filter(|&seed| law_of(&two(9000 + seed)) == (vec!["shelf"], vec![1], false)).count();
+    assert!(refined >= 8, "{refined} of 10");
+    // Negative control: one shelf is not refined, but by chance.
+    let alone = (0..20).filter(|&seed| law_of(&shelved(9100 + seed)).1.contains(&1)).count() as u64;
+    assert!(alone <= most(0.01, 20), "{alone} of 20");
+}
+
 #[test]
 fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
     // A gentle bend looks like a broad shelf on noisy readings: the true one must stay among the survivors.

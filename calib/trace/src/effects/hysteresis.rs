@@ -1,4 +1,4 @@
-//! Rate-independent memory of the moment.
+//! Rate-independent memory of the moment. Readings taken while loading only show it too: the wire comes back unloaded between them.
 
 use super::law;
 use crate::candidate::{Candidate, Law};
@@ -59,10 +59,6 @@ impl Candidate for Hysteresis {
 }
 
 impl WhiskerEffect for Hysteresis {
-    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.both_directions).then(|| "no reading was taken while unloading".to_owned())
-    }
-
     fn sensor(&self, law: usize, values: &[f64], _path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
         let driven = moments_nmm.to_vec();
         for parameters in values.chunks(2) {

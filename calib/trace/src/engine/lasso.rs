@@ -5,9 +5,9 @@
 //! Candidates whose sign is fixed by physics keep it. Solved by clarabel (interior point), whose answer needs no tuning.
 
 use super::atoms::Atom;
+use super::cone::minimise;
 use super::null::atom_p;
-use clarabel::algebra::CscMatrix;
-use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
+use clarabel::solver::SupportedConeT;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -74,34 +74,11 @@ pub fn group_lasso(atoms: &[Atom], residual: &DVector<f64>, dof: f64, sd: f64) -
         }
         first += d;
     }
-    let entries = |m: &[Vec<(usize, f64)>]| {
-        let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
-        for (r, row) in m.iter().enumerate() {
-            for (c, x) in row {
-                i.push(r);
-                j.push(*c);
-                v.push(*x);
-            }
-        }
-        (i, j, v)
-    };
-    let upper: Vec<Vec<(usize, f64)>> = (0..n + g)
-        .map(|i| (i..n + g).map(|j| (j, quadratic[(i, j)])).filter(|e| e.1 != 0.0).collect())
-        .collect();
-    let (i, j, v) = entries(&upper);
-    let p = CscMatrix::new_from_triplets(n + g, n + g, i, j, v);
-    let (i, j, v) = entries(&rows);
-    let a = CscMatrix::new_from_triplets(rows.len(), n + g, i, j, v);
-    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
-    let mut solver = DefaultSolver::new(&p, &linear, &a, &vec![0.0; rows.len()], &cones, settings).ok()?;
-    solver.solve();
-    if !matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
-        return None;
-    }
+    let solution = minimise(&quadratic, &linear, &rows, &vec![0.0; rows.len()], &cones)?;
     let mut kept = Vec::new();
     let mut first = 0;
     for group in &groups {
-        let part = &solver.solution.x[first..first + group.dimension()];
+        let part = &solution[first..first + group.dimension()];
         first += group.dimension();
         let size_sd = part.iter().map(|b| b * b).sum::<f64>().sqrt();
         if size_sd > ZERO_SD {

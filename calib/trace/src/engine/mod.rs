@@ -1,6 +1,7 @@
 //! The engine shared by every kind of session: fit, screen, refit, compare. It knows systems and candidates, not whiskers.
 
 pub mod atoms;
+mod cone;
 pub mod drivers;
 pub mod fit;
 pub mod gate;

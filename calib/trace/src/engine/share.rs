@@ -1,10 +1,13 @@
-//! Physical range of effects that enter linearly: their part in what a channel spans.
+//! Physical range of effects that enter linearly: their part in what a channel spans. Where it is exceeded, the effect is refitted at its
+//! bounds (convex, by clarabel), and the data may insist on more or not.
 
+use super::cone::minimise;
 use super::fit::Fit;
 use super::linear::{Basis, in_channel, stack};
 use super::null::f_test;
 use crate::candidate::System;
-use nalgebra::DMatrix;
+use clarabel::solver::SupportedConeT;
+use nalgebra::{DMatrix, DVector};
 
 /// Chance below which the data insist on a part that physics does not allow.
 const LEVEL: f64 = 0.01;
@@ -24,17 +27,13 @@ pub fn within_shares(system: &dyn System, fit: &Fit) -> bool {
 }
 
 fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
-    let (n, channels) = (fit.residual.nrows(), fit.residual.ncols());
+    let channels = fit.residual.ncols();
     let part = fit.design.columns_range(columns.clone()) * fit.coefficients.rows_range(columns.clone());
     let whole = &fit.design * &fit.coefficients;
-    // What of its part in each channel an effect has to give up.
-    let excess: Vec<f64> = (0..channels)
-        .map(|c| {
-            let span = whole.column(c).max() - whole.column(c).min();
-            1.0 - (share * span / part.column(c).amax().max(1e-300)).min(1.0)
-        })
-        .collect();
-    let over = excess.iter().filter(|e| **e > 0.0).count();
+    // The largest part that each channel allows.
+    let largest: Vec<f64> =
+        (0..channels).map(|c| share * (whole.column(c).max() - whole.column(c).min())).collect();
+    let over = (0..channels).filter(|&c| part.column(c).amax() > largest[c]).count();
     if over == 0 {
         return true;
     }
@@ -48,7 +47,53 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
     for tangent in &fit.tangents {
         others.push(&stack(tangent));
     }
-    let held = DMatrix::from_fn(n, channels, |i, c| fit.residual[(i, c)] + excess[c] * part[(i, c)]);
-    let ssr = others.project_off(&stack(&held)).norm_squared();
-    f_test(ssr - fit.ssr, ssr, fit.dof + over as f64, over) > LEVEL
+    // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
+    let own: Vec<(usize, usize)> = (0..channels).flat_map(|c| columns.clone().map(move |j| (j, c))).collect();
+    let directions: Vec<DVector<f64>> = own
+        .iter()
+        .map(|&(j, c)| {
+            let column: Vec<f64> = fit.design.column(j).iter().copied().collect();
+            others.project_off(&in_channel(&column, c, channels))
+        })
+        .collect();
+    let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
+    let Some(rise) = held_rise(fit, &own, &directions, &free, &largest) else { return true };
+    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > LEVEL
+}
+
+/// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.
+///
+/// None where the solver gives up: nothing is held against the explanation then.
+fn held_rise(
+    fit: &Fit,
+    own: &[(usize, usize)],
+    directions: &[DVector<f64>],
+    free: &[f64],
+    largest: &[f64],
+) -> Option<f64> {
+    // Free coefficients have very different sizes: each is counted in the length of its direction.
+    let size: Vec<f64> = directions.iter().map(|d| d.norm().max(1e-300)).collect();
+    let k = own.len();
+    let gram = DMatrix::from_fn(k, k, |a, b| directions[a].dot(&directions[b]) / (size[a] * size[b]));
+    let start = DVector::from_iterator(k, (0..k).map(|a| free[a] * size[a]));
+    let linear = -(&gram * &start);
+    let scale = start.amax().max(1e-300);
+    let (mut rows, mut bounds) = (Vec::new(), Vec::new());
+    for (c, limit) in largest.iter().enumerate() {
+        for i in 0..fit.design.nrows() {
+            let entries = |sign: f64| -> Vec<(usize, f64)> {
+                let of_channel = (0..k).filter(|&a| own[a].1 == c);
+                of_channel.map(|a| (a, sign * fit.design[(i, own[a].0)] / size[a] * scale)).collect()
+            };
+            for sign in [1.0, -1.0] {
+                rows.push(entries(sign));
+                bounds.push(*limit);
+            }
+        }
+    }
+    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
+    let linear: Vec<f64> = linear.iter().map(|x| x / scale).collect();
+    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds, &cones)?) * scale;
+    let change = held - start;
+    Some((&gram * &change).dot(&change))
 }

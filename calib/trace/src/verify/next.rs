@@ -43,7 +43,8 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
 
 /// Loading, unloading after the deepest pose, fast passes and long dwells on every trajectory.
 fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
-    let Some(template) = system.data.rows.iter().find(|r| r.role != Role::Rest) else { return Vec::new() };
+    // The later session begins in the surroundings in which this one ended; its temperature is not ours to choose.
+    let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else { return Vec::new() };
     let start = system.path.readings.iter().map(|r| r.t_s).fold(0.0, f64::max) + 30.0;
     let mut out = Vec::new();
     for (l, trajectory) in system.data.trajectories.iter().enumerate() {
@@ -195,10 +196,14 @@ pub fn next_measurement(
         chosen.iter().map(|&k| candidates[evaluated[k].proposal].pose.clone()).collect();
     let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
-        format!(
-            "{} cannot be separated on this rig by three more poses; it needs another direction of approach, another medium or a second sensor.",
-            separates.join(" and ")
-        )
+        let slow = |id: &String| id == "temperature-mismatch" || id == "zero-drift";
+        let needed = if separates.iter().any(slow) {
+            "the temperature has to change otherwise than steadily with time: warm the bench by some kelvin, let it cool, and take a rest \
+             reading every minute; then `wcal verify --add` that session"
+        } else {
+            "it needs another direction of approach, another medium or a second sensor"
+        };
+        format!("{} cannot be separated on this rig by three more poses; {needed}.", separates.join(" and "))
     } else {
         let list: Vec<String> = poses.iter().map(describe).collect();
         format!(

@@ -48,6 +48,22 @@ impl Candidate for Toy {
         let largest_share = (self.0 == BEND).then_some(BEND_SHARE);
         vec![Law { name: "only", parameters, linear, largest_share }]
     }
+    fn refinements(&self) -> Vec<Law> {
+        if self.0 != SHELF {
+            return Vec::new();
+        }
+        let place = |name| Parameter {
+            name,
+            unit: "1",
+            range: [0.02, 0.98],
+            role: Role::Shape { grid: &[0.2, 0.4, 0.6, 0.8] },
+        };
+        let height =
+            |name| Parameter { name, unit: "1", range: [0.0, 0.5], role: Role::Amplitude { probe: 0.02 } };
+        let parameters =
+            vec![height("height"), place("place"), height("second_height"), place("second_place")];
+        vec![Law { name: "two", parameters, linear: Vec::new(), largest_share: None }]
+    }
     fn sentence(&self) -> &'static str {
         "Something acts."
     }
@@ -98,7 +114,11 @@ impl System for ToySystem {
         for t in terms {
             for (x, raw) in x.iter_mut().zip(&self.x) {
                 match t.effect {
-                    SHELF => *x += t.values[0] * shelf(*raw, t.values[1]),
+                    SHELF => {
+                        for pair in t.values.chunks(2) {
+                            *x += pair[0] * shelf(*raw, pair[1]);
+                        }
+                    }
                     SCALE => *x += t.values[0] * raw,
                     _ => {}
                 }

@@ -1,7 +1,7 @@
 //! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
 //!
 //! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
-//! `[--follow-up] [--mix null|single|pair|unknown|paper|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
+//! `[--follow-up] [--mix null|single|pair|unknown|paper|confounded|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
 //! `[--keep DIR] [--write DIR]`
 //!
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
@@ -30,7 +30,7 @@ struct Options {
     write: Option<PathBuf>,
 }
 
-const MIXES: [&str; 7] = ["null", "single", "pair", "unknown", "paper", "adversarial", "all"];
+const MIXES: [&str; 8] = ["null", "single", "pair", "unknown", "paper", "confounded", "adversarial", "all"];
 
 fn options() -> anyhow::Result<Options> {
     // The program lies beside the folder of the examples.

@@ -223,10 +223,10 @@ fn an_effect_is_refined_where_its_plain_law_leaves_something() {
         let laws: Vec<usize> = found.best.fit.terms.iter().map(|t| t.law).collect();
         (names(system, &found.best), laws, found.last_gate.rejected())
     };
-    let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (shelf(x, 0.25) + shelf(x, 0.7)));
-    let refined =
-        (0..10).filter(|&seed| law_of(&two(9000 + seed)) == (vec!["shelf"], vec![1], false)).count();
-    assert!(refined >= 8, "{refined} of 10");
+    let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (2.0 * shelf(x, 0.3) + shelf(x, 0.75)));
+    let found: Vec<_> = (0..10).map(|seed| law_of(&two(9000 + seed))).collect();
+    let refined = found.iter().filter(|f| **f == (vec!["shelf"], vec![1], false)).count();
+    assert!(refined >= 8, "{refined} of 10: {found:?}");
     // Negative control: one shelf is not refined, but by chance.
     let alone = (0..20).filter(|&seed| law_of(&shelved(9100 + seed)).1.contains(&1)).count() as u64;
     assert!(alone <= most(0.01, 20), "{alone} of 20");

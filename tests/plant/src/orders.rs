@@ -8,7 +8,8 @@ use crate::effects::Kind;
 use crate::layout::Design;
 use crate::session::{Request, Want};
 
-/// A varied order book: `mix` is one of `null`, `single`, `pair`, `unknown`, `paper`, `adversarial`, `all`.
+/// A varied order book: `mix` is one of `null`, `single`, `pair`, `unknown`, `paper`, `confounded` (pairs on
+/// approach-only sessions), `adversarial`, `all`.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
 pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Request> {
@@ -47,6 +48,11 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
             let want = match part {
                 "single" => turn(&catalogue).map_or(Want::Null, |k| Want::Effects(vec![k])),
                 "pair" => pair(&catalogue, &mut rng),
+                "confounded" => {
+                    design = Design::Paper;
+                    let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
+                    pair(&of, &mut rng)
+                }
                 "unknown" => turn(&unknown).map_or(Want::Null, |k| Want::Effects(vec![k])),
                 "paper" => {
                     design = Design::Paper;
@@ -75,11 +81,9 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
 /// Two effects of different names.
 fn pair(catalogue: &[Kind], rng: &mut impl Rng) -> Want {
     for _ in 0..100 {
-        let (a, b) = (
-            crate::effects::ALL[rng.random_range(0..crate::effects::ALL.len())],
-            catalogue[rng.random_range(0..catalogue.len())],
-        );
-        if a.name().0 != b.name().0 && !a.is_unknown() && a != Kind::StageScale && b != Kind::StageScale {
+        let mut one = || catalogue.get(rng.random_range(0..catalogue.len().max(1))).copied();
+        let (Some(a), Some(b)) = (one(), one()) else { return Want::Null };
+        if a.name().0 != b.name().0 && a != Kind::StageScale && b != Kind::StageScale {
             return Want::Effects(vec![a, b]);
         }
     }

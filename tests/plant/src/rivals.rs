@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 use crate::PlantError;
 use crate::effects::{Effect, Kind};
@@ -15,7 +16,12 @@ pub struct Rival {
     pub id: String,
     /// What it leaves unexplained, in noises (linearised, every parameter free).
     pub sigma: f64,
+    /// Effects of the catalogue, this one among them, that leave less than three noises: the data cannot tell them from the truth.
+    pub within_three: usize,
 }
+
+/// Distance (noises) within which data do not decide.
+const UNDECIDED: f64 = 3.0;
 
 /// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings exactly
 /// and fits only K and the zero on the points.
@@ -136,6 +142,7 @@ pub fn nearest(
     };
     let effect = stack(with);
     let mut best: Option<Rival> = None;
+    let mut close: BTreeSet<&str> = BTreeSet::new();
     let mut signatures = Vec::new();
     for (id, alternatives) in rivals().into_iter().filter(|(id, _)| *id != own) {
         for set in alternatives {
@@ -161,9 +168,12 @@ pub fn nearest(
         let svd = design.clone().svd(true, true);
         let Ok(x) = svd.solve(&effect, 1e-9) else { continue };
         let sigma = (&effect - &design * x).norm();
+        if sigma < UNDECIDED {
+            close.insert(id);
+        }
         if best.as_ref().is_none_or(|b| sigma < b.sigma) {
-            best = Some(Rival { id: id.to_owned(), sigma: (sigma * 10.0).round() / 10.0 });
+            best = Some(Rival { id: id.to_owned(), sigma: (sigma * 10.0).round() / 10.0, within_three: 0 });
         }
     }
-    Ok(best)
+    Ok(best.map(|b| Rival { within_three: close.len(), ..b }))
 }

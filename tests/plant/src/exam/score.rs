@@ -48,6 +48,8 @@ pub struct Outcome {
     pub delta_each: f64,
     /// Distance in noises to the nearest rival of a single effect, where it was computed.
     pub rival_sigma: Option<f64>,
+    /// Explanations that the data allow: the effect and its rivals within three noises, where they were computed.
+    pub allowed: Option<usize>,
     /// Verdict as written.
     pub verdict: String,
     /// Effects named.
@@ -208,6 +210,7 @@ fn blank(name: &str, case: &Case) -> Outcome {
         delta: t.projected_size_in_noises,
         delta_each: t.sizes_each.values().filter_map(Value::as_f64).fold(f64::INFINITY, f64::min).min(1e9),
         rival_sigma: t.nearest_rival.as_ref().map(|r| r.sigma),
+        allowed: t.nearest_rival.as_ref().map(|r| 1 + r.within_three),
         verdict: "none".into(),
         got: Vec::new(),
         kind: Kind::Crash,

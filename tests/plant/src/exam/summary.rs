@@ -82,6 +82,14 @@ fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f6
     }
 }
 
+/// Alternatives of all ambiguous answers together over those that the data allow; nothing where no rivals were computed.
+fn set_over_allowed(ambiguous: &[&Outcome]) -> Vec<f64> {
+    let counted: Vec<(usize, usize)> =
+        ambiguous.iter().filter_map(|o| Some((o.set_size, o.allowed?))).collect();
+    let (listed, allowed) = counted.iter().fold((0, 0), |(a, b), (l, k)| (a + l, b + k));
+    if allowed == 0 { Vec::new() } else { vec![listed as f64 / allowed as f64] }
+}
+
 /// The table of issue 3's goals for a set of outcomes.
 pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     let pick = |f: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| f(o)).collect::<Vec<_>>();
@@ -162,6 +170,13 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
             ambiguous.iter().map(|o| o.set_size as f64).collect(),
             0.5,
             f64::INFINITY,
+        ),
+        number(
+            "alternatives listed over what the data allow (rivals within 3 noises), mean",
+            "<= 1.2",
+            set_over_allowed(&ambiguous),
+            0.5,
+            1.2,
         ),
         rate(
             "ambiguities that the program calls resolvable by three poses (power >= 0.95)",

@@ -93,7 +93,11 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
             eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
         }
     }
-    eprintln!("stereo-shape: {good} of {} pairs", result.document.pairs.len());
+    eprintln!(
+        "stereo-shape: {good} of {} pairs; processor time: {}",
+        result.document.pairs.len(),
+        result.times
+    );
     if args.json {
         println!("{text}");
     }

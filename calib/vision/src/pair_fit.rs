@@ -10,6 +10,7 @@ use crate::shape_fit::{
     PairSystem, Prior, Sight, choose_smoothing, image_line, linearise, measure, sights, stepped, visible,
     with_prior,
 };
+use crate::stages::{Stage, StageClock};
 use crate::tip::find_tip;
 use crate::trace::{BEAM, Scene, Trace, expected_strength, trace};
 use crate::wire::{Look, Piece};
@@ -80,11 +81,25 @@ pub fn fit_pair(
     left_from_base: &Isometry3<f64>,
     prior: &Prior,
     start: Option<&PairFit>,
+    times: &StageClock,
 ) -> Result<PairFit, String> {
     let begun = match start {
         Some(fit) => fit.clone(),
-        None => begin(stereo, rig, pictures, left_from_base, prior)?,
+        None => times.time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior))?,
     };
+    times.time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
+}
+
+/// Follows the curve that the search found through the pieces of both pictures.
+fn refine(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    pictures: &[Picture; 2],
+    left_from_base: &Isometry3<f64>,
+    prior: &Prior,
+    begun: PairFit,
+    again: bool,
+) -> Result<PairFit, String> {
     let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
@@ -93,7 +108,7 @@ pub fn fit_pair(
     let mut warnings = Vec::new();
     // The window narrows as the curve settles; the look is fitted once the line is roughly right.
     let windows = [4.0, 2.5, 1.5, 1.2, 1.0];
-    let first = if start.is_some() { 3 } else { 0 };
+    let first = if again { 3 } else { 0 };
     for (round, search_px) in windows.into_iter().enumerate().skip(first) {
         let shape = model.shape(&state);
         all.clear();

@@ -7,6 +7,8 @@ use std::cell::OnceCell;
 
 /// Side of a tile, px.
 const TILE: usize = 64;
+/// Tiles, of which one tells the background.
+const SAMPLED: usize = 5;
 /// Values a row of a tile: one more than its side, so that interpolation stays within it.
 const ROW: usize = TILE + 1;
 /// Second derivatives of a smoothed picture, computed tile by tile where they are asked for: a search along a wire visits a
@@ -115,7 +117,7 @@ impl<'a> RidgeMap<'a> {
     }
 
     /// Responses at places and in directions spread evenly over the picture (an R2 sequence): what it shows where nobody
-    /// says there is a wire.
+    /// says there is a wire. One tile in [`SAMPLED`] is looked at, on a lattice that leaves out no row or column of tiles.
     #[must_use]
     pub fn background(&self, count: usize) -> Vec<f64> {
         (0..count)
@@ -123,6 +125,10 @@ impl<'a> RidgeMap<'a> {
                 let part = |ratio: f64| (0.5 + k as f64 * ratio).fract();
                 let x = part(0.754_877_666_246_69) * self.picture.width as f64;
                 let y = part(0.569_840_290_998_05) * self.picture.height as f64;
+                let tile = x as usize / TILE + 2 * (y as usize / TILE);
+                if !tile.is_multiple_of(SAMPLED) {
+                    return None;
+                }
                 let angle = part(0.618_033_988_749_89) * std::f64::consts::PI;
                 self.across(&Vector2::new(x, y), &Vector2::new(angle.cos(), angle.sin()))
             })

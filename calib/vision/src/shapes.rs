@@ -11,6 +11,7 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape_fit::Prior;
 use crate::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
+use crate::stages::{Stage, StageClock};
 use crate::tag_pose;
 use crate::tags::{Tag, find_tags};
 use nalgebra::Vector6;
@@ -52,6 +53,8 @@ pub struct ShapesResult {
     pub fits: Vec<Option<PairFit>>,
     /// Cameras used.
     pub stereo: StereoCameras,
+    /// Processor time by stage.
+    pub times: StageClock,
 }
 
 /// Runs all pairs. `background`: the scene of both cameras without the wire; what it shows is no wire. `progress` is told each pair's
@@ -64,11 +67,12 @@ pub fn shapes_of_pairs(
     background: Option<&[Picture; 2]>,
     progress: &(dyn Fn(&str) + Sync),
 ) -> ShapesResult {
-    let load = |f| load(stereo, rig, f, background);
+    let times = StageClock::default();
+    let load = |f| load(stereo, rig, f, background, &times);
     let loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
     let tags: Vec<PairTags> =
         loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
-    let base = folder_base(stereo, rig, &tags);
+    let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
     let mut warnings = Vec::new();
     let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
         loaded
@@ -81,7 +85,7 @@ pub fn shapes_of_pairs(
                     Some(Ok(fit)) => Some(fit),
                     Some(Err(why)) => return Err(why.clone()),
                 };
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd, start);
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd, start, &times);
                 if start.is_none() {
                     progress(&l.name);
                 }
@@ -106,24 +110,27 @@ pub fn shapes_of_pairs(
         joint = base.as_ref().map(|b| Joint::new(b, &fits, root_sd));
     }
     if let (Some(j), Some(b)) = (&joint, &base) {
-        fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
-            if let Ok(fit) = fit
-                && !b.moved.contains(&k)
-            {
-                j.apply(stereo, fit, root_sd);
-            }
+        times.time_alone(Stage::Joint, || {
+            fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
+                if let Ok(fit) = fit
+                    && !b.moved.contains(&k)
+                {
+                    j.apply(stereo, fit, root_sd);
+                }
+            })
         });
     }
-    let uncertain = base
-        .as_ref()
-        .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
-    let (rigs, shared) = rig_poses(stereo, rig, &tags);
+    let uncertain = base.as_ref().map_or_else(
+        || files.iter().map(|_| None).collect(),
+        |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),
+    );
+    let (rigs, shared) = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
     if rigs.iter().flatten().count() > 1 && !shared {
         warnings
             .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
     }
     let pairs = (0..files.len())
-        .map(|k| {
+        .map(|k| times.time(Stage::Joint, || {
             let mut document = PairDocument { name: files[k].name.clone(), ..PairDocument::default() };
             if let Ok(l) = &loaded[k] {
                 document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
@@ -146,7 +153,7 @@ pub fn shapes_of_pairs(
                 }
             }
             document
-        })
+        }))
         .collect();
     let document = ShapesDocument {
         format: SHAPES_FORMAT.into(),
@@ -154,7 +161,7 @@ pub fn shapes_of_pairs(
         warnings,
         provenance: wcal_core::Provenance::default(),
     };
-    ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone() }
+    ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
 }
 
 /// In most pairs the curve from the stated root is no wire's: its first millimetres are seen in neither picture, or it bends there
@@ -179,6 +186,7 @@ fn load(
     rig: &Rig,
     files: &PairFiles,
     background: Option<&[Picture; 2]>,
+    times: &StageClock,
 ) -> Result<Loaded, String> {
     let (Some(left), Some(right)) = (&files.left, &files.right) else {
         return Err(format!(
@@ -187,7 +195,7 @@ fn load(
         ));
     };
     let read = |path: &std::path::PathBuf, camera: usize| {
-        let picture = Picture::read(path).map_err(|e| e.to_string())?;
+        let picture = times.time(Stage::Reading, || Picture::read(path)).map_err(|e| e.to_string())?;
         let expected = stereo.cameras[camera].image_size_px;
         if [picture.width, picture.height] != expected {
             return Err(format!(
@@ -213,7 +221,10 @@ fn load(
     for (camera, picture) in pictures.iter().enumerate() {
         for family in &families {
             let search = |decimate| {
-                find_tags(picture, family, Some(&stereo.cameras[camera]), decimate).map_err(|e| e.to_string())
+                let found = times.time(Stage::Tags, || {
+                    find_tags(picture, family, Some(&stereo.cameras[camera]), decimate)
+                });
+                found.map_err(|e| e.to_string())
             };
             // A quarter of the size finds all but small tags in a fraction of the time; where one is missing, finer searches decide.
             let mut found = search(4.0)?;
@@ -245,6 +256,7 @@ fn fit_one(
     index: usize,
     root_sd: [f64; 2],
     start: Option<&PairFit>,
+    times: &StageClock,
 ) -> Result<PairFit, String> {
     let own = base_sightings(rig, &loaded.tags);
     let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
@@ -262,7 +274,7 @@ fn fit_one(
         return Err(exchanged_or_foreign(base, &own, off_px));
     }
     let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
-    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start)
+    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start, times)
 }
 
 /// Why the base tag's corners fit no pose.

@@ -14,10 +14,22 @@ const STEP_MM: f64 = 1.0;
 const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
+/// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
+const HIDDEN_BEAM: usize = 1500;
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
-/// Change of curvature a step, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
-const CURVATURE_STEP: f64 = 0.0015;
+/// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
+/// serves them all.
+const BRANCH_STEPS: usize = 2;
+/// Change of curvature a branching, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
+const CURVATURE_STEP: f64 = 0.003;
+/// Log likelihood that a change costs.
+const CHANGE_COST: f64 = 1.0;
+/// Blocks between branchings that are not branched, from the root.
+const UNBRANCHED: usize = 2;
+/// Cells of place (mm) and direction (rad) of which one curve is kept, of those that are seen and of those that lie hidden.
+const SEEN_CELL: (f64, f64) = (0.06, 0.01);
+const HIDDEN_CELL: (f64, f64) = (0.15, 0.03);
 
 /// What the search found.
 #[derive(Debug, Clone)]
@@ -43,6 +55,24 @@ struct Candidate {
     best: f64,
     best_step: usize,
     parent: usize,
+    /// No place has shown anything so far: all of them lay covered up.
+    hidden: bool,
+}
+
+impl Candidate {
+    /// The same curve, had its curvature changed by this at the last branching: so little that the places looked at were the same.
+    fn bent(&self, parent: usize, by: [f64; 2]) -> Self {
+        let long = BRANCH_STEPS as f64 * STEP_MM;
+        let aside = Vector3::new(0.0, by[0], by[1]) * (0.5 * long * long);
+        let turn = small_turn(&(Vector3::new(0.0, -by[1], by[0]) * long));
+        Self {
+            position: self.position + self.frame * aside,
+            frame: self.frame * turn,
+            bend: [self.bend[0] + by[0], self.bend[1] + by[1]],
+            parent,
+            ..self.clone()
+        }
+    }
 }
 
 /// The pictures' evidence for one polarity.
@@ -52,8 +82,8 @@ pub struct Scene<'a> {
     camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
     maps: &'a [RidgeMap<'a>; 2],
     evidence: [Evidence; 2],
-    /// Cells of each picture that are covered up.
-    covered: [HashSet<[i32; 2]>; 2],
+    /// Cells of each picture, row by row, that are covered up; empty where none is.
+    covered: [Vec<bool>; 2],
 }
 
 impl<'a> Scene<'a> {
@@ -74,23 +104,34 @@ impl<'a> Scene<'a> {
     /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
     #[must_use]
     pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
-        let reach = (distance_px / COVER_PX).ceil() as i32;
+        let reach = (distance_px / COVER_PX).ceil() as i64;
         for camera in 0..2 {
+            let [columns, rows] = self.cells(camera);
+            let mut covered = vec![false; columns * rows];
             for w in path.windows(2) {
                 let (Some((a, _)), Some((b, _))) =
                     (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
                 else {
                     continue;
                 };
-                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i32;
+                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
                 for k in 0..=steps {
-                    let [x, y] = cell(&(a + (b - a) * (f64::from(k) / f64::from(steps))));
-                    let square = (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| [x + i, y + j]));
-                    self.covered[camera].extend(square);
+                    let [x, y] = cell(&(a + (b - a) * (k as f64 / steps as f64)));
+                    for j in (y - reach).max(0)..=(y + reach).min(rows as i64 - 1) {
+                        for i in (x - reach).max(0)..=(x + reach).min(columns as i64 - 1) {
+                            covered[j as usize * columns + i as usize] = true;
+                        }
+                    }
                 }
             }
+            self.covered[camera] = covered;
         }
         self
+    }
+
+    /// Cells of a picture, across and down.
+    fn cells(&self, camera: usize) -> [usize; 2] {
+        self.stereo.cameras[camera].image_size_px.map(|n| (n as f64 / COVER_PX).ceil() as usize)
     }
 
     /// Pixel and unit normal of the wire's image in one camera.
@@ -119,24 +160,34 @@ impl<'a> Scene<'a> {
         self.maps[camera].across(&px, &normal)
     }
 
-    fn score(&self, p: &Vector3<f64>, t: &Vector3<f64>) -> f64 {
-        (0..2)
-            .map(|camera| match self.image(camera, p, t) {
+    /// Score of a place of the wire and whether either picture shows it.
+    fn score(&self, p: &Vector3<f64>, t: &Vector3<f64>) -> (f64, bool) {
+        let mut seen = false;
+        let mut sum = 0.0;
+        for camera in 0..2 {
+            sum += match self.image(camera, p, t) {
                 Some((px, normal)) if !self.covers(camera, &px) => {
+                    seen = true;
                     self.evidence[camera].score(self.maps[camera].across(&px, &normal))
                 }
                 _ => HIDDEN,
-            })
-            .sum()
+            };
+        }
+        (sum, seen)
     }
 
     fn covers(&self, camera: usize, px: &Vector2<f64>) -> bool {
-        !self.covered[camera].is_empty() && self.covered[camera].contains(&cell(px))
+        if self.covered[camera].is_empty() {
+            return false;
+        }
+        let ([x, y], [columns, _]) = (cell(px), self.cells(camera));
+        let inside = (0..columns as i64).contains(&x) && y >= 0;
+        inside && self.covered[camera].get(y as usize * columns + x as usize) == Some(&true)
     }
 }
 
-fn cell(px: &Vector2<f64>) -> [i32; 2] {
-    [(px.x / COVER_PX).floor() as i32, (px.y / COVER_PX).floor() as i32]
+fn cell(px: &Vector2<f64>) -> [i64; 2] {
+    [(px.x / COVER_PX).floor() as i64, (px.y / COVER_PX).floor() as i64]
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected line.
@@ -172,58 +223,80 @@ pub fn expected_strength(
 /// Grows curves from the root, keeping the best `beam` of them, and returns the best; none where no curve has any evidence.
 #[must_use]
 pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Trace> {
-    let steps = (1.12 * whisker.length_mm / STEP_MM) as usize;
-    let mut history: Vec<Vec<Candidate>> = Vec::with_capacity(steps + 1);
+    let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
+    // Parent and curvature of every curve kept at the end of every block.
+    let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
     // The bending moment at the root is unknown: every curvature up to 0.03 / mm is started.
     let mut now: Vec<Candidate> = (-8..=8)
         .flat_map(|a| (-8..=8).map(move |b| [f64::from(a) * 0.00375, f64::from(b) * 0.00375]))
-        .map(|bend| Candidate {
+        .enumerate()
+        .map(|(parent, bend)| Candidate {
             position: Vector3::zeros(),
             frame: Matrix3::identity(),
             bend,
             score: 0.0,
             best: 0.0,
             best_step: 0,
-            parent: 0,
+            parent,
+            hidden: true,
         })
         .collect();
-    for step in 0..steps {
-        let mut next: Vec<Candidate> = Vec::new();
-        // While the started curves still lie side by side there is nothing to branch.
-        let branch = step >= 5;
-        for (index, c) in now.iter().enumerate() {
-            for (a, b) in (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b))) {
-                if !branch && (a != 0 || b != 0) {
-                    continue;
+    for block in 0..blocks {
+        let first = block * BRANCH_STEPS;
+        for c in &mut now {
+            for step in first..first + BRANCH_STEPS {
+                advance(whisker, c, step, &mut |c, p, t| {
+                    let (score, seen) = scene.score(p, t);
+                    c.score += score;
+                    c.hidden &= !seen;
+                });
+                if c.score > c.best {
+                    (c.best, c.best_step) = (c.score, step + 1);
                 }
-                let bend =
-                    [c.bend[0] + f64::from(a) * CURVATURE_STEP, c.bend[1] + f64::from(b) * CURVATURE_STEP];
-                let mut child = Candidate { bend, parent: index, ..c.clone() };
-                child.score -= 0.5 * f64::from(a * a + b * b);
-                advance(scene, whisker, &mut child, step);
-                if child.score > child.best {
-                    child.best = child.score;
-                    child.best_step = step + 1;
-                }
-                next.push(child);
             }
         }
-        history.push(std::mem::take(&mut now));
-        now = if branch { prune(next, beam) } else { next };
+        // While the started curves still lie side by side there is nothing to branch.
+        if block >= UNBRANCHED {
+            now = branched(&now, beam, first);
+        }
+        history.push(now.iter().map(|c| (c.parent, c.bend)).collect());
     }
-    history.push(now);
-    let last = history.last()?;
-    let (mut index, best) = last.iter().enumerate().max_by(|a, b| a.1.best.total_cmp(&b.1.best))?;
+    let (mut index, best) = now.iter().enumerate().max_by(|a, b| a.1.best.total_cmp(&b.1.best))?;
     if best.best_step == 0 {
         return None;
     }
     let (score, best_step) = (best.best, best.best_step);
-    let mut curvatures = Vec::with_capacity(steps);
-    let mut path = Vec::with_capacity(steps);
-    let mut responses: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+    let mut curvatures = Vec::with_capacity(blocks * BRANCH_STEPS);
     for level in history.iter().rev() {
-        let c = &level[index];
-        curvatures.push(c.bend);
+        let (parent, bend) = level[index];
+        curvatures.extend([bend; BRANCH_STEPS]);
+        index = parent;
+    }
+    curvatures.reverse();
+    // Beyond the end the curve goes on as it was.
+    let end = curvatures[best_step - 1];
+    curvatures[best_step..].fill(end);
+    let (path, strength) = walked(scene, whisker, &curvatures[..best_step]);
+    Some(Trace { curvatures, length_mm: best_step as f64 * STEP_MM, score, strength, path })
+}
+
+/// Places one a step along a curve, and the typical response of those that show a wire, left and right.
+fn walked(scene: &Scene<'_>, whisker: &RigWhisker, curvatures: &[[f64; 2]]) -> (Vec<Vector3<f64>>, [f64; 2]) {
+    let mut c = Candidate {
+        position: Vector3::zeros(),
+        frame: Matrix3::identity(),
+        bend: [0.0; 2],
+        score: 0.0,
+        best: 0.0,
+        best_step: 0,
+        parent: 0,
+        hidden: true,
+    };
+    let mut path = vec![c.position];
+    let mut responses: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+    for (step, bend) in curvatures.iter().enumerate() {
+        c.bend = *bend;
+        advance(whisker, &mut c, step, &mut |_, _, _| {});
         path.push(c.position);
         for (k, list) in responses.iter_mut().enumerate() {
             let r = scene.response(k, &c.position, &c.frame.column(0).into_owned());
@@ -231,26 +304,17 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
                 list.push(r.abs());
             }
         }
-        index = c.parent;
     }
-    curvatures.reverse();
-    path.reverse();
-    path.truncate(best_step + 1);
-    let end = curvatures[best_step.min(curvatures.len() - 1)];
-    // Beyond the end the curve goes on as it was.
-    for c in curvatures.iter_mut().skip(best_step) {
-        *c = end;
-    }
-    Some(Trace {
-        curvatures: curvatures.into_iter().skip(1).collect(),
-        length_mm: best_step as f64 * STEP_MM,
-        score,
-        strength: responses.map(|r| crate::initial::median(&r)),
-        path,
-    })
+    (path, responses.map(|r| crate::initial::median(&r)))
 }
 
-fn advance(scene: &Scene<'_>, whisker: &RigWhisker, c: &mut Candidate, step: usize) {
+/// Moves a curve on by a step; `look` is told every place scored and the tangent there.
+fn advance(
+    whisker: &RigWhisker,
+    c: &mut Candidate,
+    step: usize,
+    look: &mut impl FnMut(&mut Candidate, &Vector3<f64>, &Vector3<f64>),
+) {
     let h = STEP_MM / PLACES as f64;
     for place in 0..PLACES {
         let s = step as f64 * STEP_MM + (place as f64 + 0.5) * h;
@@ -258,10 +322,10 @@ fn advance(scene: &Scene<'_>, whisker: &RigWhisker, c: &mut Candidate, step: usi
         let half = small_turn(&(Vector3::new(0.0, -(c.bend[1] - nominal), c.bend[0]) * (0.5 * h)));
         let middle = c.frame * half;
         let tangent = middle.column(0).into_owned();
-        let score = scene.score(&(c.position + tangent * (0.5 * h)), &tangent);
+        let centre = c.position + tangent * (0.5 * h);
+        look(c, &centre, &tangent);
         c.position += tangent * h;
         c.frame = middle * half;
-        c.score += score;
     }
 }
 
@@ -271,31 +335,51 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + k * (1.0 - square / 6.0) + k * k * (0.5 - square / 24.0)
 }
 
-/// Keeps the best curves, one a place and direction, so that the beam does not fill with copies of one.
-fn prune(all: Vec<Candidate>, beam: usize) -> Vec<Candidate> {
-    let mut order: Vec<usize> = (0..all.len()).collect();
-    order.sort_by(|&a, &b| all[b].score.total_cmp(&all[a].score));
+/// The best branches of all curves, one a place and direction, so that the beam does not fill with copies of one. `first`: the step
+/// at which the block began.
+fn branched(now: &[Candidate], beam: usize, first: usize) -> Vec<Candidate> {
+    let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
+    let mut order: Vec<(f64, usize, i32, i32)> = now
+        .iter()
+        .enumerate()
+        .flat_map(|(k, c)| {
+            changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
+        })
+        .collect();
+    order.sort_unstable_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3))));
     // Nothing recovers from being this much worse than the best.
-    let floor = order.first().map_or(0.0, |&k| all[k].score) - 80.0 + 4.0 * HIDDEN;
-    let mut seen: HashSet<[i64; 6]> = HashSet::new();
-    let mut kept = Vec::with_capacity(beam);
-    for c in order.into_iter().map(|k| &all[k]) {
-        if kept.len() >= beam || c.score < floor {
-            break;
+    let floor = order.first().map_or(0.0, |o| o.0) - 80.0 + 4.0 * HIDDEN;
+    let mut cells: HashSet<[i32; 7]> = HashSet::new();
+    let (mut seen, mut hidden) = (Vec::with_capacity(beam), Vec::new());
+    for (score, k, a, b) in order {
+        let parent = &now[k];
+        if !parent.hidden && (seen.len() >= beam || score < floor) {
+            continue;
         }
-        let t = c.frame.column(0);
-        let cell = |v: f64, size: f64| (v / size).round() as i64;
+        let mut child = parent.bent(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
+        if child.best_step > first {
+            child.best += score - child.score;
+        }
+        child.score = score;
+        let (place, turn) = if child.hidden { HIDDEN_CELL } else { SEEN_CELL };
+        let cell = |v: f64, size: f64| (v / size).round() as i32;
+        let (p, t) = (&child.position, child.frame.column(0));
+        let of_bend = child.bend.map(|v| cell(v, CURVATURE_STEP));
         let key = [
-            cell(c.position.x, 0.06),
-            cell(c.position.y, 0.06),
-            cell(c.position.z, 0.06),
-            cell(t.y, 0.01),
-            cell(t.z, 0.01),
-            cell(c.bend[0], 0.003) * 1000 + cell(c.bend[1], 0.003),
+            cell(p.x, place),
+            cell(p.y, place),
+            cell(p.z, place),
+            cell(t.y, turn),
+            cell(t.z, turn),
+            if child.hidden { 0 } else { of_bend[0] },
+            if child.hidden { 1 } else { of_bend[1] },
         ];
-        if seen.insert(key) {
-            kept.push(c.clone());
+        if cells.insert(key) {
+            if child.hidden { hidden.push(child) } else { seen.push(child) }
         }
     }
-    kept
+    // Spread evenly over what lies hidden: the first of them would all bend to one side.
+    let every = hidden.len().div_ceil(HIDDEN_BEAM).max(1);
+    seen.extend(hidden.into_iter().step_by(every));
+    seen
 }

@@ -2,7 +2,7 @@
 //! as well as a calibration from noisy corners knows them: does the stated region hold the true wire?
 
 use crate::common;
-use crate::common::bench;
+use crate::common::bench::{self, Style};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -72,6 +72,7 @@ fn run(
     scenes: &[Vec<Vec<Vector3<f64>>>],
     still: Option<&[Vector3<f64>]>,
     seed: u64,
+    style: &Style,
 ) -> ShapesDocument {
     let place = tempfile::tempdir().unwrap();
     let sides = ["left", "right"].map(|s| place.path().join(s));
@@ -79,7 +80,7 @@ fn run(
         std::fs::create_dir(side).unwrap();
         for (k, wires) in scenes.iter().enumerate() {
             let wires: Vec<&[Vector3<f64>]> = wires.iter().map(Vec::as_slice).collect();
-            let picture = bench::draw(camera, &wires, 1000 * seed + 2 * k as u64 + camera as u64);
+            let picture = bench::draw(camera, &wires, 1000 * seed + 2 * k as u64 + camera as u64, style);
             common::write_pgm(&side.join(format!("{k}.pgm")), &picture);
         }
     }
@@ -87,12 +88,14 @@ fn run(
     let files = pair_files(&list(0), &list(1)).unwrap();
     let background = still.map(|wire| {
         [0, 1].map(|camera| {
-            let draws: Vec<_> =
-                (0..4).map(|k| bench::draw(camera, &[wire], 7000 * seed + 10 * k + camera as u64)).collect();
+            let draws: Vec<_> = (0..4)
+                .map(|k| bench::draw(camera, &[wire], 7000 * seed + 10 * k + camera as u64, style))
+                .collect();
             Picture::mean(&draws).unwrap()
         })
     });
-    let rig = Rig::parse("rig.toml", bench::RIG).unwrap();
+    let diameter = format!("diameter_mm = {}", style.diameter_mm);
+    let rig = Rig::parse("rig.toml", &bench::RIG.replace("diameter_mm = 0.3", &diameter)).unwrap();
     shapes_of_pairs(cameras, &rig, &files, background.as_ref(), &|_| {}).document
 }
 
@@ -121,7 +124,7 @@ fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() 
     let wires: Vec<_> = (1..=2).map(bench::wire).collect();
     let mut scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
     scenes.push(vec![bench::wire(1), bench::wire(5)]);
-    let mut shapes = run(&calibrated(1), &scenes, None, 1);
+    let mut shapes = run(&calibrated(1), &scenes, None, 1, &Style::default());
     let two = shapes.pairs.pop().unwrap();
     assert_eq!(two.status, "rejected");
     assert!(two.why.contains("two wires"), "{}", two.why);
@@ -137,7 +140,7 @@ fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() 
 fn what_a_background_picture_shows_is_not_the_wire() {
     let (wire, cable) = (bench::wire(1), bench::wire(5));
     let scenes = [vec![wire.clone(), cable.clone()]];
-    let shapes = run(&calibrated(1), &scenes, Some(&cable), 2);
+    let shapes = run(&calibrated(1), &scenes, Some(&cable), 2, &Style::default());
     let (_, rms) = judged(&shapes, &[wire], 1.0);
     assert!(rms <= 0.03, "{rms} mm");
 }
@@ -149,7 +152,7 @@ fn the_stated_region_holds_95_percent_of_true_points_over_ten_calibrations() {
     for seed in 0..10 {
         let wires: Vec<_> = (0..3).map(|k| bench::wire(100 + 3 * seed + k)).collect();
         let scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
-        let shapes = run(&calibrated(seed), &scenes, None, 50 + seed);
+        let shapes = run(&calibrated(seed), &scenes, None, 50 + seed, &Style::default());
         let (inside, rms) = judged(&shapes, &wires, 1.0);
         println!("calibration {seed}: {:.1} % inside, worst RMS {rms:.4} mm", 100.0 * inside);
         shares.push(inside);

@@ -12,8 +12,35 @@ use wcal_vision::picture::Picture;
 
 pub const WIDTH: usize = 1280;
 pub const HEIGHT: usize = 960;
-pub const DIAMETER_MM: f64 = 0.3;
 pub const LENGTH_MM: f64 = 60.0;
+
+/// How a bench looks.
+#[derive(Debug, Clone, Copy)]
+pub struct Style {
+    pub diameter_mm: f64,
+    /// Grey values of the wire, of a highlight on it, and of the background behind it.
+    pub wire_dn: f64,
+    pub highlight_dn: f64,
+    pub background_dn: f64,
+    /// Amplitude of waves in the background.
+    pub texture_dn: f64,
+    pub blur_px: f64,
+    pub noise_dn: f64,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self {
+            diameter_mm: 0.3,
+            wire_dn: 62.0,
+            highlight_dn: 35.0,
+            background_dn: 170.0,
+            texture_dn: 12.0,
+            blur_px: 0.75,
+            noise_dn: 1.2,
+        }
+    }
+}
 
 /// The rig file of the drawn bench.
 pub const RIG: &str = r#"
@@ -80,7 +107,7 @@ pub fn wire(seed: u64) -> Vec<Vector3<f64>> {
 }
 
 /// Draws what one camera sees.
-pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64) -> Picture {
+pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) -> Picture {
     let eye = &cameras()[camera];
     let pose = camera_from_base(camera);
     // Segments of 0.25 mm, listed at every pixel that they may touch.
@@ -89,7 +116,7 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64) -> Picture {
     for wire in wires {
         let see = |p: &Vector3<f64>| {
             let x = pose * Point3::from(*p);
-            (eye.project(&x.coords).unwrap(), 0.5 * DIAMETER_MM * eye.focal_px[0] / x.z)
+            (eye.project(&x.coords).unwrap(), 0.5 * style.diameter_mm * eye.focal_px[0] / x.z)
         };
         let places: Vec<_> = wire.iter().step_by(5).map(see).collect();
         for w in places.windows(2) {
@@ -112,7 +139,8 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64) -> Picture {
     let tag_pose = pose * base_from_tag;
     let centre = eye.project(&tag_pose.translation.vector).unwrap();
     let surface = |x: f64, y: f64| -> f64 {
-        let background = 170.0 + 0.02 * (x - 640.0) + 12.0 * (0.011 * x).sin() * (0.013 * y).cos();
+        let waves = (0.011 * x).sin() * (0.013 * y).cos();
+        let background = style.background_dn + 0.02 * (x - 640.0) + style.texture_dn * waves;
         if (x - centre.x).abs() > 110.0 || (y - centre.y).abs() > 110.0 {
             return background;
         }
@@ -139,7 +167,8 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64) -> Picture {
             }
         }
         // Darker toward one side, with a highlight off the middle.
-        best.map_or_else(|| surface(x, y), |u| 62.0 + 10.0 * u + 35.0 * (-((u + 0.35) / 0.3).powi(2)).exp())
+        let lit = |u: f64| style.highlight_dn * (-((u + 0.35) / 0.3).powi(2)).exp();
+        best.map_or_else(|| surface(x, y), |u| style.wire_dn + 10.0 * u + lit(u))
     };
     let mut light = vec![0.0f64; WIDTH * HEIGHT];
     for y in 0..HEIGHT {
@@ -155,14 +184,14 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64) -> Picture {
             };
         }
     }
-    finish(&light, seed)
+    finish(&light, seed, style)
 }
 
 /// Lens blur, the camera's tone curve, noise and 8 bits.
-fn finish(light: &[f64], seed: u64) -> Picture {
-    let blurred = super::blurred(light, WIDTH, HEIGHT, 0.75);
+fn finish(light: &[f64], seed: u64, style: &Style) -> Picture {
+    let blurred = super::blurred(light, WIDTH, HEIGHT, style.blur_px);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let normal = Normal::new(0.0, 1.2).unwrap();
+    let normal = Normal::new(0.0, style.noise_dn).unwrap();
     let data = blurred
         .iter()
         .map(|v| {

@@ -4,6 +4,7 @@
 //! `right_from_left` takes left camera coordinates to right ones.
 
 pub mod apriltag_ffi;
+mod bar;
 pub mod base_pose;
 pub mod bundle;
 pub mod calibrate;

@@ -1,7 +1,8 @@
 //! How the wire looks in one picture: blur and width, from the pieces that show it best.
 
+use crate::bar::{Bar, FIRST_RIDGE, Levels, near_px};
 use crate::picture::Picture;
-use crate::wire::{Bar, FIRST_RIDGE, Look, Piece, Pixel, gather, near_px};
+use crate::wire::{Look, Piece, Pixel, gather};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Bounds of blur (px) and of width over the expected width.
@@ -15,6 +16,7 @@ struct Patch {
     pixels: Vec<Pixel>,
     width_px: f64,
     centre: f64,
+    level: Levels,
 }
 
 /// Pooled squares a pixel with their normal equations in (ln blur, ln width).
@@ -22,8 +24,8 @@ struct Pooled {
     cost: f64,
     normal: Matrix2<f64>,
     gradient: Vector2<f64>,
-    /// Where every patch's centre settled.
-    centres: Vec<f64>,
+    /// Where every patch's centre and levels settled.
+    settled: Vec<(f64, Levels)>,
 }
 
 /// Blur and width of the wire from the pieces that show it best: least pooled squares by Levenberg-Marquardt, centres and
@@ -44,7 +46,8 @@ pub fn fit_look(picture: &Picture, pieces: &[Piece], start: Look) -> Look {
             let near = near_px(width_px * start.width_scale, start.blur_px) + 1.0;
             let mut pixels = gather(picture, &p.station, near + p.offset_px.abs());
             pixels.retain(|q| (q.0 - p.offset_px).abs() <= near);
-            Patch { pixels, width_px, centre: p.offset_px }
+            let [left, right] = p.depth;
+            Patch { pixels, width_px, centre: p.offset_px, level: Levels::new(left, right, 0.0, 0.0) }
         })
         .collect();
     let mut look = start;
@@ -63,8 +66,8 @@ pub fn fit_look(picture: &Picture, pieces: &[Piece], start: Look) -> Look {
         match pooled(&patches, next) {
             Some(there) if there.cost <= now.cost => {
                 (look, now) = (next, there);
-                for (patch, centre) in patches.iter_mut().zip(&now.centres) {
-                    patch.centre = *centre;
+                for (patch, (centre, level)) in patches.iter_mut().zip(&now.settled) {
+                    (patch.centre, patch.level) = (*centre, *level);
                 }
                 lambda = (lambda * 0.2).max(1e-9);
                 if step.norm() < 1e-3 {
@@ -86,14 +89,16 @@ pub fn fit_look(picture: &Picture, pieces: &[Piece], start: Look) -> Look {
 /// fitted, does not count; none where that is more than a quarter.
 fn pooled(patches: &[Patch], look: Look) -> Option<Pooled> {
     let fits: Vec<Option<One>> = patches.iter().map(|p| one(p, look)).collect();
-    let centres = fits.iter().zip(patches).map(|(f, p)| f.as_ref().map_or(p.centre, |f| f.centre)).collect();
+    let settled =
+        |(f, p): (&Option<One>, &Patch)| f.as_ref().map_or((p.centre, p.level), |f| (f.centre, f.level));
+    let settled = fits.iter().zip(patches).map(settled).collect();
     let mut all: Vec<One> = fits.into_iter().flatten().collect();
     let keep = patches.len() * 3 / 4;
     if all.len() < keep {
         return None;
     }
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    let mut sum = Pooled { cost: 0.0, normal: Matrix2::zeros(), gradient: Vector2::zeros(), centres };
+    let mut sum = Pooled { cost: 0.0, normal: Matrix2::zeros(), gradient: Vector2::zeros(), settled };
     for p in &all[..keep] {
         sum.cost += p.cost / keep as f64;
         sum.normal += p.normal / keep as f64;
@@ -105,6 +110,7 @@ fn pooled(patches: &[Patch], look: Look) -> Option<Pooled> {
 /// One patch's squares a pixel and its part of the normal equations.
 struct One {
     centre: f64,
+    level: Levels,
     cost: f64,
     normal: Matrix2<f64>,
     gradient: Vector2<f64>,
@@ -113,7 +119,7 @@ struct One {
 fn one(patch: &Patch, look: Look) -> Option<One> {
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * look.width_scale, look.blur_px);
-    let fit = bar.settle(&patch.pixels, patch.centre, 6, false)?;
+    let fit = bar.settle(&patch.pixels, patch.centre, patch.level, 6, false)?;
     // A bar that jumps to something else beside the wire says nothing about the wire.
     if (fit.centre - patch.centre).abs() > 1.0 {
         return None;
@@ -139,5 +145,11 @@ fn one(patch: &Patch, look: Look) -> Option<One> {
     let inverse = own.cholesky()?;
     normal -= cross * inverse.solve(&cross.transpose());
     gradient -= cross * inverse.solve(&pull);
-    Some(One { centre: fit.centre, cost: fit.cost / n, normal: normal / n, gradient: gradient / n })
+    Some(One {
+        centre: fit.centre,
+        level: fit.level,
+        cost: fit.cost / n,
+        normal: normal / n,
+        gradient: gradient / n,
+    })
 }

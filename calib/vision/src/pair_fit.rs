@@ -4,7 +4,7 @@ use crate::document::StereoCameras;
 use crate::look::fit_look;
 use crate::picture::Picture;
 use crate::ridge::{Evidence, RidgeMap};
-use crate::rig::{Rig, RigWhisker};
+use crate::rig::Rig;
 use crate::rod::{RodModel, RodState};
 use crate::shape_fit::{
     PairSystem, Prior, Sight, choose_smoothing, image_line, linearise, measure, sights, stepped, visible,
@@ -51,6 +51,8 @@ pub struct PairFit {
 
 /// How far the curve model goes beyond the nominal length.
 const REACH: f64 = 1.12;
+/// Length by which a wire is followed on where it does not end.
+const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
 const KNOT_MM: f64 = 2.5;
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
@@ -65,8 +67,8 @@ const SUSPECT_SHARE: f64 = 0.2;
 const RIVAL_BEAM: usize = 80;
 /// Distance from the first wire, in its widths, within which nothing counts.
 const COVERED_WIDTHS: f64 = 3.0;
-/// Share of the nominal length at which a line is the whole wire.
-const LONG_SHARE: f64 = 0.9;
+/// Share of the evidence along the nominal length at which a line is the wire: nothing beats it.
+const CONVINCING_SHARE: f64 = 0.4;
 /// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
 const MOST_EVIDENCE: f64 = 24.0;
 
@@ -108,8 +110,8 @@ fn refine(
     let mut warnings = Vec::new();
     // The window narrows as the curve settles; the look is fitted once the line is roughly right.
     let windows = [4.0, 2.5, 1.5, 1.2, 1.0];
-    let first = if again { 3 } else { 0 };
-    for (round, search_px) in windows.into_iter().enumerate().skip(first) {
+    let mut round = if again { 3 } else { 0 };
+    while let Some(&search_px) = windows.get(round) {
         let shape = model.shape(&state);
         all.clear();
         for camera in 0..2 {
@@ -168,8 +170,13 @@ fn refine(
                 })
                 .collect();
             if ends.is_empty() {
-                // Without a visible end: the last piece seen, or the nominal length where that lies near.
                 let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
+                // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
+                if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
+                    length += GROWTH_MM;
+                    continue;
+                }
+                // Without a visible end: the last piece seen, or the nominal length where that lies near.
                 length =
                     if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
                 length_sd = 1.0;
@@ -182,6 +189,7 @@ fn refine(
                 length_sd = w.powf(-0.5);
             }
         }
+        round += 1;
     }
     let expected = rig.whisker.length_mm;
     if (length - expected).abs() > 0.02 * expected {
@@ -255,34 +263,39 @@ fn find_wire(
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
+    let strengths =
+        [1.0, -1.0].map(|p| (p, expected_strength(stereo, left_from_base, &maps, &rig.whisker, p)));
+    // Beside a bright line lie two fainter dark ones: the stronger polarity is the line's own.
+    let [dark, bright] = strengths.map(|(_, s)| s[0] + s[1]);
+    let order = if dark >= bright { [0, 1] } else { [1, 0] };
+    let look = |strength: [f64; 2], polarity: f64, beam: usize| {
+        let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
+        trace(&Scene::new(stereo, left_from_base, &maps, evidence), &rig.whisker, beam)
+    };
     let mut best: Option<(Trace, f64, [f64; 2])> = None;
-    for polarity in [1.0, -1.0] {
-        // Nothing beats a line that has half of all the evidence there could be along most of the nominal length.
-        if best.as_ref().is_some_and(|(b, ..)| b.score > 0.5 * MOST_EVIDENCE * 0.8 * rig.whisker.length_mm) {
-            break;
-        }
-        let mut strength = expected_strength(stereo, left_from_base, &maps, &rig.whisker, polarity);
-        let mut last = None;
-        // The second search knows how strong the wire of the first one answers.
-        for _ in 0..2 {
-            let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
-            let scene = Scene::new(stereo, left_from_base, &maps, evidence);
-            last = search(&scene, &rig.whisker);
-            let Some(found) = &last else { break };
-            let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
-            for (s, f) in strength.iter_mut().zip(found.strength) {
-                if f.is_finite() {
-                    *s = f;
+    // A groove's edges can crowd the wire out of the beam: where nothing convinces, a wider one looks again.
+    'wide: for beam in [BEAM, 4 * BEAM] {
+        for (polarity, mut strength) in order.map(|k| strengths[k]) {
+            // The second search knows how strong the wire of the first one answers.
+            for _ in 0..2 {
+                let Some(found) = look(strength, polarity, beam) else { break };
+                let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
+                for (s, f) in strength.iter_mut().zip(found.strength) {
+                    if f.is_finite() {
+                        *s = f;
+                    }
+                }
+                let convinces = found.score > CONVINCING_SHARE * MOST_EVIDENCE * rig.whisker.length_mm;
+                if best.as_ref().is_none_or(|b| found.score > b.0.score) {
+                    best = Some((found, polarity, strength));
+                }
+                if convinces {
+                    break 'wide;
+                }
+                if settled {
+                    break;
                 }
             }
-            if settled {
-                break;
-            }
-        }
-        if let Some(found) = last
-            && best.as_ref().is_none_or(|b| found.score > b.0.score)
-        {
-            best = Some((found, polarity, strength));
         }
     }
     let (found, polarity, strength) = best.ok_or("no wire: nothing like a line leaves the root")?;
@@ -310,23 +323,6 @@ fn find_wire(
         ));
     }
     Ok((found, polarity))
-}
-
-/// A groove's edges can crowd the wire out of the beam: where what is found is too short, wider beams look again.
-fn search(scene: &Scene<'_>, whisker: &RigWhisker) -> Option<Trace> {
-    let mut best: Option<Trace> = None;
-    for beam in [BEAM, 4 * BEAM, 16 * BEAM] {
-        let found = trace(scene, whisker, beam);
-        if let Some(found) = found
-            && best.as_ref().is_none_or(|b| found.score > b.score)
-        {
-            best = Some(found);
-        }
-        if best.as_ref().is_some_and(|b| b.length_mm >= LONG_SHARE * whisker.length_mm) {
-            break;
-        }
-    }
-    best
 }
 
 /// Factor on the stated sd from the residuals' scatter (weighted) and from how far neighbours share their errors.

@@ -15,18 +15,18 @@ const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
-const HIDDEN_BEAM: usize = 1500;
+const HIDDEN_BEAM: usize = 400;
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
 /// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
 /// serves them all.
-const BRANCH_STEPS: usize = 2;
-/// Change of curvature a branching, 1/mm: a force of 0.2 N bends a 0.3 mm NiTi wire by 0.0067 a mm, few times more than a groove's.
-const CURVATURE_STEP: f64 = 0.003;
+const BRANCH_STEPS: usize = 3;
+/// Change of curvature a branching, 1/mm: 0.002 a mm, as a force of 0.06 N bends a 0.3 mm NiTi wire.
+const CURVATURE_STEP: f64 = 0.006;
 /// Log likelihood that a change costs.
 const CHANGE_COST: f64 = 1.0;
 /// Blocks between branchings that are not branched, from the root.
-const UNBRANCHED: usize = 2;
+const UNBRANCHED: usize = 1;
 /// Cells of place (mm) and direction (rad) of which one curve is kept, of those that are seen and of those that lie hidden.
 const SEEN_CELL: (f64, f64) = (0.06, 0.01);
 const HIDDEN_CELL: (f64, f64) = (0.15, 0.03);
@@ -201,14 +201,16 @@ pub fn expected_strength(
 ) -> [f64; 2] {
     let none = [0, 1].map(|_| Evidence::new(&[], 1.0, polarity));
     let scene = Scene::new(stereo, left_from_base, maps, none);
-    let end = whisker.straight_mm.min(0.3 * whisker.length_mm).max(4.0);
+    let end = whisker.straight_mm.min(0.3 * whisker.length_mm).clamp(4.0, 8.0);
+    let px_per_mm = stereo.cameras[0].focal_px[0] / left_from_base.translation.z;
     [0, 1].map(|camera| {
         let mut strongest: Vec<f64> = (0..40)
             .filter_map(|k| {
-                let s = 2.0 + (end - 2.0) * f64::from(k) / 39.0;
+                let s = 1.5 + (end - 1.5) * f64::from(k) / 39.0;
                 let (px, normal) = scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
-                let reach = 3.0 + 6.0 * s / end;
-                let count = (4.0 * reach) as i64;
+                // As far aside as half of the greatest curvature that is started takes it.
+                let reach = 3.0 + 0.012 * s * s * px_per_mm;
+                let count = (2.0 * reach) as i64;
                 (-count..=count)
                     .filter_map(|i| maps[camera].across(&(px + normal * (0.5 * i as f64)), &normal))
                     .map(|r| polarity * r)
@@ -226,9 +228,9 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
     // Parent and curvature of every curve kept at the end of every block.
     let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
-    // The bending moment at the root is unknown: every curvature up to 0.03 / mm is started.
+    // The bending moment at the root is unknown: every curvature up to 0.048 / mm is started.
     let mut now: Vec<Candidate> = (-8..=8)
-        .flat_map(|a| (-8..=8).map(move |b| [f64::from(a) * 0.00375, f64::from(b) * 0.00375]))
+        .flat_map(|a| (-8..=8).map(move |b| [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]))
         .enumerate()
         .map(|(parent, bend)| Candidate {
             position: Vector3::zeros(),

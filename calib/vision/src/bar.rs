@@ -251,7 +251,7 @@ pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
     let edge = |place: f64| two(&|u| bar.step(u - place).0);
     let mut place = sharp.1 as f64 * CELL_PX - reach;
     let mut least = edge(place);
-    let mut step = 1.0;
+    let mut step = 0.5;
     while step > 0.05 {
         step *= 0.5;
         for at in [place - step, place + step] {

@@ -207,7 +207,7 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
         let h = calibration_step(k);
         let there = residuals(&moved_cameras(stereo, k, h));
         let change = DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
-        out.set_column(k, &(fit.system.rows_weighted.transpose() * change));
+        out.set_column(k, &(&fit.system.rows_weighted * change));
     }
     out
 }
@@ -247,8 +247,8 @@ pub(crate) fn node_covariance(
     u: &Uncertain,
 ) -> Matrix3<f64> {
     let n = fit.model.parameters();
-    let j = jacobian.rows(3 * node, 3);
+    let j = jacobian.columns(3 * node, 3);
     let c = u.covariance.view((6, 6), (n, n));
-    let m = j * c * j.transpose();
+    let m = j.tr_mul(&(c * j));
     Matrix3::from_iterator(m.iter().copied()) + Matrix3::identity() * u.shared_mm * u.shared_mm
 }

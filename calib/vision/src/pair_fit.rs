@@ -59,15 +59,17 @@ const KNOT_MM: f64 = 2.5;
 const LEAST_EVIDENCE: f64 = 1.2;
 /// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
 /// is covered up by the first one it has none.
-const RIVAL_LENGTH_SHARE: f64 = 0.6;
-const RIVAL_SHARE: f64 = 0.35;
+const RIVAL_LENGTH_SHARE: f64 = 0.55;
+const RIVAL_SHARE: f64 = 0.15;
 /// Share of the evidence a millimetre that makes a line worth a second look.
-const SUSPECT_SHARE: f64 = 0.2;
+const SUSPECT_SHARE: f64 = 0.05;
 /// Curves kept in the search for it: it need only be found, not followed well.
 const RIVAL_BEAM: usize = 80;
 /// Distance from the first wire, in its widths, within which nothing counts.
 const COVERED_WIDTHS: f64 = 3.0;
-/// Share of the evidence along the nominal length at which a line is the wire: nothing beats it.
+/// Share of the nominal length at which a line is the whole wire.
+const LONG_SHARE: f64 = 0.9;
+/// Share of the evidence along the nominal length at which a line is the wire: one of the other polarity does not beat it.
 const CONVINCING_SHARE: f64 = 0.4;
 /// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
 const MOST_EVIDENCE: f64 = 24.0;
@@ -109,7 +111,7 @@ fn refine(
     let mut all: Vec<Sight> = Vec::new();
     let mut warnings = Vec::new();
     // The window narrows as the curve settles; the look is fitted once the line is roughly right.
-    let windows = [4.0, 2.5, 1.5, 1.2, 1.0];
+    let windows = [4.0, 2.0, 1.2, 1.0, 1.0];
     let mut round = if again { 3 } else { 0 };
     while let Some(&search_px) = windows.get(round) {
         let shape = model.shape(&state);
@@ -124,10 +126,9 @@ fn refine(
                 length,
                 rig.whisker.diameter_mm,
             );
-            let mut measured = measure(&pictures[camera], &line, looks[camera], search_px);
+            let measured = measure(&pictures[camera], &line, looks[camera], search_px);
             if round == 1 || round == 3 {
                 looks[camera] = fit_look(&pictures[camera], &measured, looks[camera]);
-                measured = measure(&pictures[camera], &line, looks[camera], search_px);
             }
             let seen = visible(&measured, polarity);
             all.extend(sights(camera, &measured, &seen));
@@ -137,7 +138,7 @@ fn refine(
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
         }
         // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
-        for inner in 0..4 {
+        for inner in 0..3 {
             let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
             if inner == 1 {
                 prior.smoothing = choose_smoothing(&system, &prior, &state, &model);
@@ -149,7 +150,7 @@ fn refine(
             }
             let step = h.cholesky().ok_or("the curve's normal matrix is singular")?.solve(&g);
             state = stepped(left_from_base, &state, &step).1;
-            if inner == 3 {
+            if inner == 2 {
                 noise = consistent_noise(&system, noise, &all);
             }
         }
@@ -273,30 +274,35 @@ fn find_wire(
         trace(&Scene::new(stereo, left_from_base, &maps, evidence), &rig.whisker, beam)
     };
     let mut best: Option<(Trace, f64, [f64; 2])> = None;
-    // A groove's edges can crowd the wire out of the beam: where nothing convinces, a wider one looks again.
-    'wide: for beam in [BEAM, 4 * BEAM] {
-        for (polarity, mut strength) in order.map(|k| strengths[k]) {
-            // The second search knows how strong the wire of the first one answers.
-            for _ in 0..2 {
-                let Some(found) = look(strength, polarity, beam) else { break };
-                let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
-                for (s, f) in strength.iter_mut().zip(found.strength) {
-                    if f.is_finite() {
-                        *s = f;
-                    }
-                }
-                let convinces = found.score > CONVINCING_SHARE * MOST_EVIDENCE * rig.whisker.length_mm;
-                if best.as_ref().is_none_or(|b| found.score > b.0.score) {
-                    best = Some((found, polarity, strength));
-                }
-                if convinces {
-                    break 'wide;
-                }
-                if settled {
-                    break;
+    for (polarity, mut strength) in order.map(|k| strengths[k]) {
+        // The second search knows how strong the wire of the first one answers.
+        for _ in 0..2 {
+            let Some(found) = look(strength, polarity, BEAM) else { break };
+            let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
+            for (s, f) in strength.iter_mut().zip(found.strength) {
+                if f.is_finite() {
+                    *s = f;
                 }
             }
+            if best.as_ref().is_none_or(|b| found.score > b.0.score) {
+                best = Some((found, polarity, strength));
+            }
+            if settled {
+                break;
+            }
         }
+        let convincing = CONVINCING_SHARE * MOST_EVIDENCE * rig.whisker.length_mm;
+        if best.as_ref().is_some_and(|b| b.0.score > convincing) {
+            break;
+        }
+    }
+    // A groove's edges can crowd the wire out of the beam: where what is found is too short, a wider one looks again.
+    if let Some((found, polarity, strength)) = &mut best
+        && found.length_mm < LONG_SHARE * rig.whisker.length_mm
+        && let Some(wider) = look(*strength, *polarity, 4 * BEAM)
+        && wider.score > found.score
+    {
+        *found = wider;
     }
     let (found, polarity, strength) = best.ok_or("no wire: nothing like a line leaves the root")?;
     if found.score < 2.0 * LEAST_EVIDENCE * found.length_mm || found.length_mm < 0.3 * rig.whisker.length_mm {

@@ -8,7 +8,7 @@ use std::cell::OnceCell;
 /// Side of a tile, px.
 const TILE: usize = 64;
 /// Tiles, of which one tells the background.
-const SAMPLED: usize = 5;
+const SAMPLED: usize = 9;
 /// Values a row of a tile: one more than its side, so that interpolation stays within it.
 const ROW: usize = TILE + 1;
 /// Second derivatives of a smoothed picture, computed tile by tile where they are asked for: a search along a wire visits a

@@ -116,11 +116,11 @@ impl RodModel {
         shape
     }
 
-    /// Derivatives of every node's position by every parameter: rows 3 i .. 3 i + 3 belong to node i.
+    /// Derivatives of every node's position: columns 3 i .. 3 i + 3 belong to node i, rows to the parameters.
     #[must_use]
     pub fn jacobian(&self, state: &RodState) -> DMatrix<f64> {
         let n = self.parameters();
-        let mut j = DMatrix::<f64>::zeros(3 * self.nodes, n);
+        let mut j = DMatrix::<f64>::zeros(n, 3 * self.nodes);
         let (_, mut frame) = Self::root(state);
         // Accumulated rotation and displacement of every parameter.
         let mut turn = vec![Vector3::<f64>::zeros(); n];
@@ -130,9 +130,12 @@ impl RodModel {
         // The root's tilts are tiny, so that the two axes may be taken as those of the base.
         turn[2] = Vector3::z();
         turn[3] = Vector3::y();
-        for p in 0..n {
-            j.fixed_view_mut::<3, 1>(0, p).copy_from(&move_by[p]);
-        }
+        let mut write = |node: usize, p: usize, v: &Vector3<f64>| {
+            for k in 0..3 {
+                j[(p, 3 * node + k)] = v[k];
+            }
+        };
+        (0..2).for_each(|p| write(0, p, &move_by[p]));
         for i in 0..self.nodes - 1 {
             let (k1, k2) = self.curvature(state, i);
             let half = half_turn(k1, k2, self.step_mm);
@@ -141,23 +144,20 @@ impl RodModel {
             // Bending in direction 1 turns about axis 2, in direction 2 about minus axis 1.
             let axes = [middle.column(2).into_owned(), -middle.column(1)];
             let (first, values) = &self.basis[i];
-            let mut half_steps = Vec::with_capacity(8);
-            for (d, axis) in axes.iter().enumerate() {
-                for (k, v) in values.iter().enumerate() {
-                    half_steps.push((ROOT + d * self.splines + first + k, axis * (0.5 * v * self.step_mm)));
-                }
+            let start = |d: usize| ROOT + d * self.splines;
+            let mut half_steps = [(0, Vector3::zeros()); 8];
+            for (k, h) in half_steps.iter_mut().enumerate() {
+                let (d, v) = (k / 4, values[k % 4]);
+                *h = (start(d) + first + k % 4, axes[d] * (0.5 * v * self.step_mm));
             }
             for (p, w) in &half_steps {
                 turn[*p] += w;
             }
-            for p in 2..n {
-                if turn[p] != Vector3::zeros() {
-                    move_by[p] += turn[p].cross(&tangent) * self.step_mm;
-                }
-                j.fixed_view_mut::<3, 1>(3 * (i + 1), p).copy_from(&move_by[p]);
-            }
-            for p in 0..2 {
-                j.fixed_view_mut::<3, 1>(3 * (i + 1), p).copy_from(&move_by[p]);
+            // Splines that begin further on have moved nothing yet.
+            let begun = |d: usize| start(d)..start(d) + first + 4;
+            for p in (0..ROOT).chain(begun(0)).chain(begun(1)) {
+                move_by[p] += turn[p].cross(&tangent) * self.step_mm;
+                write(i + 1, p, &move_by[p]);
             }
             for (p, w) in &half_steps {
                 turn[*p] += w;

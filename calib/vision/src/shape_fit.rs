@@ -158,7 +158,7 @@ pub struct PairSystem {
     pub residuals_px: Vec<f64>,
     /// Student weights, in order of the sights.
     pub weights: Vec<f64>,
-    /// Rows of the Jacobian (predicted offset along the normal) times their weights.
+    /// Derivatives of the predicted offsets along the normal times their weights, one column a sight.
     pub rows_weighted: DMatrix<f64>,
 }
 
@@ -200,55 +200,52 @@ pub fn linearise(
     let shape = model.shape(state);
     let by_parameters = model.jacobian(state);
     let n = 6 + model.parameters();
-    let mut system = PairSystem {
-        data: DMatrix::zeros(n, n),
-        rhs: DVector::zeros(n),
-        chi2: 0.0,
-        count: sights.len(),
-        residuals_px: Vec::with_capacity(sights.len()),
-        weights: Vec::with_capacity(sights.len()),
-        rows_weighted: DMatrix::zeros(sights.len(), n),
-    };
     let turn = left_from_base.rotation.to_rotation_matrix();
-    let mut row = DVector::<f64>::zeros(n);
+    let (mut columns, mut weighted) =
+        (DMatrix::<f64>::zeros(n, sights.len()), DMatrix::<f64>::zeros(n, sights.len()));
+    let (mut chi2, mut residuals_px, mut weights) = (0.0, Vec::new(), Vec::new());
+    let mut pull = DVector::zeros(sights.len());
     for (index, s) in sights.iter().enumerate() {
         let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
         let p = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
         let Some((px, by_left, _)) = in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
         else {
-            system.residuals_px.push(f64::NAN);
-            system.weights.push(0.0);
+            residuals_px.push(f64::NAN);
+            weights.push(0.0);
             continue;
         };
         let residual = s.normal.dot(&(s.observed_px - px));
         let by_base = s.normal.transpose() * by_left * turn.matrix();
         let by_turn = -by_base * hat(&p);
+        let mut column = columns.column_mut(index);
         for k in 0..3 {
-            row[k] = by_turn[k];
-            row[3 + k] = by_base[k];
+            column[k] = by_turn[k];
+            column[3 + k] = by_base[k];
         }
-        for q in 0..model.parameters() {
-            let mut value = 0.0;
-            for k in 0..3 {
-                value += by_base[k]
-                    * ((1.0 - f) * by_parameters[(3 * i + k, q)] + f * by_parameters[(3 * i + 3 + k, q)]);
-            }
-            row[6 + q] = value;
+        let mut curve = column.rows_mut(6, n - 6);
+        for k in 0..3 {
+            curve.axpy(by_base[k] * (1.0 - f), &by_parameters.column(3 * i + k), 1.0);
+            curve.axpy(by_base[k] * f, &by_parameters.column(3 * i + 3 + k), 1.0);
         }
         let sd = s.sd_px * noise;
         let z2 = (residual / sd).powi(2);
         let student = (STUDENT + 1.0) / (STUDENT + z2);
         let weight = student / (sd * sd);
-        system.data.ger(weight, &row, &row, 1.0);
-        system.rhs.axpy(weight * residual, &row, 1.0);
-        for q in 0..n {
-            system.rows_weighted[(index, q)] = weight * row[q];
-        }
-        system.chi2 += student * z2;
-        system.residuals_px.push(residual);
-        system.weights.push(student);
+        weighted.column_mut(index).axpy(weight, &columns.column(index), 0.0);
+        pull[index] = residual;
+        chi2 += student * z2;
+        residuals_px.push(residual);
+        weights.push(student);
     }
-    system
+    PairSystem {
+        data: &weighted * columns.transpose(),
+        rhs: &weighted * pull,
+        chi2,
+        count: sights.len(),
+        residuals_px,
+        weights,
+        rows_weighted: weighted,
+    }
 }
 
 /// Applies a step (base correction and curve parameters).

@@ -191,7 +191,7 @@ fn measure(
             p += step;
             (cost, m, g) = next;
             lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() < 1e-4 {
+            if step[0].abs() < 1e-3 {
                 break;
             }
         } else {

@@ -15,7 +15,7 @@ const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
-const HIDDEN_BEAM: usize = 400;
+const HIDDEN_BEAM: usize = 1000;
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
 /// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
@@ -337,51 +337,69 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + k * (1.0 - square / 6.0) + k * k * (0.5 - square / 24.0)
 }
 
+/// A branch of a curve: score, curve, changes of both curvatures in steps.
+type Branch = (f64, usize, i32, i32);
+
 /// The best branches of all curves, one a place and direction, so that the beam does not fill with copies of one. `first`: the step
 /// at which the block began.
 fn branched(now: &[Candidate], beam: usize, first: usize) -> Vec<Candidate> {
     let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
-    let mut order: Vec<(f64, usize, i32, i32)> = now
-        .iter()
-        .enumerate()
-        .flat_map(|(k, c)| {
-            changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
-        })
-        .collect();
-    order.sort_unstable_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3))));
+    let all = now.iter().enumerate().flat_map(|(k, c)| {
+        changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
+    });
+    let (mut hidden, mut order): (Vec<Branch>, Vec<Branch>) = all.partition(|b| now[b.1].hidden);
+    let best_first = |x: &Branch, y: &Branch| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3)));
+    // Far fewer are kept than there are: the rest need no order.
+    let enough = 6 * beam;
+    if order.len() > enough {
+        order.select_nth_unstable_by(enough, best_first);
+        order.truncate(enough);
+    }
+    order.sort_unstable_by(best_first);
     // Nothing recovers from being this much worse than the best.
     let floor = order.first().map_or(0.0, |o| o.0) - 80.0 + 4.0 * HIDDEN;
     let mut cells: HashSet<[i32; 7]> = HashSet::new();
-    let (mut seen, mut hidden) = (Vec::with_capacity(beam), Vec::new());
-    for (score, k, a, b) in order {
-        let parent = &now[k];
-        if !parent.hidden && (seen.len() >= beam || score < floor) {
-            continue;
+    let mut kept = Vec::with_capacity(beam + HIDDEN_BEAM);
+    for branch in order {
+        if kept.len() >= beam || branch.0 < floor {
+            break;
         }
-        let mut child = parent.bent(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
-        if child.best_step > first {
-            child.best += score - child.score;
-        }
-        child.score = score;
-        let (place, turn) = if child.hidden { HIDDEN_CELL } else { SEEN_CELL };
-        let cell = |v: f64, size: f64| (v / size).round() as i32;
-        let (p, t) = (&child.position, child.frame.column(0));
-        let of_bend = child.bend.map(|v| cell(v, CURVATURE_STEP));
-        let key = [
-            cell(p.x, place),
-            cell(p.y, place),
-            cell(p.z, place),
-            cell(t.y, turn),
-            cell(t.z, turn),
-            if child.hidden { 0 } else { of_bend[0] },
-            if child.hidden { 1 } else { of_bend[1] },
-        ];
-        if cells.insert(key) {
-            if child.hidden { hidden.push(child) } else { seen.push(child) }
+        let child = grown(now, branch, first);
+        if cells.insert(cell_of(&child, SEEN_CELL, CURVATURE_STEP)) {
+            kept.push(child);
         }
     }
+    cells.clear();
+    hidden.sort_unstable_by(best_first);
+    let children = hidden.into_iter().map(|b| grown(now, b, first));
+    let hidden: Vec<_> =
+        children.filter(|c| cells.insert(cell_of(c, HIDDEN_CELL, 2.0 * CURVATURE_STEP))).collect();
     // Spread evenly over what lies hidden: the first of them would all bend to one side.
     let every = hidden.len().div_ceil(HIDDEN_BEAM).max(1);
-    seen.extend(hidden.into_iter().step_by(every));
-    seen
+    kept.extend(hidden.into_iter().step_by(every));
+    kept
+}
+
+fn grown(now: &[Candidate], (score, k, a, b): Branch, first: usize) -> Candidate {
+    let mut child = now[k].bent(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
+    if child.best_step > first {
+        child.best += score - child.score;
+    }
+    child.score = score;
+    child
+}
+
+/// Cell of a curve's end: place (mm), direction (rad) and curvature (1/mm) in steps of these sizes.
+fn cell_of(c: &Candidate, (place, turn): (f64, f64), bend: f64) -> [i32; 7] {
+    let cell = |v: f64, size: f64| (v / size).round() as i32;
+    let (p, t) = (&c.position, c.frame.column(0));
+    [
+        cell(p.x, place),
+        cell(p.y, place),
+        cell(p.z, place),
+        cell(t.y, turn),
+        cell(t.z, turn),
+        cell(c.bend[0], bend),
+        cell(c.bend[1], bend),
+    ]
 }

@@ -106,12 +106,22 @@ pub fn wire(seed: u64) -> Vec<Vector3<f64>> {
     points
 }
 
+/// A piece of a wire's image, px, and whether it is the wire's first or last.
+#[derive(Clone, Copy)]
+struct Segment {
+    a: Vector2<f64>,
+    b: Vector2<f64>,
+    half: f64,
+    first: bool,
+    last: bool,
+}
+
 /// Draws what one camera sees.
 pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) -> Picture {
     let eye = &cameras()[camera];
     let pose = camera_from_base(camera);
     // Segments of 0.25 mm, listed at every pixel that they may touch.
-    let mut segments: Vec<(Vector2<f64>, Vector2<f64>, f64)> = Vec::new();
+    let mut segments: Vec<Segment> = Vec::new();
     let mut near: HashMap<(i64, i64), Vec<usize>> = HashMap::new();
     for wire in wires {
         let see = |p: &Vector3<f64>| {
@@ -119,7 +129,8 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
             (eye.project(&x.coords).unwrap(), 0.5 * style.diameter_mm * eye.focal_px[0] / x.z)
         };
         let places: Vec<_> = wire.iter().step_by(5).map(see).collect();
-        for w in places.windows(2) {
+        let count = places.len() - 1;
+        for (k, w) in places.windows(2).enumerate() {
             let (a, b, half) = (w[0].0, w[1].0, w[0].1);
             let (lo, hi) = (a.inf(&b), a.sup(&b));
             let reach = half + 1.5;
@@ -128,7 +139,7 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
                     near.entry((x, y)).or_default().push(segments.len());
                 }
             }
-            segments.push((a, b, half));
+            segments.push(Segment { a, b, half, first: k == 0, last: k + 1 == count });
         }
     }
     let tag = draw_tag("tag36h11", 0).unwrap();
@@ -157,9 +168,14 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
         let p = Vector2::new(x, y);
         let mut best: Option<f64> = None;
         for &k in list {
-            let (a, b, half) = segments[k];
+            let Segment { a, b, half, first, last } = segments[k];
             let run = b - a;
-            let t = ((p - a).dot(&run) / run.norm_squared()).clamp(0.0, 1.0);
+            let along = (p - a).dot(&run) / run.norm_squared();
+            // The wire's ends are cut square.
+            if (along < 0.0 && first) || (along > 1.0 && last) {
+                continue;
+            }
+            let t = along.clamp(0.0, 1.0);
             let off = p - a - run * t;
             let across = off.norm() / half * run.perp(&off).signum();
             if across.abs() < 1.0 && best.is_none_or(|o| across.abs() < o.abs()) {

@@ -33,6 +33,8 @@ pub mod ridge;
 pub mod rig;
 pub mod rigid;
 pub mod rod;
+pub mod scene;
+mod search;
 pub mod shape_fit;
 pub mod shapes;
 pub mod shapes_document;

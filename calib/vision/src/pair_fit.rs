@@ -3,16 +3,15 @@
 use crate::document::StereoCameras;
 use crate::look::fit_look;
 use crate::picture::Picture;
-use crate::ridge::{Evidence, RidgeMap};
 use crate::rig::Rig;
 use crate::rod::{RodModel, RodState};
+use crate::search::find_wire;
 use crate::shape_fit::{
     PairSystem, Prior, Sight, choose_smoothing, image_line, linearise, measure, sights, stepped, visible,
     with_prior,
 };
 use crate::stages::{Stage, StageClock};
 use crate::tip::find_tip;
-use crate::trace::{BEAM, Scene, Trace, expected_strength, trace};
 use crate::wire::{Look, Piece};
 use nalgebra::{Isometry3, Matrix6};
 
@@ -45,35 +44,20 @@ pub struct PairFit {
     pub polarity: f64,
     /// How the wire looks, left and right.
     pub looks: [Look; 2],
+    /// Distance of the root from the base's origin at which the search found it, mm.
+    pub root_aside_mm: f64,
     /// Remarks.
     pub warnings: Vec<String>,
 }
 
 /// How far the curve model goes beyond the nominal length.
 const REACH: f64 = 1.12;
+/// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start where the tags say.
+pub const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
 const KNOT_MM: f64 = 2.5;
-/// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
-const LEAST_EVIDENCE: f64 = 1.2;
-/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
-/// is covered up by the first one it has none.
-const RIVAL_LENGTH_SHARE: f64 = 0.55;
-const RIVAL_SHARE: f64 = 0.15;
-/// Share of the evidence a millimetre that makes a line worth a second look.
-const SUSPECT_SHARE: f64 = 0.05;
-/// Curves kept in the search for it: it need only be found, not followed well.
-const RIVAL_BEAM: usize = 80;
-/// Distance from the first wire, in its widths, within which nothing counts.
-const COVERED_WIDTHS: f64 = 3.0;
-/// Share of the nominal length at which a line is the whole wire.
-const LONG_SHARE: f64 = 0.9;
-/// Share of the evidence along the nominal length at which a line is the wire: one of the other polarity does not beat it.
-const CONVINCING_SHARE: f64 = 0.4;
-/// Evidence that both pictures together can give, a millimetre: two pictures, three places, at most 4 each.
-const MOST_EVIDENCE: f64 = 24.0;
-
 /// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where it ended.
 ///
 /// # Errors
@@ -107,6 +91,10 @@ fn refine(
     let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
+    // A wire that starts elsewhere is followed from there; whether the base stands elsewhere too is for the folder to tell.
+    if begun.root_aside_mm > 0.0 {
+        prior.root_sd = ROOT_FREE;
+    }
     let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
     let mut all: Vec<Sight> = Vec::new();
     let mut warnings = Vec::new();
@@ -211,6 +199,7 @@ fn refine(
         smoothing: prior.smoothing,
         polarity,
         looks,
+        root_aside_mm: begun.root_aside_mm,
         warnings,
     })
 }
@@ -223,7 +212,7 @@ fn begin(
     left_from_base: &Isometry3<f64>,
     prior: &Prior,
 ) -> Result<PairFit, String> {
-    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base)?;
+    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, prior.root_sd == ROOT_FREE)?;
     let model = RodModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
     let per_node: Vec<[f64; 2]> = (0..model.nodes)
         .map(|i| {
@@ -231,7 +220,8 @@ fn begin(
             found.curvatures[k]
         })
         .collect();
-    let state = model.from_curvatures(&per_node);
+    let mut state = model.from_curvatures(&per_node);
+    state.root[..2].copy_from_slice(&found.root_mm);
     let system = linearise(stereo, left_from_base, &model, &state, &[], 1.0);
     Ok(PairFit {
         model,
@@ -247,88 +237,9 @@ fn begin(
         smoothing: prior.smoothing,
         polarity,
         looks: [Look { blur_px: 1.0, width_scale: 1.0 }; 2],
+        root_aside_mm: found.root_mm[0].hypot(found.root_mm[1]),
         warnings: Vec::new(),
     })
-}
-
-/// Searches for a dark and for a bright wire; the likelier one.
-fn find_wire(
-    stereo: &StereoCameras,
-    rig: &Rig,
-    pictures: &[Picture; 2],
-    left_from_base: &Isometry3<f64>,
-) -> Result<(Trace, f64), String> {
-    let depth = left_from_base.translation.z;
-    let width = rig.whisker.diameter_mm * stereo.cameras[0].focal_px[0] / depth;
-    // A bar answers most at a scale of its width over 2 sqrt 3 (Steger 1998, eq. 11); below 1.2 px noise would rule.
-    let scale = (width / 12f64.sqrt()).max(1.2);
-    let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
-    let background = [maps[0].background(60_000), maps[1].background(60_000)];
-    let strengths =
-        [1.0, -1.0].map(|p| (p, expected_strength(stereo, left_from_base, &maps, &rig.whisker, p)));
-    // Beside a bright line lie two fainter dark ones: the stronger polarity is the line's own.
-    let [dark, bright] = strengths.map(|(_, s)| s[0] + s[1]);
-    let order = if dark >= bright { [0, 1] } else { [1, 0] };
-    let look = |strength: [f64; 2], polarity: f64, beam: usize| {
-        let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
-        trace(&Scene::new(stereo, left_from_base, &maps, evidence), &rig.whisker, beam)
-    };
-    let mut best: Option<(Trace, f64, [f64; 2])> = None;
-    for (polarity, mut strength) in order.map(|k| strengths[k]) {
-        // The second search knows how strong the wire of the first one answers.
-        for _ in 0..2 {
-            let Some(found) = look(strength, polarity, BEAM) else { break };
-            let settled = (0..2).all(|k| (found.strength[k] / strength[k] - 1.0).abs() < 0.2);
-            for (s, f) in strength.iter_mut().zip(found.strength) {
-                if f.is_finite() {
-                    *s = f;
-                }
-            }
-            if best.as_ref().is_none_or(|b| found.score > b.0.score) {
-                best = Some((found, polarity, strength));
-            }
-            if settled {
-                break;
-            }
-        }
-        let convincing = CONVINCING_SHARE * MOST_EVIDENCE * rig.whisker.length_mm;
-        if best.as_ref().is_some_and(|b| b.0.score > convincing) {
-            break;
-        }
-    }
-    // A groove's edges can crowd the wire out of the beam: where what is found is too short, a wider one looks again.
-    if let Some((found, polarity, strength)) = &mut best
-        && found.length_mm < LONG_SHARE * rig.whisker.length_mm
-        && let Some(wider) = look(*strength, *polarity, 4 * BEAM)
-        && wider.score > found.score
-    {
-        *found = wider;
-    }
-    let (found, polarity, strength) = best.ok_or("no wire: nothing like a line leaves the root")?;
-    if found.score < 2.0 * LEAST_EVIDENCE * found.length_mm || found.length_mm < 0.3 * rig.whisker.length_mm {
-        return Err(format!(
-            "no wire: the best line from the root is {:.0} mm long with a log likelihood ratio of {:.0}",
-            found.length_mm, found.score
-        ));
-    }
-    let evidence = [0, 1].map(|k| Evidence::new(&background[k], strength[k], polarity));
-    let scene =
-        Scene::new(stereo, left_from_base, &maps, evidence).without(&found.path, COVERED_WIDTHS * width);
-    let density = |t: &Trace| t.score / t.length_mm;
-    // A narrow beam first: hardly anything passes it where there is one wire.
-    let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM)
-        .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
-    if suspect
-        && let Some(rival) = trace(&scene, &rig.whisker, 4 * BEAM)
-        && density(&rival) > RIVAL_SHARE * density(&found)
-        && rival.length_mm > RIVAL_LENGTH_SHARE * found.length_mm
-    {
-        return Err(format!(
-            "two wires leave the root: {:.0} mm and {:.0} mm long, log likelihood ratios {:.0} and {:.0}",
-            found.length_mm, rival.length_mm, found.score, rival.score
-        ));
-    }
-    Ok((found, polarity))
 }
 
 /// Factor on the stated sd from the residuals' scatter (weighted) and from how far neighbours share their errors.

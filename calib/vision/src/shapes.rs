@@ -5,7 +5,7 @@ use crate::describe::{describe, tag_document};
 use crate::document::StereoCameras;
 use crate::groove::groove_document;
 use crate::joint::{Joint, uncertainties};
-use crate::pair_fit::{PairFit, fit_pair};
+use crate::pair_fit::{PairFit, ROOT_FREE, fit_pair};
 use crate::pairs::PairFiles;
 use crate::picture::Picture;
 use crate::rig::Rig;
@@ -20,9 +20,6 @@ use std::collections::BTreeSet;
 
 /// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few micrometres.
 const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
-/// Root offsets where they do not: the rig file's tag pose is off, the wire's root is measured.
-const ROOT_FREE: [f64; 2] = [1.0, 0.05];
-
 /// chi2 of 6 beyond which tags and wire disagree; the chance of more is 4e-5.
 const DISAGREEMENT: f64 = 30.0;
 /// Length from the root without a piece in either picture at which the root counts as not seen, mm.
@@ -164,7 +161,7 @@ pub fn shapes_of_pairs(
     ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
 }
 
-/// In most pairs the curve from the stated root is no wire's: its first millimetres are seen in neither picture, or it bends there
+/// In most pairs the curve from the stated root is no wire's: another root shows far more of one, its first millimetres are seen in neither picture, or it bends there
 /// as no wire bears.
 fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     let misplaced = |f: &PairFit| {
@@ -175,7 +172,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
             .windows(3)
             .map(|w| (w[1] - w[0]).angle(&(w[2] - w[1])) / f.model.step_mm)
             .fold(0.0, f64::max);
-        first > UNSEEN_MM || 0.5 * diameter_mm * bend > LARGEST_STRAIN
+        f.root_aside_mm > 0.0 || first > UNSEEN_MM || 0.5 * diameter_mm * bend > LARGEST_STRAIN
     };
     let votes: Vec<bool> = fits.iter().flatten().map(misplaced).collect();
     2 * votes.iter().filter(|v| **v).count() > votes.len()

@@ -1,11 +1,11 @@
 //! Finds the wire: a beam search in space that grows a curve of bounded bending from the root and scores it in both pictures.
 //! Working in space rather than in each picture keeps it on the wire through crossings and where one picture hides it.
 
-use crate::document::StereoCameras;
-use crate::ridge::{Evidence, HIDDEN, RidgeMap};
+use crate::ridge::HIDDEN;
 use crate::rig::RigWhisker;
 use crate::rigid::hat;
-use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
+use crate::scene::Scene;
+use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 
 /// Length of a step of the search, mm.
@@ -16,8 +16,8 @@ const PLACES: usize = 3;
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
 const HIDDEN_BEAM: usize = 1000;
-/// Side of the cells in which a found wire is covered up, px.
-const COVER_PX: f64 = 4.0;
+/// Distance of the roots tried beside the stated one, mm.
+const ASIDE_STEP_MM: f64 = 0.25;
 /// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
 /// serves them all.
 const BRANCH_STEPS: usize = 3;
@@ -42,6 +42,8 @@ pub struct Trace {
     pub score: f64,
     /// Typical response along the wire, left and right.
     pub strength: [f64; 2],
+    /// Where it starts: y and z of the root, mm.
+    pub root_mm: [f64; 2],
     /// Places along it, base frame, one a step.
     pub path: Vec<Vector3<f64>>,
 }
@@ -75,174 +77,36 @@ impl Candidate {
     }
 }
 
-/// The pictures' evidence for one polarity.
-pub struct Scene<'a> {
-    stereo: &'a StereoCameras,
-    /// Rotation and translation from the base to each camera.
-    camera_from_base: [(Matrix3<f64>, Vector3<f64>); 2],
-    maps: &'a [RidgeMap<'a>; 2],
-    evidence: [Evidence; 2],
-    /// Cells of each picture, row by row, that are covered up; empty where none is.
-    covered: [Vec<bool>; 2],
-}
-
-impl<'a> Scene<'a> {
-    /// Cameras, base, maps and scores of both pictures.
-    #[must_use]
-    pub fn new(
-        stereo: &'a StereoCameras,
-        left_from_base: &Isometry3<f64>,
-        maps: &'a [RidgeMap<'a>; 2],
-        evidence: [Evidence; 2],
-    ) -> Self {
-        let parts =
-            |pose: Isometry3<f64>| (*pose.rotation.to_rotation_matrix().matrix(), pose.translation.vector);
-        let camera_from_base = [parts(*left_from_base), parts(stereo.right_from_left * left_from_base)];
-        Self { stereo, camera_from_base, maps, evidence, covered: Default::default() }
-    }
-
-    /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
-    #[must_use]
-    pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
-        let reach = (distance_px / COVER_PX).ceil() as i64;
-        for camera in 0..2 {
-            let [columns, rows] = self.cells(camera);
-            let mut covered = vec![false; columns * rows];
-            for w in path.windows(2) {
-                let (Some((a, _)), Some((b, _))) =
-                    (self.image(camera, &w[0], &Vector3::x()), self.image(camera, &w[1], &Vector3::x()))
-                else {
-                    continue;
-                };
-                let steps = ((b - a).norm() / COVER_PX).ceil().max(1.0) as i64;
-                for k in 0..=steps {
-                    let [x, y] = cell(&(a + (b - a) * (k as f64 / steps as f64)));
-                    for j in (y - reach).max(0)..=(y + reach).min(rows as i64 - 1) {
-                        for i in (x - reach).max(0)..=(x + reach).min(columns as i64 - 1) {
-                            covered[j as usize * columns + i as usize] = true;
-                        }
-                    }
-                }
-            }
-            self.covered[camera] = covered;
-        }
-        self
-    }
-
-    /// Cells of a picture, across and down.
-    fn cells(&self, camera: usize) -> [usize; 2] {
-        self.stereo.cameras[camera].image_size_px.map(|n| (n as f64 / COVER_PX).ceil() as usize)
-    }
-
-    /// Pixel and unit normal of the wire's image in one camera.
-    fn image(
-        &self,
-        camera: usize,
-        p: &Vector3<f64>,
-        t: &Vector3<f64>,
-    ) -> Option<(Vector2<f64>, Vector2<f64>)> {
-        let (turn, shift) = &self.camera_from_base[camera];
-        let (x, d) = (turn * p + shift, turn * t);
-        if x.z <= 0.0 {
-            return None;
-        }
-        let c = &self.stereo.cameras[camera];
-        let n = Vector2::new(x.x / x.z, x.y / x.z);
-        let (q, by_n) = c.distort(&n);
-        let run = by_n * Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z);
-        let along = Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
-        let px = Vector2::new(c.focal_px[0] * q.x + c.centre_px[0], c.focal_px[1] * q.y + c.centre_px[1]);
-        Some((px, Vector2::new(-along.y, along.x)))
-    }
-
-    fn response(&self, camera: usize, p: &Vector3<f64>, t: &Vector3<f64>) -> Option<f64> {
-        let (px, normal) = self.image(camera, p, t)?;
-        self.maps[camera].across(&px, &normal)
-    }
-
-    /// Score of a place of the wire and whether either picture shows it.
-    fn score(&self, p: &Vector3<f64>, t: &Vector3<f64>) -> (f64, bool) {
-        let mut seen = false;
-        let mut sum = 0.0;
-        for camera in 0..2 {
-            sum += match self.image(camera, p, t) {
-                Some((px, normal)) if !self.covers(camera, &px) => {
-                    seen = true;
-                    self.evidence[camera].score(self.maps[camera].across(&px, &normal))
-                }
-                _ => HIDDEN,
-            };
-        }
-        (sum, seen)
-    }
-
-    fn covers(&self, camera: usize, px: &Vector2<f64>) -> bool {
-        if self.covered[camera].is_empty() {
-            return false;
-        }
-        let ([x, y], [columns, _]) = (cell(px), self.cells(camera));
-        let inside = (0..columns as i64).contains(&x) && y >= 0;
-        inside && self.covered[camera].get(y as usize * columns + x as usize) == Some(&true)
-    }
-}
-
-fn cell(px: &Vector2<f64>) -> [i64; 2] {
-    [(px.x / COVER_PX).floor() as i64, (px.y / COVER_PX).floor() as i64]
-}
-
-/// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected line.
-#[must_use]
-pub fn expected_strength(
-    stereo: &StereoCameras,
-    left_from_base: &Isometry3<f64>,
-    maps: &[RidgeMap<'_>; 2],
-    whisker: &RigWhisker,
-    polarity: f64,
-) -> [f64; 2] {
-    let none = [0, 1].map(|_| Evidence::new(&[], 1.0, polarity));
-    let scene = Scene::new(stereo, left_from_base, maps, none);
-    let end = whisker.straight_mm.min(0.3 * whisker.length_mm).clamp(4.0, 8.0);
-    let px_per_mm = stereo.cameras[0].focal_px[0] / left_from_base.translation.z;
-    [0, 1].map(|camera| {
-        let mut strongest: Vec<f64> = (0..40)
-            .filter_map(|k| {
-                let s = 1.5 + (end - 1.5) * f64::from(k) / 39.0;
-                let (px, normal) = scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
-                // As far aside as half of the greatest curvature that is started takes it.
-                let reach = 3.0 + 0.012 * s * s * px_per_mm;
-                let count = (2.0 * reach) as i64;
-                (-count..=count)
-                    .filter_map(|i| maps[camera].across(&(px + normal * (0.5 * i as f64)), &normal))
-                    .map(|r| polarity * r)
-                    .max_by(f64::total_cmp)
-            })
-            .collect();
-        strongest.sort_by(f64::total_cmp);
-        strongest.get(strongest.len() / 2).copied().unwrap_or(0.0).max(1e-6)
-    })
-}
-
-/// Grows curves from the root, keeping the best `beam` of them, and returns the best; none where no curve has any evidence.
-#[must_use]
-pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Trace> {
-    let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
-    // Parent and curvature of every curve kept at the end of every block.
-    let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
-    // The bending moment at the root is unknown: every curvature up to 0.048 / mm is started.
-    let mut now: Vec<Candidate> = (-8..=8)
-        .flat_map(|a| (-8..=8).map(move |b| [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]))
+/// The curves that are started. The bending moment at the root is unknown: every curvature up to 0.048 / mm is started; from roots
+/// up to `aside_mm` beside the stated one only a few are.
+fn starts(aside_mm: f64) -> Vec<Candidate> {
+    let grid = |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
+    let (bends, bend_step) = if aside_mm > 0.0 { (1, 3.0 * CURVATURE_STEP) } else { (8, CURVATURE_STEP) };
+    grid((aside_mm / ASIDE_STEP_MM) as i32)
+        .flat_map(|root| grid(bends).map(move |bend| (root, bend)))
         .enumerate()
-        .map(|(parent, bend)| Candidate {
-            position: Vector3::zeros(),
+        .map(|(parent, (root, bend))| Candidate {
+            position: Vector3::new(0.0, root[0] * ASIDE_STEP_MM, root[1] * ASIDE_STEP_MM),
             frame: Matrix3::identity(),
-            bend,
+            bend: bend.map(|b| b * bend_step),
             score: 0.0,
             best: 0.0,
             best_step: 0,
             parent,
             hidden: true,
         })
-        .collect();
+        .collect()
+}
+
+/// Grows curves from the root, keeping the best `beam` of them, and returns the best; none where no curve has any evidence.
+/// `aside_mm`: how far beside the stated root the wire may start.
+#[must_use]
+pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize, aside_mm: f64) -> Option<Trace> {
+    let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
+    // Parent and curvature of every curve kept at the end of every block.
+    let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
+    let started = starts(aside_mm);
+    let mut now = started.clone();
     for block in 0..blocks {
         let first = block * BRANCH_STEPS;
         for c in &mut now {
@@ -278,22 +142,20 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize) -> Option<Tra
     // Beyond the end the curve goes on as it was.
     let end = curvatures[best_step - 1];
     curvatures[best_step..].fill(end);
-    let (path, strength) = walked(scene, whisker, &curvatures[..best_step]);
-    Some(Trace { curvatures, length_mm: best_step as f64 * STEP_MM, score, strength, path })
+    let start = &started[index];
+    let (path, strength) = walked(scene, whisker, start, &curvatures[..best_step]);
+    let root_mm = [start.position.y, start.position.z];
+    Some(Trace { curvatures, length_mm: best_step as f64 * STEP_MM, score, strength, root_mm, path })
 }
 
 /// Places one a step along a curve, and the typical response of those that show a wire, left and right.
-fn walked(scene: &Scene<'_>, whisker: &RigWhisker, curvatures: &[[f64; 2]]) -> (Vec<Vector3<f64>>, [f64; 2]) {
-    let mut c = Candidate {
-        position: Vector3::zeros(),
-        frame: Matrix3::identity(),
-        bend: [0.0; 2],
-        score: 0.0,
-        best: 0.0,
-        best_step: 0,
-        parent: 0,
-        hidden: true,
-    };
+fn walked(
+    scene: &Scene<'_>,
+    whisker: &RigWhisker,
+    start: &Candidate,
+    curvatures: &[[f64; 2]],
+) -> (Vec<Vector3<f64>>, [f64; 2]) {
+    let mut c = start.clone();
     let mut path = vec![c.position];
     let mut responses: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
     for (step, bend) in curvatures.iter().enumerate() {
@@ -301,10 +163,7 @@ fn walked(scene: &Scene<'_>, whisker: &RigWhisker, curvatures: &[[f64; 2]]) -> (
         advance(whisker, &mut c, step, &mut |_, _, _| {});
         path.push(c.position);
         for (k, list) in responses.iter_mut().enumerate() {
-            let r = scene.response(k, &c.position, &c.frame.column(0).into_owned());
-            if let Some(r) = r.filter(|&r| scene.evidence[k].score(Some(r)) > 0.0) {
-                list.push(r.abs());
-            }
+            list.extend(scene.wire_response(k, &c.position, &c.frame.column(0).into_owned()));
         }
     }
     (path, responses.map(|r| crate::initial::median(&r)))

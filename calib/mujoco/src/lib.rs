@@ -9,11 +9,12 @@ mod error;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
+pub mod physics;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
 
-pub use dataset::{Dataset, Total};
+pub use dataset::{Dataset, Missing, Survey, Total};
 pub use error::TwinError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;

@@ -278,9 +278,9 @@ fn moved_by_shared(document: &ShapesDocument, usable: &[MeasuredShape]) -> Vec<V
         moved.length_mm[0] += mode.length_mm;
         if let Some((point, arclength_mm)) = &mut moved.groove {
             // The wire lies in the groove: the place goes with it.
-            let at = *arclength_mm / shape.length_mm[0] * (mode.displacement_mm.len() as f64 - 1.0);
-            let at = (at.round().max(0.0) as usize).min(mode.displacement_mm.len() - 1);
-            *point += Vector3::from(mode.displacement_mm[at]);
+            let last = shape.centreline_mm.len() - 1;
+            let at = ((*arclength_mm / shape.length_mm[0] * last as f64).round().max(0.0) as usize).min(last);
+            *point += mode.displacement_mm.get(at).map_or_else(Vector3::zeros, |by| Vector3::from(*by));
         }
         moved
     };

@@ -1,5 +1,6 @@
 //! `wcal simulate`: sweeps of the simulated whisker over objects, as shards.
 
+mod report;
 mod slurm;
 
 use crate::picture_output::{provenance, write};
@@ -58,6 +59,9 @@ pub struct SimulateArgs {
     /// Folder for the shards
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write report.html: counts by verdict and event, objects, sweeps of each kind drawn; no network needed
+    #[arg(long)]
+    pub report: bool,
     /// Print the summary as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -213,6 +217,10 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         format!("dataset-{}-of-{shares}.json", share + 1)
     };
     write(&args.out, &name, text.as_bytes())?;
+    if args.report {
+        let page = report::page(&document, &args.out, &dataset.shards())?;
+        write(&args.out, "report.html", page.as_bytes())?;
+    }
     if args.json {
         println!("{text}");
     } else {

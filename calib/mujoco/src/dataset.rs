@@ -116,6 +116,12 @@ impl Dataset {
         sha256_hex(&bytes)
     }
 
+    /// Names of this share's shards, without endings.
+    #[must_use]
+    pub fn shards(&self) -> Vec<String> {
+        self.blocks().into_iter().map(|block| self.name(block)).collect()
+    }
+
     fn name(&self, (object, first): (usize, u64)) -> String {
         format!("{}-{first:06}", self.objects[object].name)
     }

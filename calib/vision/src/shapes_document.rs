@@ -67,7 +67,8 @@ pub struct GrooveDocument {
 pub struct SharedError {
     /// "cameras", "line" or "end".
     pub cause: String,
-    /// Displacement of each point of the centre line, base frame, mm.
+    /// Displacement of each point of the centre line, base frame, mm; empty: none moves.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub displacement_mm: Vec<[f64; 3]>,
     /// Change of the length, mm.
     pub length_mm: f64,

@@ -12,8 +12,8 @@ use crate::shapes_document::SharedError;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector3};
 
 /// Share of the wires' variance that may be left out, and most parts that are kept.
-const LEFT_OUT: f64 = 1e-3;
-const MOST: usize = 6;
+const LEFT_OUT: f64 = 0.01;
+const MOST: usize = 3;
 
 /// Columns: independent errors of the cameras' parameters, one standard deviation each; none where they state no covariance.
 pub(crate) fn camera_errors(
@@ -65,13 +65,13 @@ pub(crate) fn shared_errors(
         let at = |(_, i, f): (f64, usize, f64)| (node(i) * (1.0 - f) + node(i + 1) * f).into();
         SharedError {
             cause: "cameras".to_owned(),
-            displacement_mm: places(fit).map(at).collect(),
+            displacement_mm: places(fit).map(at).map(rounded).collect(),
             length_mm: length_change_mm(stereo, fit, u, &error),
         }
     };
     let mut all: Vec<SharedError> =
         errors.column_iter().map(|c| c.into_owned()).enumerate().map(of_camera).collect();
-    let everywhere = |by: Vector3<f64>| places(fit).map(|_| by.into()).collect();
+    let everywhere = |by: Vector3<f64>| places(fit).map(|_| rounded(by.into())).collect();
     all.push(SharedError {
         cause: "line".to_owned(),
         displacement_mm: everywhere(depth_axis(fit) * u.shared_mm),
@@ -79,10 +79,15 @@ pub(crate) fn shared_errors(
     });
     all.push(SharedError {
         cause: "end".to_owned(),
-        displacement_mm: everywhere(Vector3::zeros()),
+        displacement_mm: Vec::new(),
         length_mm: fit.length_shared_mm,
     });
     all
+}
+
+/// To a nanometre: an error of an error.
+fn rounded(by: [f64; 3]) -> [f64; 3] {
+    by.map(|x| (x * 1e6).round() / 1e6)
 }
 
 /// Derivative of the nodes' places (base frame, mm) by the calibration.

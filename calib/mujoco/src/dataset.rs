@@ -211,7 +211,8 @@ impl Dataset {
 }
 
 /// Processor time of this thread, s: what a sweep costs, whoever else computes on the machine.
-fn thread_s() -> f64 {
+#[must_use]
+pub fn thread_s() -> f64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }

@@ -6,6 +6,7 @@
 pub mod columns;
 pub mod dataset;
 mod error;
+mod grid;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;

@@ -1,6 +1,7 @@
 //! Triangle meshes with exact signed distance.
 
 use crate::TwinError;
+use crate::grid::Grid;
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
 use parry3d_f64::query::PointQueryWithLocation;
@@ -13,6 +14,8 @@ use wcal_rod::Near;
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
 /// Largest number of triangles that is read.
 const MOST_TRIANGLES: usize = 5_000_000;
+/// Depth up to which a point inside is told, mm.
+const DEEP_MM: f64 = 30.0;
 /// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
 const ON_SURFACE_MM: f64 = 1e-9;
 
@@ -28,6 +31,7 @@ pub struct Mesh {
     /// What is remarkable, in words: open edges, another unit.
     pub notes: Vec<String>,
     surface: TriMesh,
+    grid: Grid,
 }
 
 impl Mesh {
@@ -64,7 +68,8 @@ impl Mesh {
         let places = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
         let surface = TriMesh::with_flags(places, triangles, TriMeshFlags::ORIENTED)
             .map_err(|e| refuse("a mesh that can be searched", e.to_string()))?;
-        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface })
+        let grid = Grid::new(&low_mm, &high_mm);
+        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, grid })
     }
 
     /// From an STL file. Metres taken for millimetres are told by the size and said in `notes`.
@@ -119,6 +124,14 @@ impl Mesh {
         self.surface.indices()
     }
 
+    /// Distance wherever the point is.
+    fn signed_distance_mm(&self, p: &Vector3<f64>) -> Option<f64> {
+        let (found, _) =
+            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, f64::MAX)?;
+        let size = (p - vector(found.point)).norm();
+        Some(if found.is_inside { -size } else { size })
+    }
+
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
     #[must_use]
     pub fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
@@ -127,12 +140,16 @@ impl Mesh {
         if outside.norm() > within_mm {
             return None;
         }
-        let place = Place::new(p.x, p.y, p.z);
-        let (found, (triangle, feature)) = self.surface.project_local_point_and_get_location_with_max_dist(
-            place,
-            false,
-            within_mm.max(30.0),
-        )?;
+        // Deep inside, the surface is farther than asked for and still matters.
+        let mut search_mm = within_mm.max(DEEP_MM);
+        if let Some([least, most]) = self.grid.bounds_mm(p, |middle| self.signed_distance_mm(middle)) {
+            if least > within_mm {
+                return None;
+            }
+            search_mm = search_mm.min(most);
+        }
+        let (found, (triangle, feature)) =
+            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)?;
         let point_mm = vector(found.point);
         let off = p - point_mm;
         let size = off.norm();
@@ -158,6 +175,10 @@ impl Mesh {
         };
         Some(Near { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
     }
+}
+
+fn place(p: &Vector3<f64>) -> Place {
+    Place::new(p.x, p.y, p.z)
 }
 
 fn vector(p: Place) -> Vector3<f64> {

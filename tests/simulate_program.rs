@@ -88,6 +88,41 @@ fn what_cannot_be_simulated_is_said_once() {
     assert!(text(&run.stderr).contains("empty.stl is left out"), "{}", text(&run.stderr));
 }
 
+/// The template of the plan states the defaults, key by key.
+#[test]
+fn the_plans_template_is_the_default() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    assert_eq!(wcal(&["init", "--kind", "sweeps", &at("plan")]).status.code(), Some(0));
+    let plan_of = |more: &[&str], out: &str| {
+        let fixed = ["simulate", "--object", "can", "--sweeps", "1", "--json", "--out"];
+        let done = wcal(&[&fixed[..], &[&at(out)], more].concat());
+        let json: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+        json["plan"].clone()
+    };
+    let usual = plan_of(&[], "usual");
+    assert_eq!(plan_of(&["--plan", &at("plan/sweeps.toml")], "template"), usual);
+    let template = std::fs::read_to_string(at("plan/sweeps.toml")).unwrap();
+    let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    for key in keys(&usual).into_iter().chain(keys(&usual["physics"])) {
+        assert!(template.contains(&key), "{key} is not in the template");
+    }
+    // Negative control: another value is another plan, an unknown key is refused.
+    std::fs::write(
+        at("other.toml"),
+        template.replace("weight = false", "weight = true").replace("\"none\" ", "\"air\" "),
+    )
+    .unwrap();
+    assert_ne!(plan_of(&["--plan", &at("other.toml")], "other"), usual);
+    std::fs::write(at("wrong.toml"), "[physics]\nfrcition = [0.1, 0.2]\n").unwrap();
+    let wrong = wcal(&["simulate", "--object", "can", "--plan", &at("wrong.toml"), "--out", &at("wrong")]);
+    assert!(
+        wrong.status.code() == Some(1) && text(&wrong.stderr).contains("frcition"),
+        "{}",
+        text(&wrong.stderr)
+    );
+}
+
 /// A tetrahedron as text.
 fn tetrahedron(path: &std::path::Path, side: f64, faces: &[[usize; 3]]) {
     let corners = [[0.0; 3], [side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side], [side, side, side]];

@@ -1,4 +1,14 @@
 //! `wcal fit-whisker`: the whisker's rest geometry from measured shapes, and its stiffness where moments are known.
+//!
+//! `whisker.toml` (`format = "wcal-whisker/1"`):
+//! - `[whisker]`: the keys of session.toml's table: `diameter_mm` (nominal), `length_mm`, `straight_mm`, `arc_radius_mm`, and with
+//!   `--moments` `youngs_gpa`, `shear_gpa` (in the nominal ratio). `wcal simulate --whisker` reads these.
+//! - `[root]`: the clamp in the base frame: `turn_rad` (rotation vector), `offset_mm`.
+//! - `[stiffness]`, with `--moments`: `youngs_gpa`, `sd_gpa`, `sd_by_geometry_gpa` (its part), `points`, `rms_nmm`, `left_out`.
+//! - `[fit]`: `parameters` (names, in the order of what follows), `sd`, `covariance`, `covariance_shared` (the part from errors common to
+//!   all shapes), `rms_mm`, `rms_over_sd` (residuals over the stated sd), `warnings`; `[[fit.shapes]]`: `name`, `rms_mm`, `largest_mm`,
+//!   `largest_at_mm` (arc length).
+//! - `[provenance]`: `program`, `command`, `created`, `inputs` with their SHA-256.
 
 mod stiffness;
 

@@ -43,8 +43,7 @@ pub struct SimulateArgs {
     /// Whisker (whisker.toml of `wcal fit-whisker`); the nominal one without it
     #[arg(long, value_name = "TOML")]
     pub whisker: Option<PathBuf>,
-    /// How sweeps are drawn: speed_mm_s, acceleration_mm_s2, rate_hz, gap_mm, lead_mm, most_mm, tail_mm, most_strain, keep_jumps; under
-    /// [physics] friction, softening_onset_per_m, softening_hardening, medium, current_mm_s, weight
+    /// How sweeps are drawn, and their physics (`wcal init --kind sweeps` writes every key with its default)
     #[arg(long, value_name = "TOML")]
     pub plan: Option<PathBuf>,
     /// Share of the work, \"i/n\" from 1: the shards of all shares together are the dataset

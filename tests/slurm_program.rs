@@ -258,7 +258,7 @@ fn the_scripts_are_printed_without_slurm() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("setup.sh"), "module load wcal").unwrap();
     let given = "simulate --object can --sweeps 100 --slurm --dry-run --slurm-partition long --slurm-account lab --slurm-time 1:00:00 \
-                 --slurm-memory 2G --slurm-option=--qos=night --slurm-tasks 2 --slurm-setup setup.sh --out sweeps";
+                 --slurm-memory 2G --slurm-option=--qos=night --slurm-tasks 2 --slurm-setup setup.sh --report --out sweeps";
     let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
         .current_dir(folder.path())
         .args(given.split_whitespace())
@@ -277,8 +277,9 @@ fn the_scripts_are_printed_without_slurm() {
     ] {
         assert!(scripts.lines().any(|l| l == line), "{line}: {scripts}");
     }
+    assert_eq!(scripts.matches("--report").count(), 1, "the report is the check's: {scripts}");
     assert!(scripts.contains("'--out' 'sweeps' --shard \"$SLURM_ARRAY_TASK_ID/2\" --jobs 2"), "{scripts}");
-    assert!(scripts.contains("'--out' 'sweeps' --check"), "{scripts}");
+    assert!(scripts.contains("'--report' '--out' 'sweeps' --check"), "{scripts}");
     assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
     // Negative control: the options mean something only with --slurm.
     let wrong = Command::new(env!("CARGO_BIN_EXE_wcal"))

@@ -185,8 +185,11 @@ impl Job<'_> {
         let program = std::env::current_exe().context("finding this program")?;
         let program = utf8(&program)?.to_owned();
         let words: Vec<String> = std::env::args().skip(1).collect();
-        let words: Vec<String> = [program].into_iter().chain(kept(&words)).map(|w| quoted(&w)).collect();
-        let command = words.join(" ");
+        let words: Vec<String> = [program].into_iter().chain(kept(&words)).collect();
+        let line = |words: &[String]| words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
+        let check = line(&words);
+        // The report is on the whole, not on a share.
+        let command = line(&words.into_iter().filter(|w| w != "--report").collect::<Vec<_>>());
         let cpus = self.args.slurm_cpus;
         let work = format!(
             "{command} --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\" --jobs {cpus}\n\
@@ -197,7 +200,7 @@ impl Job<'_> {
         );
         Ok(Scripts {
             array: self.head("array", cpus, &[format!("--array={array}")], "task-%a.log")? + &work,
-            check: self.head("check", 1, &[], "check.log")? + &format!("exec {command} --check\n"),
+            check: self.head("check", 1, &[], "check.log")? + &format!("exec {check} --check\n"),
         })
     }
 

@@ -163,9 +163,9 @@ fn examples(examples: &[ExampleSweep]) -> String {
     }
     let mut out = legend(&["moment y".to_owned(), "moment z".to_owned(), "contact's arc length".to_owned()]);
     for example in examples {
-        let _ = write!(
+        let _ = writeln!(
             out,
-            "<figure class=\"pair\"><div class=\"charts\">{}{}</div><figcaption><span class=\"pill sim\">simulated</span> {}. Vertical lines: events; rings: samples at which the wire did not come to rest.</figcaption></figure>\n",
+            "<figure class=\"pair\"><div class=\"charts\">{}{}</div><figcaption><span class=\"pill sim\">simulated</span> {}. Vertical lines: events; rings: samples at which the wire did not come to rest.</figcaption></figure>",
             moments(example),
             arclength(example),
             escape(&example.title)

@@ -1,6 +1,6 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge
 export DEBIAN_FRONTEND := noninteractive
 
 .PHONY: demo test setup check exam peers
@@ -26,11 +26,12 @@ exam:
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
-# Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal and the stage maker's client in one run each; prints tables and writes peers-*.json.
+# Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal and the stage maker's client in one run each; prints tables and writes
+# peers-*.json. YCB=FOLDER of STL files: also the paper's whole sweep set.
 peers: setup
 	for p in python3-venv mrcal; do dpkg -s $$p >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends $$p >/dev/null; done
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
-	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless mujoco==3.17.0
+	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless pandas pyarrow mujoco==3.17.0
 	tests/peers/.venv/bin/python tests/peers/rod_peers.py --json peers-rod.json
 	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
 	cargo build --release --locked -p wcal-mujoco --example write_mjcf
@@ -38,4 +39,5 @@ peers: setup
 	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
 	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
 	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal
+	if [ -n "$(YCB)" ]; then tests/peers/.venv/bin/python tests/peers/ycb_sweeps.py target/release/wcal "$(YCB)" --json peers-sweeps.json; fi
 	cargo test --locked -p wcal-drivers --test vendor_client -- --ignored --nocapture

@@ -6,14 +6,16 @@
 pub mod columns;
 pub mod dataset;
 mod error;
+mod grid;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
+pub mod physics;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
 
-pub use dataset::{Dataset, Total};
+pub use dataset::{Dataset, Missing, Survey, Total};
 pub use error::TwinError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;

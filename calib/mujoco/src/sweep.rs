@@ -1,11 +1,13 @@
 //! A sweep: where the object lies, how fast the base passes it, and what happens on the way.
 
+use crate::physics::{Physics, PhysicsPlan};
 use crate::{Mesh, TwinError};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::cell::Cell;
 use wcal_rod::{Contact, Near, Surface};
 
 /// How sweeps are drawn (SYSTEM: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
@@ -28,6 +30,10 @@ pub struct SweepPlan {
     pub tail_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
     pub most_strain: f64,
+    /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper rejects contact jumps.
+    pub keep_jumps: bool,
+    /// Friction, softening and medium.
+    pub physics: PhysicsPlan,
 }
 
 impl Default for SweepPlan {
@@ -41,6 +47,8 @@ impl Default for SweepPlan {
             most_mm: 120.0,
             tail_mm: 5.0,
             most_strain: 0.015,
+            keep_jumps: true,
+            physics: PhysicsPlan::default(),
         }
     }
 }
@@ -81,7 +89,7 @@ impl SweepPlan {
             let (expected, found) = ("0 or more".to_owned(), self.acceleration_mm_s2.to_string());
             return Err(TwinError::Value { what: "acceleration_mm_s2", expected, found });
         }
-        Ok(())
+        self.physics.check()
     }
 }
 
@@ -103,6 +111,8 @@ pub struct Sweep {
     pub accelerations_mm_s2: Vec<f64>,
     /// Drawn gap, mm.
     pub gap_mm: f64,
+    /// Drawn friction, softening and medium.
+    pub physics: Physics,
 }
 
 impl Sweep {
@@ -111,7 +121,9 @@ impl Sweep {
     /// `None` where the plane misses the object within the wire's reach.
     #[must_use]
     pub fn draw(mesh: &Mesh, plan: &SweepPlan, seed: u64, index: u64, reach_mm: f64) -> Option<Self> {
-        let mut rng = generator(&mesh.name, seed, index);
+        let mut rng = generator(&mesh.name, "", seed, index);
+        // Draws of its own: the physics leaves the sweep's way as it is.
+        let physics = Physics::draw(plan, &mut generator(&mesh.name, "/physics", seed, index));
         let turn = haar(&mut rng);
         let points: Vec<Vector3<f64>> = mesh.points().map(|p| turn * p).collect();
         let low = points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
@@ -147,6 +159,7 @@ impl Sweep {
             speed_mm_s,
             accelerations_mm_s2,
             gap_mm,
+            physics,
         })
     }
 
@@ -184,20 +197,34 @@ fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<
 }
 
 /// An object on its way through the base frame.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Passing<'a> {
-    /// Object.
-    pub mesh: &'a Mesh,
-    /// Sweep.
-    pub sweep: &'a Sweep,
-    /// Way of the base, mm.
-    pub travel_mm: f64,
+    mesh: &'a Mesh,
+    sweep: &'a Sweep,
+    travel_mm: f64,
+    /// Place (object frame) and signed distance of the last answer: the next question is mostly asked close by.
+    last: Cell<Option<(Vector3<f64>, f64)>>,
+}
+
+/// Rounding of a distance, mm.
+const ROUNDING_MM: f64 = 1e-6;
+
+impl<'a> Passing<'a> {
+    /// The object of a sweep after a way of the base, mm.
+    #[must_use]
+    pub fn new(mesh: &'a Mesh, sweep: &'a Sweep, travel_mm: f64) -> Self {
+        Self { mesh, sweep, travel_mm, last: Cell::new(None) }
+    }
 }
 
 impl Surface for Passing<'_> {
     fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
-        let found = self.mesh.near(&self.sweep.turn.tr_mul(&(p - shift)), within_mm)?;
+        let place = self.sweep.turn.tr_mul(&(p - shift));
+        let known =
+            self.last.get().map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
+        let found = self.mesh.near_from(&place, within_mm, known)?;
+        self.last.set(Some((place, found.distance_mm)));
         Some(Near {
             distance_mm: found.distance_mm,
             normal: self.sweep.turn * found.normal,
@@ -302,9 +329,10 @@ fn haar(rng: &mut ChaCha8Rng) -> Matrix3<f64> {
     UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner()
 }
 
-fn generator(object: &str, seed: u64, index: u64) -> ChaCha8Rng {
+fn generator(object: &str, what: &str, seed: u64, index: u64) -> ChaCha8Rng {
     let mut hash = Sha256::new();
     hash.update(object.as_bytes());
+    hash.update(what.as_bytes());
     hash.update(seed.to_le_bytes());
     hash.update(index.to_le_bytes());
     ChaCha8Rng::from_seed(hash.finalize().into())

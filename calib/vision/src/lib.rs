@@ -38,6 +38,7 @@ mod search;
 pub mod shape_fit;
 pub mod shapes;
 pub mod shapes_document;
+mod shared_errors;
 pub mod stages;
 mod tag_edges;
 pub mod tag_pose;

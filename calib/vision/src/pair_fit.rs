@@ -34,6 +34,8 @@ pub struct PairFit {
     pub length_mm: f64,
     /// Sd of the length, mm.
     pub length_sd_mm: f64,
+    /// The part of the length's error that all pairs share, mm: the end's form.
+    pub length_shared_mm: f64,
     /// Linearised sights at the solution.
     pub system: PairSystem,
     /// Factor on the sights' sd that makes their scatter consistent.
@@ -89,7 +91,7 @@ fn refine(
     again: bool,
 ) -> Result<PairFit, String> {
     let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
-    let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
+    let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
     // A wire that starts elsewhere is followed from there; whether the base stands elsewhere too is for the folder to tell.
     if begun.root_aside_mm > 0.0 {
@@ -168,7 +170,7 @@ fn refine(
                 // Without a visible end: the last piece seen, or the nominal length where that lies near.
                 length =
                     if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
-                length_sd = 1.0;
+                (length_sd, length_shared) = (1.0, 0.0);
                 if round == 4 {
                     warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
                 }
@@ -176,6 +178,7 @@ fn refine(
                 let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
                 length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
                 length_sd = w.powf(-0.5);
+                length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
             }
         }
         round += 1;
@@ -194,6 +197,7 @@ fn refine(
         pieces,
         length_mm: length,
         length_sd_mm: length_sd,
+        length_shared_mm: length_shared,
         system,
         noise,
         smoothing: prior.smoothing,
@@ -232,6 +236,7 @@ fn begin(
         pieces: Default::default(),
         length_mm: found.length_mm.max(0.5 * rig.whisker.length_mm),
         length_sd_mm: 0.5,
+        length_shared_mm: 0.0,
         system,
         noise: 1.0,
         smoothing: prior.smoothing,

@@ -11,6 +11,7 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape_fit::Prior;
 use crate::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
+use crate::shared_errors::{camera_errors, shared_errors};
 use crate::stages::{Stage, StageClock};
 use crate::tag_pose;
 use crate::tags::{Tag, find_tags};
@@ -121,6 +122,7 @@ pub fn shapes_of_pairs(
         || files.iter().map(|_| None).collect(),
         |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),
     );
+    let errors = times.time_alone(Stage::Joint, || camera_errors(stereo, &fits, &uncertain));
     let (rigs, shared) = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
     if rigs.iter().flatten().count() > 1 && !shared {
         warnings
@@ -139,6 +141,9 @@ pub fn shapes_of_pairs(
                 }
                 Ok(fit) => {
                     describe(&mut document, fit, uncertain[k].as_ref());
+                    if let Some(u) = &uncertain[k] {
+                        document.shared_errors = shared_errors(stereo, fit, u, &errors);
+                    }
                     document.groove = rigs[k]
                         .as_ref()
                         .zip(rig.groove.as_ref())

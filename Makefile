@@ -1,6 +1,6 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium python3-pip
 export DEBIAN_FRONTEND := noninteractive
 
 .PHONY: demo test setup check exam peers
@@ -8,6 +8,7 @@ export DEBIAN_FRONTEND := noninteractive
 setup:
 	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
+	calib/mujoco/engine/fetch.sh
 
 demo: setup
 	cargo build --release --locked --bin wcal

@@ -5,7 +5,9 @@
 
 pub mod columns;
 pub mod dataset;
+pub mod engine;
 mod error;
+pub mod groove;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
@@ -14,6 +16,7 @@ pub mod shard;
 pub mod sweep;
 
 pub use dataset::{Dataset, Total};
+pub use engine::MujocoEngine;
 pub use error::TwinError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;

@@ -1,6 +1,6 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium python3-pip
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge python3-pip
 export DEBIAN_FRONTEND := noninteractive
 
 .PHONY: demo test setup check exam peers

@@ -1,27 +1,31 @@
 //! `wcal simulate`: sweeps of the simulated whisker over objects, as shards.
 
+mod slurm;
+
 use crate::picture_output::{provenance, write};
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
+use slurm::{Handed, SlurmArgs};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::Provenance;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::rod_engine::LINKS;
-use wcal_mujoco::{Dataset, Mesh, SweepPlan, Total, objects, shard};
+use wcal_mujoco::{Dataset, Mesh, Missing, SweepPlan, Total, objects, shard};
 
 /// Arguments of `wcal simulate`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal simulate --object can --object vase --sweeps 50 --out sweeps
   wcal simulate --meshes ycb/meshes --sweeps 200 --seed 1 --out sweeps
+  wcal simulate --meshes ycb/meshes --sweeps 200 --out /shared/sweeps --slurm --slurm-partition long --slurm-time 1:00:00
 
 Writes for every 25 sweeps over an object three Parquet tables (sweeps, samples, contacts) and a manifest with their checksums, and
 dataset.json. A second run with the same arguments goes on where the first stopped. Everything here is SIMULATED. Exit code 3: made,
-with objects left out.")]
+with objects left out; with --check, 4: shards are missing or damaged.")]
 pub struct SimulateArgs {
     /// Built-in object (may be repeated); \"all\" takes every one
     #[arg(long, value_name = "NAME")]
@@ -38,7 +42,8 @@ pub struct SimulateArgs {
     /// Whisker (whisker.toml of `wcal fit-whisker`); the nominal one without it
     #[arg(long, value_name = "TOML")]
     pub whisker: Option<PathBuf>,
-    /// How sweeps are drawn: speed_mm_s, acceleration_mm_s2, rate_hz, gap_mm, lead_mm, most_mm, tail_mm, most_strain
+    /// How sweeps are drawn: speed_mm_s, acceleration_mm_s2, rate_hz, gap_mm, lead_mm, most_mm, tail_mm, most_strain, keep_jumps; under
+    /// [physics] friction, softening_onset_per_m, softening_hardening, medium, current_mm_s, weight
     #[arg(long, value_name = "TOML")]
     pub plan: Option<PathBuf>,
     /// Share of the work, \"i/n\" from 1: the shards of all shares together are the dataset
@@ -47,12 +52,18 @@ pub struct SimulateArgs {
     /// Cores
     #[arg(long)]
     pub jobs: Option<usize>,
+    /// Make nothing: compare every shard with its checksums, name what is missing, write dataset.json
+    #[arg(long)]
+    pub check: bool,
     /// Folder for the shards
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Print the summary as JSON on stdout
     #[arg(long)]
     pub json: bool,
+    /// For a cluster
+    #[command(flatten)]
+    pub slurm: SlurmArgs,
 }
 
 #[derive(Debug, Deserialize)]
@@ -97,11 +108,18 @@ struct DatasetDocument {
     kept: u64,
     samples: u64,
     verdicts: BTreeMap<String, u64>,
+    events: BTreeMap<String, u64>,
     objects: BTreeMap<String, ObjectRow>,
     left_out: Vec<String>,
     notes: Vec<String>,
+    /// Shards that are not there, with the reason (`--check`).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    missing: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sweeps_per_core_s: Option<f64>,
+    /// What the paper's whole set would take at this rate, processor hours.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    core_h_per_15600_sweeps: Option<f64>,
     provenance: Provenance,
 }
 
@@ -110,9 +128,13 @@ struct ObjectRow {
     sweeps: u64,
     kept: u64,
     verdicts: BTreeMap<String, u64>,
+    events: BTreeMap<String, u64>,
 }
 
-/// Runs the command: 0, or 3 where objects were left out.
+/// Sweeps of the paper's set: 78 objects, 200 each.
+const PAPER_SWEEPS: f64 = 15_600.0;
+
+/// Runs the command: 0, 3 where objects were left out, or 4 where a check finds shards missing.
 ///
 /// # Errors
 /// Where nothing can be simulated, or the folder cannot be written.
@@ -142,13 +164,42 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         ensure!(jobs > 0, "--jobs: expected 1 or more, found 0");
         rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global().context("starting threads")?;
     }
-    let bar = bar();
-    let totals = dataset.make(&args.out, |done, all| {
-        bar.set_length(all);
-        bar.set_position(done);
-    })?;
-    bar.finish_and_clear();
-    let document = document(args, &dataset, &totals, left_out, notes);
+    let mut check = args.check;
+    if args.slurm.slurm {
+        match slurm::submit(&args.slurm, &args.out, &dataset)? {
+            Handed::Printed => return Ok(ExitCode::SUCCESS),
+            Handed::Submitted(submission) => {
+                if args.json {
+                    println!("{}", serde_json::to_string_pretty(&submission)?);
+                } else {
+                    submission.print();
+                }
+                return Ok(ExitCode::SUCCESS);
+            }
+            Handed::Complete => {
+                eprintln!("simulate: every shard is there already: nothing is submitted, only checked");
+                check = true;
+            }
+        }
+    }
+    let (totals, missing) = if check {
+        let survey = dataset.survey(&args.out);
+        (survey.totals, survey.missing)
+    } else {
+        let bar = bar();
+        let totals = dataset.make(&args.out, |done, all| {
+            bar.set_length(all);
+            bar.set_position(done);
+        })?;
+        bar.finish_and_clear();
+        (totals, Vec::new())
+    };
+    let missing: Vec<String> =
+        missing.iter().map(|Missing { name, why, .. }| format!("{name} is missing: {why}")).collect();
+    for line in &missing {
+        eprintln!("simulate: {line}");
+    }
+    let document = document(args, &dataset, &totals, Faults { left_out, notes, missing });
     let text = serde_json::to_string_pretty(&document)?;
     let [share, shares] = dataset.share;
     let name = if shares == 1 {
@@ -162,7 +213,18 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     } else {
         print(&document, &totals);
     }
-    Ok(if document.left_out.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    Ok(match (document.missing.is_empty(), document.left_out.is_empty()) {
+        (true, true) => ExitCode::SUCCESS,
+        (true, false) => ExitCode::from(3),
+        (false, _) => ExitCode::from(4),
+    })
+}
+
+/// What the summary warns of.
+struct Faults {
+    left_out: Vec<String>,
+    notes: Vec<String>,
+    missing: Vec<String>,
 }
 
 fn share(text: &str) -> anyhow::Result<[usize; 2]> {
@@ -258,21 +320,27 @@ fn document(
     args: &SimulateArgs,
     dataset: &Dataset,
     totals: &BTreeMap<String, Total>,
-    left_out: Vec<String>,
-    notes: Vec<String>,
+    faults: Faults,
 ) -> DatasetDocument {
-    let mut verdicts: BTreeMap<String, u64> = BTreeMap::new();
-    for total in totals.values() {
-        for (name, count) in &total.verdicts {
-            *verdicts.entry(name.clone()).or_default() += count;
+    let summed = |of: fn(&Total) -> &BTreeMap<String, u64>| {
+        let mut sum: BTreeMap<String, u64> = BTreeMap::new();
+        for (name, count) in totals.values().flat_map(of) {
+            *sum.entry(name.clone()).or_default() += count;
         }
-    }
-    let row = |t: &Total| ObjectRow { sweeps: t.sweeps, kept: t.kept(), verdicts: t.verdicts.clone() };
+        sum
+    };
+    let row = |t: &Total| ObjectRow {
+        sweeps: t.sweeps,
+        kept: t.kept(),
+        verdicts: t.verdicts.clone(),
+        events: t.events.clone(),
+    };
     let (made, core_s) = totals.values().fold((0, 0.0), |a, t| (a.0 + t.made, a.1 + t.core_s));
+    let rate = (core_s > 0.0).then(|| made as f64 / core_s);
     DatasetDocument {
         format: shard::FORMAT,
         simulated: true,
-        engine: format!("rod, quasi-static, frictionless, {LINKS} links"),
+        engine: format!("rod, quasi-static, {LINKS} links"),
         seed: dataset.seed,
         sweeps_per_object: dataset.sweeps,
         share: args.shard.clone(),
@@ -281,11 +349,14 @@ fn document(
         sweeps: totals.values().map(|t| t.sweeps).sum(),
         kept: totals.values().map(Total::kept).sum(),
         samples: totals.values().map(|t| t.samples).sum(),
-        verdicts,
+        verdicts: summed(|t| &t.verdicts),
+        events: summed(|t| &t.events),
         objects: totals.iter().map(|(name, t)| (name.clone(), row(t))).collect(),
-        left_out,
-        notes,
-        sweeps_per_core_s: (core_s > 0.0).then(|| made as f64 / core_s),
+        left_out: faults.left_out,
+        notes: faults.notes,
+        missing: faults.missing,
+        sweeps_per_core_s: rate,
+        core_h_per_15600_sweeps: rate.map(|rate| PAPER_SWEEPS / rate / 3600.0),
         provenance: provenance(
             args.whisker.iter().chain(&args.plan).chain(&args.meshes).map(PathBuf::as_path),
         ),
@@ -299,9 +370,14 @@ fn print(document: &DatasetDocument, totals: &BTreeMap<String, Total>) {
             total.verdicts.iter().filter(|(v, _)| *v != "kept").map(|(v, n)| format!("{v} {n}")).collect();
         println!("{name:<32} {:>7} {:>7}  {}", total.sweeps, total.kept(), why.join(", "));
     }
+    let events: Vec<String> = document.events.iter().map(|(e, n)| format!("{n} {e}")).collect();
     println!("{} sweeps, {} kept, {} samples", document.sweeps, document.kept, document.samples);
+    println!("events: {}", if events.is_empty() { "none".to_owned() } else { events.join(", ") });
     if let Some(rate) = document.sweeps_per_core_s {
         println!("{rate:.1} sweeps a second and core");
+    }
+    if let Some(hours) = document.core_h_per_15600_sweeps {
+        println!("15,600 sweeps (78 objects, 200 each) at this rate: {hours:.2} core hours");
     }
 }
 

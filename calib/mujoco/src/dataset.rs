@@ -6,7 +6,6 @@ use crate::{Mesh, Sweep, SweepPlan, TwinError};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::time::Instant;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::sha256_hex;
 
@@ -39,10 +38,34 @@ pub struct Total {
     pub samples: u64,
     /// By verdict.
     pub verdicts: BTreeMap<String, u64>,
-    /// Core seconds of what was made now.
+    /// Onsets, releases, jumps and slips.
+    pub events: BTreeMap<String, u64>,
+    /// Processor seconds of what was made now; in a survey, of all.
     pub core_s: f64,
-    /// Sweeps made now: the others were there already.
+    /// Sweeps made now: the others were there already. In a survey all.
     pub made: u64,
+}
+
+/// A shard that is not there or cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Missing {
+    /// Its name, without endings.
+    pub name: String,
+    /// Number among the shards surveyed, from 0: it belongs to share `number % n` of `n`.
+    pub number: usize,
+    /// Why.
+    pub why: String,
+}
+
+/// What lies in a dataset's folder.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Survey {
+    /// By object, of the shards that are whole.
+    pub totals: BTreeMap<String, Total>,
+    /// The others.
+    pub missing: Vec<Missing>,
+    /// Shards that there should be.
+    pub shards: usize,
 }
 
 impl Total {
@@ -51,6 +74,9 @@ impl Total {
         self.samples += manifest.samples;
         for (verdict, count) in &manifest.verdicts {
             *self.verdicts.entry(verdict.clone()).or_default() += count;
+        }
+        for (event, count) in &manifest.events {
+            *self.events.entry(event.clone()).or_default() += count;
         }
         if made {
             self.made += manifest.sweeps[1];
@@ -90,6 +116,34 @@ impl Dataset {
         sha256_hex(&bytes)
     }
 
+    fn name(&self, (object, first): (usize, u64)) -> String {
+        format!("{}-{first:06}", self.objects[object].name)
+    }
+
+    /// Reads every shard of this share in `folder` and compares it with its checksums.
+    #[must_use]
+    pub fn survey(&self, folder: &Path) -> Survey {
+        let made_from: Vec<String> = self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect();
+        let mut survey = Survey::default();
+        for (number, block) in self.blocks().into_iter().enumerate() {
+            let (object, first) = block;
+            let name = self.name(block);
+            survey.shards += 1;
+            match shard::done(folder, &name, &made_from[object], [first, self.size(first)]) {
+                Ok(manifest) => {
+                    survey.totals.entry(self.objects[object].name.clone()).or_default().add(&manifest, true);
+                }
+                Err(e) => survey.missing.push(Missing { name, number, why: e.to_string() }),
+            }
+        }
+        survey
+    }
+
+    /// Sweeps in the shard that begins with `first`.
+    fn size(&self, first: u64) -> u64 {
+        BLOCK.min(self.sweeps - first)
+    }
+
     /// Makes what is missing in `folder`; `progress` hears of every shard: sweeps done and in all.
     ///
     /// # Errors
@@ -102,30 +156,28 @@ impl Dataset {
         self.plan.check()?;
         std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
         let engine = RodEngine::new(&self.whisker, LINKS)?;
-        let made_from: Vec<String> = self.objects.iter().map(|mesh| self.made_from(mesh)).collect();
+        let made_from: Vec<String> = self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect();
         let blocks = self.blocks();
-        let size = |first: u64| BLOCK.min(self.sweeps - first);
-        let all: u64 = blocks.iter().map(|(_, first)| size(*first)).sum();
+        let all: u64 = blocks.iter().map(|(_, first)| self.size(*first)).sum();
         let done = std::sync::atomic::AtomicU64::new(0);
         let shards: Vec<(usize, Manifest, bool)> = blocks
             .par_iter()
             .map(|&(object, first)| {
                 let mesh = &self.objects[object];
-                let name = format!("{}-{first:06}", mesh.name);
-                let there = shard::is_done(folder, &name, &made_from[object]);
-                let there = there.filter(|m| m.sweeps == [first, size(first)]);
+                let (name, size) = (self.name((object, first)), self.size(first));
+                let there = shard::done(folder, &name, &made_from[object], [first, size]).ok();
                 let made = there.is_none();
                 let manifest = match there {
                     Some(manifest) => manifest,
                     None => {
-                        let begin = Instant::now();
-                        let outcomes = self.block(&engine, mesh, first, size(first));
-                        let core_s = begin.elapsed().as_secs_f64();
+                        let begin_s = thread_s();
+                        let outcomes = self.block(&engine, mesh, first, size);
+                        let core_s = thread_s() - begin_s;
                         shard::write(folder, &name, &mesh.name, &made_from[object], &outcomes, core_s)?
                     }
                 };
-                let before = done.fetch_add(size(first), std::sync::atomic::Ordering::SeqCst);
-                progress(before + size(first), all);
+                let before = done.fetch_add(size, std::sync::atomic::Ordering::SeqCst);
+                progress(before + size, all);
                 Ok((object, manifest, made))
             })
             .collect::<Result<_, TwinError>>()?;
@@ -150,4 +202,10 @@ impl Dataset {
             })
             .collect()
     }
+}
+
+/// Processor time of this thread, s: what a sweep costs, whoever else computes on the machine.
+fn thread_s() -> f64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }

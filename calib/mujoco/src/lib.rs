@@ -11,11 +11,12 @@ pub mod groove;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
+pub mod physics;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
 
-pub use dataset::{Dataset, Total};
+pub use dataset::{Dataset, Missing, Survey, Total};
 pub use engine::MujocoEngine;
 pub use error::TwinError;
 pub use mesh::Mesh;

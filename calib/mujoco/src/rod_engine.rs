@@ -1,13 +1,15 @@
-//! Sweeps by the quasi-static rod: no friction, no damping, the exact mesh as contact surface.
+//! Sweeps by the quasi-static rod: no inertia, no damping, the exact mesh as contact surface; friction, softening, drag and weight as
+//! the sweep says.
 //!
 //! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
 //! which neither came to rest are marked.
 
+use crate::physics::{Surroundings, chain_of, node_velocities};
 use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
 use crate::{Mesh, TwinError};
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
-use wcal_rod::{Chain, Contact, Links, Pressed, Section, Shape, Surface};
+use wcal_rod::{Chain, Contact, Links, Pressed, Rubbing, Section, Shape, Surface};
 
 /// Links of the wire: base moments are within 0.6 % of the continuous rod's (tests/acceptance/pressed.rs of wcal-rod).
 pub const LINKS: usize = 40;
@@ -33,6 +35,7 @@ const SHAPE_STEP_MM: f64 = 0.25;
 /// A whisker on which sweeps are run.
 #[derive(Debug, Clone)]
 pub struct RodEngine {
+    whisker: WhiskerSpec,
     chain: Chain,
     rest: Links,
 }
@@ -65,7 +68,7 @@ impl RodEngine {
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
         let chain = Chain::new(&section, &shape, whisker.diameter_mm, links).map_err(refuse)?;
         let rest = chain.at_rest();
-        Ok(Self { chain, rest })
+        Ok(Self { whisker: whisker.clone(), chain, rest })
     }
 
     /// How far the wire reaches along the straight part's direction, mm.
@@ -78,7 +81,10 @@ impl RodEngine {
     #[must_use]
     pub fn run(&self, mesh: &Mesh, sweep: &Sweep, plan: &SweepPlan) -> Run {
         let mut way = Way {
-            engine: self,
+            chain: chain_of(&self.chain, &sweep.physics),
+            surroundings: Surroundings::new(&self.whisker, &sweep.physics),
+            nodes_mm_s: vec![Vector3::zeros(); self.chain.links() + 1],
+            speed_mm_s: sweep.speed_mm_s,
             mesh,
             sweep,
             travel_mm: 0.0,
@@ -90,6 +96,7 @@ impl RodEngine {
         };
         let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
         let (mut touched, mut free_since_mm) = (false, None::<f64>);
+        way.hang();
         if way.clearance_mm() < CLEAR_MM {
             run.verdict = Verdict::Rejected("starts-inside");
             return run;
@@ -101,9 +108,10 @@ impl RodEngine {
                 break;
             }
             let before = way.pressed.contacts.clone();
+            way.speed_mm_s = speed_mm_s;
             let reached = way.go_to(travel_mm);
             let contacts = way.pressed.contacts.clone();
-            let moment_nmm = self.chain.root_moment_nmm(&way.pressed.links);
+            let moment_nmm = way.chain.root_moment_nmm(&way.pressed.links);
             let step_mm = speed_mm_s / plan.rate_hz;
             let event = event(&before, &contacts, way.sprung, step_mm);
             run.samples.push(Sample {
@@ -119,7 +127,11 @@ impl RodEngine {
                 run.verdict = Verdict::Rejected("no-equilibrium");
                 break;
             }
-            let strain = self.chain.largest_bend_per_mm(&way.pressed.links) * self.chain.radius_mm;
+            let strain = way.chain.largest_bend_per_mm(&way.pressed.links) * way.chain.radius_mm;
+            if event == Event::Jump && !plan.keep_jumps {
+                run.verdict = Verdict::Rejected("contact-jump");
+                break;
+            }
             if strain > plan.most_strain {
                 run.verdict = Verdict::Rejected("torque-too-high");
                 break;
@@ -156,9 +168,23 @@ impl RodEngine {
     }
 }
 
+/// No body near.
+struct Nothing;
+
+impl Surface for Nothing {
+    fn near(&self, _: &Vector3<f64>, _: f64) -> Option<wcal_rod::Near> {
+        None
+    }
+}
+
 /// A wire on its way.
 struct Way<'a> {
-    engine: &'a RodEngine,
+    /// The wire with the sweep's softening and, from step to step, its loads.
+    chain: Chain,
+    surroundings: Option<Surroundings>,
+    /// Velocities of the links' ends in the base frame, mm/s, in the step before, and speed of the base.
+    nodes_mm_s: Vec<Vector3<f64>>,
+    speed_mm_s: f64,
     mesh: &'a Mesh,
     sweep: &'a Sweep,
     travel_mm: f64,
@@ -180,9 +206,46 @@ impl Way<'_> {
         let body = self.at(self.travel_mm);
         let within = 4.0 * STEP_MM;
         let gap = |p: &Vector3<f64>| {
-            body.near(p, within).map_or(f64::INFINITY, |n| n.distance_mm - self.engine.chain.radius_mm)
+            body.near(p, within).map_or(f64::INFINITY, |n| n.distance_mm - self.chain.radius_mm)
         };
         self.pressed.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Loads of the medium, with the velocities of the step before: drag bends the wire far too little to move it on in between.
+    fn load(&mut self) {
+        if let Some(surroundings) = &self.surroundings {
+            let base_mm_s = Vector3::z() * self.speed_mm_s;
+            self.chain.loads_n_per_mm =
+                surroundings.loads_n_per_mm(&self.pressed.links, &base_mm_s, &self.nodes_mm_s);
+        }
+    }
+
+    /// The free wire under its loads, before the object comes.
+    fn hang(&mut self) {
+        if self.surroundings.is_none() {
+            return;
+        }
+        self.load();
+        let hanging = self.chain.press(&Nothing, &self.pressed.links, &[], &Vector3::zeros(), SOFT_STEPS);
+        self.iterations += hanging.iterations;
+        self.pressed = hanging;
+    }
+
+    /// Equilibrium one step on.
+    fn press(&mut self, travel_mm: f64, moved: &Vector3<f64>, softly: bool) -> Pressed {
+        let (body, chain, from) = (self.at(travel_mm), &self.chain, &self.pressed);
+        let steps = if softly { SOFT_STEPS } else { NEWTON_STEPS };
+        let coefficient = self.sweep.physics.friction;
+        let next = if coefficient > 0.0 {
+            let how = Rubbing { coefficient, before: &from.links, moved_mm: *moved };
+            chain.press_rubbing(&body, &from.contacts, &how, softly, steps)
+        } else if softly {
+            chain.press_softly(&body, &from.links, steps)
+        } else {
+            chain.press(&body, &from.links, &from.contacts, moved, steps)
+        };
+        self.iterations += next.iterations;
+        next
     }
 
     /// Follows the equilibrium; false where it is lost for good.
@@ -193,18 +256,10 @@ impl Way<'_> {
             let step_mm = (STEP_MM / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
             let next_mm = self.travel_mm + step_mm;
             let moved = Vector3::new(0.0, 0.0, -step_mm);
-            let chain = &self.engine.chain;
-            let mut next = chain.press(
-                &self.at(next_mm),
-                &self.pressed.links,
-                &self.pressed.contacts,
-                &moved,
-                NEWTON_STEPS,
-            );
-            self.iterations += next.iterations;
+            self.load();
+            let mut next = self.press(next_mm, &moved, false);
             if !next.converged && halvings == HALVINGS {
-                next = chain.press_softly(&self.at(next_mm), &self.pressed.links, SOFT_STEPS);
-                self.iterations += next.iterations;
+                next = self.press(next_mm, &moved, true);
             }
             self.solves += 1;
             let nodes = next.links.nodes_mm.iter().zip(&self.pressed.links.nodes_mm);
@@ -218,6 +273,12 @@ impl Way<'_> {
             self.sprung |= springs;
             self.settled &= next.converged;
             let lost = !next.converged && !(next.overlap_mm < UNSETTLED_MM);
+            // A spring is over in milliseconds: no velocity of the quasi-static way.
+            self.nodes_mm_s = if springs {
+                vec![Vector3::zeros(); next.links.nodes_mm.len()]
+            } else {
+                node_velocities(&self.pressed.links, &next.links, step_mm / self.speed_mm_s)
+            };
             self.pressed = next;
             self.travel_mm = next_mm;
             if lost {

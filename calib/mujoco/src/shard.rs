@@ -1,23 +1,27 @@
 //! Shards: what a block of sweeps over one object gave, in three tables and a manifest that is written last.
 //!
 //! `OBJECT-FIRST.sweeps.parquet`, a row a sweep: `sweep`, `kept` (0 or 1), `verdict` (kept, no-section, no-contact, starts-inside,
-//! torque-too-high, no-equilibrium), `speed_mm_s` at the start, `gap_mm`, and the object's pose in the base frame at the start:
-//! `base_from_object_q{w,x,y,z}`, `base_from_object_{x,y,z}_mm`; in time it moves along -z by `travel_mm`.
+//! torque-too-high, contact-jump, no-equilibrium), `speed_mm_s` at the start, `gap_mm`, and the object's pose in the base frame at the start:
+//! `base_from_object_q{w,x,y,z}`, `base_from_object_{x,y,z}_mm`; in time it moves along -z by `travel_mm`. Then the drawn physics:
+//! `friction_coefficient`, `softening_onset_per_m` (absent: linear), `medium` (none, air, water), `current_{x,y,z}_mm_s` (of the medium,
+//! base directions), `gravity_{x,y,z}` (unit vector, base directions; absent: weightless).
 //!
 //! `.samples.parquet`, a row a sample: `sweep`, `sample`, `t_s`, `travel_mm`, `speed_mm_s`, `moment_{x,y,z}_nmm` at the root (the
 //! gratings see y and z), `contacts` (their number), `contact_{x,y,z}_mm`, `contact_arclength_mm` and `contact_force_n` of the one
 //! nearest to the base (absent without contact), `settled` (0 or 1), `event` (none, onset, release, jump, slip).
 //!
 //! `.contacts.parquet`, a row a contact: `sweep`, `sample`, `contact` (from the base on), `x_mm`, `y_mm`, `z_mm` (a point of the mesh),
-//! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n`, `gap_mm` (negative: overlap).
+//! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap),
+//! `friction_{x,y,z}_n` (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has no friction).
 
 use crate::columns::{Column, to_bytes};
 use crate::rod_engine::Run;
-use crate::sweep::Sweep;
+use crate::sweep::{Event, Sweep};
 use crate::{TwinError, Verdict};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
 
@@ -37,25 +41,45 @@ pub struct Manifest {
     pub made_from: String,
     /// First sweep and their number.
     pub sweeps: [u64; 2],
-    /// Seconds that one core took: not part of what is reproducible.
+    /// Processor seconds of the making: not part of what is reproducible.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub core_s: Option<f64>,
     /// How many were kept, and how many were rejected for which reason.
     pub verdicts: BTreeMap<String, u64>,
     /// Samples in all.
     pub samples: u64,
+    /// How often the wire touched, came free, sprang or slipped.
+    #[serde(default)]
+    pub events: BTreeMap<String, u64>,
     /// SHA-256 of each table.
     pub sha256: BTreeMap<String, String>,
 }
 
+/// Share of the friction cone below which a contact counts as sticking.
+const STICKS: f64 = 0.98;
+
 /// One sweep with what it gave; `None` where its plane misses the object.
 pub type Outcome = (u64, Option<(Sweep, Run)>);
 
-/// Whether a shard is there, whole, and of the same making.
-#[must_use]
-pub fn is_done(folder: &Path, name: &str, made_from: &str) -> Option<Manifest> {
-    let manifest = read_manifest(&folder.join(format!("{name}.json"))).ok()?;
-    (manifest.made_from == made_from && check(folder, &manifest).is_ok()).then_some(manifest)
+/// A shard that is there, whole, of the same making, and of these sweeps (first and number).
+///
+/// # Errors
+/// Says what is missing, damaged or of another making.
+pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Result<Manifest, TwinError> {
+    let path = folder.join(format!("{name}.json"));
+    let manifest = read_manifest(&path)?;
+    let other = |detail: String| TwinError::Shard { path: path.clone(), detail };
+    if manifest.made_from != made_from {
+        return Err(other("made from another wire, plan, mesh or seed".to_owned()));
+    }
+    if manifest.sweeps != sweeps {
+        return Err(other(format!(
+            "expected first sweep and number {sweeps:?}, found {:?}",
+            manifest.sweeps
+        )));
+    }
+    check(folder, &manifest)?;
+    Ok(manifest)
 }
 
 /// # Errors
@@ -107,12 +131,18 @@ pub fn write(
         core_s: Some(core_s),
         verdicts: BTreeMap::new(),
         samples: 0,
+        events: BTreeMap::new(),
         sha256: BTreeMap::new(),
     };
     for (_, outcome) in outcomes {
         let name = outcome.as_ref().map_or("no-section", |(_, run)| run.verdict.name());
         *manifest.verdicts.entry(name.to_owned()).or_default() += 1;
-        manifest.samples += outcome.as_ref().map_or(0, |(_, run)| run.samples.len() as u64);
+        for sample in outcome.iter().flat_map(|(_, run)| &run.samples) {
+            manifest.samples += 1;
+            if sample.event != Event::None {
+                *manifest.events.entry(sample.event.name().to_owned()).or_default() += 1;
+            }
+        }
     }
     for (table, columns) in
         [("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))]
@@ -130,11 +160,22 @@ pub fn write(
     Ok(manifest)
 }
 
-/// Under another name first: a reader never sees half a file.
+/// Under a name of its own first: a reader never sees half a file, and two writers do not meet.
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
-    let part = path.with_extension("part");
-    std::fs::write(&part, bytes).map_err(TwinError::io("writing", &part))?;
-    std::fs::rename(&part, path).map_err(TwinError::io("writing", path))
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let fail = |source| TwinError::Io { action: "writing", path: path.to_owned(), source };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".wcal-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        // The umask narrows this: whoever shares the folder may read its tables.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut file = builder.tempfile_in(folder).map_err(fail)?;
+    file.write_all(bytes).map_err(fail)?;
+    file.persist(path).map_err(|e| fail(e.error))?;
+    Ok(())
 }
 
 type Columns = Vec<(&'static str, Column)>;
@@ -143,6 +184,11 @@ fn sweeps(outcomes: &[Outcome]) -> Columns {
     let real = |value: &dyn Fn(&Sweep) -> f64| {
         Column::Maybe(outcomes.iter().map(|(_, o)| o.as_ref().map(|(s, _)| value(s))).collect())
     };
+    let maybe = |value: &dyn Fn(&Sweep) -> Option<f64>| {
+        Column::Maybe(outcomes.iter().map(|(_, o)| o.as_ref().and_then(|(s, _)| value(s))).collect())
+    };
+    let medium =
+        |o: &Option<(Sweep, Run)>| o.as_ref().map_or("none", |(s, _)| s.physics.medium.name()).to_owned();
     let turn = |s: &Sweep| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(s.turn));
     let verdict =
         |o: &Option<(Sweep, Run)>| o.as_ref().map_or("no-section", |(_, run)| run.verdict.name()).to_owned();
@@ -161,6 +207,15 @@ fn sweeps(outcomes: &[Outcome]) -> Columns {
         ("base_from_object_x_mm", real(&|s| s.shift_mm.x)),
         ("base_from_object_y_mm", real(&|s| s.shift_mm.y)),
         ("base_from_object_z_mm", real(&|s| s.shift_mm.z)),
+        ("friction_coefficient", real(&|s| s.physics.friction)),
+        ("softening_onset_per_m", maybe(&|s| s.physics.onset_per_m())),
+        ("medium", Column::Text(outcomes.iter().map(|o| medium(&o.1)).collect())),
+        ("current_x_mm_s", real(&|s| s.physics.current_mm_s.x)),
+        ("current_y_mm_s", real(&|s| s.physics.current_mm_s.y)),
+        ("current_z_mm_s", real(&|s| s.physics.current_mm_s.z)),
+        ("gravity_x", maybe(&|s| s.physics.gravity.map(|g| g.x))),
+        ("gravity_y", maybe(&|s| s.physics.gravity.map(|g| g.y))),
+        ("gravity_z", maybe(&|s| s.physics.gravity.map(|g| g.z))),
     ]
 }
 
@@ -204,6 +259,11 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
             all.extend(sample.contacts.iter().enumerate().map(|(n, c)| (k, i as i64, n as i64, c)));
         }
     }
+    let coefficient: BTreeMap<i64, f64> =
+        outcomes.iter().filter_map(|(k, o)| Some((*k as i64, o.as_ref()?.0.physics.friction))).collect();
+    let sticks = |(k, _, _, c): &(i64, i64, i64, &wcal_rod::Contact)| {
+        i64::from(c.friction_n.norm() < STICKS * coefficient.get(k).copied().unwrap_or(0.0) * c.force_n)
+    };
     let real =
         |value: &dyn Fn(&wcal_rod::Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
     let axes = |value: fn(&wcal_rod::Contact) -> Vector3<f64>, k: usize| real(&move |c| value(c)[k]);
@@ -220,5 +280,9 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
         ("arclength_mm", real(&|c| c.arclength_mm)),
         ("force_n", real(&|c| c.force_n)),
         ("gap_mm", real(&|c| c.gap_mm)),
+        ("friction_x_n", axes(|c| c.friction_n, 0)),
+        ("friction_y_n", axes(|c| c.friction_n, 1)),
+        ("friction_z_n", axes(|c| c.friction_n, 2)),
+        ("sticks", Column::Whole(all.iter().map(sticks).collect())),
     ]
 }

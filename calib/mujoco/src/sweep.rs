@@ -1,5 +1,6 @@
 //! A sweep: where the object lies, how fast the base passes it, and what happens on the way.
 
+use crate::physics::{Physics, PhysicsPlan};
 use crate::{Mesh, TwinError};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -28,6 +29,10 @@ pub struct SweepPlan {
     pub tail_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
     pub most_strain: f64,
+    /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper rejects contact jumps.
+    pub keep_jumps: bool,
+    /// Friction, softening and medium.
+    pub physics: PhysicsPlan,
 }
 
 impl Default for SweepPlan {
@@ -41,6 +46,8 @@ impl Default for SweepPlan {
             most_mm: 120.0,
             tail_mm: 5.0,
             most_strain: 0.015,
+            keep_jumps: true,
+            physics: PhysicsPlan::default(),
         }
     }
 }
@@ -81,7 +88,7 @@ impl SweepPlan {
             let (expected, found) = ("0 or more".to_owned(), self.acceleration_mm_s2.to_string());
             return Err(TwinError::Value { what: "acceleration_mm_s2", expected, found });
         }
-        Ok(())
+        self.physics.check()
     }
 }
 
@@ -103,6 +110,8 @@ pub struct Sweep {
     pub accelerations_mm_s2: Vec<f64>,
     /// Drawn gap, mm.
     pub gap_mm: f64,
+    /// Drawn friction, softening and medium.
+    pub physics: Physics,
 }
 
 impl Sweep {
@@ -111,7 +120,9 @@ impl Sweep {
     /// `None` where the plane misses the object within the wire's reach.
     #[must_use]
     pub fn draw(mesh: &Mesh, plan: &SweepPlan, seed: u64, index: u64, reach_mm: f64) -> Option<Self> {
-        let mut rng = generator(&mesh.name, seed, index);
+        let mut rng = generator(&mesh.name, "", seed, index);
+        // Draws of its own: the physics leaves the sweep's way as it is.
+        let physics = Physics::draw(plan, &mut generator(&mesh.name, "/physics", seed, index));
         let turn = haar(&mut rng);
         let points: Vec<Vector3<f64>> = mesh.points().map(|p| turn * p).collect();
         let low = points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
@@ -147,6 +158,7 @@ impl Sweep {
             speed_mm_s,
             accelerations_mm_s2,
             gap_mm,
+            physics,
         })
     }
 
@@ -302,9 +314,10 @@ fn haar(rng: &mut ChaCha8Rng) -> Matrix3<f64> {
     UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner()
 }
 
-fn generator(object: &str, seed: u64, index: u64) -> ChaCha8Rng {
+fn generator(object: &str, what: &str, seed: u64, index: u64) -> ChaCha8Rng {
     let mut hash = Sha256::new();
     hash.update(object.as_bytes());
+    hash.update(what.as_bytes());
     hash.update(seed.to_le_bytes());
     hash.update(index.to_le_bytes());
     ChaCha8Rng::from_seed(hash.finalize().into())

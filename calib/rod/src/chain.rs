@@ -4,14 +4,15 @@
 //! rotation increments of each link the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links).
 //! Formulation: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
 
-use crate::{RodError, Section, Shape};
+use crate::{RodError, Section, Shape, Softening};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// A joint: rest turn (rad, frame of the link beyond it) and stiffness (N mm/rad).
+/// A joint: rest turn (rad, frame of the link beyond it), stiffness (N mm/rad), and the wire that it stands for (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Joint {
     rest: Vector3<f64>,
     stiffness: Vector3<f64>,
+    span_mm: f64,
 }
 
 /// Links of equal length from a clamp.
@@ -21,8 +22,10 @@ pub struct Chain {
     pub link_mm: f64,
     /// Radius of the wire, mm.
     pub radius_mm: f64,
-    /// Load along the wire, N/mm (weight less buoyancy).
-    pub load_n_per_mm: Vector3<f64>,
+    /// Load along each link, N/mm (weight less buoyancy, drag); empty: none. It keeps its direction as the links turn.
+    pub loads_n_per_mm: Vec<Vector3<f64>>,
+    /// How the joints soften past a change of curvature.
+    pub softening: Option<Softening>,
     joints: Vec<Joint>,
     clamp: Matrix3<f64>,
 }
@@ -45,6 +48,8 @@ pub(crate) struct Balance {
     /// Diagonal blocks, and the block to the link before.
     pub diagonal: Vec<Matrix3<f64>>,
     pub before: Vec<Matrix3<f64>>,
+    /// Further stiffness, as rows with their weights.
+    pub dyads: Vec<(Vec<Vector3<f64>>, f64)>,
 }
 
 impl Chain {
@@ -68,11 +73,18 @@ impl Chain {
                 Joint {
                     rest: turn(shape, from, to),
                     stiffness: Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor,
+                    span_mm: span,
                 }
             })
             .collect();
-        let load_n_per_mm = Vector3::zeros();
-        Ok(Self { link_mm, radius_mm: diameter_mm / 2.0, load_n_per_mm, joints, clamp: shape.root })
+        Ok(Self {
+            link_mm,
+            radius_mm: diameter_mm / 2.0,
+            loads_n_per_mm: Vec::new(),
+            softening: section.softening,
+            joints,
+            clamp: shape.root,
+        })
     }
 
     /// Number of links.
@@ -131,9 +143,8 @@ impl Chain {
     #[must_use]
     pub fn largest_bend_per_mm(&self, links: &Links) -> f64 {
         let bend = |j: usize| {
-            let span = if j == 0 { self.link_mm / 2.0 } else { self.link_mm };
-            let (w, rest) = (self.relative(links, j), self.joints[j].rest);
-            (w - rest).yz().norm() / span
+            let Joint { rest, span_mm, .. } = self.joints[j];
+            (self.relative(links, j) - rest).yz().norm() / span_mm
         };
         (0..self.links()).map(bend).fold(0.0, f64::max)
     }
@@ -147,12 +158,11 @@ impl Chain {
     /// Spatial moment, stiffness block and energy of a joint.
     fn joint(&self, links: &Links, j: usize) -> (Vector3<f64>, Matrix3<f64>, f64) {
         let w = self.relative(links, j);
-        let Joint { rest, stiffness } = self.joints[j];
-        let stress = stiffness.component_mul(&(w - rest));
+        let (stress, tangent, energy) = self.joints[j].strained(&(w - self.joints[j].rest), self.softening);
         // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame of link j.
         let b = inverse_right_jacobian(&w) * links.frames[j].transpose();
         let bt = b.transpose();
-        (bt * stress, bt * Matrix3::from_diagonal(&stiffness) * b, 0.5 * stress.dot(&(w - rest)))
+        (bt * stress, bt * tangent * b, energy)
     }
 
     pub(crate) fn balance(&self, links: &Links) -> Balance {
@@ -162,6 +172,7 @@ impl Chain {
             gradient: vec![Vector3::zeros(); n],
             diagonal: vec![Matrix3::zeros(); n],
             before: vec![Matrix3::zeros(); n],
+            dyads: Vec::new(),
         };
         for j in 0..n {
             let (moment, block, energy) = self.joint(links, j);
@@ -175,23 +186,50 @@ impl Chain {
                 all.before[j] = -block - moment.cross_matrix() * 0.5;
             }
         }
-        if self.load_n_per_mm != Vector3::zeros() {
-            self.add_load(links, &mut all);
-        }
+        self.add_loads(links, &mut all);
         all
     }
 
-    /// A dead load along the wire: what lies beyond a link pulls at its end, its own half at its middle.
-    fn add_load(&self, links: &Links, all: &mut Balance) {
-        let n = self.links();
-        for j in 0..n {
-            let beyond_mm = self.link_mm * (n - j) as f64 - self.link_mm / 2.0;
-            let force = self.load_n_per_mm * beyond_mm;
+    /// Dead loads along the wire: what lies beyond a link pulls at its end, its own half at its middle.
+    fn add_loads(&self, links: &Links, all: &mut Balance) {
+        let mut beyond_n = Vector3::zeros();
+        for (j, load) in self.loads_n_per_mm.iter().enumerate().take(self.links()).rev() {
+            let own_n = load * self.link_mm;
+            let force = beyond_n + own_n * 0.5;
+            beyond_n += own_n;
             let arm: Vector3<f64> = links.frames[j].column(0) * self.link_mm;
             all.energy_nmm -= force.dot(&arm);
             all.gradient[j] -= arm.cross(&force);
             all.diagonal[j] += pull_stiffness(&arm, &force);
         }
+    }
+}
+
+impl Joint {
+    /// Moment, its derivative, and energy at a turn `off` (rad) from rest, in the frame of the link beyond.
+    fn strained(
+        &self,
+        off: &Vector3<f64>,
+        softening: Option<Softening>,
+    ) -> (Vector3<f64>, Matrix3<f64>, f64) {
+        let linear = self.stiffness.component_mul(off);
+        let plain = (linear, Matrix3::from_diagonal(&self.stiffness), 0.5 * linear.dot(off));
+        let Some(softening) = softening else { return plain };
+        let onset_rad = softening.onset_per_mm() * self.span_mm;
+        let bend = Vector3::new(0.0, off.y, off.z);
+        let x = bend.norm() / onset_rad;
+        if x <= 1.0 {
+            return plain;
+        }
+        let (moment, slope) = softening.relative_moment(x);
+        let (gain, along) = (moment / x, bend / bend.norm());
+        let [twist, k] = [self.stiffness.x, self.stiffness.y];
+        let bent = Matrix3::from_diagonal(&Vector3::new(0.0, k * gain, k * gain));
+        let energy = 0.5 * twist * off.x * off.x + k * onset_rad * onset_rad * softening.relative_energy(x);
+        let tangent = bent
+            + along * along.transpose() * (k * (slope - gain))
+            + Matrix3::from_diagonal(&Vector3::new(twist, 0.0, 0.0));
+        (Vector3::new(twist * off.x, k * gain * off.y, k * gain * off.z), tangent, energy)
     }
 }
 
@@ -242,87 +280,24 @@ fn orthonormal(m: Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }
 
-/// Factors of a symmetric block tridiagonal matrix.
-pub(crate) struct Factors {
-    inverse: Vec<Matrix3<f64>>,
-    before: Vec<Matrix3<f64>>,
-    /// Negative eigenvalues of the matrix (Sylvester's law on the pivots).
-    pub(crate) negative: usize,
-}
-
-impl Factors {
-    /// Block LDL^T; `None` where a pivot is singular.
-    pub(crate) fn new(diagonal: &[Matrix3<f64>], before: &[Matrix3<f64>]) -> Option<Self> {
-        let mut inverse: Vec<Matrix3<f64>> = Vec::with_capacity(diagonal.len());
-        let mut negative = 0;
-        for (j, block) in diagonal.iter().enumerate() {
-            let mut pivot = *block;
-            if j > 0 {
-                pivot -= before[j] * inverse[j - 1] * before[j].transpose();
-            }
-            let pivot = (pivot + pivot.transpose()) * 0.5;
-            negative += negative_eigenvalues(&pivot);
-            inverse.push(pivot.try_inverse()?);
-        }
-        Some(Self { inverse, before: before.to_vec(), negative })
-    }
-
-    /// Solves in place.
-    pub(crate) fn solve(&self, x: &mut [Vector3<f64>]) {
-        for j in 1..x.len() {
-            let carried = times(&self.before[j], &times(&self.inverse[j - 1], &x[j - 1]));
-            x[j] -= carried;
-        }
-        for j in (0..x.len()).rev() {
-            let mut value = x[j];
-            if j + 1 < x.len() {
-                value -= transposed_times(&self.before[j + 1], &x[j + 1]);
-            }
-            x[j] = times(&self.inverse[j], &value);
-        }
-    }
-}
-
-/// Matrix times vector, written out: the library's general product is not inlined and took a quarter of a sweep's time.
-#[inline(always)]
-fn times(m: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
-    Vector3::new(
-        m[(0, 0)] * v.x + m[(0, 1)] * v.y + m[(0, 2)] * v.z,
-        m[(1, 0)] * v.x + m[(1, 1)] * v.y + m[(1, 2)] * v.z,
-        m[(2, 0)] * v.x + m[(2, 1)] * v.y + m[(2, 2)] * v.z,
-    )
-}
-
-#[inline(always)]
-fn transposed_times(m: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
-    Vector3::new(
-        m[(0, 0)] * v.x + m[(1, 0)] * v.y + m[(2, 0)] * v.z,
-        m[(0, 1)] * v.x + m[(1, 1)] * v.y + m[(2, 1)] * v.z,
-        m[(0, 2)] * v.x + m[(1, 2)] * v.y + m[(2, 2)] * v.z,
-    )
-}
-
-/// By the signs of the leading minors' ratios.
-fn negative_eigenvalues(m: &Matrix3<f64>) -> usize {
-    let first = m[(0, 0)];
-    let second = m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)];
-    let minors = [1.0, first, second, m.determinant()];
-    minors.windows(2).filter(|w| w[0] * w[1] < 0.0).count()
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Chain, Factors};
-    use crate::{Section, Shape};
-    use nalgebra::{Matrix3, Vector3};
+    use super::Chain;
+    use crate::{Section, Shape, Softening};
+    use nalgebra::Vector3;
     use wcal_core::observation::RestShape;
 
     fn chain() -> Chain {
         let rest = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
         let mut chain =
             Chain::new(&Section::round(0.3, 75.0, 28.2), &Shape::new(&rest, 0.5).unwrap(), 0.3, 12).unwrap();
-        chain.load_n_per_mm = Vector3::new(1e-3, -2e-3, 3e-3);
+        chain.loads_n_per_mm =
+            (0..12).map(|k| Vector3::new(1e-3, -2e-3, 3e-3) * (1.0 + k as f64 / 6.0)).collect();
         chain
+    }
+
+    fn softened(softening: Softening) -> Chain {
+        Chain { softening: Some(softening), ..chain() }
     }
 
     fn turns(size: f64, seed: usize) -> Vec<Vector3<f64>> {
@@ -333,7 +308,13 @@ mod tests {
     /// Gradient and Hessian against differences of the energy, at a bent place.
     #[test]
     fn gradient_and_stiffness_are_the_energys() {
-        let chain = chain();
+        agrees(&chain());
+        // Most joints of the bent place are past this onset.
+        agrees(&softened(Softening::Section { onset_per_m: 8.0, hardening: 0.1 }));
+        agrees(&softened(Softening::Bilinear { onset_per_m: 8.0, ratio: 0.4 }));
+    }
+
+    fn agrees(chain: &Chain) {
         let links = chain.turned(&chain.at_rest(), &turns(0.05, 1));
         let balance = chain.balance(&links);
         let energy = |t: f64, by: &[Vector3<f64>]| {
@@ -357,21 +338,5 @@ mod tests {
             // What is left out is of the size of a joint's turn times its moment.
             assert!((bend - stated).abs() < 0.02 * stated.abs(), "{bend} {stated}");
         }
-    }
-
-    #[test]
-    fn factors_solve_and_count_negative_eigenvalues() {
-        let diagonal = vec![Matrix3::identity() * 4.0; 5];
-        let before = vec![Matrix3::new(0.3, 0.1, 0.0, -0.2, 0.4, 0.1, 0.0, 0.2, 0.5); 5];
-        let x: Vec<Vector3<f64>> = (0..5).map(|k| Vector3::new(1.0, k as f64, -2.0)).collect();
-        let mut b: Vec<Vector3<f64>> = (0..5).map(|j| diagonal[j] * x[j]).collect();
-        for j in 1..5 {
-            b[j] += before[j] * x[j - 1];
-            b[j - 1] += before[j].transpose() * x[j];
-        }
-        Factors::new(&diagonal, &before).unwrap().solve(&mut b);
-        assert!(b.iter().zip(&x).all(|(a, b)| (a - b).norm() < 1e-12));
-        let factors = |diagonal: &[Matrix3<f64>]| Factors::new(diagonal, &before).unwrap().negative;
-        assert_eq!([factors(&diagonal), factors(&vec![-Matrix3::identity() * 4.0; 5])], [0, 15]);
     }
 }

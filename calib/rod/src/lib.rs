@@ -5,6 +5,7 @@
 //!
 //! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in TRACING of the project.
 
+mod blocks;
 pub mod chain;
 pub mod dual;
 mod error;
@@ -23,7 +24,7 @@ pub use error::RodError;
 pub use material::{Section, Softening};
 pub use near::Anchor;
 pub use path::{Line, Outcome, Touch, Tracker};
-pub use pressed::{Contact, Near, Pressed, Surface};
+pub use pressed::{Contact, Near, Pressed, Rubbing, Surface};
 pub use rest_fit::{MeasuredShape, RestFit, fit_rest};
 pub use shape::Shape;
 pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};

@@ -26,14 +26,14 @@ pub enum Softening {
 }
 
 impl Softening {
-    fn onset_per_mm(self) -> f64 {
+    pub(crate) fn onset_per_mm(self) -> f64 {
         match self {
             Self::Bilinear { onset_per_m, .. } | Self::Section { onset_per_m, .. } => onset_per_m * 1e-3,
         }
     }
 
     /// Moment over EI times onset, and its slope, at `x` = curvature / onset >= 0.
-    fn relative_moment(self, x: f64) -> (f64, f64) {
+    pub(crate) fn relative_moment(self, x: f64) -> (f64, f64) {
         if x <= 1.0 {
             return (x, 1.0);
         }
@@ -46,6 +46,23 @@ impl Softening {
                 // Only the elastic core carries more: share of the second moment of area inside |y| < q.
                 let slope = 2.0 / PI * (q.asin() - q * (1.0 - 2.0 * q * q) * root);
                 ((1.0 - hardening) * value + hardening * x, (1.0 - hardening) * slope + hardening)
+            }
+        }
+    }
+
+    /// Integral of the relative moment up to `x`.
+    pub(crate) fn relative_energy(self, x: f64) -> f64 {
+        if x <= 1.0 {
+            return 0.5 * x * x;
+        }
+        match self {
+            Self::Bilinear { ratio, .. } => 0.5 + (x - 1.0) + 0.5 * ratio * (x - 1.0).powi(2),
+            Self::Section { hardening, .. } => {
+                let q = 1.0 / x;
+                let root = (x * x - 1.0).sqrt();
+                let flat =
+                    2.0 / (3.0 * PI) * (1.5 * x * x * q.asin() + (6.5 + q * q) * root - 6.0 * q.acos());
+                (1.0 - hardening) * flat + hardening * 0.5 * x * x
             }
         }
     }
@@ -142,6 +159,8 @@ mod tests {
         for x in [1.1, 1.7, 3.0] {
             let d = (law.relative_moment(x + 1e-6).0 - law.relative_moment(x - 1e-6).0) / 2e-6;
             assert!((d - law.relative_moment(x).1).abs() < 1e-8, "slope at {x}");
+            let work = (law.relative_energy(x + 1e-6) - law.relative_energy(x - 1e-6)) / 2e-6;
+            assert!((work - law.relative_moment(x).0).abs() < 1e-8, "energy at {x}");
             let (back, _) = law.relative_curvature(law.relative_moment(x).0);
             assert!((back - x).abs() < 1e-9);
         }

@@ -1,4 +1,4 @@
-//! A wire pressed by a body of any shape: quasi-static, frictionless, any number of contacts.
+//! A wire pressed by a body of any shape: quasi-static, any number of contacts, with friction where asked for.
 //!
 //! Newton's method on the constrained energy (sequential quadratic programming): the wire's gaps to the surface are linear in the link
 //! rotations at each step, the contact forces follow from the small dual problem. The surface is seen through its signed distance only;
@@ -7,12 +7,15 @@
 mod candidates;
 mod curve;
 mod newton;
+mod rub;
 mod soft;
 
 use crate::chain::{Chain, Links};
 use candidates::Candidate;
 use curve::Spot;
 use nalgebra::{Matrix3, Vector3};
+use rub::Rub;
+pub use rub::Rubbing;
 
 /// What a surface tells of a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,8 +47,10 @@ pub struct Contact {
     pub point_mm: Vector3<f64>,
     /// Direction of the force on the wire.
     pub normal: Vector3<f64>,
-    /// Force on the wire, N.
+    /// Force on the wire along it, N.
     pub force_n: f64,
+    /// Friction force on the wire, N; across the normal.
+    pub friction_n: Vector3<f64>,
     /// Distance of the centre line from the surface less the wire's radius, mm.
     pub gap_mm: f64,
 }
@@ -127,12 +132,24 @@ impl Chain {
         moved_mm: &Vector3<f64>,
         most_iterations: usize,
     ) -> Pressed {
+        self.press_with(surface, start, known, moved_mm, most_iterations, &[])
+    }
+
+    fn press_with<S: Surface>(
+        &self,
+        surface: &S,
+        start: &Links,
+        known: &[Contact],
+        moved_mm: &Vector3<f64>,
+        most_iterations: usize,
+        rubs: &[Rub],
+    ) -> Pressed {
         // The first step keeps the side of the surface on which the wire was.
         let mut state = State { links: start.clone(), candidates: self.carried(known, moved_mm) };
         if state.candidates.is_empty() {
             state.candidates = self.candidates(surface, start, &[]);
         }
-        let mut balance = self.balance(&state.links);
+        let mut balance = self.rubbed_balance(&state.links, rubs);
         let (mut damping, mut weight, mut trembles) = (0.0_f64, 0.0_f64, 0);
         for iteration in 1..=most_iterations {
             let raised = (damping * 8.0).max(LEAST_DAMPING);
@@ -156,7 +173,7 @@ impl Chain {
             let met = self.still_met(&links, &carriers, &candidates);
             candidates.extend(met);
             let next = State { links, candidates };
-            let next_balance = self.balance(&next.links);
+            let next_balance = self.rubbed_balance(&next.links, rubs);
             weight = step.forces_n.iter().fold(weight, |w, f| w.max(1.5 * f));
             let old = balance.energy_nmm + penalty_nmm(&carriers, weight);
             let new = next_balance.energy_nmm + penalty_nmm(&next.candidates, weight);
@@ -257,6 +274,7 @@ impl Chain {
                 point_mm: c.near.point_mm,
                 normal: c.near.normal.normalize(),
                 force_n: c.force_n * c.near.normal.norm(),
+                friction_n: Vector3::zeros(),
                 gap_mm: c.gap_mm,
             })
             .collect();

@@ -2,7 +2,8 @@
 
 use super::candidates::Candidate;
 use super::curve::Spot;
-use crate::chain::{Balance, Chain, Factors, Links, pull_stiffness};
+use crate::blocks::Factors;
+use crate::chain::{Balance, Chain, Links, pull_stiffness};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Stiffness that holds a loaded contact to the surface, N/mm: far above the wire's own. It leaves the solution where it is, and makes
@@ -157,7 +158,7 @@ impl Chain {
     ) -> Option<Step> {
         let mut diagonal = balance.diagonal.clone();
         let mut gradient = balance.gradient.clone();
-        let mut dyads = Vec::new();
+        let mut dyads = balance.dyads.clone();
         let rows: Vec<Turns> = candidates.iter().map(|c| c.row(self, links)).collect();
         for (c, row) in candidates.iter().zip(&rows).filter(|(c, _)| c.force_n > 0.0) {
             gradient.iter_mut().zip(row).for_each(|(g, r)| *g += r * (HOLD_N_PER_MM * c.gap_mm));

@@ -5,6 +5,7 @@
 
 use super::curve::Spot;
 use super::newton::{Stiffness, Turns, dot};
+use super::rub::Rub;
 use super::{Contact, LEAST_DAMPING, MAX_TURN_RAD, MOST_DAMPING, Pressed, Surface};
 use crate::chain::{Chain, Links, pull_stiffness};
 use nalgebra::{Matrix3, Vector3};
@@ -41,11 +42,21 @@ impl Chain {
     /// Equilibrium against `surface` from a place where the wire overlaps it by less than its radius.
     #[must_use]
     pub fn press_softly<S: Surface>(&self, surface: &S, start: &Links, most_iterations: usize) -> Pressed {
-        let mut state = self.softly(surface, start.clone());
+        self.press_softly_with(surface, start, most_iterations, &[])
+    }
+
+    pub(super) fn press_softly_with<S: Surface>(
+        &self,
+        surface: &S,
+        start: &Links,
+        most_iterations: usize,
+        rubs: &[Rub],
+    ) -> Pressed {
+        let mut state = self.softly(surface, start.clone(), rubs);
         let mut damping = 0.0_f64;
         for iteration in 1..=most_iterations {
             let raised = (damping * 6.0).max(LEAST_DAMPING);
-            let (gradient, turns) = self.soft_step(&state, damping);
+            let (gradient, turns) = self.soft_step(&state, damping, rubs);
             let imbalance = imbalance_nmm(&gradient);
             let Some(turns) = turns else {
                 damping = raised;
@@ -60,7 +71,7 @@ impl Chain {
                 .min(MAX_WAY_LINKS * self.link_mm / way_mm.max(1e-300))
                 .min(1.0);
             let turns: Turns = turns.iter().map(|t| t * scale).collect();
-            let next = self.softly(surface, self.turned(&state.links, &turns));
+            let next = self.softly(surface, self.turned(&state.links, &turns), rubs);
             if next.energy_nmm <= state.energy_nmm + 1e-13 * (1.0 + state.energy_nmm.abs()) {
                 damping = if damping <= LEAST_DAMPING { 0.0 } else { damping / 4.0 };
                 state = next;
@@ -71,12 +82,12 @@ impl Chain {
                 damping = raised;
             }
         }
-        let (gradient, _) = self.soft_step(&state, 1.0);
+        let (gradient, _) = self.soft_step(&state, 1.0, rubs);
         let balanced = imbalance_nmm(&gradient) < BALANCE_NMM;
         self.soft_end(state, most_iterations, balanced)
     }
 
-    fn softly<S: Surface>(&self, surface: &S, links: Links) -> State {
+    fn softly<S: Surface>(&self, surface: &S, links: Links, rubs: &[Rub]) -> State {
         let n = self.links();
         let near_mm = self.radius_mm + 0.6 * self.link_mm;
         let share_mm = self.link_mm / PLACES as f64;
@@ -104,15 +115,15 @@ impl Chain {
             }
         }
         let stored: f64 = touches.iter().map(|t| 0.5 * t.force_n * t.overlap_mm).sum();
-        let energy_nmm = self.balance(&links).energy_nmm + stored;
+        let energy_nmm = self.rubbed_balance(&links, rubs).energy_nmm + stored;
         State { links, touches, energy_nmm }
     }
 
     /// Gradient, and Newton's step; no step where the stiffness is not positive definite at this damping.
-    fn soft_step(&self, state: &State, damping: f64) -> (Turns, Option<Turns>) {
-        let balance = self.balance(&state.links);
+    fn soft_step(&self, state: &State, damping: f64, rubs: &[Rub]) -> (Turns, Option<Turns>) {
+        let balance = self.rubbed_balance(&state.links, rubs);
         let (mut gradient, mut diagonal) = (balance.gradient, balance.diagonal.clone());
-        let mut dyads = Vec::new();
+        let mut dyads = balance.dyads;
         for t in &state.touches {
             let row = self.shifts(&state.links, &t.spot, &t.normal);
             gradient.iter_mut().zip(&row).for_each(|(g, r)| *g -= r * t.force_n);
@@ -166,6 +177,7 @@ impl Chain {
                 point_mm: deepest.point_mm,
                 normal: force.try_normalize(1e-300).unwrap_or(deepest.normal),
                 force_n: force.norm(),
+                friction_n: Vector3::zeros(),
                 gap_mm: -deepest.overlap_mm,
             });
         }

@@ -5,6 +5,7 @@ mod elastica;
 mod elliptic;
 mod laws;
 mod order;
+mod physics;
 mod pressed;
 mod rest_fit;
 mod stability;

@@ -22,9 +22,9 @@ impl Surface for Floor {
     }
 }
 
-struct Ball {
-    centre_mm: Vector3<f64>,
-    radius_mm: f64,
+pub struct Ball {
+    pub centre_mm: Vector3<f64>,
+    pub radius_mm: f64,
 }
 
 impl Surface for Ball {
@@ -38,7 +38,7 @@ impl Surface for Ball {
     }
 }
 
-fn chain(links: usize) -> Chain {
+pub fn chain(links: usize) -> Chain {
     let section = Section::round(0.3, 75.0, 28.2);
     let shape = Shape::new(&spec(bent_shape()).rest_shape, 0.25).unwrap();
     Chain::new(&section, &shape, 0.3, links).unwrap()

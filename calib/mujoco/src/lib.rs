@@ -3,7 +3,9 @@
 //! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
 //! toward -z. All that these modules make is SIMULATED.
 
+pub mod cable_engine;
 pub mod columns;
+pub mod convex;
 pub mod dataset;
 pub mod engine;
 mod error;
@@ -16,6 +18,7 @@ pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
 
+pub use cable_engine::CableEngine;
 pub use dataset::{Dataset, Missing, Survey, Total};
 pub use engine::MujocoEngine;
 pub use error::TwinError;

@@ -19,8 +19,8 @@ use wcal_session::load;
 
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
 not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
-rest, free (the wire is out of the groove), several: the wire comes to rest elsewhere after the groove was shifted aside by 8 mm and back or
-after a kick, so that the way there and MuJoCo's version decide on the moment. MuJoCo runs with the released groove tip; preset released is
+rest, free (the wire is out of the groove), several: on another way there the wire comes to rest elsewhere, so that the way and MuJoCo's
+version decide on the moment. Where the session has labels of an outside twin, those on another branch are named. MuJoCo runs with the released groove tip; preset released is
 the released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or
 with several equilibria.")]
 pub struct TwinArgs {
@@ -179,6 +179,7 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
             }
         }
     }
+    name_other_branches(data, &rod, &rows, &labels);
     against.sort_by(|a, b| a.0.total_cmp(&b.0));
     if let (Some(middle), Some(last)) = (against.get(against.len() / 2), against.last()) {
         eprintln!(
@@ -194,14 +195,52 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
 
 /// What is remarkable about a label.
 fn say(point: i64, label: &PoseLabel) {
-    if let Some((after, there)) = label.elsewhere.first() {
+    if let Some((way, there)) = label.elsewhere.first() {
         eprintln!(
-            "twin: point {point} has several equilibria: after {after} the moment is {:.3} N mm instead of {:.3}",
+            "twin: point {point} has several equilibria: come to {way} the moment is {:.3} N mm instead of {:.3}",
             there.norm(),
             label.moment_nmm.norm()
         );
     }
     if !label.settled {
         eprintln!("twin: point {point} is not at rest: {:.2e} rad/s", label.fastest_rad_s);
+    }
+}
+
+/// Labels of an outside twin farther than this share of their full scale are on another branch.
+const OTHER_BRANCH: f64 = 0.01;
+
+/// Compares with the session's own labels: where they leave our branch although it is stable, they are on another equilibrium.
+fn name_other_branches(data: &WhiskerData, rod: &Rod, rows: &[Vec<usize>], labels: &[Vec<PoseLabel>]) {
+    let scale = |values: &mut dyn Iterator<Item = f64>| {
+        let (low, high) = values.fold((0.0_f64, 0.0_f64), |(l, h), x| (l.min(x), h.max(x)));
+        high - low
+    };
+    let outside = &data.twin;
+    let full = (0..2).map(|c| scale(&mut outside.iter().map(|l| l.moment_nmm[c]))).fold(0.0, f64::max);
+    let (mut largest, mut close, mut all) = (0.0_f64, 0, 0);
+    for ((trajectory, rows), labels) in data.trajectories.iter().zip(rows).zip(labels) {
+        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
+        for (&k, label) in rows.iter().zip(labels) {
+            let (point, ours) = (data.rows[k].point, data.moments.components_nmm(&label.moment_nmm));
+            let Some(theirs) = outside.iter().find(|l| l.point == point) else { continue };
+            all += 1;
+            let off = (0..2).map(|c| (ours[c] - theirs.moment_nmm[c]).abs()).fold(0.0, f64::max) / full;
+            if off < OTHER_BRANCH {
+                close += 1;
+                largest = largest.max(off);
+                continue;
+            }
+            let held = data.rows[k].stage_mm.map(|x| rod.follow(&line, &[x]));
+            let stable = held.and_then(|o| o[0].equilibrium().map(|e| rod.smallest_eigenvalue(e)));
+            eprintln!(
+                "twin: point {point}: the session's label is {:.0} % of full scale away, on another equilibrium; the branch from first touch is {}",
+                off * 100.0,
+                stable.map_or("lost there".to_owned(), |e| format!("stable there (smallest eigenvalue {e:.4} N)"))
+            );
+        }
+    }
+    if all > 0 {
+        eprintln!("twin: {close} of {all} labels of the session agree, within {largest:.1e} of full scale");
     }
 }

@@ -56,6 +56,12 @@ impl CableEngine {
         self.reach_mm
     }
 
+    /// Processor time of the engine's process so far, s; of the last one where one died.
+    #[must_use]
+    pub fn core_s(&self) -> f64 {
+        self.engine.core_s
+    }
+
     /// Runs a sweep to its end; an engine that dies on the way is started again for the next one.
     ///
     /// # Errors

@@ -24,6 +24,8 @@ pub struct MujocoEngine {
     from: BufReader<ChildStdout>,
     /// Version of libmujoco.
     pub version: String,
+    /// Processor time of the program at its last frame, s.
+    pub core_s: f64,
 }
 
 /// Where the program may lie: as the variable says, beside this program (or its parent: tests), or on the path.
@@ -62,7 +64,7 @@ impl MujocoEngine {
         let (Some(to), Some(from)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(TwinError::Engine(format!("starting {}: no pipe", path.display())));
         };
-        let mut engine = Self { child, to, from: BufReader::new(from), version: String::new() };
+        let mut engine = Self { child, to, from: BufReader::new(from), version: String::new(), core_s: 0.0 };
         match engine.ask(&Request::Hello)? {
             Reply::Hello { mujoco } => engine.version = mujoco,
             other => return Err(unexpected("a greeting", &other)),
@@ -87,7 +89,10 @@ impl MujocoEngine {
     /// Where the engine refuses or dies; an unstable step is no error but in the frame.
     pub fn frame(&mut self, request: &Request) -> Result<Frame, TwinError> {
         match self.ask(request)? {
-            Reply::Frame(frame) => Ok(frame),
+            Reply::Frame(frame) => {
+                self.core_s = frame.core_s;
+                Ok(frame)
+            }
             other => Err(unexpected("a frame", &other)),
         }
     }

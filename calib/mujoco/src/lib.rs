@@ -5,6 +5,7 @@
 
 pub mod cable_engine;
 pub mod columns;
+pub mod compare;
 pub mod convex;
 pub mod dataset;
 pub mod engine;
@@ -19,7 +20,7 @@ pub mod shard;
 pub mod sweep;
 
 pub use cable_engine::CableEngine;
-pub use dataset::{Dataset, Missing, Survey, Total};
+pub use dataset::{Dataset, Missing, Survey, SweepEngine, Total};
 pub use engine::MujocoEngine;
 pub use error::TwinError;
 pub use mesh::Mesh;

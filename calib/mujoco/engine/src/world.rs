@@ -25,7 +25,6 @@ struct Model {
     /// Site of the torque sensor.
     sensor_site: Option<usize>,
     tip: Option<usize>,
-    kept: Option<Box<[f64]>>,
     since: Since,
     bad: bool,
 }
@@ -88,7 +87,7 @@ impl Model {
         let tip = ["tip", "wS_last"].iter().find_map(|name| id(MjtObjBase::mjOBJ_SITE, name));
         let mut data = MjData::new(Box::new(model));
         data.forward();
-        Ok(Self { data, links, geoms, root, base, sensor_site, tip, kept: None, since: Since::default(), bad: false })
+        Ok(Self { data, links, geoms, root, base, sensor_site, tip, since: Since::default(), bad: false })
     }
 
     fn answer(&mut self, request: &Request) -> Answer {
@@ -145,20 +144,7 @@ impl Model {
                 self.data.qfrc_applied_mut().fill(0.0);
                 return Ok(Reply::Frame(frame));
             }
-            Request::Kick { rate_rad_s, seed } => {
-                let mut state = *seed;
-                for v in self.data.qvel_mut() {
-                    *v += rate_rad_s * (2.0 * random(&mut state) - 1.0);
-                }
-            }
             Request::Series { steps, every } => return Ok(Reply::Series(self.series(*steps, (*every).max(1)))),
-            Request::Keep => self.kept = Some(self.data.state(PHYSICS)),
-            Request::Back => {
-                let kept = self.kept.take().ok_or("expected a state to be kept first")?;
-                self.data.set_state(&kept, PHYSICS).map_err(|e| e.to_string())?;
-                self.data.forward();
-                self.kept = Some(kept);
-            }
             Request::Reset => {
                 self.data.reset();
                 self.data.forward();
@@ -245,6 +231,7 @@ impl Model {
             deepest_m: since.deepest_m,
             toggles: since.toggles,
             bad: self.bad || !finite,
+            core_s: core_s(),
             links_m,
         }
     }
@@ -275,8 +262,6 @@ impl Model {
     }
 }
 
-/// Position, speed and warm start: what the next step follows from.
-const PHYSICS: u32 = MjtState::mjSTATE_INTEGRATION as u32;
 /// MuJoCo's own signs of a step gone wrong.
 const WARNINGS: [MjtWarning; 3] = [MjtWarning::mjWARN_BADQPOS, MjtWarning::mjWARN_BADQVEL, MjtWarning::mjWARN_BADQACC];
 
@@ -299,11 +284,8 @@ fn load_cable_plugin() -> Result<(), String> {
     result
 }
 
-/// Uniform in 0..1 (SplitMix64, Steele, Lea and Flood 2014).
-fn random(state: &mut u64) -> f64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+/// Processor time of this program, s.
+fn core_s() -> f64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }

@@ -51,13 +51,6 @@ pub enum Request {
         /// Steps.
         steps: u64,
     },
-    /// A random speed for every joint, then nothing else: to see whether an equilibrium is come back to.
-    Kick {
-        /// Size, rad/s.
-        rate_rad_s: f64,
-        /// Seed.
-        seed: u64,
-    },
     /// Steps with the base moment noted.
     Series {
         /// How many.
@@ -65,10 +58,6 @@ pub enum Request {
         /// Every so many.
         every: u64,
     },
-    /// Remembers the state.
-    Keep,
-    /// Goes back to it.
-    Back,
     /// Goes back to the start.
     Reset,
     /// Convex parts of a closed surface.
@@ -149,6 +138,8 @@ pub struct Frame {
     pub toggles: u64,
     /// Whether MuJoCo warned of a bad number.
     pub bad: bool,
+    /// Processor time of the program, s.
+    pub core_s: f64,
     /// Origins of the links, m, root first; the tip's end is the last.
     pub links_m: Vec<[f64; 3]>,
 }

@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::Provenance;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{Dataset, Mesh, Missing, SweepEngine, SweepPlan, Total, objects, shard};
 
 /// Arguments of `wcal simulate`.

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_core::{Role, SessionData, WhiskerRow, WhiskerData};
+use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove::{self, PoseLabel};
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
@@ -19,7 +19,7 @@ use wcal_session::load;
 
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
 not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
-rest, free (the wire is out of the groove), several: on another way there the wire comes to rest elsewhere, so that the way and MuJoCo's
+rest, free (the wire is out of the groove), several: come to straight from the start, past the places between, the wire rests elsewhere, so that the way and MuJoCo's
 version decide on the moment. Where the session has labels of an outside twin, those on another branch are named. MuJoCo runs with the released groove tip; preset released is
 the released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or
 with several equilibria.")]
@@ -91,10 +91,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     if missing.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
-    eprintln!(
-        "twin: warning: no certain equilibrium at points {}",
-        missing.join(", ")
-    );
+    eprintln!("twin: warning: no certain equilibrium at points {}", missing.join(", "));
     Ok(ExitCode::from(3))
 }
 
@@ -167,13 +164,13 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
         for ((k, label), outcome) in rows.iter().zip(labels).zip(&held) {
             let point = data.rows[*k].point;
             say(point, label);
-            let branch = match (label.arclength_mm, label.elsewhere.is_empty()) {
+            let branch = match (label.arclength_mm, label.straight_nmm.is_none()) {
                 (_, false) => "several",
                 (Some(_), true) => "held",
                 (None, true) => "free",
             };
             let text = row(data, &label.moment_nmm, label.arclength_mm, branch, label.settled);
-            lines[*k] = Some((text, label.settled && label.elsewhere.is_empty()));
+            lines[*k] = Some((text, label.settled && label.straight_nmm.is_none()));
             if let (Some(e), "held") = (outcome.equilibrium(), branch) {
                 against.push(((label.moment_nmm - e.moment_nmm).norm() / e.moment_nmm.norm(), point));
             }
@@ -195,9 +192,9 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
 
 /// What is remarkable about a label.
 fn say(point: i64, label: &PoseLabel) {
-    if let Some((way, there)) = label.elsewhere.first() {
+    if let Some(there) = label.straight_nmm {
         eprintln!(
-            "twin: point {point} has several equilibria: come to {way} the moment is {:.3} N mm instead of {:.3}",
+            "twin: point {point} has several equilibria: come to straight from the start the moment is {:.3} N mm instead of {:.3}",
             there.norm(),
             label.moment_nmm.norm()
         );
@@ -236,7 +233,9 @@ fn name_other_branches(data: &WhiskerData, rod: &Rod, rows: &[Vec<usize>], label
             eprintln!(
                 "twin: point {point}: the session's label is {:.0} % of full scale away, on another equilibrium; the branch from first touch is {}",
                 off * 100.0,
-                stable.map_or("lost there".to_owned(), |e| format!("stable there (smallest eigenvalue {e:.4} N)"))
+                stable.map_or("lost there".to_owned(), |e| format!(
+                    "stable there (smallest eigenvalue {e:.4} N)"
+                ))
             );
         }
     }

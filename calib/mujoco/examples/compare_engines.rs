@@ -1,4 +1,4 @@
-//! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S]` prints statics at 10 to 80 links and the difference on
+//! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]` prints statics at 10 to 80 links and the difference on
 //! the same sweeps against the speed (SIMULATED); FOLDER keeps the convex parts. Needs wcal-mujoco beside it or in WCAL_MUJOCO.
 
 use wcal_core::observation::{RestShape, WhiskerSpec};
@@ -9,7 +9,9 @@ use wcal_mujoco::{MujocoEngine, SweepPlan, objects};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let [folder, sweeps, rest @ ..] = &words[..] else { return Err("expected FOLDER SWEEPS [DAMPING_S]".into()) };
+    let [folder, sweeps, rest @ ..] = &words[..] else {
+        return Err("expected FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]".into());
+    };
     let whisker = WhiskerSpec {
         diameter_mm: 0.3,
         youngs_gpa: 75.0,
@@ -22,8 +24,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(damping) = rest.first() {
         options.damping_s = damping.parse()?;
     }
+    if let Some(armature) = rest.get(1) {
+        options.armature_s2 = armature.parse()?;
+    }
     let mut engine = MujocoEngine::start()?;
-    println!("MuJoCo {}; SIMULATED; damping {} s, armature {} s^2", engine.version, options.damping_s, options.armature_s2);
+    println!(
+        "MuJoCo {}; SIMULATED; damping {} s, armature {} s^2",
+        engine.version, options.damping_s, options.armature_s2
+    );
     println!("{:>6} {:>12} {:>12}", "links", "point", "base moment");
     for links in [10, 20, 40, 80] {
         let found = statics(&mut engine, &whisker, &MjcfOptions { links, ..options.clone() })?;
@@ -43,14 +51,40 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!(
         "{:>6} {:>7} {:>8} {:>12} {:>9} {:>8} {:>10} {:>11} {:>11} {:>8}  rejected by MuJoCo",
-        "mm/s", "kept", "samples", "RMS N mm", "of N mm", "bias", "ripple", "contact mm", "overlap mm", "chatter"
+        "mm/s",
+        "kept",
+        "samples",
+        "RMS N mm",
+        "of N mm",
+        "bias",
+        "ripple",
+        "contact mm",
+        "overlap mm",
+        "chatter"
     );
-    let rows = against_speed(&whisker, &options, &bodies, &SweepPlan::default(), &[3.0, 5.0, 7.0, 14.0], sweeps.parse()?)?;
+    let rows = against_speed(
+        &whisker,
+        &options,
+        &bodies,
+        &SweepPlan::default(),
+        &[3.2, 5.0, 7.7, 14.0],
+        sweeps.parse()?,
+    )?;
     for r in rows {
         println!(
             "{:>6.1} {:>3}/{:<3} {:>8} {:>12.4} {:>9.3} {:>7.2}% {:>10.4} {:>11.3} {:>11.3} {:>7.2}%  {:?}",
-            r.speed_mm_s, r.kept[0], r.kept[1], r.samples, r.moment_rms_nmm[0], r.moment_rms_nmm[1], r.bias * 100.0, r.ripple_nmm, r.contact_mm, r.overlap_mm,
-            r.chatter * 100.0, r.rejected
+            r.speed_mm_s,
+            r.kept[0],
+            r.kept[1],
+            r.samples,
+            r.moment_rms_nmm[0],
+            r.moment_rms_nmm[1],
+            r.bias * 100.0,
+            r.ripple_nmm,
+            r.contact_mm,
+            r.overlap_mm,
+            r.chatter * 100.0,
+            r.rejected
         );
     }
     Ok(())

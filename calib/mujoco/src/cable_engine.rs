@@ -76,7 +76,8 @@ impl CableEngine {
         if sweep.physics.softening.is_some() || sweep.physics.medium != crate::physics::Medium::None {
             return Err(TwinError::Value {
                 what: "physics",
-                expected: "no softening and no medium with the mujoco engine (the rod engine has them)".to_owned(),
+                expected: "no softening and no medium with the mujoco engine (the rod engine has them)"
+                    .to_owned(),
                 found: "one of them".to_owned(),
             });
         }
@@ -211,7 +212,8 @@ fn legs(sweep: &Sweep, from_s: f64, to_s: f64) -> Vec<(f64, f64, f64)> {
     let mut legs = Vec::new();
     let mut t = from_s.max(0.0);
     while t < to_s - 1e-9 {
-        let end = (crate::sweep::HOLD_S * ((t + 1e-9) / crate::sweep::HOLD_S).floor() + crate::sweep::HOLD_S).min(to_s);
+        let end = (crate::sweep::HOLD_S * ((t + 1e-9) / crate::sweep::HOLD_S).floor() + crate::sweep::HOLD_S)
+            .min(to_s);
         let [a, b] = [sweep.travel(t).1, sweep.travel(end).1];
         legs.push((end, a, (b - a) / (end - t)));
         t = end;

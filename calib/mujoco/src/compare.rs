@@ -49,7 +49,8 @@ pub fn statics(
     let mut held = None;
     for leg in 1..=PULLS {
         let point = from + Vector3::from(PULLED) * (length_mm * f64::from(leg) / f64::from(PULLS));
-        let found = rod.solve(&point, &guess, Tangential::Frictionless).map_err(|e| refuse(format!("{e:?}")))?;
+        let found =
+            rod.solve(&point, &guess, Tangential::Frictionless).map_err(|e| refuse(format!("{e:?}")))?;
         guess = Guess::from(&found);
         held = Some(found);
     }
@@ -126,7 +127,8 @@ pub fn against_speed(
             let parts = convex.corners();
             for index in 0..sweeps {
                 let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else { continue };
-                let (quasi, dynamic) = (rod.run(mesh, &sweep, &plan), cable.run(mesh, &parts, &sweep, &plan)?);
+                let (quasi, dynamic) =
+                    (rod.run(mesh, &sweep, &plan), cable.run(mesh, &parts, &sweep, &plan)?);
                 sum.add(&quasi, &dynamic);
             }
         }
@@ -177,7 +179,8 @@ impl Sum {
             self.contacts_mm.push((here.point_mm - there.point_mm).norm());
             self.samples += 1;
         }
-        self.ripples.extend(differences.windows(3).map(|w| (w[1] - (w[0] + w[1] + w[2]) / 3.0).norm_squared()));
+        self.ripples
+            .extend(differences.windows(3).map(|w| (w[1] - (w[0] + w[1] + w[2]) / 3.0).norm_squared()));
     }
 
     fn row(mut self, speed_mm_s: f64) -> SpeedRow {

@@ -44,7 +44,8 @@ impl Convex {
     pub fn of(mesh: &Mesh, folder: &Path) -> Result<Self, TwinError> {
         let points: Vec<[f64; 3]> = mesh.points().map(Into::into).collect();
         let triangles: Vec<[i32; 3]> = mesh.triangles().iter().map(|t| t.map(|k| k as i32)).collect();
-        let request = Decompose { points, triangles, threshold: THRESHOLD, most_parts: MOST_PARTS, seed: SEED };
+        let request =
+            Decompose { points, triangles, threshold: THRESHOLD, most_parts: MOST_PARTS, seed: SEED };
         let text = serde_json::to_string(&request).map_err(|e| TwinError::Engine(e.to_string()))?;
         let made_from = sha256_hex(text.as_bytes());
         let path = folder.join(format!("{}-{}.json", mesh.name, &made_from[..16]));
@@ -79,13 +80,13 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
         if found.is_inside { -away } else { away }
     };
     let mut beyond_mm: f64 = 0.0;
-    for (k, hull) in hulls.iter().enumerate() {
-        for p in on_triangles(hull.vertices().iter().map(|v| Vector3::new(v.x, v.y, v.z)).collect(), hull.indices()) {
-            // Faces between parts are not the union's surface.
-            let hidden = hulls.iter().enumerate().any(|(other, h)| other != k && from(h, &p) < 0.0);
-            if !hidden {
-                beyond_mm = beyond_mm.max(mesh.distance_mm(&p));
-            }
+    for hull in &hulls {
+        for p in on_triangles(
+            hull.vertices().iter().map(|v| Vector3::new(v.x, v.y, v.z)).collect(),
+            hull.indices(),
+        ) {
+            // Only what sticks out: faces between parts lie inside.
+            beyond_mm = mesh.near(&p, f64::MAX).map_or(beyond_mm, |near| beyond_mm.max(near.distance_mm));
         }
     }
     let mut short_mm: f64 = 0.0;
@@ -109,7 +110,10 @@ fn hull(name: &str, part: &[[f64; 3]]) -> Result<TriMesh, TwinError> {
 }
 
 /// Points spread over every triangle, corners included.
-fn on_triangles(points: Vec<Vector3<f64>>, triangles: &[[u32; 3]]) -> impl Iterator<Item = Vector3<f64>> + '_ {
+fn on_triangles(
+    points: Vec<Vector3<f64>>,
+    triangles: &[[u32; 3]],
+) -> impl Iterator<Item = Vector3<f64>> + '_ {
     triangles.iter().flat_map(move |t| {
         let [a, b, c] = t.map(|k| points[k as usize]);
         (0..PER_EDGE).flat_map(move |i| {

@@ -34,7 +34,10 @@ fn program() -> Result<PathBuf, TwinError> {
         let path = PathBuf::from(named);
         return match path.is_file() {
             true => Ok(path),
-            false => Err(TwinError::Engine(format!("{VARIABLE}: expected a program, found nothing at {}", path.display()))),
+            false => Err(TwinError::Engine(format!(
+                "{VARIABLE}: expected a program, found nothing at {}",
+                path.display()
+            ))),
         };
     }
     let beside = std::env::current_exe().ok();
@@ -114,7 +117,7 @@ impl MujocoEngine {
     /// Where the library is missing or finds none.
     pub fn convex_parts(&mut self, request: &protocol::Decompose) -> Result<Vec<protocol::Part>, TwinError> {
         match self.ask(&Request::Decompose(request.clone()))? {
-            Reply::Parts(parts) => Ok(parts),
+            Reply::Parts { parts } => Ok(parts),
             other => Err(unexpected("convex parts", &other)),
         }
     }
@@ -130,7 +133,10 @@ impl MujocoEngine {
             Ok(n) if n > 0 => match serde_json::from_str(&answer) {
                 Ok(Reply::Refused { why }) => Err(TwinError::Engine(why)),
                 Ok(reply) => Ok(reply),
-                Err(e) => Err(TwinError::Engine(format!("expected a line of the protocol, found {:?}: {e}", answer.trim()))),
+                Err(e) => Err(TwinError::Engine(format!(
+                    "expected a line of the protocol, found {:?}: {e}",
+                    answer.trim()
+                ))),
             },
             _ => Err(self.dead()),
         }
@@ -143,7 +149,10 @@ impl MujocoEngine {
         if let Some(mut errors) = self.child.stderr.take() {
             let _ = errors.read_to_string(&mut said);
         }
-        TwinError::Engine(format!("{PROGRAM} ended ({status}): {}", said.trim().lines().next_back().unwrap_or("said nothing")))
+        TwinError::Engine(format!(
+            "{PROGRAM} ended ({status}): {}",
+            said.trim().lines().next_back().unwrap_or("said nothing")
+        ))
     }
 }
 

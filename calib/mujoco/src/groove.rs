@@ -33,8 +33,8 @@ pub struct PoseLabel {
     pub fastest_rad_s: f64,
     /// Whether the wire came to rest.
     pub settled: bool,
-    /// Ways there on which the wire came to rest elsewhere, with the moment there.
-    pub elsewhere: Vec<(&'static str, Vector3<f64>)>,
+    /// Moment on the straight way there from the trajectory's start, past the places between, where the wire came to rest elsewhere.
+    pub straight_nmm: Option<Vector3<f64>>,
 }
 
 /// Groove's place at which its tip's body is at [`TIP_MM`], released frame.
@@ -73,7 +73,11 @@ pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
         .map(|bytes| {
             let stl = stl_io::read_stl(&mut std::io::Cursor::new(bytes))
                 .map_err(TwinError::io("reading", "groove_tip".as_ref()))?;
-            Ok(stl.vertices.iter().map(|v| Vector3::from([v[0], v[1], v[2]].map(|x| f64::from(x) * 1e3))).collect())
+            Ok(stl
+                .vertices
+                .iter()
+                .map(|v| Vector3::from([v[0], v[1], v[2]].map(|x| f64::from(x) * 1e3)))
+                .collect())
         })
         .collect()
 }
@@ -110,7 +114,9 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset) -> Result<String, TwinError>
     };
     match preset {
         Preset::Paper => {
-            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(released_from(whisker)));
+            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(released_from(
+                whisker,
+            )));
             around.base[0] = format!("pos=\"{}\" quat=\"{} {} {} {}\"", place(ROOT_MM), q.w, q.i, q.j, q.k);
             mjcf_among(whisker, &MjcfOptions { touch: Touch::RELEASED, ..MjcfOptions::default() }, &around)
         }
@@ -172,17 +178,16 @@ pub fn labels(
             engine.load(&xml, preset == Preset::Released)?;
             let mut bench = Bench { engine, turn };
             let places: Vec<Vector3<f64>> = places.iter().map(|place| turn * place).collect();
-            bench.come(Vector3::from(START_MM))?;
+            bench.begin()?;
             let mut labels: Vec<PoseLabel> =
                 places.iter().map(|place| bench.label(place)).collect::<Result<_, _>>()?;
             for (k, (place, label)) in places.iter().zip(&mut labels).enumerate() {
-                let straight = (k > 0).then_some(("straight from the start", Vector3::from(START_MM)));
-                let above = ("from beyond the wire", place + Vector3::y() * RETREAT_MM);
-                for (way, from) in straight.into_iter().chain([above]) {
-                    let there = bench.again(from, place)?;
+                // The first place is come to straight already.
+                if k > 0 {
+                    let there = bench.straight(place)?;
                     let apart = (there - label.moment_nmm).norm();
                     if !(apart <= ELSEWHERE[0] * label.moment_nmm.norm() + ELSEWHERE[1]) {
-                        label.elsewhere.push((way, there));
+                        label.straight_nmm = Some(there);
                     }
                 }
             }
@@ -201,20 +206,25 @@ impl Bench {
     fn go(&mut self, place_mm: &Vector3<f64>) -> Result<Frame, TwinError> {
         let way = (place_mm - Vector3::from(START_MM)) * 1e-3;
         let control = vec![way.x, -way.y, way.z];
-        let reached = Request::Control { control, body: "tip".to_owned(), moved_m: REACHED_MM * 1e-3, steps: MOST_STEPS };
+        let reached = Request::Control {
+            control,
+            body: "tip".to_owned(),
+            moved_m: REACHED_MM * 1e-3,
+            steps: MOST_STEPS,
+        };
         self.engine.frame(&reached)
     }
 
-    /// From the free wire: the groove retreats, then comes to a place.
-    fn come(&mut self, place_mm: Vector3<f64>) -> Result<(), TwinError> {
+    /// From the free wire: the groove retreats, then comes to the trajectories' start.
+    fn begin(&mut self) -> Result<(), TwinError> {
         self.engine.frame(&Request::Reset)?;
         self.go(&(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM))?;
-        self.go(&place_mm).map(drop)
+        self.go(&Vector3::from(START_MM)).map(drop)
     }
 
-    /// The moment at a place that is come to on another way.
-    fn again(&mut self, from_mm: Vector3<f64>, place_mm: &Vector3<f64>) -> Result<Vector3<f64>, TwinError> {
-        self.come(from_mm)?;
+    /// The moment at a place that is come to straight from the start.
+    fn straight(&mut self, place_mm: &Vector3<f64>) -> Result<Vector3<f64>, TwinError> {
+        self.begin()?;
         self.go(place_mm)?;
         let frame = self.engine.frame(&Request::Run { steps: AGAIN_STEPS })?;
         self.moment(&frame)
@@ -229,7 +239,7 @@ impl Bench {
             overlap_mm: frame.deepest_m * 1e3,
             fastest_rad_s: frame.fastest,
             settled: frame.fastest < REST_RAD_S && !frame.bad,
-            elsewhere: Vec::new(),
+            straight_nmm: None,
         })
     }
 
@@ -240,7 +250,8 @@ impl Bench {
         }
         let own = frame.base_moment_nm.map(Vector3::from);
         let moment = own.or_else(|| frame.sensor_nm.map(|t| -Vector3::from(t)));
-        let moment = moment.ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
+        let moment =
+            moment.ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
         Ok(self.turn.tr_mul(&moment) * 1e3)
     }
 }

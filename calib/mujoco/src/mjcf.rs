@@ -90,7 +90,7 @@ impl Default for MjcfOptions {
         Self {
             links: 40,
             damping_s: 0.02,
-            armature_s2: 5e-8,
+            armature_s2: 1e-6,
             step_s: 1e-3,
             root_turn_rad: Vector3::zeros(),
             root_offset_mm: Vector3::zeros(),

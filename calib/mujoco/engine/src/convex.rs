@@ -49,7 +49,7 @@ type Free = unsafe extern "C" fn(MeshArray);
 type Level = unsafe extern "C" fn(*const c_char);
 
 pub fn parts(surface: &Decompose) -> Reply {
-    run(surface).map_or_else(|why| Reply::Refused { why }, Reply::Parts)
+    run(surface).map_or_else(|why| Reply::Refused { why }, |parts| Reply::Parts { parts })
 }
 
 fn run(surface: &Decompose) -> Result<Vec<Part>, String> {

@@ -8,7 +8,8 @@ pub struct World;
 impl World {
     pub fn answer(&mut self, _: &Request) -> Reply {
         Reply::Refused {
-            why: "wcal-mujoco was built without libmujoco 3.17.0; `make setup` fetches it, then build again".to_owned(),
+            why: "wcal-mujoco was built without libmujoco 3.17.0; `make setup` fetches it, then build again"
+                .to_owned(),
         }
     }
 }

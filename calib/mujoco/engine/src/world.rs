@@ -51,7 +51,8 @@ impl World {
         }
         if let Request::Load { xml, cable_plugin } = request {
             let model = Model::load(xml, *cable_plugin)?;
-            let loaded = Loaded { freedoms: model.data.qvel().len(), step_s: model.data.model_opt().timestep };
+            let loaded =
+                Loaded { freedoms: model.data.qvel().len(), step_s: model.data.model_opt().timestep };
             self.loaded = Some(model);
             return Ok(Reply::Loaded(loaded));
         }
@@ -144,13 +145,17 @@ impl Model {
                 self.data.qfrc_applied_mut().fill(0.0);
                 return Ok(Reply::Frame(frame));
             }
-            Request::Series { steps, every } => return Ok(Reply::Series(self.series(*steps, (*every).max(1)))),
+            Request::Series { steps, every } => {
+                return Ok(Reply::Series(self.series(*steps, (*every).max(1))));
+            }
             Request::Reset => {
                 self.data.reset();
                 self.data.forward();
                 self.since = Since::default();
             }
-            Request::Hello | Request::Load { .. } | Request::Decompose(_) => return Err("asked elsewhere".to_owned()),
+            Request::Hello | Request::Load { .. } | Request::Decompose(_) => {
+                return Err("asked elsewhere".to_owned());
+            }
         }
         Ok(Reply::Frame(self.frame()))
     }
@@ -263,7 +268,8 @@ impl Model {
 }
 
 /// MuJoCo's own signs of a step gone wrong.
-const WARNINGS: [MjtWarning; 3] = [MjtWarning::mjWARN_BADQPOS, MjtWarning::mjWARN_BADQVEL, MjtWarning::mjWARN_BADQACC];
+const WARNINGS: [MjtWarning; 3] =
+    [MjtWarning::mjWARN_BADQPOS, MjtWarning::mjWARN_BADQVEL, MjtWarning::mjWARN_BADQACC];
 
 /// Bodies of MuJoCo's composite cable, root first.
 fn cable_links(model: &MjModel) -> Vec<usize> {
@@ -277,7 +283,10 @@ fn load_cable_plugin() -> Result<(), String> {
     static ONCE: Once = Once::new();
     let path = native::folder().join(PLUGIN);
     if !path.is_file() {
-        return Err(format!("expected MuJoCo's cable plugin at {}, found none (`make setup` fetches it)", path.display()));
+        return Err(format!(
+            "expected MuJoCo's cable plugin at {}, found none (`make setup` fetches it)",
+            path.display()
+        ));
     }
     let mut result = Ok(());
     ONCE.call_once(|| result = load_plugin_library(&path).map_err(|e| e.to_string()));

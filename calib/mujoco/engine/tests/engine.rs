@@ -8,7 +8,7 @@ use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
 use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::{self, Preset};
-use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
+use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
 
@@ -50,21 +50,18 @@ fn statics_tend_to_the_rods_with_second_order() {
     }
     let mut engine = MujocoEngine::start().unwrap();
     let options = MjcfOptions { damping_s: 5e-3, armature_s2: 1e-6, ..MjcfOptions::default() };
-    let [coarse, fine] =
-        [20, 40].map(|links| statics(&mut engine, &whisker(), &MjcfOptions { links, ..options.clone() }).unwrap());
+    let [coarse, fine] = [20, 40]
+        .map(|links| statics(&mut engine, &whisker(), &MjcfOptions { links, ..options.clone() }).unwrap());
     assert!(fine.moment_error < 5e-3, "{fine:?}");
     let order = (coarse.point_error / fine.point_error).log2();
     assert!(order > 1.8, "{coarse:?} {fine:?}");
-    // Negative control: the plain clamp (a whole link's spring) is first order and far off.
-    let xml = mjcf(&whisker(), &MjcfOptions { links: 40, ..options }).unwrap();
-    let first = xml.lines().find(|l| l.contains("joint0y")).unwrap();
-    let next = xml.lines().find(|l| l.contains("joint1y")).unwrap();
-    let stiffness = |l: &str| l.split("stiffness=\"").nth(1).unwrap().split('"').next().unwrap().parse::<f64>().unwrap();
-    assert!((stiffness(first) / stiffness(next) - 2.0).abs() < 1e-9, "the clamp's spring spans half a link");
+    // Negative control: five links are too few for that bound.
+    let few = statics(&mut engine, &whisker(), &MjcfOptions { links: 5, ..options }).unwrap();
+    assert!(few.moment_error > 5e-3, "{few:?}");
 }
 
 #[test]
-fn a_released_label_is_reproduced_and_an_uncertain_one_is_told() {
+fn a_released_label_is_reproduced_and_one_on_another_equilibrium_is_not() {
     if !ready() {
         return;
     }
@@ -85,16 +82,15 @@ fn a_released_label_is_reproduced_and_an_uncertain_one_is_told() {
     let points = rows("points.csv");
     let place = |k: usize| Vector3::new(points[k][5], points[k][6], points[k][7]);
     // Columns: point, role, trajectory, replicate, stage, groove x, y, z.
-    let found = groove::labels(&whisker, Preset::Released, &[vec![place(19), place(20)]]).unwrap();
+    let found = groove::labels(&whisker, Preset::Released, &[vec![place(9), place(11)]]).unwrap();
     let labels = rows("twin.csv");
     let [sure, unsure] = &found[0][..] else { panic!("{found:?}") };
     // Full scale of the released labels: 7 N mm. The twin reports minus (position x force).
     for (axis, column) in [(0, 1), (2, 2)] {
-        assert!((-sure.moment_nmm[axis] - labels[19][column]).abs() < 7e-3, "{sure:?}");
+        assert!((-sure.moment_nmm[axis] - labels[9][column]).abs() < 7e-3, "{sure:?}");
     }
-    assert!(sure.settled && sure.elsewhere.is_empty(), "{sure:?}");
-    let off = (-unsure.moment_nmm.x - labels[20][1]).abs();
-    assert!(off > 0.1 && !unsure.elsewhere.is_empty(), "{unsure:?}");
+    assert!(sure.settled && sure.straight_nmm.is_none(), "{sure:?}");
+    assert!((-unsure.moment_nmm.x - labels[11][1]).abs() > 0.1, "{unsure:?}");
 }
 
 #[test]
@@ -113,7 +109,8 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
     let sweep = (0..).find_map(|k| {
         let sweep = Sweep::draw(&mesh, &plan, 5, k, rod.reach_mm())?;
         let run = rod.run(&mesh, &sweep, &plan);
-        let touching = run.samples.iter().filter(|s| s.contacts.first().is_some_and(|c| c.arclength_mm < 50.0)).count();
+        let touching =
+            run.samples.iter().filter(|s| s.contacts.first().is_some_and(|c| c.arclength_mm < 50.0)).count();
         (run.verdict == Verdict::Kept && touching > 4).then_some((sweep, run))
     });
     let (sweep, quasi) = sweep.unwrap();
@@ -137,7 +134,11 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
     let wild = MjcfOptions { step_s: 0.02, damping_s: 0.0, armature_s2: 1e-9, ..MjcfOptions::default() };
     let mut wild = CableEngine::start(&whisker(), &wild).unwrap();
     let run = wild.run(&mesh, &parts, &sweep, &plan).unwrap();
-    assert!(matches!(run.verdict, Verdict::Rejected("unstable" | "penetration" | "torque-too-high")), "{:?}", run.verdict);
+    assert!(
+        matches!(run.verdict, Verdict::Rejected("unstable" | "penetration" | "torque-too-high")),
+        "{:?}",
+        run.verdict
+    );
 }
 
 #[test]
@@ -168,6 +169,7 @@ fn what_is_missing_is_named() {
     };
     let line = ask(r#"{"do":"load","xml":"<mujoco/>","cable_plugin":true}"#);
     assert!(line.contains("cable plugin at /nonexistent"), "{line}");
-    let line = ask(r#"{"do":"decompose","points":[],"triangles":[],"threshold":0.05,"most_parts":1,"seed":1}"#);
+    let line =
+        ask(r#"{"do":"decompose","points":[],"triangles":[],"threshold":0.05,"most_parts":1,"seed":1}"#);
     assert!(line.contains("expected CoACD at /nonexistent"), "{line}");
 }

@@ -98,7 +98,10 @@ pub enum Reply {
     /// Base moment over time.
     Series(Series),
     /// Convex parts.
-    Parts(Vec<Part>),
+    Parts {
+        /// Their corners.
+        parts: Vec<Part>,
+    },
     /// It did not work.
     Refused {
         /// Why.

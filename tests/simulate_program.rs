@@ -14,7 +14,17 @@ fn text(bytes: &[u8]) -> String {
 fn a_dataset_is_made_and_a_second_run_finds_it_there() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("sweeps");
-    let args = ["simulate", "--object", "can", "--sweeps", "3", "--json", "--out", out.to_str().unwrap()];
+    let args = [
+        "simulate",
+        "--object",
+        "can",
+        "--sweeps",
+        "3",
+        "--json",
+        "--report",
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let first = wcal(&args);
     assert_eq!(first.status.code(), Some(0), "{}", text(&first.stderr));
     let json: serde_json::Value = serde_json::from_slice(&first.stdout).unwrap();
@@ -25,6 +35,13 @@ fn a_dataset_is_made_and_a_second_run_finds_it_there() {
         assert!(out.join(format!("can-000000.{table}.parquet")).exists());
     }
     assert!(out.join("dataset.json").exists());
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    for word in ["SIMULATED", "onset", "can-000000, sweep 0: kept", "<svg"] {
+        assert!(report.contains(word), "{word}");
+    }
+    // The drawing's own name of its language is the only address.
+    assert!(!report.replace("http://www.w3.org/2000/svg", "").contains("://"), "the page is self-contained");
+    assert!(!report.contains("torque-too-high"), "nothing was rejected for that");
     let second: serde_json::Value = serde_json::from_slice(&wcal(&args).stdout).unwrap();
     assert_eq!(second["kept"], json["kept"]);
     assert!(second.get("sweeps_per_core_s").is_none(), "nothing was to be made: {second}");
@@ -69,4 +86,75 @@ fn what_cannot_be_simulated_is_said_once() {
     ]);
     assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
     assert!(text(&run.stderr).contains("empty.stl is left out"), "{}", text(&run.stderr));
+}
+
+/// A tetrahedron as text.
+fn tetrahedron(path: &std::path::Path, side: f64, faces: &[[usize; 3]]) {
+    let corners = [[0.0; 3], [side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side], [side, side, side]];
+    let facet = |face: &[usize; 3]| {
+        let vertex = |k: &usize| format!("vertex {} {} {}\n", corners[*k][0], corners[*k][1], corners[*k][2]);
+        let vertices: String = face.iter().map(vertex).collect();
+        format!("facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
+    };
+    let facets: String = faces.iter().map(facet).collect();
+    std::fs::write(path, format!("solid t\n{facets}endsolid t\n")).unwrap();
+}
+
+#[test]
+fn doubtful_meshes_and_rejected_sweeps_are_named_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let meshes = folder.path().join("meshes");
+    std::fs::create_dir(&meshes).unwrap();
+    let closed = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+    let fin: Vec<[usize; 3]> = closed.iter().copied().chain([[0, 1, 4]]).collect();
+    for (name, side, faces) in [
+        ("good", 50.0, &closed[..]),
+        ("metres", 0.05, &closed[..]),
+        ("open", 50.0, &closed[..3]),
+        ("fin", 50.0, &fin[..]),
+        ("huge", 5000.0, &closed[..]),
+        ("tiny", 1e-5, &closed[..]),
+        ("inward", 50.0, &closed.map(|[a, b, c]| [a, c, b])[..]),
+    ] {
+        tetrahedron(&meshes.join(format!("{name}.stl")), side, faces);
+    }
+    std::fs::write(meshes.join("empty.stl"), "solid nothing\nendsolid nothing\n").unwrap();
+    std::fs::write(meshes.join("cut.stl"), [0_u8; 90]).unwrap();
+    let plan = folder.path().join("plan.toml");
+    let run = |plan_text: &str, what: &[&str], name: &str| {
+        std::fs::write(&plan, plan_text).unwrap();
+        let out = folder.path().join(name);
+        let fixed = ["simulate", "--sweeps", "2", "--json", "--plan", plan.to_str().unwrap(), "--out"];
+        let done = wcal(&[&fixed[..], &[out.to_str().unwrap()], what].concat());
+        let json: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap_or_default();
+        (done.status.code(), json, text(&done.stderr))
+    };
+    let (code, json, said) = run("most_mm = 15.0\n", &["--meshes", meshes.to_str().unwrap()], "meshes-out");
+    assert_eq!(code, Some(3), "{said}");
+    let lines = |key: &str| json[key].as_array().unwrap().iter().map(|l| l.to_string()).collect::<Vec<_>>();
+    for (key, words) in [
+        ("notes", ["metres", "taken as metres"]),
+        ("notes", ["open", "not watertight: 3 open edges"]),
+        ("notes", ["fin", "not a manifold: 1 edges"]),
+        ("notes", ["inward", "normals pointed inward"]),
+        ("left_out", ["huge.stl", "a longest side of 3 to 2000 mm"]),
+        ("left_out", ["tiny.stl", "a longest side of 3 to 2000 mm"]),
+        ("left_out", ["empty.stl", "triangles, found 0"]),
+        ("left_out", ["cut.stl", "is left out"]),
+    ] {
+        assert!(lines(key).iter().any(|l| words.iter().all(|w| l.contains(w))), "{words:?}: {json}");
+        assert!(words.iter().all(|w| said.contains(w)), "{words:?}: {said}");
+    }
+    assert_eq!(json["sweeps"], 10, "the five that can be swept are: {json}");
+    let of_good = |l: &String| l.contains("good: ") && !l.contains("is kept");
+    assert!(!lines("notes").iter().any(of_good), "nothing is wrong with the good one: {json}");
+    // What a sweep is rejected for is counted; an object without a usable sweep is a warning.
+    for (plan, verdict) in [("most_strain = 1e-4\n", "torque-too-high"), ("most_mm = 0.4\n", "no-contact")] {
+        let (code, json, said) = run(plan, &["--object", "can"], verdict);
+        assert_eq!((code, &json["verdicts"][verdict]), (Some(3), &2.into()), "{said} {json}");
+        assert!(said.contains("can: none of 2 sweeps is kept"), "{said}");
+    }
+    // Negative control.
+    let (code, json, _) = run("most_mm = 30.0\n", &["--object", "can"], "control");
+    assert_eq!((code, &json["kept"]), (Some(0), &2.into()), "{json}");
 }

@@ -1,4 +1,6 @@
-//! `wcal fit-whisker`: the whisker's rest geometry from measured shapes.
+//! `wcal fit-whisker`: the whisker's rest geometry from measured shapes, and its stiffness where moments are known.
+
+mod stiffness;
 
 use crate::picture_output::{provenance, write};
 use anyhow::Context;
@@ -7,6 +9,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use stiffness::{Stiffness, stiffness};
 use wcal_core::Provenance;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
@@ -23,11 +26,12 @@ const DOUBTFUL: f64 = 3.0;
 
 /// Arguments of `wcal fit-whisker`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:
+#[command(after_help = "Examples:
   wcal fit-whisker shapes/shapes.json --rig rig.toml --out whisker
+  wcal fit-whisker shapes/shapes.json --rig rig.toml --moments session --out whisker
 
-The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations are those between shapes: an error of the
-cameras' scale is common to all shapes and not in them. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
+The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations hold what differs between shapes and, where
+shapes.json states them (shared_errors), the errors that all shapes share: cameras, light across the wire, form of its end. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
 damping of 0.02 s that is not fitted). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
 pub struct FitWhiskerArgs {
     /// Shapes by `wcal stereo-shape`
@@ -35,6 +39,9 @@ pub struct FitWhiskerArgs {
     /// Rig with the nominal whisker
     #[arg(long, value_name = "rig.toml")]
     pub rig: PathBuf,
+    /// Session whose twin.csv holds known base moments at its poses: fits Young's modulus too
+    #[arg(long, value_name = "SESSION")]
+    pub moments: Option<PathBuf>,
     /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -49,6 +56,8 @@ struct WhiskerDocument {
     format: &'static str,
     whisker: Geometry,
     root: Root,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stiffness: Option<Stiffness>,
     fit: Fit,
     provenance: Provenance,
 }
@@ -59,6 +68,11 @@ struct Geometry {
     length_mm: f64,
     straight_mm: f64,
     arc_radius_mm: f64,
+    /// Where moments are known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    youngs_gpa: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shear_gpa: Option<f64>,
 }
 
 /// The clamp in the base frame: turn as a rotation vector.
@@ -73,6 +87,9 @@ struct Fit {
     parameters: Vec<&'static str>,
     sd: Vec<f64>,
     covariance: Vec<Vec<f64>>,
+    /// The part of the covariance that comes from errors common to all shapes.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    covariance_shared: Vec<Vec<f64>>,
     rms_mm: f64,
     rms_over_sd: f64,
     warnings: Vec<String>,
@@ -127,7 +144,16 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             Err(why) => warnings.push(format!("{} is left out: {why}", pair.name)),
         }
     }
-    let fit = fit_rest(&nominal, &usable)?;
+    let mut fit = fit_rest(&nominal, &usable)?;
+    let moved = moved_by_shared(&document, &usable);
+    if moved.is_empty() {
+        warnings.push(
+            "the shapes state no shared_errors: what all shapes have in common (cameras, light, the wire's end) is not in the standard deviations"
+                .to_owned(),
+        );
+    } else {
+        fit.add_common(&nominal, &moved)?;
+    }
     warnings.extend(fit.left_out.iter().map(|(name, why)| format!("{name} is left out: {why}")));
     if fit.covariance.is_none() {
         warnings.push(format!(
@@ -141,6 +167,10 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.rms_over_sd
         ));
     }
+    let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
+    if let Some(s) = &stiffness {
+        warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));
+    }
     for warning in &warnings {
         eprintln!("fit-whisker: warning: {warning}");
     }
@@ -151,13 +181,19 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             length_mm: fit.values[2],
             straight_mm: fit.values[0],
             arc_radius_mm: fit.values[1],
+            youngs_gpa: stiffness.as_ref().map(|s| s.youngs_gpa),
+            // The ratio is kept: at a pose the moment barely tells the two apart.
+            shear_gpa: stiffness.as_ref().map(|s| SHEAR_GPA * s.youngs_gpa / YOUNGS_GPA),
         },
         root: Root {
             turn_rad: [fit.values[3], fit.values[4], fit.values[5]],
             offset_mm: [0.0, fit.values[6], fit.values[7]],
         },
+        stiffness,
         fit: described(&fit, &warnings),
-        provenance: provenance([args.shapes.as_path(), args.rig.as_path()]),
+        provenance: provenance(
+            [args.shapes.as_path(), args.rig.as_path()].into_iter().chain(args.moments.as_deref()),
+        ),
     };
     let fitted = WhiskerSpec {
         rest_shape: RestShape::StraightArc {
@@ -165,6 +201,8 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             arc_radius_mm: fit.values[1],
             length_mm: fit.values[2],
         },
+        youngs_gpa: result.whisker.youngs_gpa.unwrap_or(YOUNGS_GPA),
+        shear_gpa: result.whisker.shear_gpa.unwrap_or(SHEAR_GPA),
         ..nominal
     };
     let options = MjcfOptions {
@@ -181,6 +219,12 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         for (k, name) in NAMES.iter().enumerate() {
             let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
             println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
+        }
+        if let Some(s) = &result.stiffness {
+            println!(
+                "{:<18} {:>10.5}  sd {:.5} (by the geometry {:.5}); {} points, RMS {:.4} N mm",
+                "youngs_gpa", s.youngs_gpa, s.sd_gpa, s.sd_by_geometry_gpa, s.points, s.rms_nmm
+            );
         }
         println!(
             "{} shapes, RMS {:.4} mm, {:.2} of the stated sd",
@@ -218,12 +262,38 @@ fn measured(pair: &PairDocument) -> Result<MeasuredShape, String> {
     })
 }
 
+/// The shapes moved by one standard deviation of each independent error that they share; none where a shape does not say how.
+fn moved_by_shared(document: &ShapesDocument, usable: &[MeasuredShape]) -> Vec<Vec<MeasuredShape>> {
+    let modes = |shape: &MeasuredShape| {
+        let pair = document.pairs.iter().find(|p| p.name == shape.name);
+        pair.map_or(&[][..], |p| &p.shared_errors)
+    };
+    let count = usable.iter().map(|s| modes(s).len()).min().unwrap_or(0);
+    let moved = |shape: &MeasuredShape, k: usize| {
+        let mode = &modes(shape)[k];
+        let mut moved = shape.clone();
+        for (p, by) in moved.centreline_mm.iter_mut().zip(&mode.displacement_mm) {
+            *p += Vector3::from(*by);
+        }
+        moved.length_mm[0] += mode.length_mm;
+        if let Some((point, arclength_mm)) = &mut moved.groove {
+            // The wire lies in the groove: the place goes with it.
+            let last = shape.centreline_mm.len() - 1;
+            let at = ((*arclength_mm / shape.length_mm[0] * last as f64).round().max(0.0) as usize).min(last);
+            *point += mode.displacement_mm.get(at).map_or_else(Vector3::zeros, |by| Vector3::from(*by));
+        }
+        moved
+    };
+    (0..count).map(|k| usable.iter().map(|s| moved(s, k)).collect()).collect()
+}
+
 fn described(fit: &RestFit, warnings: &[String]) -> Fit {
     let rows = |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
     Fit {
         parameters: NAMES.to_vec(),
         sd: (0..NAMES.len()).filter_map(|k| fit.sd(k)).collect(),
         covariance: fit.covariance.as_ref().map(rows).unwrap_or_default(),
+        covariance_shared: fit.common.as_ref().map(rows).unwrap_or_default(),
         rms_mm: fit.rms_mm,
         rms_over_sd: fit.rms_over_sd,
         warnings: warnings.to_vec(),

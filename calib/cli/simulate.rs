@@ -1,5 +1,6 @@
 //! `wcal simulate`: sweeps of the simulated whisker over objects, as shards.
 
+mod report;
 mod slurm;
 
 use crate::picture_output::{provenance, write};
@@ -26,7 +27,7 @@ use wcal_mujoco::{Dataset, Mesh, Missing, SweepEngine, SweepPlan, Total, objects
 
 Writes for every 25 sweeps over an object three Parquet tables (sweeps, samples, contacts) and a manifest with their checksums, and
 dataset.json. A second run with the same arguments goes on where the first stopped. Everything here is SIMULATED. Exit code 3: made,
-with objects left out; with --check, 4: shards are missing or damaged.")]
+with objects left out, meshes that are not closed or not in millimetres, or objects without a usable sweep; with --check, 4: shards are missing or damaged.")]
 pub struct SimulateArgs {
     /// Model of the wire: the quasi-static rod, or MuJoCo (inertia, damping, convex parts of the object; some 100 times slower)
     #[arg(long, value_enum, default_value = "rod")]
@@ -62,6 +63,9 @@ pub struct SimulateArgs {
     /// Folder for the shards
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write report.html: counts by verdict and event, objects, sweeps of each kind drawn; no network needed
+    #[arg(long)]
+    pub report: bool,
     /// Print the summary as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -147,7 +151,7 @@ struct ObjectRow {
 /// Sweeps of the paper's set: 78 objects, 200 each.
 const PAPER_SWEEPS: f64 = 15_600.0;
 
-/// Runs the command: 0, 3 where objects were left out, or 4 where a check finds shards missing.
+/// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds shards missing.
 ///
 /// # Errors
 /// Where nothing can be simulated, or the folder cannot be written.
@@ -211,6 +215,11 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         bar.finish_and_clear();
         (totals, Vec::new())
     };
+    for (name, total) in totals.iter().filter(|(_, t)| t.kept() == 0) {
+        let note = format!("{name}: none of {} sweeps is kept", total.sweeps);
+        eprintln!("simulate: warning: {note}");
+        notes.push(note);
+    }
     let missing: Vec<String> =
         missing.iter().map(|Missing { name, why, .. }| format!("{name} is missing: {why}")).collect();
     for line in &missing {
@@ -225,12 +234,17 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         format!("dataset-{}-of-{shares}.json", share + 1)
     };
     write(&args.out, &name, text.as_bytes())?;
+    if args.report {
+        let page = report::page(&document, &args.out, &dataset.shards())?;
+        write(&args.out, "report.html", page.as_bytes())?;
+    }
     if args.json {
         println!("{text}");
     } else {
         print(&document, &totals);
     }
-    Ok(match (document.missing.is_empty(), document.left_out.is_empty()) {
+    let clean = document.left_out.is_empty() && document.notes.is_empty();
+    Ok(match (document.missing.is_empty(), clean) {
         (true, true) => ExitCode::SUCCESS,
         (true, false) => ExitCode::from(3),
         (false, _) => ExitCode::from(4),

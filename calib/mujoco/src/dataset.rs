@@ -135,6 +135,12 @@ impl Dataset {
         sha256_hex(&bytes)
     }
 
+    /// Names of this share's shards, without endings.
+    #[must_use]
+    pub fn shards(&self) -> Vec<String> {
+        self.blocks().into_iter().map(|block| self.name(block)).collect()
+    }
+
     fn name(&self, (object, first): (usize, u64)) -> String {
         format!("{}-{first:06}", self.objects[object].name)
     }
@@ -254,7 +260,8 @@ impl Dataset {
 }
 
 /// Processor time of this thread, s: what a sweep costs, whoever else computes on the machine.
-fn thread_s() -> f64 {
+#[must_use]
+pub fn thread_s() -> f64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }

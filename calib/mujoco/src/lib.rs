@@ -11,6 +11,7 @@ pub mod dataset;
 pub mod engine;
 mod error;
 pub mod groove;
+mod grid;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;

@@ -1,9 +1,10 @@
 //! Triangle meshes with exact signed distance.
 
 use crate::TwinError;
+use crate::grid::Grid;
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
-use parry3d_f64::query::{PointQuery, PointQueryWithLocation};
+use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::HashMap;
 use std::path::Path;
@@ -13,6 +14,8 @@ use wcal_rod::Near;
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
 /// Largest number of triangles that is read.
 const MOST_TRIANGLES: usize = 5_000_000;
+/// Depth up to which a point inside is told, mm.
+const DEEP_MM: f64 = 30.0;
 /// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
 const ON_SURFACE_MM: f64 = 1e-9;
 
@@ -28,10 +31,11 @@ pub struct Mesh {
     /// What is remarkable, in words: open edges, another unit.
     pub notes: Vec<String>,
     surface: TriMesh,
+    grid: Grid,
 }
 
 impl Mesh {
-    /// From corners (mm) and triangles whose normals point outward.
+    /// From corners (mm) and triangles; normals of a closed surface that point inward are turned round.
     ///
     /// # Errors
     /// Where there is nothing, too much, a value that is not finite, or an object of impossible size.
@@ -46,7 +50,7 @@ impl Mesh {
         if points_mm.iter().any(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(refuse("finite corners", "NaN or infinity".to_owned()));
         }
-        let (points, triangles) = merged(points_mm, triangles);
+        let (points, mut triangles) = merged(points_mm, triangles);
         if triangles.is_empty() {
             return Err(refuse("triangles with an area", "none".to_owned()));
         }
@@ -56,11 +60,16 @@ impl Mesh {
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
             return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
         }
-        let notes = topology(&triangles);
+        let mut notes = topology(&triangles);
+        if notes.is_empty() && volume_mm3(&points, &triangles) < 0.0 {
+            triangles.iter_mut().for_each(|t| t.swap(1, 2));
+            notes.push("normals pointed inward: turned round".to_owned());
+        }
         let places = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
         let surface = TriMesh::with_flags(places, triangles, TriMeshFlags::ORIENTED)
             .map_err(|e| refuse("a mesh that can be searched", e.to_string()))?;
-        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface })
+        let grid = Grid::new(&low_mm, &high_mm);
+        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, grid })
     }
 
     /// From an STL file. Metres taken for millimetres are told by the size and said in `notes`.
@@ -115,6 +124,14 @@ impl Mesh {
         self.surface.indices()
     }
 
+    /// Distance wherever the point is.
+    fn signed_distance_mm(&self, p: &Vector3<f64>) -> Option<f64> {
+        let (found, _) =
+            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, f64::MAX)?;
+        let size = (p - vector(found.point)).norm();
+        Some(if found.is_inside { -size } else { size })
+    }
+
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
     #[must_use]
     pub fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
@@ -123,12 +140,16 @@ impl Mesh {
         if outside.norm() > within_mm {
             return None;
         }
-        let place = Place::new(p.x, p.y, p.z);
-        let (found, (triangle, feature)) = self.surface.project_local_point_and_get_location_with_max_dist(
-            place,
-            false,
-            within_mm.max(30.0),
-        )?;
+        // Deep inside, the surface is farther than asked for and still matters.
+        let mut search_mm = within_mm.max(DEEP_MM);
+        if let Some([least, most]) = self.grid.bounds_mm(p, |middle| self.signed_distance_mm(middle)) {
+            if least > within_mm {
+                return None;
+            }
+            search_mm = search_mm.min(most);
+        }
+        let (found, (triangle, feature)) =
+            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)?;
         let point_mm = vector(found.point);
         let off = p - point_mm;
         let size = off.norm();
@@ -154,12 +175,10 @@ impl Mesh {
         };
         Some(Near { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
     }
+}
 
-    /// Distance from the surface, whatever the side, mm.
-    #[must_use]
-    pub fn distance_mm(&self, p: &Vector3<f64>) -> f64 {
-        self.surface.distance_to_local_point(Place::new(p.x, p.y, p.z), false).abs()
-    }
+fn place(p: &Vector3<f64>) -> Place {
+    Place::new(p.x, p.y, p.z)
 }
 
 fn vector(p: Place) -> Vector3<f64> {
@@ -189,22 +208,38 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
     (kept, triangles)
 }
 
-/// Open and crowded edges, in words.
+/// Volume that a closed surface encloses, mm^3; negative where its normals point inward.
+fn volume_mm3(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|k| points[k as usize]);
+        a.dot(&b.cross(&c)) / 6.0
+    };
+    triangles.iter().map(of).sum()
+}
+
+/// Open and crowded edges and triangles that disagree on the outside, in words.
 fn topology(triangles: &[[u32; 3]]) -> Vec<String> {
-    let mut edges: HashMap<[u32; 2], usize> = HashMap::new();
+    // Triangles that run along an edge, and how many more of them up than down.
+    let mut edges: HashMap<[u32; 2], (usize, i32)> = HashMap::new();
     for t in triangles {
         for [a, b] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
-            *edges.entry([a.min(b), a.max(b)]).or_default() += 1;
+            let (count, up) = edges.entry([a.min(b), a.max(b)]).or_default();
+            *count += 1;
+            *up += if a < b { 1 } else { -1 };
         }
     }
-    let open = edges.values().filter(|n| **n == 1).count();
-    let crowded = edges.values().filter(|n| **n > 2).count();
+    let open = edges.values().filter(|(n, _)| *n == 1).count();
+    let crowded = edges.values().filter(|(n, _)| *n > 2).count();
+    let turned = edges.values().filter(|(n, up)| *n == 2 && *up != 0).count();
     let mut notes = Vec::new();
     if open > 0 {
         notes.push(format!("not watertight: {open} open edges"));
     }
     if crowded > 0 {
         notes.push(format!("not a manifold: {crowded} edges of more than two triangles"));
+    }
+    if turned > 0 {
+        notes.push(format!("not oriented: {turned} edges whose triangles disagree on the outside"));
     }
     notes
 }

@@ -95,6 +95,20 @@ fn meshes_are_refused_or_noted_by_name() {
     stl(&place("open.stl"), &tetra(50.0), &closed[..3]);
     let open = Mesh::read(&place("open.stl")).unwrap();
     assert!(open.notes.iter().any(|n| n.contains("3 open edges")), "{:?}", open.notes);
+    let crowded: Vec<[usize; 3]> = closed.iter().copied().chain([[0, 1, 4]]).collect();
+    let fin: Vec<[f32; 3]> = tetra(50.0).into_iter().chain([[20.0, -20.0, -20.0]]).collect();
+    stl(&place("fin.stl"), &fin, &crowded);
+    let fin = Mesh::read(&place("fin.stl")).unwrap();
+    assert!(fin.notes.iter().any(|n| n.contains("1 edges of more than two")), "{:?}", fin.notes);
+    let mut turned = closed;
+    turned[3].swap(1, 2);
+    stl(&place("turned.stl"), &tetra(50.0), &turned);
+    let notes = Mesh::read(&place("turned.stl")).unwrap().notes;
+    assert!(notes.iter().any(|n| n.contains("3 edges whose triangles disagree")), "{notes:?}");
+    stl(&place("inward.stl"), &tetra(50.0), &closed.map(|[a, b, c]| [a, c, b]));
+    let inward = Mesh::read(&place("inward.stl")).unwrap();
+    assert!(inward.notes.iter().any(|n| n.contains("pointed inward")), "{:?}", inward.notes);
+    assert!(inward.near(&Vector3::repeat(5.0), 50.0).unwrap().distance_mm < 0.0);
     // Negative control: nothing is remarkable about a closed mesh in millimetres.
     stl(&place("good.stl"), &tetra(50.0), &closed);
     assert!(Mesh::read(&place("good.stl")).unwrap().notes.is_empty());

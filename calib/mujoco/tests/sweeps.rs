@@ -68,6 +68,25 @@ fn solid_angle(p: &Vector3<f64>, t: [Vector3<f64>; 3]) -> f64 {
     2.0 * a.dot(&b.cross(&c)).atan2(la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb)
 }
 
+/// Distance from a mesh by its triangles one after the other (C. Ericson, Real-Time Collision Detection, 5.1.5): no tree, no library.
+fn distance_mm(mesh: &Mesh, p: &Vector3<f64>) -> f64 {
+    let corners: Vec<Vector3<f64>> = mesh.points().collect();
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|k| corners[k as usize]);
+        let edge = |a: Vector3<f64>, b: Vector3<f64>| {
+            let along = ((p - a).dot(&(b - a)) / (b - a).norm_squared()).clamp(0.0, 1.0);
+            (p - a - (b - a) * along).norm()
+        };
+        let edges = edge(a, b).min(edge(b, c)).min(edge(c, a));
+        let normal = (b - a).cross(&(c - a)).normalize();
+        let foot = p - normal * normal.dot(&(p - a));
+        let side = |a: Vector3<f64>, b: Vector3<f64>| normal.dot(&(b - a).cross(&(foot - a)));
+        let over = side(a, b) >= 0.0 && side(b, c) >= 0.0 && side(c, a) >= 0.0;
+        if over { (p - foot).norm() } else { edges }
+    };
+    mesh.triangles().iter().map(of).fold(f64::INFINITY, f64::min)
+}
+
 #[test]
 fn labels_lie_on_the_mesh_and_forces_balance() {
     let (mut kept, mut touching, mut exact, mut imbalance) = (0, 0, 0, Vec::new());
@@ -83,9 +102,12 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
                 for contact in &sample.contacts {
                     touching += 1;
                     let shift = sweep.shift_mm - Vector3::z() * sample.travel_mm;
-                    let off = mesh.distance_mm(&sweep.turn.tr_mul(&(contact.point_mm - shift)));
+                    let off = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.point_mm - shift)));
                     // A plane that the wire met beside its nearest place may lie a few micrometres off.
                     assert!(off < 0.01, "{name}: {off} mm");
+                    // Negative control: the wire's centre line is not on the mesh, but a radius away.
+                    let axis = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.centre_mm - shift)));
+                    assert!((0.1..0.2).contains(&axis), "{name}: {axis} mm");
                     exact += usize::from(off < 1e-6);
                     applied += contact.centre_mm.cross(&(contact.normal * contact.force_n));
                 }
@@ -114,4 +136,34 @@ fn a_sweep_past_a_can_begins_free_touches_and_comes_free() {
     let events: Vec<Event> = whole.1.samples.iter().map(|s| s.event).filter(|e| *e != Event::None).collect();
     assert_eq!(events[0], Event::Onset, "{events:?}");
     assert!(whole.1.samples[0].contacts.is_empty() && whole.1.samples[0].moment_nmm.norm() < 1e-9);
+}
+
+/// Every reason for which a sweep is rejected, each from its own cause.
+#[test]
+fn rejected_sweeps_name_their_reason() {
+    let (mesh, star) = (objects::built_in("can").unwrap(), objects::built_in("star-bar").unwrap());
+    let engine = RodEngine::new(&whisker(), LINKS).unwrap();
+    let usual = SweepPlan::default();
+    let drawn = |mesh: &Mesh, plan: &SweepPlan, k| Sweep::draw(mesh, plan, 7, k, engine.reach_mm()).unwrap();
+    let verdict = |mesh: &Mesh, plan: &SweepPlan, sweep: &Sweep| engine.run(mesh, sweep, plan).verdict;
+    let sweep = drawn(&mesh, &usual, 0);
+    // Negative control: the sweep itself is kept.
+    assert_eq!(verdict(&mesh, &usual, &sweep), Verdict::Kept);
+    let weak = SweepPlan { most_strain: 2e-4, ..usual.clone() };
+    assert_eq!(verdict(&mesh, &weak, &sweep), Verdict::Rejected("torque-too-high"));
+    let short = SweepPlan { most_mm: 1.0, ..usual.clone() };
+    assert_eq!(verdict(&mesh, &short, &sweep), Verdict::Rejected("no-contact"));
+    // The object's middle is brought to the middle of the wire.
+    let mut inside = sweep.clone();
+    inside.shift_mm = Vector3::new(25.0, 0.0, 0.0) - sweep.turn * ((mesh.low_mm + mesh.high_mm) / 2.0);
+    assert_eq!(verdict(&mesh, &usual, &inside), Verdict::Rejected("starts-inside"));
+    assert!(Sweep::draw(&mesh, &usual, 7, 0, 1.0).is_none(), "a wire of 1 mm reach meets nothing");
+    // A star's edges throw the wire from one to the next.
+    let strict = SweepPlan { keep_jumps: false, ..usual.clone() };
+    let jumps = (0..30)
+        .map(|k| drawn(&star, &usual, k))
+        .find(|s| engine.run(&star, s, &usual).samples.iter().any(|s| s.event == Event::Jump));
+    let jumps = jumps.expect("one of thirty sweeps over a star jumps");
+    assert_eq!(verdict(&star, &usual, &jumps), Verdict::Kept);
+    assert_eq!(verdict(&star, &strict, &jumps), Verdict::Rejected("contact-jump"));
 }

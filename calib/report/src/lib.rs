@@ -6,6 +6,7 @@
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_many`]: several sessions on one page, an overview table at the top.
 //! - [`render_index`]: an overview page that links to reports beside it.
+//! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
 //! ```
 //! # use wcal_core::verify_document::*;
@@ -24,6 +25,7 @@ mod number;
 mod page;
 mod plot;
 mod sections;
+mod sweeps;
 
 pub use input::{
     CoverageCurve, EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError,
@@ -31,3 +33,4 @@ pub use input::{
 };
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index, render_many};
+pub use sweeps::{ExampleSample, ExampleSweep, SweepsInput, SweptObject, render_sweeps};

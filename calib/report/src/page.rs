@@ -33,7 +33,7 @@ pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) 
 }
 
 /// Every page is well-formed XML too, so that a strict parser can check it.
-fn document(title: &str, simulated: bool, body: &str) -> String {
+pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
     let mark = if simulated { " (simulated data)" } else { "" };
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>{}{mark}</title>\n<style>\n{STYLE}</style></head>\n<body><main>\n{body}</main></body></html>\n",
@@ -101,7 +101,7 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
-fn facts(facts: &[Fact]) -> String {
+pub(crate) fn facts(facts: &[Fact]) -> String {
     if facts.is_empty() {
         return String::new();
     }

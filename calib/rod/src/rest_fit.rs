@@ -3,6 +3,7 @@
 //! A held wire's shape depends on the rest shape, the clamp and the groove point alone: stiffness only scales the force. Unknown are
 //! the straight length, the arc's radius, the whole length and the clamp (three small turns, offsets across the wire). The sd of
 //! each is a jackknife over the shapes (Efron & Stein, Ann. Statist. 9, 1981): neighbouring points of one centre line share their errors.
+//! Errors that all shapes share (the cameras' scale) are not in it: [`RestFit::add_common`] fits shapes that were moved by each.
 
 use crate::integrate::unloaded;
 use crate::{Guess, Rod, RodError, Tangential, WORKING_STEP_MM};
@@ -62,8 +63,10 @@ pub struct ShapeResidual {
 pub struct RestFit {
     /// Values in the order of [`NAMES`].
     pub values: SVector<f64, UNKNOWNS>,
-    /// Their covariance by the jackknife over shapes; none for fewer than three shapes.
+    /// Their covariance by the jackknife over shapes, and by common errors once added; none for fewer than three shapes.
     pub covariance: Option<DMatrix<f64>>,
+    /// The part of it that comes from errors common to all shapes.
+    pub common: Option<DMatrix<f64>>,
     /// Residuals of the shapes used.
     pub shapes: Vec<ShapeResidual>,
     /// Shapes left out, with the reason.
@@ -79,6 +82,36 @@ impl RestFit {
     #[must_use]
     pub fn sd(&self, index: usize) -> Option<f64> {
         self.covariance.as_ref().map(|c| c[(index, index)].sqrt())
+    }
+
+    /// Adds errors common to all shapes. `moved`: for each independent one the shapes as they would be with one standard deviation more.
+    ///
+    /// # Errors
+    /// Where a fit does not converge.
+    pub fn add_common(
+        &mut self,
+        nominal: &WhiskerSpec,
+        moved: &[Vec<MeasuredShape>],
+    ) -> Result<(), RodError> {
+        let mut sum = DMatrix::zeros(UNKNOWNS, UNKNOWNS);
+        for shapes in moved {
+            let held: Vec<Held<'_>> = shapes
+                .iter()
+                .filter(|s| self.shapes.iter().any(|used| used.name == s.name))
+                .map(|shape| {
+                    let (_, guess) = bent(nominal, &self.values, &Held { shape, guess: None })
+                        .map_err(|why| RodError::RestFit(format!("{}: {why}", shape.name)))?;
+                    Ok(Held { shape, guess })
+                })
+                .collect::<Result<_, RodError>>()?;
+            let off = solve(nominal, &self.values, &held)? - self.values;
+            sum += DMatrix::from_fn(UNKNOWNS, UNKNOWNS, |i, j| off[i] * off[j]);
+        }
+        if let Some(covariance) = &mut self.covariance {
+            *covariance += &sum;
+        }
+        self.common = Some(sum);
+        Ok(())
     }
 }
 
@@ -144,7 +177,7 @@ pub fn fit_rest(nominal: &WhiskerSpec, shapes: &[MeasuredShape]) -> Result<RestF
         });
     }
     let [rms_mm, rms_over_sd] = [squares, scaled].map(|sum| (sum / count as f64).sqrt());
-    Ok(RestFit { values, covariance, shapes: residuals, left_out, rms_mm, rms_over_sd })
+    Ok(RestFit { values, covariance, common: None, shapes: residuals, left_out, rms_mm, rms_over_sd })
 }
 
 /// A shape and where Newton starts for it: the equilibrium at the nominal geometry, if it is held.

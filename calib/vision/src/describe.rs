@@ -15,12 +15,7 @@ pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Op
     document.warnings.clone_from(&fit.warnings);
     let shape = fit.model.shape(&fit.state);
     let jacobian = fit.model.jacobian(&fit.state);
-    let last = fit.model.nodes as f64 - 1.001;
-    let count = (fit.length_mm / 0.5).round().max(1.0) as usize;
-    for k in 0..=count {
-        let s = fit.length_mm * k as f64 / count as f64;
-        let x = (s / fit.model.step_mm).min(last);
-        let (i, f) = (x.floor() as usize, x.fract());
+    for (_, i, f) in places(fit) {
         let p: Vector3<f64> = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
         document.centreline_mm.push([p.x, p.y, p.z]);
         let sd = uncertain.map_or(f64::NAN, |u| {
@@ -45,6 +40,17 @@ pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Op
         }
         document.residual_rms_px[camera] = f64::sqrt(sum / f64::max(n, 1.0));
     }
+}
+
+/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the share of the way to the next.
+pub(crate) fn places(fit: &PairFit) -> impl Iterator<Item = (f64, usize, f64)> + '_ {
+    let last = fit.model.nodes as f64 - 1.001;
+    let count = (fit.length_mm / 0.5).round().max(1.0) as usize;
+    (0..=count).map(move |k| {
+        let s = fit.length_mm * k as f64 / count as f64;
+        let x = (s / fit.model.step_mm).min(last);
+        (s, x.floor() as usize, x.fract())
+    })
 }
 
 /// Stretches of more than a millimetre that one or both pictures do not show.

@@ -63,8 +63,13 @@ pub struct Uncertain {
     pub covariance: DMatrix<f64>,
     /// Rows as above, 24 columns.
     pub by_calibration: DMatrix<f64>,
-    /// Error that all places of the wire share and that the pictures' scatter does not show, mm.
+    /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
     pub shared_mm: f64,
+}
+
+/// The left camera's axis in the base frame.
+pub(crate) fn depth_axis(fit: &PairFit) -> nalgebra::Vector3<f64> {
+    fit.left_from_base.inverse().rotation * nalgebra::Vector3::z()
 }
 
 /// Uncertainty of every fitted pair.

@@ -35,6 +35,7 @@ pub mod rod;
 pub mod shape_fit;
 pub mod shapes;
 pub mod shapes_document;
+mod shared_errors;
 mod tag_edges;
 pub mod tag_pose;
 pub mod tags;

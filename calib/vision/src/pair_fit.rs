@@ -34,6 +34,8 @@ pub struct PairFit {
     pub length_mm: f64,
     /// Sd of the length, mm.
     pub length_sd_mm: f64,
+    /// The part of the length's error that all pairs share, mm: the end's form.
+    pub length_shared_mm: f64,
     /// Linearised sights at the solution.
     pub system: PairSystem,
     /// Factor on the sights' sd that makes their scatter consistent.
@@ -86,7 +88,7 @@ pub fn fit_pair(
         None => begin(stereo, rig, pictures, left_from_base, prior)?,
     };
     let PairFit { model, mut state, mut looks, polarity, mut noise, .. } = begun;
-    let (mut length, mut length_sd) = (begun.length_mm, begun.length_sd_mm);
+    let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
     let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
     let mut all: Vec<Sight> = Vec::new();
@@ -157,7 +159,7 @@ pub fn fit_pair(
                 let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
                 length =
                     if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
-                length_sd = 1.0;
+                (length_sd, length_shared) = (1.0, 0.0);
                 if round == 4 {
                     warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
                 }
@@ -165,6 +167,7 @@ pub fn fit_pair(
                 let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
                 length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
                 length_sd = w.powf(-0.5);
+                length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
             }
         }
     }
@@ -182,6 +185,7 @@ pub fn fit_pair(
         pieces,
         length_mm: length,
         length_sd_mm: length_sd,
+        length_shared_mm: length_shared,
         system,
         noise,
         smoothing: prior.smoothing,
@@ -218,6 +222,7 @@ fn begin(
         pieces: Default::default(),
         length_mm: found.length_mm.max(0.5 * rig.whisker.length_mm),
         length_sd_mm: 0.5,
+        length_shared_mm: 0.0,
         system,
         noise: 1.0,
         smoothing: prior.smoothing,

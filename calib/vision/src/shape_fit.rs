@@ -21,7 +21,7 @@ pub struct Line {
 }
 
 /// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel by the point in the left frame.
-fn in_camera(
+pub(crate) fn in_camera(
     stereo: &StereoCameras,
     camera: usize,
     left: &Vector3<f64>,

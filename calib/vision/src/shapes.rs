@@ -11,6 +11,7 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape_fit::Prior;
 use crate::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
+use crate::shared_errors::{camera_errors, shared_errors};
 use crate::tag_pose;
 use crate::tags::{Tag, find_tags};
 use nalgebra::Vector6;
@@ -117,6 +118,7 @@ pub fn shapes_of_pairs(
     let uncertain = base
         .as_ref()
         .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
+    let errors = camera_errors(stereo, &fits, &uncertain);
     let (rigs, shared) = rig_poses(stereo, rig, &tags);
     if rigs.iter().flatten().count() > 1 && !shared {
         warnings
@@ -135,6 +137,9 @@ pub fn shapes_of_pairs(
                 }
                 Ok(fit) => {
                     describe(&mut document, fit, uncertain[k].as_ref());
+                    if let Some(u) = &uncertain[k] {
+                        document.shared_errors = shared_errors(stereo, fit, u, &errors);
+                    }
                     document.groove = rigs[k]
                         .as_ref()
                         .zip(rig.groove.as_ref())

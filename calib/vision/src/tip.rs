@@ -12,6 +12,8 @@ pub struct Tip {
     pub arc_mm: f64,
     /// Standard deviation, mm.
     pub sd_mm: f64,
+    /// The part of it that every picture of this end shares: its unknown form, mm.
+    pub shared_mm: f64,
 }
 
 /// Half length of the window along the line, px.
@@ -91,5 +93,9 @@ pub fn find_tip(picture: &Picture, line: &[Station], look: Look, around_mm: f64)
         return None;
     }
     let sd_px = (variance * covariance[(0, 0)]).sqrt().hypot(FLOOR_PX);
-    Some(Tip { arc_mm: at.arc_mm + p[0] * mm_per_px, sd_mm: sd_px * mm_per_px })
+    Some(Tip {
+        arc_mm: at.arc_mm + p[0] * mm_per_px,
+        sd_mm: sd_px * mm_per_px,
+        shared_mm: FLOOR_PX * mm_per_px,
+    })
 }

@@ -82,13 +82,13 @@ fn absent(what: &str) -> String {
 }
 
 /// Class, text and marker of the n-th channel.
-fn series(n: usize) -> (&'static str, crate::plot::Marker) {
+pub(crate) fn series(n: usize) -> (&'static str, crate::plot::Marker) {
     use crate::plot::Marker::{Circle, Diamond, Square, Triangle};
     [("s1", Circle), ("s2", Square), ("s3", Diamond), ("s4", Triangle)][n % 4]
 }
 
 /// Key of colours and shapes.
-fn legend(names: &[String]) -> String {
+pub(crate) fn legend(names: &[String]) -> String {
     const SHAPES: [&str; 4] = ["●", "■", "◆", "▲"];
     let items: String = names
         .iter()

@@ -125,3 +125,35 @@ fn a_wrong_groove_and_a_wrong_model_show_in_the_residual() {
     let none = fit_rest(&spec(arc([30.0, 20.0, 60.0])), &[]).unwrap_err();
     assert!(none.to_string().contains("at least one usable shape"), "{none}");
 }
+
+/// A scale error of all shapes is not in the jackknife; as a common error it is, and the lengths' share is their own size times it.
+#[test]
+fn an_error_common_to_all_shapes_enters_by_its_own_way() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let measured = shapes(0.003, &mut rng);
+    let scale = 1e-3;
+    let scaled = |by: f64| -> Vec<MeasuredShape> {
+        let of = |s: &MeasuredShape| MeasuredShape {
+            centreline_mm: s.centreline_mm.iter().map(|p| p * by).collect(),
+            length_mm: [s.length_mm[0] * by, s.length_mm[1]],
+            groove: s.groove.map(|(p, at)| (p * by, at)),
+            ..s.clone()
+        };
+        measured.iter().map(of).collect()
+    };
+    let nominal = spec(arc([30.0, 20.0, 60.0]));
+    // What was measured is a thousandth too large.
+    let mut fit = fit_rest(&nominal, &scaled(1.0 + scale)).unwrap();
+    let alone: Vec<f64> = (0..3).map(|k| fit.sd(k).unwrap()).collect();
+    fit.add_common(&nominal, &[scaled(1.0 + 2.0 * scale)]).unwrap();
+    let common = fit.common.clone().unwrap();
+    for k in 0..3 {
+        let (off, sd) = (fit.values[k] - TRUE_MM[k], fit.sd(k).unwrap());
+        let share = common[(k, k)].sqrt() / TRUE_MM[k];
+        assert!((share - scale).abs() < 0.1 * scale, "{}: {share}", NAMES[k]);
+        assert!(off.abs() < 3.0 * sd, "{}: {off} of {sd}", NAMES[k]);
+    }
+    // Negative control: the jackknife alone would be many standard deviations off.
+    let worst = (0..3).map(|k| (fit.values[k] - TRUE_MM[k]).abs() / alone[k]).fold(0.0, f64::max);
+    assert!(worst > 6.0, "{worst}");
+}

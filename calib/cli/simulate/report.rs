@@ -1,0 +1,134 @@
+//! `report.html` of a sweep dataset: counts from the summary, and a sweep of each kind drawn from the shards.
+
+use super::DatasetDocument;
+use anyhow::{Context, bail};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use wcal_mujoco::columns::{Column, read};
+use wcal_report::{ExampleSample, ExampleSweep, Fact, SweepsInput, SweptObject, render_sweeps};
+
+/// Shards that are searched for sweeps to draw.
+const MOST_SHARDS: usize = 40;
+/// Samples below which a sweep shows nothing.
+const LEAST_SAMPLES: usize = 8;
+
+type Table = BTreeMap<String, Column>;
+
+/// The page; `shards` by name, in `folder`.
+///
+/// # Errors
+/// Where a shard cannot be read.
+pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<String> {
+    let counts = |of: &BTreeMap<String, u64>| of.iter().map(|(k, n)| (k.clone(), *n)).collect::<Vec<_>>();
+    let mut verdicts = counts(&document.verdicts);
+    verdicts.sort_by_key(|(name, n)| (name != "kept", std::cmp::Reverse(*n)));
+    let objects = document.objects.iter().map(|(name, row)| SweptObject {
+        name: name.clone(),
+        sweeps: row.sweeps,
+        kept: row.kept,
+        rejected: counts(&row.verdicts).into_iter().filter(|(v, _)| v != "kept").collect(),
+        events: counts(&row.events),
+    });
+    let mut facts = vec![
+        Fact::new("engine", document.engine.clone()),
+        Fact::new("sweeps", document.sweeps.to_string()),
+        Fact::new("kept", document.kept.to_string()),
+        Fact::new("samples", document.samples.to_string()),
+        Fact::new("seed", document.seed.to_string()),
+        Fact::new("share", document.share.clone()),
+        Fact::new("medium", document.plan.physics.medium.name()),
+        Fact::new("friction", format!("{:?}", document.plan.physics.friction)),
+    ];
+    if let Some(rate) = document.sweeps_per_core_s {
+        facts.push(Fact::new("sweeps a second and core", format!("{rate:.1}")));
+    }
+    let faults = [&document.missing, &document.left_out, &document.notes];
+    Ok(render_sweeps(&SweepsInput {
+        title: format!("{} sweeps over {} objects", document.sweeps, document.objects.len()),
+        facts,
+        warnings: faults.into_iter().flatten().cloned().collect(),
+        verdicts,
+        events: counts(&document.events),
+        objects: objects.collect(),
+        examples: examples(folder, shards)?,
+    }))
+}
+
+/// One sweep for each verdict and each event, the first that there is.
+fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<ExampleSweep>> {
+    let (mut seen, mut found) = (BTreeSet::new(), Vec::new());
+    // Spread over the objects.
+    let step = shards.len().div_ceil(MOST_SHARDS).max(1);
+    for shard in shards.iter().step_by(step) {
+        let table = |kind: &str| -> anyhow::Result<Option<Table>> {
+            let path = folder.join(format!("{shard}.{kind}.parquet"));
+            if !path.exists() {
+                return Ok(None);
+            }
+            Ok(Some(read(&path).with_context(|| format!("reading {}", path.display()))?))
+        };
+        let (Some(sweeps), Some(samples)) = (table("sweeps")?, table("samples")?) else { continue };
+        let by_sweep = by_sweep(&samples)?;
+        for (index, verdict) in whole(&sweeps, "sweep")?.iter().zip(text(&sweeps, "verdict")?) {
+            let Some(samples) = by_sweep.get(index).filter(|s| s.len() >= LEAST_SAMPLES) else { continue };
+            let events: BTreeSet<&str> =
+                samples.iter().map(|s| s.event.as_str()).filter(|e| *e != "none").collect();
+            let new: Vec<String> = [verdict.as_str()]
+                .into_iter()
+                .chain(events)
+                .filter(|word| !seen.contains(*word))
+                .map(str::to_owned)
+                .collect();
+            if !new.is_empty() {
+                seen.extend(new);
+                found.push(ExampleSweep {
+                    title: format!("{shard}, sweep {index}: {verdict}"),
+                    samples: samples.clone(),
+                });
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn by_sweep(table: &Table) -> anyhow::Result<BTreeMap<i64, Vec<ExampleSample>>> {
+    let [t, y, z, arc] =
+        ["t_s", "moment_y_nmm", "moment_z_nmm", "contact_arclength_mm"].map(|n| real(table, n));
+    let (t, y, z, arc) = (t?, y?, z?, arc?);
+    let (events, settled) = (text(table, "event")?, whole(table, "settled")?);
+    let mut all: BTreeMap<i64, Vec<ExampleSample>> = BTreeMap::new();
+    for (k, sweep) in whole(table, "sweep")?.iter().enumerate() {
+        all.entry(*sweep).or_default().push(ExampleSample {
+            t_s: t[k].unwrap_or(f64::NAN),
+            moment_nmm: [y[k], z[k]].map(|m| m.unwrap_or(f64::NAN)),
+            contact_arclength_mm: arc[k],
+            event: events[k].clone(),
+            settled: settled[k] == 1,
+        });
+    }
+    Ok(all)
+}
+
+fn whole<'a>(table: &'a Table, name: &str) -> anyhow::Result<&'a [i64]> {
+    match table.get(name) {
+        Some(Column::Whole(values)) => Ok(values),
+        None => Ok(&[]),
+        _ => bail!("column {name}: expected whole numbers"),
+    }
+}
+
+fn text<'a>(table: &'a Table, name: &str) -> anyhow::Result<&'a [String]> {
+    match table.get(name) {
+        Some(Column::Text(values)) => Ok(values),
+        None => Ok(&[]),
+        _ => bail!("column {name}: expected words"),
+    }
+}
+
+fn real<'a>(table: &'a Table, name: &str) -> anyhow::Result<&'a [Option<f64>]> {
+    match table.get(name) {
+        Some(Column::Maybe(values)) => Ok(values),
+        None => Ok(&[]),
+        _ => bail!("column {name}: expected numbers"),
+    }
+}

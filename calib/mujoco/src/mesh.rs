@@ -14,6 +14,8 @@ use wcal_rod::Near;
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
 /// Largest number of triangles that is read.
 const MOST_TRIANGLES: usize = 5_000_000;
+/// Way from a known place below which the grid would tell no more, mm.
+const CLOSE_MM: f64 = 0.7;
 /// Depth up to which a point inside is told, mm.
 const DEEP_MM: f64 = 30.0;
 /// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
@@ -135,14 +137,31 @@ impl Mesh {
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
     #[must_use]
     pub fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+        self.near_from(p, within_mm, None)
+    }
+
+    /// The same where a signed distance is known, and how far away from there `p` lies, mm.
+    pub(crate) fn near_from(
+        &self,
+        p: &Vector3<f64>,
+        within_mm: f64,
+        known: Option<[f64; 2]>,
+    ) -> Option<Near> {
+        let [known_mm, way_mm] = known.unwrap_or([0.0, f64::INFINITY]);
+        if known_mm - way_mm > within_mm {
+            return None;
+        }
         // Most questions are asked far away.
         let outside = (self.low_mm - p).sup(&(p - self.high_mm)).sup(&Vector3::zeros());
         if outside.norm() > within_mm {
             return None;
         }
         // Deep inside, the surface is farther than asked for and still matters.
-        let mut search_mm = within_mm.max(DEEP_MM);
-        if let Some([least, most]) = self.grid.bounds_mm(p, |middle| self.signed_distance_mm(middle)) {
+        let mut search_mm = within_mm.max(DEEP_MM).min(known_mm.abs() + way_mm);
+        // From close by no cell knows more.
+        if way_mm > CLOSE_MM
+            && let Some([least, most]) = self.grid.bounds_mm(p, |middle| self.signed_distance_mm(middle))
+        {
             if least > within_mm {
                 return None;
             }

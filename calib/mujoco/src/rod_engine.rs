@@ -198,7 +198,7 @@ struct Way<'a> {
 
 impl Way<'_> {
     fn at(&self, travel_mm: f64) -> Passing<'_> {
-        Passing { mesh: self.mesh, sweep: self.sweep, travel_mm }
+        Passing::new(self.mesh, self.sweep, travel_mm)
     }
 
     /// Least gap of the wire's nodes where they are, mm; infinite where nothing is near.

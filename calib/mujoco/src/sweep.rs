@@ -7,6 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::cell::Cell;
 use wcal_rod::{Contact, Near, Surface};
 
 /// How sweeps are drawn (SYSTEM: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
@@ -196,20 +197,34 @@ fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<
 }
 
 /// An object on its way through the base frame.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Passing<'a> {
-    /// Object.
-    pub mesh: &'a Mesh,
-    /// Sweep.
-    pub sweep: &'a Sweep,
-    /// Way of the base, mm.
-    pub travel_mm: f64,
+    mesh: &'a Mesh,
+    sweep: &'a Sweep,
+    travel_mm: f64,
+    /// Place (object frame) and signed distance of the last answer: the next question is mostly asked close by.
+    last: Cell<Option<(Vector3<f64>, f64)>>,
+}
+
+/// Rounding of a distance, mm.
+const ROUNDING_MM: f64 = 1e-6;
+
+impl<'a> Passing<'a> {
+    /// The object of a sweep after a way of the base, mm.
+    #[must_use]
+    pub fn new(mesh: &'a Mesh, sweep: &'a Sweep, travel_mm: f64) -> Self {
+        Self { mesh, sweep, travel_mm, last: Cell::new(None) }
+    }
 }
 
 impl Surface for Passing<'_> {
     fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
-        let found = self.mesh.near(&self.sweep.turn.tr_mul(&(p - shift)), within_mm)?;
+        let place = self.sweep.turn.tr_mul(&(p - shift));
+        let known =
+            self.last.get().map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
+        let found = self.mesh.near_from(&place, within_mm, known)?;
+        self.last.set(Some((place, found.distance_mm)));
         Some(Near {
             distance_mm: found.distance_mm,
             normal: self.sweep.turn * found.normal,

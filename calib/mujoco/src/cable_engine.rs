@@ -131,7 +131,7 @@ impl CableEngine {
         let loaded = self.engine.load(&self.world(parts, sweep)?, false)?;
         let mut frame = self.engine.frame(&Request::Run { steps: 0 })?;
         let mut nodes = nodes_mm(&frame, 0.0);
-        let at_start = Passing { mesh, sweep, travel_mm: 0.0 };
+        let at_start = Passing::new(mesh, sweep, 0.0);
         if nodes.iter().any(|p| at_start.near(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
             run.verdict = Verdict::Rejected("starts-inside");
             return Ok(());
@@ -161,7 +161,8 @@ impl CableEngine {
             let step_mm = speed_mm_s / plan.rate_hz;
             let moved = nodes.iter().zip(&before).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let sprung = moved > SPRING_MM + 3.0 * step_mm;
-            let contacts = contacts(&frame, &nodes, &Passing { mesh, sweep, travel_mm }, radius_mm);
+            let contacts =
+                contacts(&frame, &nodes, &Passing::new(mesh, sweep, travel_mm), travel_mm, radius_mm);
             let moment = Vector3::from(frame.base_moment_nm.unwrap_or([f64::NAN; 3])) * 1e3;
             let earlier = run.samples.last().map_or(&[][..], |s: &Sample| &s.contacts);
             let event = event(earlier, &contacts, sprung, step_mm);
@@ -227,8 +228,14 @@ fn nodes_mm(frame: &Frame, travel_mm: f64) -> Vec<Vector3<f64>> {
 }
 
 /// Places where the wire is pushed, from the root on; the label is the mesh's nearest point to the wire's centre there.
-fn contacts(frame: &Frame, nodes: &[Vector3<f64>], body: &Passing<'_>, radius_mm: f64) -> Vec<Contact> {
-    let travel = Vector3::z() * body.travel_mm;
+fn contacts(
+    frame: &Frame,
+    nodes: &[Vector3<f64>],
+    body: &Passing<'_>,
+    travel_mm: f64,
+    radius_mm: f64,
+) -> Vec<Contact> {
+    let travel = Vector3::z() * travel_mm;
     let mut places: Vec<(f64, Vector3<f64>)> = frame
         .contacts
         .iter()

@@ -24,8 +24,10 @@ const PAPER_LINKS: f64 = 39.0;
 const TRIED_LINKS: usize = 20;
 /// What counts as a unit of each demand: relative ring-down, bounce ratio, ripple (N mm), speed bias; overlap in wire radii.
 const UNITS: [f64; 4] = [0.2, 0.1, 0.01, 0.01];
-/// A trial that breaks counts this much.
+/// What a demand counts that a trial does not answer (unstable, or through the object).
 const BROKEN: f64 = 1e3;
+/// Material time of the undamped wire, s: what the step of 1 ms can follow.
+const BARE_S: f64 = 1e-3;
 /// Speeds of the sweep, mm/s (SYSTEM's measured pair), and its length, mm.
 const SPEEDS_MM_S: [f64; 2] = [3.2, 7.7];
 const SWEEP_MM: f64 = 28.0;
@@ -131,14 +133,8 @@ pub fn fit_dynamics(
         trials.push(trial);
         Ok(trial.score.total)
     };
-    let released = Touch::RELEASED;
-    let mut best = Parameters {
-        damping_nms_rad: 0.0,
-        width_mm: released.width_mm,
-        d0: released.impedance[0],
-        dmax: released.impedance[1],
-    };
-    // Damping with the released contact, then the contact with that damping: the two barely meet in ring-down and overlap.
+    // Damping with a hard contact, then the contact with that damping: the two barely meet in ring-down and overlap.
+    let mut best = Parameters { damping_nms_rad: 0.0, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
     let mut least = f64::INFINITY;
     for damping in DAMPINGS {
         let tried = Parameters { damping_nms_rad: damping, ..best };
@@ -235,7 +231,7 @@ fn search(
             }
             Err(e) => {
                 *error = Some(e);
-                BROKEN
+                f64::MAX
             }
         }
     };
@@ -301,7 +297,7 @@ impl Bench {
 
     fn options(&self, p: &Parameters) -> MjcfOptions {
         // N mm s/rad over the stiffness of a joint of the paper's length.
-        let damping_s = p.damping_nms_rad * 1e3 * (self.length_mm / PAPER_LINKS) / self.ei_nmm2;
+        let damping_s = (p.damping_nms_rad * 1e3 * (self.length_mm / PAPER_LINKS) / self.ei_nmm2).max(BARE_S);
         let within = |d: f64| d.clamp(IMPEDANCES[0], IMPEDANCES[1]);
         let touch =
             Touch { impedance: [within(p.d0), within(p.dmax)], width_mm: p.width_mm, ..Touch::default() };
@@ -338,16 +334,14 @@ impl Bench {
             let ripple = rows.iter().map(|r| r.ripple_nmm).fold(0.0, f64::max);
             let overlap = rows.iter().map(|r| r.overlap_mm).fold(0.0, f64::max);
             let bias = rows[1].bias - rows[0].bias;
-            let broken = rows.iter().any(|r| r.kept[0] == 0);
             score.ripple_nmm = Some(ripple);
             (score.bias, score.overlap_mm) = (Some(bias), Some(overlap));
+            // Without a sweep kept there is neither ripple nor bias.
+            let answered = rows.iter().all(|r| r.kept[0] > 0);
+            let ripple = if answered { ripple } else { f64::NAN };
             demands.extend([ripple / UNITS[2], bias / UNITS[3], overlap / (self.whisker.diameter_mm / 2.0)]);
-            if broken {
-                demands.push(BROKEN.sqrt());
-            }
         }
-        let total: f64 = demands.iter().map(|d| d * d).sum();
-        score.total = if total.is_finite() { total } else { 2.0 * BROKEN };
+        score.total = demands.iter().map(|d| if d.is_finite() { d * d } else { BROKEN }).sum();
         Ok(score)
     }
 
@@ -381,16 +375,21 @@ impl Bench {
     }
 }
 
-/// Fastest tip after the first touch over the fastest before it; none where it never touches.
+/// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on the plate, none where a step went
+/// wrong or the plate was not reached.
 fn bounce(series: &Series) -> Option<f64> {
+    if series.bad {
+        return None;
+    }
     let touch = series.touching.iter().position(|t| *t)?;
-    let free = touch + series.touching[touch..].iter().position(|t| !*t)?;
-    let again =
-        free + series.touching[free..].iter().position(|t| *t).unwrap_or(series.touching.len() - free);
     let fastest =
         |range: std::ops::Range<usize>| series.tip_speed_m_s[range].iter().copied().fold(0.0, f64::max);
     let before = fastest(0..touch.max(1));
-    (before > 0.0 && !series.bad).then(|| fastest(free..again) / before)
+    let Some(free) = series.touching[touch..].iter().position(|t| !*t).map(|k| touch + k) else {
+        return Some(0.0);
+    };
+    let again = series.touching[free..].iter().position(|t| *t).map_or(series.touching.len(), |k| free + k);
+    (before > 0.0).then(|| fastest(free..again) / before)
 }
 
 #[cfg(test)]

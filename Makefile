@@ -36,6 +36,9 @@ peers: setup
 	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
 	cargo build --release --locked -p wcal-mujoco --example write_mjcf
 	tests/peers/.venv/bin/python tests/peers/mujoco_statics.py target/release/examples/write_mjcf --json peers-mujoco.json
+	cargo build --release --locked -p wcal-mujoco -p wcal-mujoco-engine --bin wcal-mujoco --example write_world --example compare_engines
+	tests/peers/.venv/bin/python tests/peers/mujoco_rate.py target/release/examples/write_world target/release/wcal-mujoco --json peers-mujoco-rate.json
+	target/release/examples/compare_engines target/convex 4
 	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
 	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
 	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal

@@ -19,7 +19,7 @@ use wcal_session::load;
 
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
 not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
-rest, free (the wire is out of the groove), several: come to straight from the start, past the places between, the wire rests elsewhere, so that the way and MuJoCo's
+rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: come to straight from the start, past the places between, the wire rests elsewhere, so that the way and MuJoCo's
 version decide on the moment. Where the session has labels of an outside twin, those on another branch are named. MuJoCo runs with the released groove tip; preset released is
 the released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or
 with several equilibria.")]
@@ -164,15 +164,19 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
         for ((k, label), outcome) in rows.iter().zip(labels).zip(&held) {
             let point = data.rows[*k].point;
             say(point, label);
+            let Some(moment) = label.moment_nmm else {
+                lines[*k] = Some((",,,unstable,false".to_owned(), false));
+                continue;
+            };
             let branch = match (label.arclength_mm, label.straight_nmm.is_none()) {
                 (_, false) => "several",
                 (Some(_), true) => "held",
                 (None, true) => "free",
             };
-            let text = row(data, &label.moment_nmm, label.arclength_mm, branch, label.settled);
+            let text = row(data, &moment, label.arclength_mm, branch, label.settled);
             lines[*k] = Some((text, label.settled && label.straight_nmm.is_none()));
             if let (Some(e), "held") = (outcome.equilibrium(), branch) {
-                against.push(((label.moment_nmm - e.moment_nmm).norm() / e.moment_nmm.norm(), point));
+                against.push(((moment - e.moment_nmm).norm() / e.moment_nmm.norm(), point));
             }
         }
     }
@@ -192,11 +196,14 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
 
 /// What is remarkable about a label.
 fn say(point: i64, label: &PoseLabel) {
+    let Some(here) = label.moment_nmm else {
+        return eprintln!("twin: point {point}: a step went wrong (NaN or infinity): no moment");
+    };
     if let Some(there) = label.straight_nmm {
         eprintln!(
             "twin: point {point} has several equilibria: come to straight from the start the moment is {:.3} N mm instead of {:.3}",
             there.norm(),
-            label.moment_nmm.norm()
+            here.norm()
         );
     }
     if !label.settled {
@@ -219,8 +226,10 @@ fn name_other_branches(data: &WhiskerData, rod: &Rod, rows: &[Vec<usize>], label
     for ((trajectory, rows), labels) in data.trajectories.iter().zip(rows).zip(labels) {
         let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
         for (&k, label) in rows.iter().zip(labels) {
-            let (point, ours) = (data.rows[k].point, data.moments.components_nmm(&label.moment_nmm));
-            let Some(theirs) = outside.iter().find(|l| l.point == point) else { continue };
+            let point = data.rows[k].point;
+            let theirs = outside.iter().find(|l| l.point == point);
+            let (Some(moment), Some(theirs)) = (label.moment_nmm, theirs) else { continue };
+            let ours = data.moments.components_nmm(&moment);
             all += 1;
             let off = (0..2).map(|c| (ours[c] - theirs.moment_nmm[c]).abs()).fold(0.0, f64::max) / full;
             if off < OTHER_BRANCH {

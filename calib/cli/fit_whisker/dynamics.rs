@@ -24,7 +24,7 @@ pub struct DynamicsArgs {
     #[arg(long, default_value_t = 0.5, requires = "dynamics")]
     pub bounce_ratio: f64,
     /// Evaluations of each of NLopt's searches (BOBYQA, then CRS2)
-    #[arg(long, default_value_t = 25, requires = "dynamics")]
+    #[arg(long, default_value_t = 60, requires = "dynamics")]
     pub evaluations: u32,
 }
 

@@ -23,8 +23,8 @@ pub enum Preset {
 /// What a pose gave.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseLabel {
-    /// r x F, N mm, session's base frame.
-    pub moment_nmm: Vector3<f64>,
+    /// r x F, N mm, session's base frame; none where a step went wrong (a number that is none).
+    pub moment_nmm: Option<Vector3<f64>>,
     /// Arc length of the contact (mean by force), mm; none without contact.
     pub arclength_mm: Option<f64>,
     /// Deepest overlap while settling, mm.
@@ -185,8 +185,9 @@ pub fn labels(
                 // The first place is come to straight already.
                 if k > 0 {
                     let there = bench.straight(place)?;
-                    let apart = (there - label.moment_nmm).norm();
-                    if !(apart <= ELSEWHERE[0] * label.moment_nmm.norm() + ELSEWHERE[1]) {
+                    if let (Some(here), Some(there)) = (label.moment_nmm, there)
+                        && (there - here).norm() > ELSEWHERE[0] * here.norm() + ELSEWHERE[1]
+                    {
                         label.straight_nmm = Some(there);
                     }
                 }
@@ -223,7 +224,7 @@ impl Bench {
     }
 
     /// The moment at a place that is come to straight from the start.
-    fn straight(&mut self, place_mm: &Vector3<f64>) -> Result<Vector3<f64>, TwinError> {
+    fn straight(&mut self, place_mm: &Vector3<f64>) -> Result<Option<Vector3<f64>>, TwinError> {
         self.begin()?;
         self.go(place_mm)?;
         let frame = self.engine.frame(&Request::Run { steps: AGAIN_STEPS })?;
@@ -244,15 +245,15 @@ impl Bench {
     }
 
     /// r x F in the session's frame. MuJoCo's torque sensor reads its reaction.
-    fn moment(&self, frame: &Frame) -> Result<Vector3<f64>, TwinError> {
+    fn moment(&self, frame: &Frame) -> Result<Option<Vector3<f64>>, TwinError> {
         if frame.bad {
-            return Err(TwinError::Engine(format!("unstable step at {} s", frame.time_s)));
+            return Ok(None);
         }
         let own = frame.base_moment_nm.map(Vector3::from);
         let moment = own.or_else(|| frame.sensor_nm.map(|t| -Vector3::from(t)));
         let moment =
             moment.ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
-        Ok(self.turn.tr_mul(&moment) * 1e3)
+        Ok(Some(self.turn.tr_mul(&moment) * 1e3))
     }
 }
 

@@ -1,6 +1,6 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge
+PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge python3-pip
 export DEBIAN_FRONTEND := noninteractive
 
 .PHONY: demo test setup check exam peers
@@ -8,6 +8,7 @@ export DEBIAN_FRONTEND := noninteractive
 setup:
 	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
+	calib/mujoco/engine/fetch.sh
 
 demo: setup
 	cargo build --release --locked --bin wcal
@@ -36,6 +37,9 @@ peers: setup
 	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
 	cargo build --release --locked -p wcal-mujoco --example write_mjcf
 	tests/peers/.venv/bin/python tests/peers/mujoco_statics.py target/release/examples/write_mjcf --json peers-mujoco.json
+	cargo build --release --locked -p wcal-mujoco -p wcal-mujoco-engine --bin wcal-mujoco --example write_world --example compare_engines
+	tests/peers/.venv/bin/python tests/peers/mujoco_rate.py target/release/examples/write_world target/release/wcal-mujoco --json peers-mujoco-rate.json
+	target/release/examples/compare_engines target/convex 4
 	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
 	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
 	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal

@@ -193,3 +193,25 @@ fn doubtful_meshes_and_rejected_sweeps_are_named_and_counted() {
     let (code, json, _) = run("most_mm = 30.0\n", &["--object", "can"], "control");
     assert_eq!((code, &json["kept"]), (Some(0), &2.into()), "{json}");
 }
+
+#[test]
+fn a_missing_mujoco_engine_is_named_and_nothing_else_needs_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/whiskerfbg");
+    let table = folder.path().join("twin.csv");
+    let run = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+        command.args(args).env("WCAL_MUJOCO", "/nonexistent/wcal-mujoco").output().unwrap()
+    };
+    let sweeps = ["simulate", "--object", "can", "--sweeps", "1", "--out", out.to_str().unwrap()];
+    let twin = ["twin", session, "--out", table.to_str().unwrap()];
+    for args in [&sweeps[..], &twin[..]] {
+        let found = run(&[args, &["--engine", "mujoco"]].concat());
+        let error = text(&found.stderr);
+        assert_eq!(found.status.code(), Some(1), "{error}");
+        assert!(error.contains("MuJoCo engine: WCAL_MUJOCO: expected a program"), "{error}");
+        assert!(error.contains("/nonexistent/wcal-mujoco"), "{error}");
+        assert_eq!(run(&[args, &["--engine", "rod"]].concat()).status.code(), Some(0));
+    }
+}

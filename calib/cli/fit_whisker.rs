@@ -10,11 +10,13 @@
 //!   `largest_at_mm` (arc length).
 //! - `[provenance]`: `program`, `command`, `created`, `inputs` with their SHA-256.
 
+mod dynamics;
 mod stiffness;
 
 use crate::picture_output::{provenance, write};
 use anyhow::Context;
 use clap::Args;
+use dynamics::{Dynamics, DynamicsArgs, dynamics};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -39,10 +41,11 @@ const DOUBTFUL: f64 = 3.0;
 #[command(after_help = "Examples:
   wcal fit-whisker shapes/shapes.json --rig rig.toml --out whisker
   wcal fit-whisker shapes/shapes.json --rig rig.toml --moments session --out whisker
+  wcal fit-whisker shapes/shapes.json --rig rig.toml --dynamics --ring-down release.csv --out whisker
 
 The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations hold what differs between shapes and, where
 shapes.json states them (shared_errors), the errors that all shapes share: cameras, light across the wire, form of its end. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
-damping of 0.02 s that is not fitted). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
+damping of 0.02 s and a hard contact unless --dynamics fits them: dynamics.csv and dynamics.html then hold every trial). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
 pub struct FitWhiskerArgs {
     /// Shapes by `wcal stereo-shape`
     pub shapes: PathBuf,
@@ -52,6 +55,9 @@ pub struct FitWhiskerArgs {
     /// Session whose twin.csv holds known base moments at its poses: fits Young's modulus too
     #[arg(long, value_name = "SESSION")]
     pub moments: Option<PathBuf>,
+    /// Damping and contact
+    #[command(flatten)]
+    pub dynamics: DynamicsArgs,
     /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -68,6 +74,8 @@ struct WhiskerDocument {
     root: Root,
     #[serde(skip_serializing_if = "Option::is_none")]
     stiffness: Option<Stiffness>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dynamics: Option<Dynamics>,
     fit: Fit,
     provenance: Provenance,
 }
@@ -184,7 +192,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     for warning in &warnings {
         eprintln!("fit-whisker: warning: {warning}");
     }
-    let result = WhiskerDocument {
+    let mut result = WhiskerDocument {
         format: "wcal-whisker/1",
         whisker: Geometry {
             diameter_mm: rig.diameter_mm,
@@ -200,6 +208,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             offset_mm: [0.0, fit.values[6], fit.values[7]],
         },
         stiffness,
+        dynamics: None,
         fit: described(&fit, &warnings),
         provenance: provenance(
             [args.shapes.as_path(), args.rig.as_path()].into_iter().chain(args.moments.as_deref()),
@@ -215,11 +224,16 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         shear_gpa: result.whisker.shear_gpa.unwrap_or(SHEAR_GPA),
         ..nominal
     };
+    let mut options = MjcfOptions::default();
+    if args.dynamics.dynamics {
+        let (found, fitted) = dynamics(&args.dynamics, &fitted, &args.out)?;
+        (result.dynamics, options) = (Some(found), fitted);
+    }
     let options = MjcfOptions {
         root_turn_rad: Vector3::from(result.root.turn_rad),
         root_offset_mm: Vector3::from(result.root.offset_mm),
         provenance: format!("{}: {}", result.provenance.program, result.provenance.command.join(" ")),
-        ..MjcfOptions::default()
+        ..options
     };
     write(&args.out, "whisker.xml", mjcf(&fitted, &options)?.as_bytes())?;
     let path = write(&args.out, "whisker.toml", toml::to_string(&result)?.as_bytes())?;

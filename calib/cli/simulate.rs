@@ -5,7 +5,7 @@ mod slurm;
 
 use crate::picture_output::{provenance, write};
 use anyhow::{Context, bail, ensure};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 use slurm::{Handed, SlurmArgs};
@@ -14,8 +14,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::Provenance;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::rod_engine::LINKS;
-use wcal_mujoco::{Dataset, Mesh, Missing, SweepPlan, Total, objects, shard};
+use wcal_mujoco::{Dataset, Mesh, Missing, SweepEngine, SweepPlan, Total, objects, shard};
 
 /// Arguments of `wcal simulate`.
 #[derive(Debug, Args)]
@@ -28,6 +29,9 @@ Writes for every 25 sweeps over an object three Parquet tables (sweeps, samples,
 dataset.json. A second run with the same arguments goes on where the first stopped. Everything here is SIMULATED. Exit code 3: made,
 with objects left out, meshes that are not closed or not in millimetres, or objects without a usable sweep; with --check, 4: shards are missing or damaged.")]
 pub struct SimulateArgs {
+    /// Model of the wire: the quasi-static rod, or MuJoCo (inertia, damping, convex parts of the object; some 100 times slower)
+    #[arg(long, value_enum, default_value = "rod")]
+    pub engine: Engine,
     /// Built-in object (may be repeated); \"all\" takes every one
     #[arg(long, value_name = "NAME")]
     pub object: Vec<String>,
@@ -67,6 +71,15 @@ pub struct SimulateArgs {
     /// For a cluster
     #[command(flatten)]
     pub slurm: SlurmArgs,
+}
+
+/// Models of the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Engine {
+    /// Quasi-static rod on the exact mesh
+    Rod,
+    /// MuJoCo's cable on convex parts, labels on the exact mesh
+    Mujoco,
 }
 
 #[derive(Debug, Deserialize)]
@@ -162,7 +175,11 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     for line in left_out.iter().chain(&notes) {
         eprintln!("simulate: warning: {line}");
     }
-    let dataset = Dataset { whisker, plan, objects, sweeps: args.sweeps, seed: args.seed, share };
+    let engine = match args.engine {
+        Engine::Rod => SweepEngine::Rod,
+        Engine::Mujoco => SweepEngine::Mujoco(Box::default()),
+    };
+    let dataset = Dataset { engine, whisker, plan, objects, sweeps: args.sweeps, seed: args.seed, share };
     if let Some(jobs) = args.jobs {
         ensure!(jobs > 0, "--jobs: expected 1 or more, found 0");
         rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global().context("starting threads")?;
@@ -353,7 +370,13 @@ fn document(
     DatasetDocument {
         format: shard::FORMAT,
         simulated: true,
-        engine: format!("rod, quasi-static, {LINKS} links"),
+        engine: match &dataset.engine {
+            SweepEngine::Rod => format!("rod, quasi-static, {LINKS} links"),
+            SweepEngine::Mujoco(options) => {
+                let MjcfOptions { links, damping_s, step_s, .. } = &**options;
+                format!("MuJoCo, {links} links, damping {damping_s} s, step {step_s} s, convex parts")
+            }
+        },
         seed: dataset.seed,
         sweeps_per_object: dataset.sweeps,
         share: args.shard.clone(),

@@ -1,5 +1,8 @@
 //! The sweep dataset: blocks of sweeps over objects on all cores, written shard by shard, taken up again where it stopped.
 
+use crate::cable_engine::CableEngine;
+use crate::convex::Convex;
+use crate::mjcf::MjcfOptions;
 use crate::rod_engine::{LINKS, RodEngine};
 use crate::shard::{self, Manifest, Outcome};
 use crate::{Mesh, Sweep, SweepPlan, TwinError};
@@ -12,9 +15,21 @@ use wcal_core::provenance::sha256_hex;
 /// Sweeps in a shard.
 pub const BLOCK: u64 = 25;
 
+/// What runs the sweeps.
+#[derive(Debug, Clone, Default)]
+pub enum SweepEngine {
+    /// The quasi-static rod.
+    #[default]
+    Rod,
+    /// MuJoCo: inertia, damping, soft contacts with convex parts.
+    Mujoco(Box<MjcfOptions>),
+}
+
 /// What is to be made.
 #[derive(Debug, Clone)]
 pub struct Dataset {
+    /// Engine.
+    pub engine: SweepEngine,
     /// Wire.
     pub whisker: WhiskerSpec,
     /// How sweeps are drawn.
@@ -108,7 +123,11 @@ impl Dataset {
 
     /// SHA-256 of what an object's tables follow from.
     fn made_from(&self, mesh: &Mesh) -> String {
-        let mut bytes = format!("rod {LINKS} {:?} {:?} {}", self.whisker, self.plan, self.seed).into_bytes();
+        let engine = match &self.engine {
+            SweepEngine::Rod => format!("rod {LINKS}"),
+            SweepEngine::Mujoco(options) => format!("mujoco {options:?}"),
+        };
+        let mut bytes = format!("{engine} {:?} {:?} {}", self.whisker, self.plan, self.seed).into_bytes();
         for p in mesh.points() {
             p.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
         }
@@ -177,8 +196,13 @@ impl Dataset {
                     Some(manifest) => manifest,
                     None => {
                         let begin_s = thread_s();
-                        let outcomes = self.block(&engine, mesh, first, size);
-                        let core_s = thread_s() - begin_s;
+                        let (outcomes, engine_s) = match &self.engine {
+                            SweepEngine::Rod => (self.block(&engine, mesh, first, size), 0.0),
+                            SweepEngine::Mujoco(options) => {
+                                self.block_by_mujoco(options, &folder.join("convex"), mesh, first, size)?
+                            }
+                        };
+                        let core_s = thread_s() - begin_s + engine_s;
                         shard::write(folder, &name, &mesh.name, &made_from[object], &outcomes, core_s)?
                     }
                 };
@@ -207,6 +231,31 @@ impl Dataset {
                 )
             })
             .collect()
+    }
+}
+
+impl Dataset {
+    /// Outcomes, and the processor time of the engine's own process, s.
+    fn block_by_mujoco(
+        &self,
+        options: &MjcfOptions,
+        convex: &Path,
+        mesh: &Mesh,
+        first: u64,
+        count: u64,
+    ) -> Result<(Vec<Outcome>, f64), TwinError> {
+        let parts = Convex::of(mesh, convex)?.corners();
+        let mut engine = CableEngine::start(&self.whisker, options)?;
+        let outcomes = (first..first + count)
+            .map(|index| {
+                let Some(sweep) = Sweep::draw(mesh, &self.plan, self.seed, index, engine.reach_mm()) else {
+                    return Ok((index, None));
+                };
+                let run = engine.run(mesh, &parts, &sweep, &self.plan)?;
+                Ok((index, Some((sweep, run))))
+            })
+            .collect::<Result<_, TwinError>>()?;
+        Ok((outcomes, engine.core_s()))
     }
 }
 

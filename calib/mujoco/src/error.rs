@@ -33,6 +33,9 @@ pub enum TwinError {
         /// What it is.
         found: String,
     },
+    /// The MuJoCo engine is missing, refuses or died.
+    #[error("MuJoCo engine: {0}")]
+    Engine(String),
     /// A shard that is damaged.
     #[error("shard {}: {detail}", path.display())]
     Shard {

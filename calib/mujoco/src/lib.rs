@@ -3,10 +3,16 @@
 //! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
 //! toward -z. All that these modules make is SIMULATED.
 
+pub mod cable_engine;
 pub mod columns;
+pub mod compare;
+pub mod convex;
 pub mod dataset;
+pub mod dynamics;
+pub mod engine;
 mod error;
 mod grid;
+pub mod groove;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
@@ -15,7 +21,9 @@ pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
 
-pub use dataset::{Dataset, Missing, Survey, Total};
+pub use cable_engine::CableEngine;
+pub use dataset::{Dataset, Missing, Survey, SweepEngine, Total};
+pub use engine::MujocoEngine;
 pub use error::TwinError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;

@@ -11,23 +11,78 @@ use std::fmt::Write as _;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Chain, Section, Shape};
 
-/// What a model needs besides the wire.
+/// What a model needs besides the wire. Damping and armature are stated over the stiffness: they then scale with the number of links
+/// as it does, and the wire's motion does not depend on that number.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MjcfOptions {
     /// Links.
     pub links: usize,
     /// Damping of a joint over its stiffness, s: the wire's material time.
     pub damping_s: f64,
-    /// Armature of a joint, kg m^2: makes the light links integrable.
-    pub armature_kg_m2: f64,
+    /// Armature of a joint over its stiffness, s^2: makes the light links integrable.
+    pub armature_s2: f64,
     /// Step, s.
     pub step_s: f64,
     /// Turn of the clamp in the base frame, rotation vector, rad, and its offset, mm.
     pub root_turn_rad: Vector3<f64>,
     /// See `root_turn_rad`.
     pub root_offset_mm: Vector3<f64>,
+    /// How the wire touches.
+    pub touch: Touch,
     /// Where the model comes from: goes into a comment.
     pub provenance: String,
+}
+
+/// MuJoCo's soft contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Touch {
+    /// Coefficient of friction; 0: none.
+    pub friction: f64,
+    /// Time constant of the contact's spring, s.
+    pub time_s: f64,
+    /// Impedance at touch and at `width_mm`.
+    pub impedance: [f64; 2],
+    /// Overlap at which the impedance is full, mm.
+    pub width_mm: f64,
+    /// Where between them the impedance is half way, and the power of its rise.
+    pub bend: [f64; 2],
+}
+
+impl Default for Touch {
+    /// Hard: what a metal wire on a solid does.
+    fn default() -> Self {
+        Self { friction: 0.2, time_s: 2e-3, impedance: [0.95, 0.99], width_mm: 0.1, bend: [0.5, 2.0] }
+    }
+}
+
+impl Touch {
+    /// As released with the paper (SYSTEM, Twin: Cable).
+    pub const RELEASED: Self =
+        Self { friction: 0.2, time_s: 2e-3, impedance: [0.15, 0.4], width_mm: 4.0, bend: [0.9, 6.0] };
+
+    /// Attributes of a geom.
+    #[must_use]
+    pub fn attributes(&self) -> String {
+        let Self { friction, time_s, impedance: [d0, most], width_mm, bend: [middle, power] } = self;
+        let kind = if *friction > 0.0 { 6 } else { 1 };
+        format!(
+            "condim=\"{kind}\" friction=\"{friction}\" solref=\"{time_s} 1\" solimp=\"{d0} {most} {} {middle} {power}\"",
+            width_mm * 1e-3
+        )
+    }
+}
+
+/// What stands around the wire, as MJCF.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Surroundings {
+    /// Extensions and assets.
+    pub head: String,
+    /// Bodies of the world.
+    pub bodies: String,
+    /// Place and joints of the body that holds the wire.
+    pub base: [String; 2],
+    /// Actuators and sensors.
+    pub tail: String,
 }
 
 impl Default for MjcfOptions {
@@ -35,10 +90,11 @@ impl Default for MjcfOptions {
         Self {
             links: 40,
             damping_s: 0.02,
-            armature_kg_m2: 1e-9,
+            armature_s2: 1e-6,
             step_s: 1e-3,
             root_turn_rad: Vector3::zeros(),
             root_offset_mm: Vector3::zeros(),
+            touch: Touch::default(),
             provenance: String::new(),
         }
     }
@@ -47,21 +103,36 @@ impl Default for MjcfOptions {
 /// Shape is read on a mesh of this step, mm.
 const SHAPE_STEP_MM: f64 = 0.25;
 /// Density where none is given, kg/m^3 (NiTi, SYSTEM).
-const DENSITY_KG_M3: f64 = 6450.0;
+pub(crate) const DENSITY_KG_M3: f64 = 6450.0;
 
-/// The model's text.
+/// The wire's model by itself.
 ///
 /// # Errors
 /// Where the wire cannot be, or an option is not above zero.
 pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, TwinError> {
+    mjcf_among(whisker, options, &Surroundings::default())
+}
+
+/// The wire's model among other things.
+///
+/// # Errors
+/// As [`mjcf`].
+pub fn mjcf_among(
+    whisker: &WhiskerSpec,
+    options: &MjcfOptions,
+    around: &Surroundings,
+) -> Result<String, TwinError> {
     let refuse = |what: &'static str, expected: &str, found: String| TwinError::Value {
         what,
         expected: expected.to_owned(),
         found,
     };
-    for (what, value) in [("step_s", options.step_s), ("damping_s", options.damping_s)] {
-        if !(value > 0.0 && value.is_finite()) {
-            return Err(refuse(what, "above 0", value.to_string()));
+    if !(options.step_s > 0.0 && options.step_s.is_finite()) {
+        return Err(refuse("step_s", "above 0", options.step_s.to_string()));
+    }
+    for (what, value) in [("damping_s", options.damping_s), ("armature_s2", options.armature_s2)] {
+        if !(value >= 0.0 && value.is_finite()) {
+            return Err(refuse(what, "0 or more", value.to_string()));
         }
     }
     let shape = Shape::new(&whisker.rest_shape, SHAPE_STEP_MM)
@@ -84,8 +155,11 @@ pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, Twin
     line(1, "<compiler angle=\"radian\" autolimits=\"true\"/>");
     let step = options.step_s;
     line(1, &format!("<option timestep=\"{step}\" integrator=\"implicitfast\" gravity=\"0 0 0\"/>"));
+    line(1, &around.head);
     line(1, "<worldbody>");
-    line(2, "<body name=\"base\">");
+    line(2, &around.bodies);
+    line(2, &format!("<body name=\"base\" {}>", around.base[0]));
+    line(3, &around.base[1]);
     let mut turn = UnitQuaternion::from_rotation_matrix(&root);
     let mut place = options.root_offset_mm * 1e-3;
     for (j, (rest, stiffness)) in joints.iter().enumerate() {
@@ -106,15 +180,16 @@ pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, Twin
                 &format!(
                     "<joint name=\"joint{j}{name}\" type=\"hinge\" axis=\"{axis}\" stiffness=\"{k}\" damping=\"{}\" armature=\"{}\"/>",
                     k * options.damping_s,
-                    options.armature_kg_m2
+                    k * options.armature_s2
                 ),
             );
         }
         line(
             depth + 1,
             &format!(
-                "<geom name=\"wire{j}\" type=\"capsule\" fromto=\"0 0 0 {h_m} 0 0\" size=\"{}\" mass=\"{mass_kg}\" contype=\"1\" conaffinity=\"2\"/>",
-                whisker.diameter_mm * 0.5e-3
+                "<geom name=\"wire{j}\" type=\"capsule\" fromto=\"0 0 0 {h_m} 0 0\" size=\"{}\" mass=\"{mass_kg}\" contype=\"1\" conaffinity=\"2\" {}/>",
+                whisker.diameter_mm * 0.5e-3,
+                options.touch.attributes()
             ),
         );
         (turn, place) = (UnitQuaternion::identity(), Vector3::new(h_m, 0.0, 0.0));
@@ -125,8 +200,29 @@ pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, Twin
     }
     line(2, "</body>");
     line(1, "</worldbody>");
+    line(1, &around.tail);
     line(0, "</mujoco>");
     Ok(text)
+}
+
+/// Convex parts (corners, mm) as assets and as geoms of a body, each with its name.
+#[must_use]
+pub fn convex_parts(prefix: &str, parts: &[Vec<Vector3<f64>>], touch: &Touch) -> [String; 2] {
+    let mut text = [String::from("<asset>"), String::new()];
+    for (k, part) in parts.iter().enumerate() {
+        let _ = write!(text[0], "<mesh name=\"{prefix}{k}\" vertex=\"");
+        for p in part {
+            let _ = write!(text[0], "{} {} {} ", p.x * 1e-3, p.y * 1e-3, p.z * 1e-3);
+        }
+        text[0].push_str("\"/>");
+        let _ = write!(
+            text[1],
+            "<geom name=\"{prefix}{k}\" type=\"mesh\" mesh=\"{prefix}{k}\" contype=\"2\" conaffinity=\"1\" {}/>",
+            touch.attributes()
+        );
+    }
+    text[0].push_str("</asset>");
+    text
 }
 
 /// Two hyphens end a comment.

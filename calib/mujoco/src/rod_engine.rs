@@ -290,7 +290,7 @@ impl Way<'_> {
     }
 }
 
-fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
+pub(crate) fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
     match (before.first(), after.first()) {
         (None, Some(_)) => Event::Onset,
         (Some(_), None) => Event::Release,

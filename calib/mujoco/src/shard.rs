@@ -161,7 +161,7 @@ pub fn write(
 }
 
 /// Under a name of its own first: a reader never sees half a file, and two writers do not meet.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let fail = |source| TwinError::Io { action: "writing", path: path.to_owned(), source };
     let mut builder = tempfile::Builder::new();

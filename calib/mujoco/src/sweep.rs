@@ -94,7 +94,7 @@ impl SweepPlan {
 }
 
 /// Time for which an acceleration holds, s.
-const HOLD_S: f64 = 1.0;
+pub(crate) const HOLD_S: f64 = 1.0;
 
 /// One sweep. The base moves along +z of its own frame; in that frame the object comes along -z.
 #[derive(Debug, Clone, PartialEq)]

@@ -8,6 +8,7 @@ use wcal_mujoco::{Dataset, Mesh, SweepPlan, objects, shard};
 
 fn dataset(seed: u64) -> Dataset {
     Dataset {
+        engine: wcal_mujoco::SweepEngine::Rod,
         whisker: WhiskerSpec {
             diameter_mm: 0.3,
             youngs_gpa: 75.0,

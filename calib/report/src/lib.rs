@@ -6,6 +6,7 @@
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_many`]: several sessions on one page, an overview table at the top.
 //! - [`render_index`]: an overview page that links to reports beside it.
+//! - [`render_dynamics`]: the page of a fit of damping and contact, from a [`DynamicsInput`].
 //! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
 //! ```
@@ -19,6 +20,7 @@
 //! assert!(page.starts_with("<!DOCTYPE html>"));
 //! ```
 
+mod dynamics;
 mod input;
 mod markup;
 mod number;
@@ -27,6 +29,7 @@ mod plot;
 mod sections;
 mod sweeps;
 
+pub use dynamics::{DynamicsInput, DynamicsTrial, render_dynamics};
 pub use input::{
     CoverageCurve, EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError,
     ReportInput, RodBranch, TwinMark, TwinTrajectory,

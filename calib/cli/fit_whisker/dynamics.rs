@@ -1,0 +1,213 @@
+//! Damping and contact of the MuJoCo model, by trials in MuJoCo itself.
+
+use crate::picture_output::write;
+use anyhow::{Context, ensure};
+use clap::Args;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::dynamics::{DynamicsFit, Parameters, Score, Targets, Trial, fit_dynamics, ring_down_s};
+use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_report::{DynamicsInput, DynamicsTrial, Fact, render_dynamics};
+
+/// Arguments of the fit of damping and contact.
+#[derive(Debug, Args)]
+pub struct DynamicsArgs {
+    /// Fit damping and contact of the MuJoCo model too (minutes; needs wcal-mujoco)
+    #[arg(long)]
+    pub dynamics: bool,
+    /// Recorded ring-down of the released wire: a table with columns t_s and moment_nmm, from the release on
+    #[arg(long, value_name = "CSV", requires = "dynamics")]
+    pub ring_down: Option<PathBuf>,
+    /// Wanted speed of the bounce over the undamped wire's
+    #[arg(long, default_value_t = 0.5, requires = "dynamics")]
+    pub bounce_ratio: f64,
+    /// Evaluations of each of NLopt's searches (BOBYQA, then CRS2)
+    #[arg(long, default_value_t = 60, requires = "dynamics")]
+    pub evaluations: u32,
+}
+
+/// `[dynamics]` of whisker.toml.
+#[derive(Debug, Serialize)]
+pub struct Dynamics {
+    simulated: bool,
+    /// Material time (damping over stiffness), s, and armature over stiffness, s^2: they hold for any number of links.
+    damping_s: f64,
+    armature_s2: f64,
+    contact_time_s: f64,
+    chosen: Parameters,
+    score: Score,
+    targets: Targets,
+    trials: usize,
+    why: Vec<String>,
+}
+
+/// Fits, writes dynamics.csv and dynamics.html, and gives the model's options.
+pub fn dynamics(
+    args: &DynamicsArgs,
+    whisker: &WhiskerSpec,
+    out: &Path,
+) -> anyhow::Result<(Dynamics, MjcfOptions)> {
+    ensure!(
+        args.bounce_ratio > 0.0 && args.bounce_ratio <= 1.0,
+        "--bounce-ratio: expected above 0 and at most 1, found {}",
+        args.bounce_ratio
+    );
+    let recorded = args.ring_down.as_deref().map(read_ring_down).transpose()?;
+    let targets = Targets { ring_down_s: recorded, bounce_ratio: args.bounce_ratio };
+    let mut count = 0;
+    let count = std::cell::RefCell::new(&mut count);
+    let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
+        **count.borrow_mut() += 1;
+        eprintln!("fit-whisker: trial {} ({}): {:.3}", count.borrow(), trial.stage, trial.score.total);
+    })?;
+    let best = &fit.trials[fit.best];
+    let why = reasons(&fit, &targets);
+    write(out, "dynamics.csv", table(&fit.trials)?.as_bytes())?;
+    write(out, "dynamics.html", page(&fit, &why).as_bytes())?;
+    let dynamics = Dynamics {
+        simulated: true,
+        damping_s: fit.options.damping_s,
+        armature_s2: fit.options.armature_s2,
+        contact_time_s: fit.options.touch.time_s,
+        chosen: best.parameters,
+        score: best.score,
+        targets,
+        trials: fit.trials.len(),
+        why,
+    };
+    Ok((dynamics, fit.options))
+}
+
+/// Time constant of a recorded ring-down, s.
+fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let mut lines = text.lines();
+    let head: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let column = |name: &str| {
+        let found = head.iter().position(|h| *h == name);
+        found.with_context(|| format!("{}: expected a column {name}, found {head:?}", path.display()))
+    };
+    let (t, m) = (column("t_s")?, column("moment_nmm")?);
+    let (mut time_s, mut moment) = (Vec::new(), Vec::new());
+    for (k, line) in lines.enumerate().filter(|(_, l)| !l.trim().is_empty()) {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let value = |c: usize, name: &str| -> anyhow::Result<f64> {
+            let found = cells.get(c).copied().unwrap_or_default();
+            let value: f64 = found.parse().unwrap_or(f64::NAN);
+            let at = format!("{}, line {}, {name}", path.display(), k + 2);
+            ensure!(value.is_finite(), "{at}: expected a number, found {found:?}");
+            Ok(value)
+        };
+        time_s.push(value(t, "t_s")?);
+        moment.push(value(m, "moment_nmm")?);
+    }
+    ensure!(
+        time_s.windows(2).all(|w| w[1] > w[0]),
+        "{}: expected times that rise, found some that do not",
+        path.display()
+    );
+    ring_down_s(&time_s, &moment).filter(|tau| *tau > 0.0).with_context(|| {
+        format!(
+            "{}: expected a moment that falls below 1/e of its start over ten rows or more, found none",
+            path.display()
+        )
+    })
+}
+
+/// Why the chosen one, in sentences.
+fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
+    let best = &fit.trials[fit.best];
+    let (p, s) = (&best.parameters, &best.score);
+    let percent = s.bias.map_or(f64::NAN, |b| 100.0 * b);
+    let mut why = vec![format!(
+        "Least sum of squares ({:.3}) of {} trials, found by {}: damping {:.4} N m s/rad, width {:.2} mm, impedance {:.3} to {:.3}.",
+        s.total,
+        fit.trials.len(),
+        best.stage,
+        p.damping_nms_rad,
+        p.width_mm,
+        p.d0,
+        p.dmax
+    )];
+    why.push(format!(
+        "More damping slows the bounce and smooths the ripple but makes the moment depend on the speed: here the bounce is {:.2} of the undamped wire's (wanted {:.2}), the mean moment changes by {percent:.2} % from 3.2 to 7.7 mm/s.",
+        s.bounce_ratio, targets.bounce_ratio
+    ));
+    why.push(format!(
+        "A softer contact bounces less but lets the wire in: overlap {:.3} mm, ripple {:.4} N mm.",
+        s.overlap_mm.unwrap_or(f64::NAN),
+        s.ripple_nmm.unwrap_or(f64::NAN)
+    ));
+    why.push(match targets.ring_down_s {
+        Some(wanted) => format!("Ring-down {:.4} s, recorded {wanted:.4} s.", s.ring_down_s),
+        None => format!("No ring-down was recorded: it is not judged (here {:.4} s).", s.ring_down_s),
+    });
+    why
+}
+
+fn table(trials: &[Trial]) -> anyhow::Result<String> {
+    let mut text = String::from(
+        "stage,damping_nms_rad,width_mm,d0,dmax,ring_down_s,bounce_ratio,ripple_nmm,bias,overlap_mm,total\n",
+    );
+    let maybe = |v: Option<f64>| v.map_or_else(String::new, |v| v.to_string());
+    for Trial { stage, parameters: p, score: s } in trials {
+        writeln!(
+            text,
+            "{stage},{},{},{},{},{},{},{},{},{},{}",
+            p.damping_nms_rad,
+            p.width_mm,
+            p.d0,
+            p.dmax,
+            s.ring_down_s,
+            s.bounce_ratio,
+            maybe(s.ripple_nmm),
+            maybe(s.bias),
+            maybe(s.overlap_mm),
+            s.total
+        )?;
+    }
+    Ok(text)
+}
+
+fn page(fit: &DynamicsFit, why: &[String]) -> String {
+    let mut trials = Vec::new();
+    let mut best = 0;
+    for (k, Trial { stage, parameters: p, score: s }) in fit.trials.iter().enumerate() {
+        let (Some(ripple_nmm), Some(bias), Some(overlap_mm)) = (s.ripple_nmm, s.bias, s.overlap_mm) else {
+            continue;
+        };
+        // A broken trial has no place in a plot.
+        if ![ripple_nmm, bias, overlap_mm, s.bounce_ratio].iter().all(|v| v.is_finite()) {
+            continue;
+        }
+        if k == fit.best {
+            best = trials.len();
+        }
+        trials.push(DynamicsTrial {
+            stage: (*stage).to_owned(),
+            label: format!(
+                "damping {:.4} N m s/rad, width {:.2} mm, {:.2} to {:.2}",
+                p.damping_nms_rad, p.width_mm, p.d0, p.dmax
+            ),
+            bounce_ratio: s.bounce_ratio,
+            bias_percent: 100.0 * bias,
+            ripple_nmm,
+            overlap_mm,
+            total: s.total,
+        });
+    }
+    let options = &fit.options;
+    let facts = vec![
+        Fact::new("damping over stiffness", format!("{:.4} s", options.damping_s)),
+        Fact::new("contact width", format!("{:.2} mm", options.touch.width_mm)),
+        Fact::new(
+            "impedance",
+            format!("{:.3} to {:.3}", options.touch.impedance[0], options.touch.impedance[1]),
+        ),
+        Fact::new("trials", fit.trials.len().to_string()),
+    ];
+    let title = "Damping and contact of the MuJoCo model".to_owned();
+    render_dynamics(&DynamicsInput { title, facts, choice: why.to_vec(), trials, best })
+}

@@ -1,0 +1,177 @@
+//! MuJoCo itself, through the program (SIMULATED). Without libmujoco (`make setup`) only what is then said is tested.
+
+use nalgebra::Vector3;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, Stdio};
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::compare::statics;
+use wcal_mujoco::convex::Convex;
+use wcal_mujoco::engine::protocol::Request;
+use wcal_mujoco::groove::{self, Preset};
+use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_mujoco::rod_engine::LINKS;
+use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
+
+fn whisker() -> WhiskerSpec {
+    WhiskerSpec {
+        diameter_mm: 0.3,
+        youngs_gpa: 75.0,
+        shear_gpa: 28.2,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+        gravity_direction: None,
+    }
+}
+
+/// Points the library at the program that cargo built; false without MuJoCo in it.
+fn ready() -> bool {
+    use std::sync::OnceLock;
+    static READY: OnceLock<bool> = OnceLock::new();
+    *READY.get_or_init(|| {
+        // Tests stand in deps/, the program one folder up: the library looks there.
+        match MujocoEngine::start() {
+            Ok(engine) => {
+                assert_eq!(engine.version, "3.17.0");
+                true
+            }
+            Err(e) => {
+                assert!(e.to_string().contains("built without libmujoco"), "{e}");
+                eprintln!("skipped: {e}");
+                false
+            }
+        }
+    })
+}
+
+#[test]
+fn statics_tend_to_the_rods_with_second_order() {
+    if !ready() {
+        return;
+    }
+    let mut engine = MujocoEngine::start().unwrap();
+    let options = MjcfOptions { damping_s: 5e-3, armature_s2: 1e-6, ..MjcfOptions::default() };
+    let [coarse, fine] = [20, 40]
+        .map(|links| statics(&mut engine, &whisker(), &MjcfOptions { links, ..options.clone() }).unwrap());
+    assert!(fine.moment_error < 5e-3, "{fine:?}");
+    let order = (coarse.point_error / fine.point_error).log2();
+    assert!(order > 1.8, "{coarse:?} {fine:?}");
+    // Negative control: five links are too few for that bound.
+    let few = statics(&mut engine, &whisker(), &MjcfOptions { links: 5, ..options }).unwrap();
+    assert!(few.moment_error > 5e-3, "{few:?}");
+}
+
+#[test]
+fn a_released_label_is_reproduced_and_one_on_another_equilibrium_is_not() {
+    if !ready() {
+        return;
+    }
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../fixtures/whiskerfbg");
+    let rows = |name: &str| -> Vec<Vec<f64>> {
+        let text = std::fs::read_to_string(folder.join(name)).unwrap();
+        text.lines().skip(1).map(|l| l.split(',').map(|x| x.parse().unwrap_or(f64::NAN)).collect()).collect()
+    };
+    let shape = rows("rest_shape.csv").iter().map(|p| Vector3::new(p[0], p[1], p[2])).collect();
+    let whisker = WhiskerSpec {
+        diameter_mm: 0.3048,
+        youngs_gpa: 75.0,
+        shear_gpa: 28.0,
+        density_kg_m3: Some(6450.0),
+        rest_shape: RestShape::Polyline(shape),
+        gravity_direction: None,
+    };
+    let points = rows("points.csv");
+    let place = |k: usize| Vector3::new(points[k][5], points[k][6], points[k][7]);
+    // Columns: point, role, trajectory, replicate, stage, groove x, y, z.
+    let found = groove::labels(&whisker, Preset::Released, &[vec![place(9), place(11)]]).unwrap();
+    let labels = rows("twin.csv");
+    let [sure, unsure] = &found[0][..] else { panic!("{found:?}") };
+    let [sure_nmm, unsure_nmm] = [sure, unsure].map(|l| l.moment_nmm.unwrap());
+    // Full scale of the released labels: 7 N mm. The twin reports minus (position x force).
+    for (axis, column) in [(0, 1), (2, 2)] {
+        assert!((-sure_nmm[axis] - labels[9][column]).abs() < 7e-3, "{sure:?}");
+    }
+    assert!(sure.settled && sure.straight_nmm.is_none(), "{sure:?}");
+    assert!((-unsure_nmm.x - labels[11][1]).abs() > 0.1, "{unsure:?}");
+}
+
+#[test]
+fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
+    if !ready() {
+        return;
+    }
+    let mesh = objects::built_in("block").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let convex = Convex::of(&mesh, folder.path()).unwrap();
+    assert!(convex.parts.len() == 1 && convex.hausdorff_mm() < 0.01, "{convex:?}");
+    assert_eq!(Convex::of(&mesh, folder.path()).unwrap(), convex, "taken from the folder");
+    let plan = SweepPlan { speed_mm_s: [6.0, 6.0], most_mm: 25.0, rate_hz: 2.0, ..SweepPlan::default() };
+    let (rod, parts) = (RodEngine::new(&whisker(), LINKS).unwrap(), convex.corners());
+    let mut cable = CableEngine::start(&whisker(), &MjcfOptions::default()).unwrap();
+    let sweep = (0..).find_map(|k| {
+        let sweep = Sweep::draw(&mesh, &plan, 5, k, rod.reach_mm())?;
+        let run = rod.run(&mesh, &sweep, &plan);
+        let touching =
+            run.samples.iter().filter(|s| s.contacts.first().is_some_and(|c| c.arclength_mm < 50.0)).count();
+        (run.verdict == Verdict::Kept && touching > 4).then_some((sweep, run))
+    });
+    let (sweep, quasi) = sweep.unwrap();
+    let dynamic = cable.run(&mesh, &parts, &sweep, &plan).unwrap();
+    assert_eq!(dynamic.verdict, Verdict::Kept);
+    let (mut off, mut size, mut pairs) = (0.0, 0.0, 0);
+    for (a, b) in quasi.samples.iter().zip(&dynamic.samples) {
+        for contact in &b.contacts {
+            let shift = sweep.shift_mm - Vector3::z() * b.travel_mm;
+            let label = sweep.turn.tr_mul(&(contact.point_mm - shift));
+            assert!(mesh.near(&label, 10.0).unwrap().distance_mm.abs() < 1e-6);
+        }
+        if !a.contacts.is_empty() && !b.contacts.is_empty() {
+            off += (a.moment_nmm - b.moment_nmm).norm_squared();
+            size += a.moment_nmm.norm_squared();
+            pairs += 1;
+        }
+    }
+    assert!(pairs > 4 && off < 0.1_f64.powi(2) * size, "{pairs} samples, {} of {}", off.sqrt(), size.sqrt());
+    assert_eq!(cable.run(&mesh, &parts, &sweep, &plan).unwrap(), dynamic, "the same twice");
+    // A step of a tenth of a second without damping cannot be right: named, and the engine goes on.
+    let wild = MjcfOptions { step_s: 0.02, damping_s: 0.0, armature_s2: 1e-9, ..MjcfOptions::default() };
+    let mut wild = CableEngine::start(&whisker(), &wild).unwrap();
+    let run = wild.run(&mesh, &parts, &sweep, &plan).unwrap();
+    assert!(
+        matches!(run.verdict, Verdict::Rejected("unstable" | "penetration" | "torque-too-high")),
+        "{:?}",
+        run.verdict
+    );
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    if !ready() {
+        return;
+    }
+    let mut engine = MujocoEngine::start().unwrap();
+    let error = engine.load("<mujoco><nonsense/></mujoco>", false).unwrap_err().to_string();
+    assert!(error.contains("MuJoCo refuses the model") && error.contains("nonsense"), "{error}");
+    let error = engine.frame(&Request::Run { steps: 1 }).unwrap_err().to_string();
+    assert!(error.contains("expected a model to be loaded first"), "{error}");
+    // Still alive.
+    engine.load("<mujoco/>", false).unwrap();
+    // Without the plugin's file MuJoCo would end the process.
+    let ask = |request: &str| {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_wcal-mujoco"))
+            .env("WCAL_NATIVE", "/nonexistent")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        writeln!(child.stdin.take().unwrap(), "{request}").unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        child.wait().unwrap();
+        line
+    };
+    let line = ask(r#"{"do":"load","xml":"<mujoco/>","cable_plugin":true}"#);
+    assert!(line.contains("cable plugin at /nonexistent"), "{line}");
+    let line =
+        ask(r#"{"do":"decompose","points":[],"triangles":[],"threshold":0.05,"most_parts":1,"seed":1}"#);
+    assert!(line.contains("expected CoACD at /nonexistent"), "{line}");
+}

@@ -1,0 +1,91 @@
+//! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]` prints statics at 10 to 80 links and the difference on
+//! the same sweeps against the speed (SIMULATED); FOLDER keeps the convex parts. Needs wcal-mujoco beside it or in WCAL_MUJOCO.
+
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::compare::{against_speed, statics};
+use wcal_mujoco::convex::Convex;
+use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_mujoco::{MujocoEngine, SweepPlan, objects};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let [folder, sweeps, rest @ ..] = &words[..] else {
+        return Err("expected FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]".into());
+    };
+    let whisker = WhiskerSpec {
+        diameter_mm: 0.3,
+        youngs_gpa: 75.0,
+        shear_gpa: 28.2,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+        gravity_direction: None,
+    };
+    let mut options = MjcfOptions::default();
+    if let Some(damping) = rest.first() {
+        options.damping_s = damping.parse()?;
+    }
+    if let Some(armature) = rest.get(1) {
+        options.armature_s2 = armature.parse()?;
+    }
+    let mut engine = MujocoEngine::start()?;
+    println!(
+        "MuJoCo {}; SIMULATED; damping {} s, armature {} s^2",
+        engine.version, options.damping_s, options.armature_s2
+    );
+    println!("{:>6} {:>12} {:>12}", "links", "point", "base moment");
+    for links in [10, 20, 40, 80] {
+        let found = statics(&mut engine, &whisker, &MjcfOptions { links, ..options.clone() })?;
+        println!("{links:>6} {:>11.4}% {:>11.4}%", found.point_error * 100.0, found.moment_error * 100.0);
+    }
+    let mut bodies = Vec::new();
+    for name in ["ball", "can", "star-bar"] {
+        let mesh = objects::built_in(name)?;
+        let convex = Convex::of(&mesh, folder.as_ref())?;
+        println!(
+            "{name}: {} convex parts, {:.3} mm beyond the mesh, {:.3} mm short of it",
+            convex.parts.len(),
+            convex.beyond_mm,
+            convex.short_mm
+        );
+        bodies.push((mesh, convex));
+    }
+    println!(
+        "{:>6} {:>7} {:>8} {:>12} {:>9} {:>8} {:>10} {:>11} {:>11} {:>8}  rejected by MuJoCo",
+        "mm/s",
+        "kept",
+        "samples",
+        "RMS N mm",
+        "of N mm",
+        "bias",
+        "ripple",
+        "contact mm",
+        "overlap mm",
+        "chatter"
+    );
+    let rows = against_speed(
+        &whisker,
+        &options,
+        &bodies,
+        &SweepPlan::default(),
+        &[3.2, 5.0, 7.7, 14.0],
+        sweeps.parse()?,
+    )?;
+    for r in rows {
+        println!(
+            "{:>6.1} {:>3}/{:<3} {:>8} {:>12.4} {:>9.3} {:>7.2}% {:>10.4} {:>11.3} {:>11.3} {:>7.2}%  {:?}",
+            r.speed_mm_s,
+            r.kept[0],
+            r.kept[1],
+            r.samples,
+            r.moment_rms_nmm[0],
+            r.moment_rms_nmm[1],
+            r.bias * 100.0,
+            r.ripple_nmm,
+            r.contact_mm,
+            r.overlap_mm,
+            r.chatter * 100.0,
+            r.rejected
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,168 @@
+//! MuJoCo, in a program of its own (`wcal-mujoco`, calib/mujoco/engine) that is spoken to by lines of JSON.
+//!
+//! MuJoCo ends the process on some errors (a plugin that does not load, an inconsistent model) and its library may be missing: behind
+//! a pipe both are errors with a name, and whatever else runs goes on. Units of the protocol are SI, as MuJoCo's; the border is here.
+
+pub mod protocol;
+
+use crate::TwinError;
+use protocol::{Frame, Loaded, Reply, Request};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+/// Name of the program.
+pub const PROGRAM: &str = "wcal-mujoco";
+/// Variable that names the program where it lies elsewhere.
+pub const VARIABLE: &str = "WCAL_MUJOCO";
+
+/// A running engine with at most one model in it.
+#[derive(Debug)]
+pub struct MujocoEngine {
+    child: Child,
+    to: ChildStdin,
+    from: BufReader<ChildStdout>,
+    /// Version of libmujoco.
+    pub version: String,
+    /// Processor time of the program at its last frame, s.
+    pub core_s: f64,
+}
+
+/// Where the program may lie: as the variable says, beside this program (or its parent: tests), or on the path.
+fn program() -> Result<PathBuf, TwinError> {
+    if let Some(named) = std::env::var_os(VARIABLE) {
+        let path = PathBuf::from(named);
+        return match path.is_file() {
+            true => Ok(path),
+            false => Err(TwinError::Engine(format!(
+                "{VARIABLE}: expected a program, found nothing at {}",
+                path.display()
+            ))),
+        };
+    }
+    let beside = std::env::current_exe().ok();
+    let beside = beside.iter().flat_map(|exe| exe.ancestors().skip(1).take(2)).map(PathBuf::from);
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    beside.chain(std::env::split_paths(&path)).map(|folder| folder.join(PROGRAM)).find(|p| p.is_file()).ok_or_else(|| {
+        TwinError::Engine(format!(
+            "expected {PROGRAM} beside wcal, on PATH or named by {VARIABLE}, found none; `make setup` and `cargo build --release -p wcal-mujoco-engine` make it"
+        ))
+    })
+}
+
+impl MujocoEngine {
+    /// Starts the program and hears which MuJoCo it has.
+    ///
+    /// # Errors
+    /// Where the program or its library is missing.
+    pub fn start() -> Result<Self, TwinError> {
+        let path = program()?;
+        let lost = |e: std::io::Error| TwinError::Engine(format!("starting {}: {e}", path.display()));
+        let mut child = Command::new(&path)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(lost)?;
+        let (Some(to), Some(from)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(TwinError::Engine(format!("starting {}: no pipe", path.display())));
+        };
+        let mut engine = Self { child, to, from: BufReader::new(from), version: String::new(), core_s: 0.0 };
+        match engine.ask(&Request::Hello)? {
+            Reply::Hello { mujoco } => engine.version = mujoco,
+            other => return Err(unexpected("a greeting", &other)),
+        }
+        Ok(engine)
+    }
+
+    /// Loads a model.
+    ///
+    /// # Errors
+    /// Where MuJoCo refuses it, or the cable plugin is missing.
+    pub fn load(&mut self, xml: &str, cable_plugin: bool) -> Result<Loaded, TwinError> {
+        match self.ask(&Request::Load { xml: xml.to_owned(), cable_plugin })? {
+            Reply::Loaded(loaded) => Ok(loaded),
+            other => Err(unexpected("a loaded model", &other)),
+        }
+    }
+
+    /// Moves the model on.
+    ///
+    /// # Errors
+    /// Where the engine refuses or dies; an unstable step is no error but in the frame.
+    pub fn frame(&mut self, request: &Request) -> Result<Frame, TwinError> {
+        match self.ask(request)? {
+            Reply::Frame(frame) => {
+                self.core_s = frame.core_s;
+                Ok(frame)
+            }
+            other => Err(unexpected("a frame", &other)),
+        }
+    }
+
+    /// Runs freely, with the base moment (N mm) at every `every`-th step.
+    ///
+    /// # Errors
+    /// As [`Self::frame`].
+    pub fn series(&mut self, steps: u64, every: u64) -> Result<protocol::Series, TwinError> {
+        match self.ask(&Request::Series { steps, every })? {
+            Reply::Series(series) => Ok(series),
+            other => Err(unexpected("a series", &other)),
+        }
+    }
+
+    /// Convex parts of a closed surface, by CoACD.
+    ///
+    /// # Errors
+    /// Where the library is missing or finds none.
+    pub fn convex_parts(&mut self, request: &protocol::Decompose) -> Result<Vec<protocol::Part>, TwinError> {
+        match self.ask(&Request::Decompose(request.clone()))? {
+            Reply::Parts { parts } => Ok(parts),
+            other => Err(unexpected("convex parts", &other)),
+        }
+    }
+
+    fn ask(&mut self, request: &Request) -> Result<Reply, TwinError> {
+        let mut line = serde_json::to_string(request).map_err(|e| TwinError::Engine(e.to_string()))?;
+        line.push('\n');
+        if self.to.write_all(line.as_bytes()).and_then(|()| self.to.flush()).is_err() {
+            return Err(self.dead());
+        }
+        let mut answer = String::new();
+        match self.from.read_line(&mut answer) {
+            Ok(n) if n > 0 => match serde_json::from_str(&answer) {
+                Ok(Reply::Refused { why }) => Err(TwinError::Engine(why)),
+                Ok(reply) => Ok(reply),
+                Err(e) => Err(TwinError::Engine(format!(
+                    "expected a line of the protocol, found {:?}: {e}",
+                    answer.trim()
+                ))),
+            },
+            _ => Err(self.dead()),
+        }
+    }
+
+    /// What is known of an engine that answers no more.
+    fn dead(&mut self) -> TwinError {
+        let status = self.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
+        let mut said = String::new();
+        if let Some(mut errors) = self.child.stderr.take() {
+            let _ = errors.read_to_string(&mut said);
+        }
+        TwinError::Engine(format!(
+            "{PROGRAM} ended ({status}): {}",
+            said.trim().lines().next_back().unwrap_or("said nothing")
+        ))
+    }
+}
+
+impl Drop for MujocoEngine {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn unexpected(expected: &str, found: &Reply) -> TwinError {
+    TwinError::Engine(format!("expected {expected}, found {found:?}"))
+}

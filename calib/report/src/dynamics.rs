@@ -1,0 +1,143 @@
+//! The page of a fit of damping and contact: every trial, the trade between the demands, and the choice. The trials are simulated.
+
+use crate::input::Fact;
+use crate::markup::{Cell, Table, escape, paragraph};
+use crate::number::number;
+use crate::page::{document, facts};
+use crate::plot::{Axis, Layer, Marker, Plot};
+use crate::sections::{legend, series};
+use std::fmt::Write;
+
+/// What the page shows.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DynamicsInput {
+    /// Heading.
+    pub title: String,
+    /// Whisker, targets, chosen values.
+    pub facts: Vec<Fact>,
+    /// Why this one, in sentences.
+    pub choice: Vec<String>,
+    /// Trials that were judged in full.
+    pub trials: Vec<DynamicsTrial>,
+    /// Number of the chosen one.
+    pub best: usize,
+}
+
+/// A trial.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DynamicsTrial {
+    /// Stage of the search.
+    pub stage: String,
+    /// Parameters and results in words.
+    pub label: String,
+    /// Bounce over the undamped wire's.
+    pub bounce_ratio: f64,
+    /// Change of the mean moment between two speeds, %.
+    pub bias_percent: f64,
+    /// Ripple, N mm.
+    pub ripple_nmm: f64,
+    /// Deepest overlap, mm.
+    pub overlap_mm: f64,
+    /// Sum of squares of the demands.
+    pub total: f64,
+}
+
+/// Rows of the table.
+const SHOWN: usize = 12;
+
+/// The page.
+#[must_use]
+pub fn render_dynamics(input: &DynamicsInput) -> String {
+    let mut body = format!(
+        "<header><p class=\"over\">Damping and contact <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated trials, not a measurement.</p>\n{}</header>\n",
+        escape(&input.title),
+        facts(&input.facts)
+    );
+    let mut stages: Vec<String> = Vec::new();
+    for trial in &input.trials {
+        if !stages.contains(&trial.stage) {
+            stages.push(trial.stage.clone());
+        }
+    }
+    let mut plots = legend(&stages);
+    plots += &plot(
+        input,
+        &stages,
+        [
+            "Speed bias against bounce",
+            "change of the mean moment from 3.2 to 7.7 mm/s, %",
+            "bounce over the undamped wire's",
+        ],
+        |t| [t.bias_percent, t.bounce_ratio],
+    );
+    plots += &plot(input, &stages, ["Ripple against overlap", "overlap, mm", "ripple, N mm"], |t| {
+        [t.overlap_mm, t.ripple_nmm]
+    });
+    let choice: String = input.choice.iter().map(|line| paragraph(line)).collect();
+    let _ = write!(
+        body,
+        "<section id=\"choice\" aria-labelledby=\"choice-h\"><h2 id=\"choice-h\">Choice</h2>\n{choice}{}</section>\n\
+         <section id=\"trade\" aria-labelledby=\"trade-h\"><h2 id=\"trade-h\">Trade</h2>\n{plots}</section>\n",
+        table(input)
+    );
+    document(&input.title, true, &body)
+}
+
+fn plot(
+    input: &DynamicsInput,
+    stages: &[String],
+    [title, x, y]: [&str; 3],
+    at: impl Fn(&DynamicsTrial) -> [f64; 2],
+) -> String {
+    let points: Vec<[f64; 2]> = input.trials.iter().map(&at).collect();
+    let mut layers: Vec<Layer> = stages
+        .iter()
+        .enumerate()
+        .map(|(n, stage)| {
+            let own: Vec<&DynamicsTrial> = input.trials.iter().filter(|t| t.stage == *stage).collect();
+            let (class, marker) = series(n);
+            Layer::Points {
+                class,
+                marker,
+                at: own.iter().map(|t| at(t)).collect(),
+                titles: own.iter().map(|t| t.label.clone()).collect(),
+            }
+        })
+        .collect();
+    if let Some(best) = input.trials.get(input.best) {
+        layers.push(Layer::Points {
+            class: "bad",
+            marker: Marker::Ring,
+            at: vec![at(best)],
+            titles: vec![best.label.clone()],
+        });
+    }
+    let plot = Plot {
+        title: title.to_owned(),
+        description: format!("{title}: one mark a trial, the chosen one ringed"),
+        width: 640.0,
+        height: 320.0,
+        x: Axis::covering(x, points.iter().map(|p| p[0])),
+        y: Axis::covering(y, points.iter().map(|p| p[1])),
+        layers,
+    };
+    format!("<figure>{}</figure>\n", plot.svg())
+}
+
+fn table(input: &DynamicsInput) -> String {
+    let mut order: Vec<&DynamicsTrial> = input.trials.iter().collect();
+    order.sort_by(|a, b| a.total.total_cmp(&b.total));
+    let mut table = Table::new(
+        "Best trials",
+        &["stage", "parameters", "#bounce", "#bias, %", "#ripple, N mm", "#overlap, mm", "#sum of squares"],
+    );
+    for t in order.into_iter().take(SHOWN) {
+        let mut row = vec![Cell::Text(t.stage.clone()), Cell::Text(t.label.clone())];
+        row.extend(
+            [t.bounce_ratio, t.bias_percent, t.ripple_nmm, t.overlap_mm, t.total]
+                .map(|v| Cell::Number(number(v))),
+        );
+        table.row(row);
+    }
+    table.html()
+}

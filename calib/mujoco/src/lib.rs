@@ -9,6 +9,7 @@ mod error;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;
+pub mod read;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;

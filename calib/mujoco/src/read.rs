@@ -36,7 +36,9 @@ impl Table {
         match self.columns.get(name) {
             Some(Column::Real(v)) => match v.iter().position(|x| !x.is_finite()) {
                 None => Ok(v),
-                Some(row) => Err(self.broken(format!("row {row}, {name}: expected a number, found {}", v[row]))),
+                Some(row) => {
+                    Err(self.broken(format!("row {row}, {name}: expected a number, found {}", v[row])))
+                }
             },
             other => Err(self.wrong(name, "numbers", other)),
         }
@@ -50,7 +52,9 @@ impl Table {
         match self.columns.get(name) {
             Some(Column::Maybe(v)) => match v.iter().position(|x| x.is_some_and(|x| !x.is_finite())) {
                 None => Ok(v),
-                Some(row) => Err(self.broken(format!("row {row}, {name}: expected a number, found {:?}", v[row]))),
+                Some(row) => {
+                    Err(self.broken(format!("row {row}, {name}: expected a number, found {:?}", v[row])))
+                }
             },
             other => Err(self.wrong(name, "numbers or nothing", other)),
         }
@@ -111,13 +115,16 @@ fn columns(file: std::fs::File) -> Result<BTreeMap<String, Column>, parquet::err
                     } else {
                         r.read_records(rows, Some(&mut levels), None, &mut values)?;
                         let mut there = values.into_iter();
-                        Column::Maybe(levels.iter().map(|l| if *l > 0 { there.next() } else { None }).collect())
+                        Column::Maybe(
+                            levels.iter().map(|l| if *l > 0 { there.next() } else { None }).collect(),
+                        )
                     }
                 }
                 (Type::BYTE_ARRAY, ColumnReader::ByteArrayColumnReader(mut r)) => {
                     let mut values = Vec::with_capacity(rows);
                     r.read_records(rows, None, None, &mut values)?;
-                    let word = |b: &parquet::data_type::ByteArray| String::from_utf8_lossy(b.data()).into_owned();
+                    let word =
+                        |b: &parquet::data_type::ByteArray| String::from_utf8_lossy(b.data()).into_owned();
                     Column::Text(values.iter().map(word).collect())
                 }
                 _ => continue,

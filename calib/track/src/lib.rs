@@ -5,12 +5,15 @@
 pub mod bayes;
 pub mod course;
 mod error;
+pub mod evaluate;
 pub mod inverse;
+pub mod model_file;
 pub mod network;
 pub mod score;
 pub mod stream;
 pub mod train;
 
+pub use burn::tensor::Device;
 pub use course::{Contact, Course, Instant};
 pub use error::TrackError;
 pub use inverse::{Candidate, InverseGrid, StaticInverse};

@@ -1,17 +1,21 @@
-//! Training: windows of courses with what a bench adds to them, early stop on held-out objects.
+//! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
 use crate::network::model::attention_bias;
-use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet};
+use crate::network::{NetworkConfig, WhiskerNet};
 use crate::{Course, StaticInverse, TrackError};
 use burn::module::Module;
-use burn::optim::{AdamWConfig, GradientsParams};
+use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
 use burn::tensor::activation::{log_sigmoid, log_softmax};
 use burn::tensor::{Device, Tensor, TensorData};
+use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
+use window::{Window, windows};
+
+mod checkpoint;
+mod window;
 
 /// How a network is trained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -59,20 +63,6 @@ impl Default for TrainSettings {
     }
 }
 
-/// A window of a course, ready for the network.
-struct Window {
-    inputs: Vec<f32>,
-    times_s: Vec<f64>,
-    /// Candidates' places, a token and node, mm.
-    points: Vec<f32>,
-    /// Weights of the nodes that mean the true place.
-    weights: Vec<f32>,
-    /// True place, mm; what no token has is 0 and not counted.
-    place: Vec<f32>,
-    touching: Vec<f32>,
-    counted: Vec<f32>,
-}
-
 /// One pass in the learning curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pass {
@@ -88,61 +78,93 @@ pub struct Pass {
     pub seconds: f64,
 }
 
-/// Trains a network; `heard` gets every pass and the network after it, and says whether to go on.
+/// Courses by their use.
+#[derive(Debug, Clone, Copy)]
+pub struct Material<'a> {
+    /// Trained on.
+    pub courses: &'a [Course],
+    /// Early stop.
+    pub held_out: &'a [Course],
+    /// Curve of candidates.
+    pub inverse: &'a StaticInverse,
+}
+
+/// Where a training stands after a pass.
+struct State {
+    net: WhiskerNet,
+    best: WhiskerNet,
+    optimizer: ModuleOptimizer,
+    passes: Vec<Pass>,
+}
+
+/// Trains a network and gives the best one on the held-out objects, with the learning curve; `heard` gets every pass. With a folder it
+/// is taken up again where it stopped.
 ///
 /// # Errors
-/// Where the sizes do not fit or there is nothing to train on.
+/// Where the sizes do not fit, there is nothing to train on, or what the folder holds belongs to another training.
 pub fn train(
     config: &NetworkConfig,
     settings: &TrainSettings,
-    inverse: &StaticInverse,
-    courses: &[Course],
-    held_out: &[Course],
+    material: &Material<'_>,
+    folder: Option<&Path>,
     device: &Device,
-    mut heard: impl FnMut(&Pass, &WhiskerNet) -> bool,
-) -> Result<WhiskerNet, TrackError> {
+    mut heard: impl FnMut(&Pass),
+) -> Result<(WhiskerNet, Vec<Pass>), TrackError> {
+    let Material { courses, held_out, inverse } = *material;
     if courses.is_empty() || held_out.is_empty() {
         return Err(TrackError::value("training", "courses to train on and to hold out", "none"));
     }
-    let begin = std::time::Instant::now();
     let learning = device.clone().autodiff();
     learning.seed(settings.seed);
-    let mut net = WhiskerNet::new(config, &learning)?;
-    let mut best = (f64::INFINITY, net.valid(), 0);
-    let mut optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
-    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-    let mut order: Vec<usize> = (0..courses.len()).collect();
+    let net = WhiskerNet::new(config, &learning)?;
+    let optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
+    let mut state = State { best: net.valid(), net, optimizer, passes: Vec::new() };
+    if let Some(folder) = folder {
+        state = checkpoint::resume(folder, config, settings, state)?;
+    }
     let batches = courses.len().div_ceil(settings.batch);
-    for epoch in 1..=settings.epochs {
-        order.shuffle(&mut rng);
+    let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
+    let begin = std::time::Instant::now();
+    while !finished(&state.passes, settings) {
+        let epoch = state.passes.len() + 1;
+        let mut order: Vec<usize> = (0..courses.len()).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));
         let mut sum = 0.0;
         for (k, batch) in order.chunks(settings.batch).enumerate() {
-            let done = ((epoch - 1) * batches + k) as f64 / (settings.epochs * batches) as f64;
-            let draw = settings.seed.wrapping_mul(0x9E37_79B9).wrapping_add((epoch * batches + k) as u64);
+            let number = (epoch - 1) * batches + k;
             let chosen: Vec<&Course> = batch.iter().map(|c| &courses[*c]).collect();
-            let windows = windows(&chosen, inverse, settings, Some(draw));
-            let (loss, _) = loss(&net, config, &windows, &learning);
+            let windows = windows(&chosen, inverse, settings, settings.seed ^ (number as u64) << 20);
+            let (loss, _) = loss(&state.net, config, &windows, &learning);
             sum += f64::from(loss.clone().into_scalar::<f32>());
-            let gradients = GradientsParams::from_grads(loss.backward(), &net);
-            net = optimizer.step(learning_rate(settings.rate, done), net, gradients);
+            let gradients = GradientsParams::from_grads(loss.backward(), &state.net);
+            let rate = learning_rate(settings.rate, number as f64 / (settings.epochs * batches) as f64);
+            state.net = state.optimizer.step(rate, state.net, gradients);
         }
-        let valid = net.valid();
+        let valid = state.net.valid();
         let (held_out_loss, held_out_mm) = evaluate(&valid, config, settings, inverse, held_out, device);
-        let pass = Pass {
-            epoch,
-            loss: sum / batches as f64,
-            held_out_loss,
-            held_out_mm,
-            seconds: begin.elapsed().as_secs_f64(),
-        };
-        if held_out_loss < best.0 {
-            best = (held_out_loss, valid, epoch);
+        let seconds = before_s + begin.elapsed().as_secs_f64();
+        let pass = Pass { epoch, loss: sum / batches as f64, held_out_loss, held_out_mm, seconds };
+        if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
+            state.best = valid;
         }
-        if !heard(&pass, &best.1) || epoch - best.2 >= settings.patience {
-            break;
+        state.passes.push(pass);
+        heard(&pass);
+        if let Some(folder) = folder {
+            checkpoint::keep(folder, config, settings, &state)?;
         }
     }
-    Ok(best.1)
+    Ok((state.best, state.passes))
+}
+
+/// The pass with the least loss on the held-out objects.
+#[must_use]
+pub fn best(passes: &[Pass]) -> Option<&Pass> {
+    passes.iter().min_by(|a, b| a.held_out_loss.total_cmp(&b.held_out_loss))
+}
+
+fn finished(passes: &[Pass], settings: &TrainSettings) -> bool {
+    let stalled = best(passes).is_some_and(|b| passes.len() - b.epoch >= settings.patience);
+    passes.len() >= settings.epochs || stalled
 }
 
 /// Warm-up over a twentieth, then half a cosine.
@@ -165,7 +187,7 @@ fn evaluate(
         let chosen: Vec<&Course> = batch.iter().collect();
         let quiet =
             TrainSettings { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*settings };
-        let windows = windows(&chosen, inverse, &quiet, Some(k as u64));
+        let windows = windows(&chosen, inverse, &quiet, k as u64);
         let (loss, off) = loss(net, config, &windows, device);
         sum += f64::from(loss.into_scalar::<f32>());
         batches += 1.0;
@@ -220,97 +242,3 @@ fn loss(
 
 /// Scale of a place that comes out as it is, mm.
 pub(crate) const PLACE_MM: f64 = 30.0;
-
-/// Windows of courses, with what a bench adds; `seed` draws.
-fn windows(
-    courses: &[&Course],
-    inverse: &StaticInverse,
-    settings: &TrainSettings,
-    seed: Option<u64>,
-) -> Vec<Window> {
-    courses
-        .par_iter()
-        .enumerate()
-        .map(|(k, course)| {
-            let mut rng =
-                ChaCha8Rng::seed_from_u64(seed.unwrap_or(0).wrapping_mul(1_000_003).wrapping_add(k as u64));
-            window(course, inverse, settings, &mut rng)
-        })
-        .collect()
-}
-
-fn window(
-    course: &Course,
-    inverse: &StaticInverse,
-    settings: &TrainSettings,
-    rng: &mut ChaCha8Rng,
-) -> Window {
-    let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
-    let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
-    let noise = settings.noise_nmm * uniform(0.0, 1.0);
-    let gain: [f64; 2] = std::array::from_fn(|_| 1.0 + settings.gain * uniform(-1.0, 1.0));
-    let drift: [f64; 2] = std::array::from_fn(|_| settings.drift_nmm_s * uniform(-1.0, 1.0));
-    let known = uniform(0.0, 1.0) < settings.speed_known;
-    let stride = 1 + usize::from(uniform(0.0, 1.0) < 0.3);
-    let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
-    let first = (uniform(-0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::new(inverse);
-    let nodes = inverse.nodes.len();
-    let t = settings.window;
-    let mut made = Window {
-        inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
-        times_s: Vec::with_capacity(t),
-        points: Vec::with_capacity(t * nodes * 3),
-        weights: Vec::with_capacity(t * nodes),
-        place: Vec::with_capacity(t * 3),
-        touching: Vec::with_capacity(t),
-        counted: Vec::with_capacity(t),
-    };
-    let mut before_s = None;
-    let last = course.instants.len() - 1;
-    for k in 0..t {
-        let at = first + k * stride;
-        let now = &course.instants[at.min(last)];
-        // Beyond its end a course goes on without counting.
-        let over_s = at.saturating_sub(last) as f64 * 0.1;
-        let t_s = (now.t_s + over_s) * factor;
-        let moment = [0, 1].map(|i| {
-            now.moment_nmm[i] * gain[i] + drift[i] * t_s + noise * 3.0_f64.sqrt() * uniform(-1.0, 1.0)
-        });
-        let speed = known.then_some(now.speed_mm_s / factor);
-        let token = features.push(t_s - before_s.unwrap_or(t_s - crate::stream::FIRST_S), moment, speed);
-        before_s = Some(t_s);
-        let truth = now.contact.map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
-        made.weights.extend(match truth {
-            Some(p) => truth_weights(&token.points_mm, p),
-            None => vec![0.0; nodes],
-        });
-        made.inputs.extend(token.inputs);
-        made.points.extend(token.points_mm.iter().flatten());
-        made.times_s.push(t_s);
-        made.place.extend(truth.unwrap_or_default());
-        made.touching.push(f32::from(u8::from(truth.is_some())));
-        made.counted.push(f32::from(u8::from(at <= last)));
-    }
-    made
-}
-
-/// Weights of the two nodes between which the curve comes nearest to a place.
-fn truth_weights(points: &[[f32; 3]], place: [f32; 3]) -> Vec<f32> {
-    let sub = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let mut best = (f32::INFINITY, 0, 0.0);
-    for k in 0..points.len() - 1 {
-        let (along, to) = (sub(points[k + 1], points[k]), sub(place, points[k]));
-        let u = (dot(along, to) / dot(along, along).max(1e-12)).clamp(0.0, 1.0);
-        let off = sub(to, along.map(|x| x * u));
-        let distance = dot(off, off);
-        if distance < best.0 {
-            best = (distance, k, u);
-        }
-    }
-    let mut weights = vec![0.0; points.len()];
-    weights[best.1] = 1.0 - best.2;
-    weights[best.1 + 1] = best.2;
-    weights
-}

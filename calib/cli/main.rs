@@ -4,6 +4,7 @@
 mod artefact;
 mod demo;
 mod doctor;
+mod evaluate;
 mod fit_gpr;
 mod fit_whisker;
 mod import;
@@ -18,6 +19,8 @@ mod simulate;
 mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;
+mod track;
+mod train;
 mod twin;
 mod verify;
 mod virtual_bench;
@@ -58,6 +61,12 @@ enum Command {
     Twin(twin::TwinArgs),
     /// Sweeps of the simulated whisker over objects, as shards
     Simulate(simulate::SimulateArgs),
+    /// Train the contact tracker on simulated sweeps
+    Train(train::TrainArgs),
+    /// Contact points from a recording of wavelengths, through a calibration and a trained tracker
+    Track(track::TrackArgs),
+    /// Score a trained tracker beside the baselines
+    Evaluate(evaluate::EvaluateArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),
     /// Rebuild the tables of a recorded session from its raw streams
@@ -87,6 +96,9 @@ fn main() -> ExitCode {
         Command::FitWhisker(args) => fit_whisker::run(args),
         Command::Twin(args) => twin::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Train(args) => train::run(args),
+        Command::Track(args) => track::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),

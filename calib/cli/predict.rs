@@ -6,7 +6,7 @@ use crate::artefact::{CalibrationModel, read_calibration, standing};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_map::{MapArtefact, MapPredictor};
@@ -63,9 +63,7 @@ fn by_map(
     let mut predictor =
         MapPredictor::new(artefact).with_context(|| args.calibration.display().to_string())?;
     let table = load_table(&args.table, &artefact.fbg)?;
-    for warning in &table.warnings {
-        eprintln!("warning: {warning}");
-    }
+    warn(&table.warnings);
     let mut csv = String::from(
         "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
          moment_1_half95_nmm,moment_2_half95_nmm,fbg_1_fitted_pm,fbg_2_fitted_pm,outside_valid_region,outside_by_pm\n",
@@ -108,58 +106,115 @@ fn by_model(
     file: &CalibrationFile<CalibrationModel>,
     model: &PhysicalModel,
 ) -> anyhow::Result<ExitCode> {
-    let table = load_table(&args.table, &model.fbg)?;
-    for warning in &table.warnings {
-        eprintln!("warning: {warning}");
-    }
-    // New readings belong to the last seating that the calibration saw.
-    let last = model.seatings.saturating_sub(1);
-    let table_rows: Vec<_> =
-        table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
-    let rows: Vec<_> = table_rows.iter().collect();
-    let path = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None);
-    for effect in &model.effects {
-        let absent = match effect.id.as_str() {
-            "temperature-mismatch" => (!path.columns.temperature).then_some("a temperature or fbg_ref_nm"),
-            "zero-drift" | "creep" => (!path.columns.time).then_some("t_s"),
-            _ => None,
-        };
-        if let Some(column) = absent {
-            bail!(
-                "{}: the calibration carries {}: expected {column} in every row, found none",
-                args.table.display(),
-                effect.id
-            );
-        }
-    }
-    let inferred = model.infer(&path, None);
-    let mut order: Vec<usize> = (0..rows.len()).collect();
-    order.sort_by_key(|&i| path.rows[i]);
+    let rows = moments_of_model(&args.table, model)?;
     let mut csv = String::from(
         "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n",
     );
-    let mut outside = 0_usize;
-    for i in order {
-        let (shift, m) = (path.readings[i].shift_pm, &inferred[i]);
-        outside += usize::from(!m.valid);
+    for r in &rows {
         writeln!(
             csv,
             "{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.6},{}",
-            rows[path.rows[i]].point,
-            shift[0],
-            shift[1],
-            m.moment_nmm[0],
-            m.moment_nmm[1],
-            m.sd_nmm[0],
-            m.sd_nmm[1],
-            u8::from(!m.valid)
+            r.point,
+            r.shift_pm[0],
+            r.shift_pm[1],
+            r.moment_nmm[0],
+            r.moment_nmm[1],
+            r.sd_nmm[0],
+            r.sd_nmm[1],
+            u8::from(!r.valid)
         )?;
     }
+    let outside = rows.iter().filter(|r| !r.valid).count();
     write_atomic(&args.out, csv.as_bytes())?;
     let doubt = (outside > 0).then(|| {
         format!("{outside} of {} readings ask for moments beyond those that were fitted", rows.len())
     });
     finish(args, file, "physical", rows.len(), doubt)
+}
+
+/// Moments of one reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moments {
+    /// Number of the reading.
+    pub point: i64,
+    /// Time, s, where the table has it.
+    pub t_s: Option<f64>,
+    /// Shifts, pm.
+    pub shift_pm: [f64; 2],
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Their standard deviations, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Whether the calibration vouches for them.
+    pub valid: bool,
+}
+
+/// Moments of a table's readings through a fitted map.
+///
+/// # Errors
+/// Where the table or the map cannot be used.
+pub fn moments_of_map(path: &Path, artefact: &MapArtefact) -> anyhow::Result<Vec<Moments>> {
+    let mut predictor = MapPredictor::new(artefact)?;
+    let table = load_table(path, &artefact.fbg)?;
+    warn(&table.warnings);
+    let one = |row: &wcal_core::WhiskerRow| {
+        let shift_pm = row.compensated_pm(&artefact.fbg);
+        let p = predictor.predict(shift_pm);
+        let (moment_nmm, sd_nmm, valid) = (p.moment_nmm, p.sd_nmm, p.is_valid());
+        Moments { point: row.point, t_s: row.t_s, shift_pm, moment_nmm, sd_nmm, valid }
+    };
+    Ok(table.rows.iter().map(one).collect())
+}
+
+/// Moments of a table's readings through the sensitivity and the accepted effects.
+///
+/// # Errors
+/// Where the table cannot be used, or lacks a column that an accepted effect needs.
+pub fn moments_of_model(path: &Path, model: &PhysicalModel) -> anyhow::Result<Vec<Moments>> {
+    let table = load_table(path, &model.fbg)?;
+    warn(&table.warnings);
+    // New readings belong to the last seating that the calibration saw.
+    let last = model.seatings.saturating_sub(1);
+    let table_rows: Vec<_> =
+        table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
+    let rows: Vec<_> = table_rows.iter().collect();
+    let history = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None);
+    for effect in &model.effects {
+        let absent = match effect.id.as_str() {
+            "temperature-mismatch" => (!history.columns.temperature).then_some("a temperature or fbg_ref_nm"),
+            "zero-drift" | "creep" => (!history.columns.time).then_some("t_s"),
+            _ => None,
+        };
+        if let Some(column) = absent {
+            bail!(
+                "{}: the calibration carries {}: expected {column} in every row, found none",
+                path.display(),
+                effect.id
+            );
+        }
+    }
+    let inferred = model.infer(&history, None);
+    let mut order: Vec<usize> = (0..rows.len()).collect();
+    order.sort_by_key(|&i| history.rows[i]);
+    let one = |i: usize| {
+        let (row, m) = (rows[history.rows[i]], &inferred[i]);
+        let shift_pm = history.readings[i].shift_pm;
+        Moments {
+            point: row.point,
+            t_s: row.t_s,
+            shift_pm,
+            moment_nmm: m.moment_nmm,
+            sd_nmm: m.sd_nmm,
+            valid: m.valid,
+        }
+    };
+    Ok(order.into_iter().map(one).collect())
+}
+
+fn warn(warnings: &[String]) {
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
 }
 
 /// Says what speaks against the result and picks the exit code.

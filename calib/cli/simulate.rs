@@ -265,7 +265,11 @@ fn share(text: &str) -> anyhow::Result<[usize; 2]> {
     }
 }
 
-fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
+/// Whisker of a file, or the nominal one.
+///
+/// # Errors
+/// Where the file cannot be read.
+pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
     let keys = match path {
         Some(path) => {
             let text =

@@ -17,6 +17,7 @@ pub mod mesh;
 pub mod mjcf;
 pub mod objects;
 pub mod physics;
+pub mod read;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;

@@ -96,7 +96,17 @@ impl Chain {
     /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
     #[must_use]
     pub fn joints(&self) -> Vec<(Vector3<f64>, Vector3<f64>)> {
-        self.joints.iter().map(|j| (j.rest, j.stiffness)).collect()
+        (0..self.links()).map(|j| self.joint_law(j)).collect()
+    }
+
+    /// Rest turn (rad) and stiffness (N mm/rad) of a joint.
+    pub(crate) fn joint_law(&self, j: usize) -> (Vector3<f64>, Vector3<f64>) {
+        (self.joints[j].rest, self.joints[j].stiffness)
+    }
+
+    /// Frame of the clamp.
+    pub(crate) fn clamp_frame(&self) -> Matrix3<f64> {
+        self.clamp
     }
 
     /// The stress-free wire.

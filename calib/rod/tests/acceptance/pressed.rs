@@ -134,3 +134,24 @@ fn a_soft_contact_gives_the_hard_ones_moment() {
     assert!(off(0.0) < 0.02, "{}", off(0.0));
     assert!(off(0.3) > 0.03, "negative control: a ball 0.3 mm lower shows ({})", off(0.3));
 }
+
+/// From the contact inward the same equilibrium comes out as from the search for it; half the force is another one.
+#[test]
+fn a_push_from_the_contact_inward_is_the_pressed_wire() {
+    let chain = chain(40);
+    for x_mm in [18.0, 33.0, 44.0] {
+        let by = Vector3::new(0.0, -2.0, -14.0);
+        let start = Vector3::new(x_mm, 3.0, 21.0);
+        let pressed = follow(&chain, 16, &by, |t| Ball { centre_mm: start + by * t, radius_mm: 9.0 });
+        let [contact] = &pressed.contacts[..] else { panic!("one contact: {:?}", pressed.contacts) };
+        let link = ((contact.arclength_mm / chain.link_mm) as usize).min(39);
+        let local = pressed.links.frames[link].tr_mul(&(contact.normal * contact.force_n));
+        let push = chain.pushed(contact.arclength_mm, &local);
+        let (moment, expected) = (push.moment_nmm, chain.root_moment_nmm(&pressed.links));
+        assert!((moment - expected).norm() < 1e-6 * expected.norm(), "{moment} {expected}");
+        let off = push.axis_mm - contact.normal * chain.radius_mm - contact.point_mm;
+        assert!(off.norm() < 1e-6, "{off}");
+        let half = chain.pushed(contact.arclength_mm, &(local / 2.0));
+        assert!((half.moment_nmm - expected).norm() > 0.2 * expected.norm());
+    }
+}

@@ -1,0 +1,129 @@
+//! Courses: what the whisker felt on a sweep, with the contact that caused it. All of them are SIMULATED.
+
+use crate::TrackError;
+use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_mujoco::{Mesh, read};
+
+/// The contact nearest to the base.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Point of the object, base frame, mm.
+    pub point_mm: Vector3<f64>,
+    /// Arc length from the root, mm.
+    pub arclength_mm: f64,
+}
+
+/// One instant of a course.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Instant {
+    /// Time, s.
+    pub t_s: f64,
+    /// Way of the base along +z, mm, and its speed, mm/s.
+    pub travel_mm: f64,
+    /// See `travel_mm`.
+    pub speed_mm_s: f64,
+    /// Transverse moments (y, z) at the root, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Contact nearest to the base.
+    pub contact: Option<Contact>,
+    /// Number of contacts.
+    pub contacts: usize,
+    /// Whether the simulated wire came to rest.
+    pub settled: bool,
+    /// none, onset, release, jump or slip.
+    pub event: String,
+}
+
+/// A sweep over an object.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Course {
+    /// Object.
+    pub object: String,
+    /// Number of the sweep over it.
+    pub sweep: u64,
+    /// Object to base frame at the start; with time it moves along -z by `travel_mm`.
+    pub base_from_object: nalgebra::Isometry3<f64>,
+    /// Instants in order of time.
+    pub instants: Vec<Instant>,
+}
+
+impl Course {
+    /// Distance of a point (base frame, mm) to the object's surface after a way of the base, mm.
+    #[must_use]
+    pub fn surface_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
+        let at_start = nalgebra::Point3::from(point_mm + Vector3::z() * travel_mm);
+        mesh.distance_mm(&self.base_from_object.inverse_transform_point(&at_start).coords).abs()
+    }
+}
+
+/// Kept courses of a dataset's folder, by object; `objects` narrows them down where it is not empty.
+///
+/// # Errors
+/// Names the shard that is damaged or holds what is not a number.
+pub fn read_courses(folder: &Path, objects: &[String]) -> Result<BTreeMap<String, Vec<Course>>, TrackError> {
+    let mut all: BTreeMap<String, Vec<Course>> = BTreeMap::new();
+    for (name, manifest) in read::manifests(folder)? {
+        if objects.is_empty() || objects.contains(&manifest.object) {
+            let courses = read_shard(folder, &name, &manifest.object)?;
+            all.entry(manifest.object).or_default().extend(courses);
+        }
+    }
+    if all.is_empty() {
+        return Err(TrackError::value(folder.display().to_string(), "shards of `wcal simulate`", "none"));
+    }
+    all.values_mut().for_each(|courses| courses.sort_by_key(|c| c.sweep));
+    Ok(all)
+}
+
+fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<Course>, TrackError> {
+    let sweeps = read::table(&folder.join(format!("{name}.sweeps.parquet")))?;
+    let samples = read::table(&folder.join(format!("{name}.samples.parquet")))?;
+    let pose: Vec<&[Option<f64>]> = ["qw", "qx", "qy", "qz", "x_mm", "y_mm", "z_mm"]
+        .iter()
+        .map(|k| sweeps.maybe(&format!("base_from_object_{k}")))
+        .collect::<Result<_, _>>()?;
+    let mut courses: BTreeMap<i64, Course> = BTreeMap::new();
+    for (row, (sweep, kept)) in sweeps.whole("sweep")?.iter().zip(sweeps.whole("kept")?).enumerate() {
+        let pose: Option<Vec<f64>> = pose.iter().map(|c| c[row]).collect();
+        if let (1, Some(p)) = (kept, pose) {
+            let turn = UnitQuaternion::new_normalize(Quaternion::new(p[0], p[1], p[2], p[3]));
+            let base_from_object = nalgebra::Isometry3::from_parts(Translation3::new(p[4], p[5], p[6]), turn);
+            let course = Course {
+                object: object.to_owned(),
+                sweep: *sweep as u64,
+                base_from_object,
+                instants: vec![],
+            };
+            courses.insert(*sweep, course);
+        }
+    }
+    let number = samples.whole("sweep")?;
+    let (t, travel, speed) = (samples.real("t_s")?, samples.real("travel_mm")?, samples.real("speed_mm_s")?);
+    let (my, mz) = (samples.real("moment_y_nmm")?, samples.real("moment_z_nmm")?);
+    let [x, y, z] = ["x", "y", "z"].map(|k| samples.maybe(&format!("contact_{k}_mm")));
+    let (x, y, z, s) = (x?, y?, z?, samples.maybe("contact_arclength_mm")?);
+    let (contacts, settled, event) =
+        (samples.whole("contacts")?, samples.whole("settled")?, samples.text("event")?);
+    for (row, number) in number.iter().enumerate() {
+        let Some(course) = courses.get_mut(number) else { continue };
+        let contact = match (x[row], y[row], z[row], s[row]) {
+            (Some(x), Some(y), Some(z), Some(arclength_mm)) => {
+                Some(Contact { point_mm: Vector3::new(x, y, z), arclength_mm })
+            }
+            _ => None,
+        };
+        course.instants.push(Instant {
+            t_s: t[row],
+            travel_mm: travel[row],
+            speed_mm_s: speed[row],
+            moment_nmm: [my[row], mz[row]],
+            contact,
+            contacts: usize::try_from(contacts[row]).unwrap_or(0),
+            settled: settled[row] == 1,
+            event: event[row].clone(),
+        });
+    }
+    Ok(courses.into_values().collect())
+}

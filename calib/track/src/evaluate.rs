@@ -1,0 +1,200 @@
+//! Trackers over courses: the network and the baselines beside it, object by object. All of it is SIMULATED.
+
+use crate::bayes::{BayesFilter, BayesSettings};
+use crate::score::{Compared, Detection, Scores, calibrating_factor, detection, scores};
+use crate::{Course, Sample, StaticInverse, TrackError, Tracker};
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use wcal_mujoco::Mesh;
+
+/// An estimate at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Whether there is a contact.
+    pub contact: bool,
+    /// Where it is, or would be, mm.
+    pub point_mm: Vector3<f64>,
+    /// Covariance, mm^2.
+    pub covariance_mm2: Option<Matrix3<f64>>,
+}
+
+/// Who estimates.
+#[derive(Debug, Clone, Copy)]
+pub enum Method<'a> {
+    /// The network; `true`: the base's speed is known to it.
+    Network(&'a Tracker, bool),
+    /// The Bayes filter; `true`: the base's speed is known to it.
+    Bayes(&'a StaticInverse, bool),
+    /// The static inverse at one arc length, mm.
+    Static(&'a StaticInverse, f64),
+    /// One place, mm.
+    Constant(Vector3<f64>),
+}
+
+/// Probability from which on a contact is called.
+const CALLED: f32 = 0.5;
+/// Moment from which on the methods without a probability call a contact, N mm.
+const CALLED_NMM: f64 = 0.01;
+
+impl Method<'_> {
+    /// Estimates at all instants of a course, made from what came before each.
+    #[must_use]
+    pub fn run(&self, course: &Course) -> Vec<Estimate> {
+        let size = |m: [f64; 2]| m[0].hypot(m[1]);
+        match self {
+            Self::Network(tracker, known) => {
+                let samples: Vec<Sample> = course
+                    .instants
+                    .iter()
+                    .map(|i| Sample {
+                        t_s: i.t_s,
+                        moment_nmm: i.moment_nmm,
+                        base_mm_s: known.then_some(i.speed_mm_s),
+                    })
+                    .collect();
+                let answer = |p: crate::network::Prediction| Estimate {
+                    contact: p.contact >= CALLED,
+                    point_mm: Vector3::from(p.point_mm.map(f64::from)),
+                    covariance_mm2: (tracker.config.nodes > 0)
+                        .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
+                };
+                tracker.course(&samples).into_iter().map(answer).collect()
+            }
+            Self::Bayes(inverse, known) => {
+                let mut filter = BayesFilter::new(inverse, BayesSettings::default());
+                let mut last_s = 0.0;
+                let mut last = middle(inverse, [0.0; 2], 40.0);
+                let step = |i: &crate::Instant| {
+                    let dt = i.t_s - std::mem::replace(&mut last_s, i.t_s);
+                    let belief = filter.step(dt, i.moment_nmm, known.then_some(i.speed_mm_s));
+                    last = belief.map_or(last, |b| b.point_mm);
+                    Estimate {
+                        contact: belief.is_some(),
+                        point_mm: last,
+                        covariance_mm2: belief.map(|b| b.covariance_mm2),
+                    }
+                };
+                course.instants.iter().map(step).collect()
+            }
+            Self::Static(inverse, arclength_mm) => course
+                .instants
+                .iter()
+                .map(|i| Estimate {
+                    contact: size(i.moment_nmm) > CALLED_NMM,
+                    point_mm: middle(inverse, i.moment_nmm, *arclength_mm),
+                    covariance_mm2: None,
+                })
+                .collect(),
+            Self::Constant(point_mm) => course
+                .instants
+                .iter()
+                .map(|i| Estimate {
+                    contact: size(i.moment_nmm) > CALLED_NMM,
+                    point_mm: *point_mm,
+                    covariance_mm2: None,
+                })
+                .collect(),
+        }
+    }
+}
+
+fn middle(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
+    let mut candidates = Vec::new();
+    inverse.candidates(moment_nmm, &mut candidates);
+    let off = |k: &usize| (inverse.nodes[*k].arclength_mm - arclength_mm).abs();
+    let nearest = (0..candidates.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
+    candidates[nearest].point_mm
+}
+
+/// What a method gave on the courses over one object.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ObjectScores {
+    /// Object.
+    pub name: String,
+    /// All instants with contact.
+    pub all: Scores,
+    /// Those at least `SETTLING_MM` of the base's way after an onset, jump or slip.
+    pub followed: Scores,
+    /// Contact or not.
+    pub detection: Detection,
+}
+
+/// Way of the base after which a new contact can have been told by its motion, mm.
+pub const SETTLING_MM: f64 = 2.0;
+
+/// Estimates of a course beside the truth: where there is contact, and whether it has been followed for a while.
+#[must_use]
+pub fn compared(
+    course: &Course,
+    mesh: &Mesh,
+    estimates: &[Estimate],
+) -> (Vec<(Compared, bool)>, Vec<(bool, bool)>) {
+    let (mut pairs, mut calls) = (Vec::new(), Vec::new());
+    let (mut since_mm, mut before): (f64, Option<Vector3<f64>>) = (0.0, None);
+    for (now, estimate) in course.instants.iter().zip(estimates) {
+        calls.push((estimate.contact, now.contact.is_some()));
+        if ["onset", "jump", "slip"].contains(&now.event.as_str()) {
+            since_mm = now.travel_mm;
+        }
+        let Some(truth) = now.contact else {
+            before = None;
+            continue;
+        };
+        let way = before.map_or(Vector3::zeros(), |b| truth.point_mm - b);
+        before = Some(truth.point_mm);
+        let surface_mm = course.surface_mm(mesh, now.travel_mm, &estimate.point_mm);
+        let off = estimate.point_mm - truth.point_mm;
+        let one = Compared::new(surface_mm, off, &way, estimate.covariance_mm2.as_ref());
+        pairs.push((one, now.travel_mm - since_mm >= SETTLING_MM));
+    }
+    (pairs, calls)
+}
+
+/// Factor on the network's standard deviations with which its 90 % regions hold on courses that it was not trained on.
+#[must_use]
+pub fn spread_factor(tracker: &Tracker, courses: &[Course]) -> f64 {
+    let compared = |course: &Course| -> Vec<Compared> {
+        let estimates = Method::Network(tracker, true).run(course);
+        let both = course.instants.iter().zip(&estimates);
+        both.filter_map(|(i, e)| Some((i.contact?, e)))
+            .map(|(c, e)| {
+                Compared::new(0.0, e.point_mm - c.point_mm, &Vector3::zeros(), e.covariance_mm2.as_ref())
+            })
+            .collect()
+    };
+    let all: Vec<Compared> = courses.par_iter().flat_map_iter(compared).collect();
+    calibrating_factor(&all)
+}
+
+/// A method over objects.
+///
+/// # Errors
+/// Where an object's mesh is missing.
+pub fn over_objects(
+    method: Method<'_>,
+    courses: &BTreeMap<String, Vec<Course>>,
+    meshes: &BTreeMap<String, Mesh>,
+) -> Result<Vec<ObjectScores>, TrackError> {
+    courses
+        .iter()
+        .map(|(name, courses)| {
+            let mesh = meshes
+                .get(name)
+                .ok_or_else(|| TrackError::value("meshes", name.clone(), "no such object"))?;
+            let parts: Vec<_> =
+                courses.par_iter().map(|course| compared(course, mesh, &method.run(course))).collect();
+            let pairs: Vec<(Compared, bool)> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
+            let calls: Vec<(bool, bool)> = parts.iter().flat_map(|p| p.1.iter().copied()).collect();
+            let all: Vec<Compared> = pairs.iter().map(|p| p.0).collect();
+            let followed: Vec<Compared> = pairs.iter().filter(|p| p.1).map(|p| p.0).collect();
+            Ok(ObjectScores {
+                name: name.clone(),
+                all: scores(&all),
+                followed: scores(&followed),
+                detection: detection(&calls),
+            })
+        })
+        .collect()
+}

@@ -1,0 +1,20 @@
+//! Contact tracking: from transverse base moments to the point that the whisker touches.
+//!
+//! Base frame throughout: lengths in mm, moments in N mm, time in s.
+
+pub mod bayes;
+pub mod course;
+mod error;
+pub mod evaluate;
+pub mod inverse;
+pub mod model_file;
+pub mod network;
+pub mod score;
+pub mod stream;
+pub mod train;
+
+pub use burn::tensor::Device;
+pub use course::{Contact, Course, Instant};
+pub use error::TrackError;
+pub use inverse::{Candidate, InverseGrid, StaticInverse};
+pub use stream::{Sample, Stream, Tracker};

@@ -1,0 +1,150 @@
+//! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
+
+use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet};
+use crate::train::{Pass, TrainSettings};
+use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
+use burn::store::{ModuleSnapshot, SafetensorsStore};
+use burn::tensor::Device;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_core::observation::WhiskerSpec;
+use wcal_core::provenance::sha256_hex;
+
+/// Version of the card.
+pub const FORMAT: &str = "wcal-model/1";
+
+/// What a model is and where it comes from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Card {
+    /// `wcal-model/1`.
+    pub format: String,
+    /// Always true: the network has seen simulated sweeps only.
+    pub trained_on_simulation: bool,
+    /// SHA-256 of `model.safetensors`.
+    pub weights_sha256: String,
+    /// Sizes.
+    pub network: NetworkConfig,
+    /// Curve of candidates.
+    pub inverse: InverseGrid,
+    /// Whisker of the sweeps.
+    pub whisker: WhiskerSpec,
+    /// Factor on the stated standard deviations, from objects that were held out.
+    pub sd_factor: f64,
+    /// How it was trained.
+    pub training: TrainSettings,
+    /// Learning curve.
+    pub passes: Vec<Pass>,
+    /// Objects trained on, held out for the early stop and the spread, and kept for the evaluation.
+    pub objects: Split,
+    /// SHA-256 of what each object's sweeps follow from.
+    pub data: BTreeMap<String, String>,
+    /// Sweeps over an object that were trained on: those from here on are kept for the evaluation of seen objects.
+    pub sweeps_trained: u64,
+}
+
+/// Objects by their use.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Split {
+    /// Trained on.
+    pub training: Vec<String>,
+    /// Early stop and spread.
+    pub held_out: Vec<String>,
+    /// Never looked at in training.
+    pub unseen: Vec<String>,
+}
+
+impl Split {
+    /// Draws how many objects to hold out and to keep unseen; the rest is trained on.
+    ///
+    /// # Errors
+    /// Where none is left to train on, or none is held out.
+    pub fn draw(
+        mut names: Vec<String>,
+        [held_out, unseen]: [usize; 2],
+        seed: u64,
+    ) -> Result<Self, TrackError> {
+        if held_out == 0 || held_out + unseen >= names.len() {
+            let found = format!("{held_out} held out and {unseen} unseen of {}", names.len());
+            return Err(TrackError::value(
+                "objects",
+                "1 or more held out and 1 or more left to train on",
+                found,
+            ));
+        }
+        names.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        let mut training = names.split_off(held_out + unseen);
+        let mut unseen = names.split_off(held_out);
+        [&mut training, &mut unseen, &mut names].map(|n| n.sort_unstable());
+        Ok(Self { training, held_out: names, unseen })
+    }
+}
+
+/// Writes weights and card into a folder; the card last.
+///
+/// # Errors
+/// Where a file cannot be written.
+pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), TrackError> {
+    std::fs::create_dir_all(folder).map_err(TrackError::file("creating", folder))?;
+    let weights = folder.join("model.safetensors");
+    let part = folder.join("model.part.safetensors");
+    let mut store = SafetensorsStore::from_file(&part).overwrite(true);
+    net.save_into(&mut store).map_err(TrackError::file("writing", &weights))?;
+    std::fs::rename(&part, &weights).map_err(TrackError::file("writing", &weights))?;
+    let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
+    card.weights_sha256 = sha256_hex(&bytes);
+    let path = folder.join("model.json");
+    let text = serde_json::to_string_pretty(card).map_err(TrackError::file("writing", &path))?;
+    std::fs::write(&path, text).map_err(TrackError::file("writing", &path))
+}
+
+/// Reads a model; its card is checked against the weights.
+///
+/// # Errors
+/// Where a file is missing, truncated, of another version, or differs from the card.
+pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackError> {
+    let path = folder.join("model.json");
+    let text = std::fs::read_to_string(&path).map_err(TrackError::file("reading", &path))?;
+    let card: Card = serde_json::from_str(&text).map_err(TrackError::file("reading", &path))?;
+    if card.format != FORMAT {
+        return Err(TrackError::value(format!("{}: format", path.display()), FORMAT, card.format));
+    }
+    let weights = folder.join("model.safetensors");
+    let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
+    let found = sha256_hex(&bytes);
+    if found != card.weights_sha256 {
+        let what = format!("{}: SHA-256", weights.display());
+        return Err(TrackError::value(what, card.weights_sha256, found));
+    }
+    let mut net = WhiskerNet::new(&card.network, device)?;
+    let mut store = SafetensorsStore::from_bytes(Some(bytes));
+    net.load_from(&mut store).map_err(TrackError::file("reading", &weights))?;
+    let inverse = StaticInverse::new(&card.whisker, card.inverse)?;
+    let tracker =
+        Tracker { config: card.network, net, inverse, sd_factor: card.sd_factor, device: device.clone() };
+    tracker.check()?;
+    Ok((tracker, card))
+}
+
+/// Grid of the curve that the default network is built on: a node every 2 mm.
+#[must_use]
+pub fn network_grid() -> InverseGrid {
+    InverseGrid { step_mm: 2.0, refine: 1, slants: 6, ..InverseGrid::default() }
+}
+
+/// Sizes of a preset on a curve.
+///
+/// # Errors
+/// Names the presets.
+pub fn preset(name: &str, inverse: &StaticInverse) -> Result<NetworkConfig, TrackError> {
+    let nodes = inverse.nodes.len();
+    let inputs = FeatureMaker::width(nodes);
+    match name {
+        "default" => Ok(NetworkConfig::small(inputs, nodes)),
+        "paper" => Ok(NetworkConfig::paper(inputs)),
+        _ => Err(TrackError::value("preset", "default or paper", name)),
+    }
+}

@@ -1,0 +1,10 @@
+//! WhiskerNet: a causal transformer over the whisker's signals.
+//!
+//! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
+//! inverse's curve, which keep the answer on what the moments allow.
+
+pub mod features;
+pub mod model;
+
+pub use features::{FeatureMaker, Token};
+pub use model::{Attended, NetworkConfig, Output, Prediction, WhiskerNet};

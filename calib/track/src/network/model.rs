@@ -1,0 +1,264 @@
+//! The network's layers, for whole courses and for streams.
+
+use crate::TrackError;
+use burn::module::Module;
+use burn::nn::{Dropout, DropoutConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::tensor::activation::{gelu, softmax};
+use burn::tensor::{Device, Tensor, TensorData};
+use serde::{Deserialize, Serialize};
+
+/// Size and kind of the network.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Inputs of a token.
+    pub inputs: usize,
+    /// Nodes of the static inverse; 0: the place itself comes out (the paper's head).
+    pub nodes: usize,
+    /// Hidden width of the encoder.
+    pub encoder: usize,
+    /// Layers, heads, width and hidden width of the feed-forward part.
+    pub layers: usize,
+    /// See `layers`.
+    pub heads: usize,
+    /// See `layers`.
+    pub width: usize,
+    /// See `layers`.
+    pub feed_forward: usize,
+    /// Dropout.
+    pub dropout: f64,
+    /// Tokens that an answer may look back on, its own included.
+    pub context: usize,
+}
+
+impl NetworkConfig {
+    /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
+    #[must_use]
+    pub fn paper(inputs: usize) -> Self {
+        Self {
+            inputs,
+            nodes: 0,
+            encoder: 64,
+            layers: 6,
+            heads: 8,
+            width: 128,
+            feed_forward: 512,
+            dropout: 0.1,
+            context: 128,
+        }
+    }
+
+    /// The default network on a curve of `nodes` nodes.
+    #[must_use]
+    pub fn small(inputs: usize, nodes: usize) -> Self {
+        Self {
+            inputs,
+            nodes,
+            encoder: 96,
+            layers: 3,
+            heads: 4,
+            width: 64,
+            feed_forward: 192,
+            dropout: 0.0,
+            context: 128,
+        }
+    }
+
+    /// # Errors
+    /// Where the sizes do not fit each other.
+    pub fn check(&self) -> Result<(), TrackError> {
+        let sizes = [self.inputs, self.encoder, self.layers, self.heads, self.width, self.feed_forward];
+        if sizes.contains(&0) || self.context < 2 || !self.width.is_multiple_of(self.heads) {
+            return Err(TrackError::value(
+                "network",
+                "sizes above 0, width a multiple of heads",
+                format!("{self:?}"),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Numbers that come out for a token: weights of nodes, a place (or what is off it), contact.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.nodes + 3 + 1
+    }
+}
+
+/// One layer: attention and feed-forward part, each after a normalisation.
+#[derive(Module, Debug)]
+pub struct Block {
+    before_attention: LayerNorm,
+    query_key_value: Linear,
+    out: Linear,
+    before_feed: LayerNorm,
+    widen: Linear,
+    narrow: Linear,
+}
+
+/// The network.
+#[derive(Module, Debug)]
+pub struct WhiskerNet {
+    encode: Linear,
+    encode_out: Linear,
+    blocks: Vec<Block>,
+    norm: LayerNorm,
+    head: Linear,
+    dropout: Dropout,
+    heads: usize,
+}
+
+/// Outputs of a batch: `[batch, time, outputs]`.
+pub type Output = Tensor<3>;
+
+/// What a stream remembers: keys and values by layer, `[1, heads, time, width / heads]`, and the tokens' times, s.
+#[derive(Debug, Clone, Default)]
+pub struct Attended {
+    kept: Vec<(Tensor<4>, Tensor<4>)>,
+    times_s: Vec<f64>,
+}
+
+/// An answer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// Probability of contact.
+    pub contact: f32,
+    /// Mean place, base frame, mm.
+    pub point_mm: [f32; 3],
+    /// Covariance before calibration, mm^2.
+    pub covariance_mm2: [[f32; 3]; 3],
+    /// Weights of the nodes.
+    pub weights: Vec<f32>,
+}
+
+impl WhiskerNet {
+    /// With weights drawn from the device's seed.
+    ///
+    /// # Errors
+    /// Where the sizes do not fit each other.
+    pub fn new(config: &NetworkConfig, device: &Device) -> Result<Self, TrackError> {
+        config.check()?;
+        let c = config;
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        let norm = || LayerNormConfig::new(c.width).init(device);
+        let block = |_| Block {
+            before_attention: norm(),
+            query_key_value: linear(c.width, 3 * c.width),
+            out: linear(c.width, c.width),
+            before_feed: norm(),
+            widen: linear(c.width, c.feed_forward),
+            narrow: linear(c.feed_forward, c.width),
+        };
+        Ok(Self {
+            encode: linear(c.inputs, c.encoder),
+            encode_out: linear(c.encoder, c.width),
+            blocks: (0..c.layers).map(block).collect(),
+            norm: norm(),
+            head: linear(c.width, c.outputs()),
+            dropout: DropoutConfig::new(c.dropout).init(),
+            heads: c.heads,
+        })
+    }
+
+    /// A batch of courses: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
+    #[must_use]
+    pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
+        let mut x = self.encode_out.forward(gelu(self.encode.forward(inputs)));
+        for block in &self.blocks {
+            let (q, k, v) =
+                self.split(block.query_key_value.forward(block.before_attention.forward(x.clone())));
+            x = x + self.dropout.forward(block.out.forward(attend(q, k, v, bias.clone())));
+            x = x.clone() + self.dropout.forward(block.feed(x));
+        }
+        self.head.forward(self.norm.forward(x))
+    }
+
+    /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
+    pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, memory: &mut Attended) -> Output {
+        let device = inputs.device();
+        memory.times_s.push(t_s);
+        let drop = memory.times_s.len().saturating_sub(context);
+        memory.times_s.drain(..drop);
+        let n = memory.times_s.len();
+        let mut bias = Vec::with_capacity(self.heads * n);
+        for head in 0..self.heads {
+            bias.extend(memory.times_s.iter().map(|t| slope(head, self.heads) * (t - t_s) as f32));
+        }
+        let bias = Tensor::<4>::from_data(TensorData::new(bias, [1, self.heads, 1, n]), &device);
+        let mut x = self.encode_out.forward(gelu(self.encode.forward(inputs)));
+        for (layer, block) in self.blocks.iter().enumerate() {
+            let (q, k, v) =
+                self.split(block.query_key_value.forward(block.before_attention.forward(x.clone())));
+            let (k, v) = match memory.kept.get(layer) {
+                Some((keys, values)) => {
+                    let join = |old: &Tensor<4>, new| {
+                        let old = old.clone();
+                        let length = old.dims()[2];
+                        Tensor::cat(vec![old.narrow(2, drop, length - drop), new], 2)
+                    };
+                    (join(keys, k), join(values, v))
+                }
+                None => (k, v),
+            };
+            if layer < memory.kept.len() {
+                memory.kept[layer] = (k.clone(), v.clone());
+            } else {
+                memory.kept.push((k.clone(), v.clone()));
+            }
+            x = x + block.out.forward(attend(q, k, v, bias.clone()));
+            x = x.clone() + block.feed(x);
+        }
+        self.head.forward(self.norm.forward(x))
+    }
+
+    /// Queries, keys and values by head: `[batch, heads, time, width / heads]`.
+    fn split(&self, x: Tensor<3>) -> (Tensor<4>, Tensor<4>, Tensor<4>) {
+        let [batch, time, three] = x.dims();
+        let width = three / 3;
+        let part = |k: usize| {
+            let part = x.clone().narrow(2, k * width, width);
+            part.reshape([batch, time, self.heads, width / self.heads]).swap_dims(1, 2)
+        };
+        (part(0), part(1), part(2))
+    }
+}
+
+impl Block {
+    fn feed(&self, x: Tensor<3>) -> Tensor<3> {
+        self.narrow.forward(gelu(self.widen.forward(self.before_feed.forward(x))))
+    }
+}
+
+/// Scaled dot products with a bias, `[batch, time, width]`.
+fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>, bias: Tensor<4>) -> Tensor<3> {
+    let [batch, heads, time, width] = q.dims();
+    let scores = q.matmul(k.swap_dims(2, 3)) / (width as f64).sqrt() + bias;
+    softmax(scores, 3).matmul(v).swap_dims(1, 2).reshape([batch, time, heads * width])
+}
+
+/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter
+/// (linear biases: O. Press et al., ICLR 2022).
+fn slope(head: usize, heads: usize) -> f32 {
+    4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
+}
+
+/// Bias of attention for courses with these times (s): later tokens and those beyond the context are out of sight.
+#[must_use]
+pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device: &Device) -> Tensor<4> {
+    let (batch, n) = (times_s.len(), times_s.first().map_or(0, Vec::len));
+    let mut bias = Vec::with_capacity(batch * heads * n * n);
+    for times in times_s {
+        for head in 0..heads {
+            for (i, now) in times.iter().enumerate() {
+                bias.extend(times.iter().enumerate().map(|(j, then)| {
+                    let seen = j <= i && i - j < context;
+                    if seen { slope(head, heads) * (then - now) as f32 } else { HIDDEN }
+                }));
+            }
+        }
+    }
+    Tensor::from_data(TensorData::new(bias, [batch, heads, n, n]), device)
+}
+
+/// Bias of what is out of sight: its weight is 0 in single precision.
+const HIDDEN: f32 = -1e9;

@@ -1,0 +1,145 @@
+//! Tracks sample by sample, and whole courses at once; both give the same answers.
+
+use crate::network::model::attention_bias;
+use crate::network::{Attended, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet};
+use crate::{StaticInverse, TrackError};
+use burn::tensor::{Device, Tensor, TensorData};
+
+/// A trained network with what it needs to answer.
+#[derive(Debug, Clone)]
+pub struct Tracker {
+    /// Sizes.
+    pub config: NetworkConfig,
+    /// Layers.
+    pub net: WhiskerNet,
+    /// Curve of candidates.
+    pub inverse: StaticInverse,
+    /// Factor on the stated standard deviations.
+    pub sd_factor: f64,
+    /// Where it runs.
+    pub device: Device,
+}
+
+/// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known (mm/s).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Time, s.
+    pub t_s: f64,
+    /// Moments y and z, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Speed, mm/s.
+    pub base_mm_s: Option<f64>,
+}
+
+impl Tracker {
+    /// # Errors
+    /// Where network and curve do not fit each other.
+    pub fn check(&self) -> Result<(), TrackError> {
+        let (nodes, width) = (self.inverse.nodes.len(), FeatureMaker::width(self.inverse.nodes.len()));
+        if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
+            let found = format!("{} inputs, {} nodes", self.config.inputs, self.config.nodes);
+            return Err(TrackError::value("network", format!("{width} inputs, {nodes} nodes"), found));
+        }
+        Ok(())
+    }
+
+    /// A stream from its beginning.
+    #[must_use]
+    pub fn stream(&self) -> Stream<'_> {
+        Stream {
+            tracker: self,
+            features: FeatureMaker::new(&self.inverse),
+            memory: Attended::default(),
+            last_s: None,
+        }
+    }
+
+    /// All answers of a course in one pass.
+    #[must_use]
+    pub fn course(&self, samples: &[Sample]) -> Vec<Prediction> {
+        let mut features = FeatureMaker::new(&self.inverse);
+        let mut last_s = None;
+        let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
+        if tokens.is_empty() {
+            return Vec::new();
+        }
+        let inputs: Vec<f32> = tokens.iter().flat_map(|t| t.inputs.iter().copied()).collect();
+        let shape = [1, tokens.len(), self.config.inputs];
+        let inputs = Tensor::<3>::from_data(TensorData::new(inputs, shape), &self.device);
+        let times = vec![samples.iter().map(|s| s.t_s).collect()];
+        let bias = attention_bias(&times, self.config.heads, self.config.context, &self.device);
+        let out = numbers(self.net.forward(inputs, bias));
+        tokens.iter().zip(out.chunks(self.config.outputs())).map(|(t, o)| self.answer(t, o)).collect()
+    }
+
+    fn answer(&self, token: &Token, out: &[f32]) -> Prediction {
+        let k = self.config.nodes;
+        let off = &out[k..k + 3];
+        let contact = 1.0 / (1.0 + (-out[k + 3]).exp());
+        if k == 0 {
+            // The paper's head states no spread.
+            let point_mm = [0, 1, 2].map(|i| off[i] * crate::train::PLACE_MM as f32);
+            return Prediction { contact, point_mm, covariance_mm2: [[0.0; 3]; 3], weights: Vec::new() };
+        }
+        let most = out[..k].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let mut weights: Vec<f32> = out[..k].iter().map(|x| (x - most).exp()).collect();
+        let total: f32 = weights.iter().sum();
+        weights.iter_mut().for_each(|w| *w /= total);
+        let mut mean = [0.0_f32; 3];
+        for (w, p) in weights.iter().zip(&token.points_mm) {
+            (0..3).for_each(|i| mean[i] += w * p[i]);
+        }
+        let mut covariance = [[0.0; 3]; 3];
+        for (w, p) in weights.iter().zip(&token.points_mm) {
+            for i in 0..3 {
+                for j in 0..3 {
+                    covariance[i][j] += w * (p[i] - mean[i]) * (p[j] - mean[j]);
+                }
+            }
+        }
+        let factor = self.sd_factor.powi(2) as f32;
+        for (i, row) in covariance.iter_mut().enumerate() {
+            row[i] += LEAST_SD_MM * LEAST_SD_MM;
+            row.iter_mut().for_each(|x| *x *= factor);
+        }
+        let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
+        Prediction { contact, point_mm, covariance_mm2: covariance, weights }
+    }
+}
+
+/// Spread that the curve's nodes do not tell, mm.
+const LEAST_SD_MM: f32 = 0.1;
+
+/// The stream of one whisker.
+#[derive(Debug, Clone)]
+pub struct Stream<'a> {
+    tracker: &'a Tracker,
+    features: FeatureMaker<'a>,
+    memory: Attended,
+    last_s: Option<f64>,
+}
+
+impl Stream<'_> {
+    /// The answer at a sample.
+    pub fn push(&mut self, sample: &Sample) -> Prediction {
+        let token = token(&mut self.features, &mut self.last_s, sample);
+        let config = &self.tracker.config;
+        let data = TensorData::new(token.inputs.clone(), [1, 1, config.inputs]);
+        let inputs = Tensor::<3>::from_data(data, &self.tracker.device);
+        let out = self.tracker.net.step(inputs, sample.t_s, config.context, &mut self.memory);
+        self.tracker.answer(&token, &numbers(out))
+    }
+}
+
+fn token(features: &mut FeatureMaker<'_>, last_s: &mut Option<f64>, sample: &Sample) -> Token {
+    let dt_s = last_s.map_or(FIRST_S, |last| sample.t_s - last);
+    *last_s = Some(sample.t_s);
+    features.push(dt_s, sample.moment_nmm, sample.base_mm_s)
+}
+
+/// Time step that the first sample is taken to have, s.
+pub(crate) const FIRST_S: f64 = 0.1;
+
+fn numbers(out: Tensor<3>) -> Vec<f32> {
+    out.into_data().try_to_vec().unwrap_or_default()
+}

@@ -1,0 +1,244 @@
+//! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
+
+use crate::network::model::attention_bias;
+use crate::network::{NetworkConfig, WhiskerNet};
+use crate::{Course, StaticInverse, TrackError};
+use burn::module::Module;
+use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
+use burn::tensor::activation::{log_sigmoid, log_softmax};
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use window::{Window, windows};
+
+mod checkpoint;
+mod window;
+
+/// How a network is trained.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainSettings {
+    /// Passes over the courses at most.
+    pub epochs: usize,
+    /// Courses in a batch, and tokens of each.
+    pub batch: usize,
+    /// See `batch`.
+    pub window: usize,
+    /// Largest learning rate; it rises over the first part and falls to nothing along a half cosine.
+    pub rate: f64,
+    /// Passes without progress on the held-out objects after which training stops.
+    pub patience: usize,
+    /// Share of the courses for which the base's speed is given.
+    pub speed_known: f64,
+    /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in less time).
+    pub time_factor: [f64; 2],
+    /// Largest noise of a moment, N mm, gain error, and drift, N mm/s.
+    pub noise_nmm: f64,
+    /// See `noise_nmm`.
+    pub gain: f64,
+    /// See `noise_nmm`.
+    pub drift_nmm_s: f64,
+    /// Seed of all draws.
+    pub seed: u64,
+}
+
+impl Default for TrainSettings {
+    fn default() -> Self {
+        Self {
+            epochs: 20,
+            batch: 16,
+            window: 128,
+            rate: 2e-3,
+            patience: 4,
+            speed_known: 0.7,
+            time_factor: [0.4, 1.5],
+            noise_nmm: 0.002,
+            gain: 0.005,
+            drift_nmm_s: 0.0002,
+            seed: 1,
+        }
+    }
+}
+
+/// One pass in the learning curve.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pass {
+    /// Number, from 1.
+    pub epoch: usize,
+    /// Mean loss of training.
+    pub loss: f64,
+    /// On the held-out objects: loss, and RMSE of the true contact, mm.
+    pub held_out_loss: f64,
+    /// See `held_out_loss`.
+    pub held_out_mm: f64,
+    /// Seconds since the beginning.
+    pub seconds: f64,
+}
+
+/// Courses by their use.
+#[derive(Debug, Clone, Copy)]
+pub struct Material<'a> {
+    /// Trained on.
+    pub courses: &'a [Course],
+    /// Early stop.
+    pub held_out: &'a [Course],
+    /// Curve of candidates.
+    pub inverse: &'a StaticInverse,
+}
+
+/// Where a training stands after a pass.
+struct State {
+    net: WhiskerNet,
+    best: WhiskerNet,
+    optimizer: ModuleOptimizer,
+    passes: Vec<Pass>,
+}
+
+/// Trains a network and gives the best one on the held-out objects, with the learning curve; `heard` gets every pass. With a folder it
+/// is taken up again where it stopped.
+///
+/// # Errors
+/// Where the sizes do not fit, there is nothing to train on, or what the folder holds belongs to another training.
+pub fn train(
+    config: &NetworkConfig,
+    settings: &TrainSettings,
+    material: &Material<'_>,
+    folder: Option<&Path>,
+    device: &Device,
+    mut heard: impl FnMut(&Pass),
+) -> Result<(WhiskerNet, Vec<Pass>), TrackError> {
+    let Material { courses, held_out, inverse } = *material;
+    if courses.is_empty() || held_out.is_empty() {
+        return Err(TrackError::value("training", "courses to train on and to hold out", "none"));
+    }
+    let learning = device.clone().autodiff();
+    learning.seed(settings.seed);
+    let net = WhiskerNet::new(config, &learning)?;
+    let optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
+    let mut state = State { best: net.valid(), net, optimizer, passes: Vec::new() };
+    if let Some(folder) = folder {
+        state = checkpoint::resume(folder, config, settings, state)?;
+    }
+    let batches = courses.len().div_ceil(settings.batch);
+    let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
+    let begin = std::time::Instant::now();
+    while !finished(&state.passes, settings) {
+        let epoch = state.passes.len() + 1;
+        let mut order: Vec<usize> = (0..courses.len()).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));
+        let mut sum = 0.0;
+        for (k, batch) in order.chunks(settings.batch).enumerate() {
+            let number = (epoch - 1) * batches + k;
+            let chosen: Vec<&Course> = batch.iter().map(|c| &courses[*c]).collect();
+            let windows = windows(&chosen, inverse, settings, settings.seed ^ (number as u64) << 20);
+            let (loss, _) = loss(&state.net, config, &windows, &learning);
+            sum += f64::from(loss.clone().into_scalar::<f32>());
+            let gradients = GradientsParams::from_grads(loss.backward(), &state.net);
+            let rate = learning_rate(settings.rate, number as f64 / (settings.epochs * batches) as f64);
+            state.net = state.optimizer.step(rate, state.net, gradients);
+        }
+        let valid = state.net.valid();
+        let (held_out_loss, held_out_mm) = evaluate(&valid, config, settings, inverse, held_out, device);
+        let seconds = before_s + begin.elapsed().as_secs_f64();
+        let pass = Pass { epoch, loss: sum / batches as f64, held_out_loss, held_out_mm, seconds };
+        if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
+            state.best = valid;
+        }
+        state.passes.push(pass);
+        heard(&pass);
+        if let Some(folder) = folder {
+            checkpoint::keep(folder, config, settings, &state)?;
+        }
+    }
+    Ok((state.best, state.passes))
+}
+
+/// The pass with the least loss on the held-out objects.
+#[must_use]
+pub fn best(passes: &[Pass]) -> Option<&Pass> {
+    passes.iter().min_by(|a, b| a.held_out_loss.total_cmp(&b.held_out_loss))
+}
+
+fn finished(passes: &[Pass], settings: &TrainSettings) -> bool {
+    let stalled = best(passes).is_some_and(|b| passes.len() - b.epoch >= settings.patience);
+    passes.len() >= settings.epochs || stalled
+}
+
+/// Warm-up over a twentieth, then half a cosine.
+fn learning_rate(most: f64, done: f64) -> f64 {
+    let rise = (done / 0.05).min(1.0);
+    most * rise * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()) + 1e-6
+}
+
+/// Mean loss and RMSE of the true contact (mm) over courses as they are.
+fn evaluate(
+    net: &WhiskerNet,
+    config: &NetworkConfig,
+    settings: &TrainSettings,
+    inverse: &StaticInverse,
+    courses: &[Course],
+    device: &Device,
+) -> (f64, f64) {
+    let (mut sum, mut squares, mut count, mut batches) = (0.0, 0.0, 0.0, 0.0);
+    for (k, batch) in courses.chunks(settings.batch).enumerate() {
+        let chosen: Vec<&Course> = batch.iter().collect();
+        let quiet =
+            TrainSettings { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*settings };
+        let windows = windows(&chosen, inverse, &quiet, k as u64);
+        let (loss, off) = loss(net, config, &windows, device);
+        sum += f64::from(loss.into_scalar::<f32>());
+        batches += 1.0;
+        squares += f64::from(off.sum().into_scalar::<f32>());
+        count += windows.iter().flat_map(|w| &w.touching).map(|t| f64::from(*t)).sum::<f64>();
+    }
+    (sum / f64::max(batches, 1.0), (squares / f64::max(count, 1.0)).sqrt())
+}
+
+/// Loss of a batch, and squared distances to the true contact where there is one, mm^2 (`[batch * time]`).
+fn loss(
+    net: &WhiskerNet,
+    config: &NetworkConfig,
+    windows: &[Window],
+    device: &Device,
+) -> (Tensor<1>, Tensor<1>) {
+    let (batch, time) = (windows.len(), windows[0].times_s.len());
+    let n = batch * time;
+    let gather = |values: fn(&Window) -> &Vec<f32>, shape: [usize; 3]| {
+        let all: Vec<f32> = windows.iter().flat_map(|w| values(w).iter().copied()).collect();
+        Tensor::<3>::from_data(TensorData::new(all, shape), device)
+    };
+    let flat = |values: fn(&Window) -> &Vec<f32>| gather(values, [n, 1, 1]).reshape([n]);
+    let times: Vec<Vec<f64>> = windows.iter().map(|w| w.times_s.clone()).collect();
+    let bias = attention_bias(&times, config.heads, config.context, device);
+    let out = net.forward(gather(|w| &w.inputs, [batch, time, config.inputs]), bias);
+    let out = out.reshape([n, config.outputs()]);
+    let (touching, counted) = (flat(|w| &w.touching), flat(|w| &w.counted));
+    let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);
+    let off_curve = out.clone().narrow(1, config.nodes, 3);
+    let logit = out.clone().narrow(1, config.nodes + 3, 1).reshape([n]);
+    let held = touching.clone() * counted.clone();
+    let many = held.clone().sum() + 1.0;
+    let (mean, choice) = if config.nodes == 0 {
+        (off_curve * PLACE_MM, Tensor::zeros([1], device))
+    } else {
+        let k = config.nodes;
+        let log_weights = log_softmax(out.narrow(1, 0, k), 1);
+        let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
+        let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
+        let points = gather(|w| &w.points, [n, k, 3]);
+        let mean = (log_weights.exp().reshape([n, k, 1]) * points).sum_dim(1).reshape([n, 3]);
+        (mean + off_curve, choice.sum() / many.clone())
+    };
+    let off = (mean - place).square().sum_dim(1).reshape([n]) * held.clone();
+    // Square near the truth, straight far off: a sprung contact does not drown the rest.
+    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many;
+    let contact = -(log_sigmoid(logit.clone()) * touching.clone() + log_sigmoid(-logit) * (-touching + 1.0));
+    let contact = (contact * counted.clone()).sum() / (counted.sum() + 1.0);
+    (choice + place_loss + contact, off)
+}
+
+/// Scale of a place that comes out as it is, mm.
+pub(crate) const PLACE_MM: f64 = 30.0;

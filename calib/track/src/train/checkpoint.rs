@@ -1,0 +1,61 @@
+//! What a training leaves after every pass, so that it can be taken up again.
+
+use super::{Pass, State, TrainSettings};
+use crate::TrackError;
+use crate::network::NetworkConfig;
+use burn::module::Module;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+#[derive(Serialize, Deserialize)]
+struct Standing {
+    network: NetworkConfig,
+    settings: TrainSettings,
+    passes: Vec<Pass>,
+}
+
+fn files(folder: &Path) -> [PathBuf; 4] {
+    ["state.json", "net.bpk", "best.bpk", "optimizer.bpk"].map(|f| folder.join(f))
+}
+
+/// Writes network, best network and optimizer, and last what they belong to.
+pub(super) fn keep(
+    folder: &Path,
+    network: &NetworkConfig,
+    settings: &TrainSettings,
+    state: &State,
+) -> Result<(), TrackError> {
+    std::fs::create_dir_all(folder).map_err(TrackError::file("creating", folder))?;
+    let [standing, net, best, optimizer] = files(folder);
+    state.net.clone().save_file(&net).map_err(TrackError::file("writing", &net))?;
+    state.best.clone().save_file(&best).map_err(TrackError::file("writing", &best))?;
+    state.optimizer.save(&optimizer).map_err(TrackError::file("writing", &optimizer))?;
+    let made = Standing { network: *network, settings: *settings, passes: state.passes.clone() };
+    let text = serde_json::to_string_pretty(&made).map_err(TrackError::file("writing", &standing))?;
+    std::fs::write(&standing, text).map_err(TrackError::file("writing", &standing))
+}
+
+/// The state in a folder, or the one given where there is none.
+pub(super) fn resume(
+    folder: &Path,
+    network: &NetworkConfig,
+    settings: &TrainSettings,
+    fresh: State,
+) -> Result<State, TrackError> {
+    let [standing, net, best, optimizer] = files(folder);
+    if !standing.exists() {
+        return Ok(fresh);
+    }
+    let text = std::fs::read_to_string(&standing).map_err(TrackError::file("reading", &standing))?;
+    let made: Standing = serde_json::from_str(&text).map_err(TrackError::file("reading", &standing))?;
+    if made.network != *network || made.settings != *settings {
+        let what = format!("{}: network and settings", standing.display());
+        return Err(TrackError::value(what, "those of this training (or another folder)", "others"));
+    }
+    Ok(State {
+        net: fresh.net.try_load_file(&net).map_err(TrackError::file("reading", &net))?,
+        best: fresh.best.try_load_file(&best).map_err(TrackError::file("reading", &best))?,
+        optimizer: fresh.optimizer.load(&optimizer).map_err(TrackError::file("reading", &optimizer))?,
+        passes: made.passes,
+    })
+}

@@ -1,0 +1,116 @@
+//! Windows of courses as the network takes them, with noise, gain, drift and clock that a bench would add.
+
+use super::TrainSettings;
+use crate::network::FeatureMaker;
+use crate::stream::FIRST_S;
+use crate::{Course, StaticInverse};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+/// A window of a course, ready for the network.
+pub(super) struct Window {
+    pub inputs: Vec<f32>,
+    pub times_s: Vec<f64>,
+    /// Candidates' places, a token and node, mm.
+    pub points: Vec<f32>,
+    /// Weights of the nodes that mean the true place.
+    pub weights: Vec<f32>,
+    /// True place, mm; what no token has is 0 and not counted.
+    pub place: Vec<f32>,
+    pub touching: Vec<f32>,
+    pub counted: Vec<f32>,
+}
+
+/// Windows of courses, with what a bench adds; `seed` draws.
+pub(super) fn windows(
+    courses: &[&Course],
+    inverse: &StaticInverse,
+    settings: &TrainSettings,
+    seed: u64,
+) -> Vec<Window> {
+    courses
+        .par_iter()
+        .enumerate()
+        .map(|(k, course)| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
+            window(course, inverse, settings, &mut rng)
+        })
+        .collect()
+}
+
+fn window(
+    course: &Course,
+    inverse: &StaticInverse,
+    settings: &TrainSettings,
+    rng: &mut ChaCha8Rng,
+) -> Window {
+    let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+    let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
+    let noise = settings.noise_nmm * uniform(0.0, 1.0);
+    let gain: [f64; 2] = std::array::from_fn(|_| 1.0 + settings.gain * uniform(-1.0, 1.0));
+    let drift: [f64; 2] = std::array::from_fn(|_| settings.drift_nmm_s * uniform(-1.0, 1.0));
+    let known = uniform(0.0, 1.0) < settings.speed_known;
+    let stride = 1 + usize::from(uniform(0.0, 1.0) < 0.3);
+    let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
+    let first = (uniform(-0.3, 1.0).max(0.0) * latest as f64) as usize;
+    let mut features = FeatureMaker::new(inverse);
+    let nodes = inverse.nodes.len();
+    let t = settings.window;
+    let mut made = Window {
+        inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
+        times_s: Vec::with_capacity(t),
+        points: Vec::with_capacity(t * nodes * 3),
+        weights: Vec::with_capacity(t * nodes),
+        place: Vec::with_capacity(t * 3),
+        touching: Vec::with_capacity(t),
+        counted: Vec::with_capacity(t),
+    };
+    let mut before_s = None;
+    let last = course.instants.len() - 1;
+    for k in 0..t {
+        let at = first + k * stride;
+        let now = &course.instants[at.min(last)];
+        // Beyond its end a course goes on without counting.
+        let over_s = at.saturating_sub(last) as f64 * 0.1;
+        let t_s = (now.t_s + over_s) * factor;
+        let moment = [0, 1].map(|i| {
+            now.moment_nmm[i] * gain[i] + drift[i] * t_s + noise * 3.0_f64.sqrt() * uniform(-1.0, 1.0)
+        });
+        let speed = known.then_some(now.speed_mm_s / factor);
+        let token = features.push(t_s - before_s.unwrap_or(t_s - FIRST_S), moment, speed);
+        before_s = Some(t_s);
+        let truth = now.contact.map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
+        made.weights.extend(match truth {
+            Some(p) => truth_weights(&token.points_mm, p),
+            None => vec![0.0; nodes],
+        });
+        made.inputs.extend(token.inputs);
+        made.points.extend(token.points_mm.iter().flatten());
+        made.times_s.push(t_s);
+        made.place.extend(truth.unwrap_or_default());
+        made.touching.push(f32::from(u8::from(truth.is_some())));
+        made.counted.push(f32::from(u8::from(at <= last)));
+    }
+    made
+}
+
+/// Weights of the two nodes between which the curve comes nearest to a place.
+fn truth_weights(points: &[[f32; 3]], place: [f32; 3]) -> Vec<f32> {
+    let sub = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let mut best = (f32::INFINITY, 0, 0.0);
+    for k in 0..points.len() - 1 {
+        let (along, to) = (sub(points[k + 1], points[k]), sub(place, points[k]));
+        let u = (dot(along, to) / dot(along, along).max(1e-12)).clamp(0.0, 1.0);
+        let off = sub(to, along.map(|x| x * u));
+        let distance = dot(off, off);
+        if distance < best.0 {
+            best = (distance, k, u);
+        }
+    }
+    let mut weights = vec![0.0; points.len()];
+    weights[best.1] = 1.0 - best.2;
+    weights[best.1 + 1] = best.2;
+    weights
+}

@@ -1,0 +1,241 @@
+//! The tracker on small simulated courses: gradients, order of time, streams, files, training.
+#![allow(missing_docs, reason = "tests")]
+
+use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::{Dataset, SweepPlan, objects};
+use wcal_track::evaluate::{Method, over_objects};
+use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
+use wcal_track::network::model::attention_bias;
+use wcal_track::network::{NetworkConfig, WhiskerNet};
+use wcal_track::train::{Material, TrainSettings, train};
+use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
+
+fn whisker() -> WhiskerSpec {
+    WhiskerSpec {
+        diameter_mm: 0.3,
+        youngs_gpa: 75.0,
+        shear_gpa: 28.2,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+        gravity_direction: None,
+    }
+}
+
+fn grid() -> InverseGrid {
+    InverseGrid { step_mm: 4.0, refine: 1, slants: 3, directions: 24, steps: 16, ..InverseGrid::default() }
+}
+
+fn inverse() -> &'static StaticInverse {
+    static INVERSE: OnceLock<StaticInverse> = OnceLock::new();
+    INVERSE.get_or_init(|| StaticInverse::new(&whisker(), grid()).unwrap())
+}
+
+/// As fine as the filter takes it.
+fn fine() -> &'static StaticInverse {
+    static FINE: OnceLock<StaticInverse> = OnceLock::new();
+    FINE.get_or_init(|| StaticInverse::new(&whisker(), InverseGrid::default()).unwrap())
+}
+
+/// Ten sweeps over two objects, made once.
+fn courses() -> &'static BTreeMap<String, Vec<Course>> {
+    static COURSES: OnceLock<BTreeMap<String, Vec<Course>>> = OnceLock::new();
+    COURSES.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let dataset = Dataset {
+            whisker: whisker(),
+            plan: SweepPlan { rate_hz: 10.0, ..SweepPlan::default() },
+            objects: ["ball", "can"].map(|n| objects::built_in(n).unwrap()).into(),
+            sweeps: 5,
+            seed: 4,
+            share: [0, 1],
+        };
+        dataset.make(folder.path(), |_, _| {}).unwrap();
+        course::read_courses(folder.path(), &[]).unwrap()
+    })
+}
+
+fn tiny() -> NetworkConfig {
+    let config = preset("default", inverse()).unwrap();
+    NetworkConfig { layers: 2, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..config }
+}
+
+fn tracker(config: NetworkConfig) -> Tracker {
+    let device = Device::flex();
+    device.seed(5);
+    let net = WhiskerNet::new(&config, &device).unwrap();
+    Tracker { config, net, inverse: inverse().clone(), sd_factor: 1.0, device }
+}
+
+fn samples(course: &Course) -> Vec<Sample> {
+    let one = |i: &wcal_track::Instant| Sample {
+        t_s: i.t_s,
+        moment_nmm: i.moment_nmm,
+        base_mm_s: Some(i.speed_mm_s),
+    };
+    course.instants.iter().map(one).collect()
+}
+
+/// The true contact lies on the curve of candidates; that of half the moment does not pass by it.
+#[test]
+fn the_curve_of_candidates_passes_through_the_contact() {
+    let (mut off, mut wrong, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
+    for instant in courses().values().flatten().flat_map(|c| &c.instants) {
+        let Some(contact) = instant.contact.filter(|_| instant.contacts == 1 && instant.settled) else {
+            continue;
+        };
+        let mut nearest = |factor: f64| {
+            fine().candidates(instant.moment_nmm.map(|m| m * factor), &mut candidates);
+            candidates.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
+        };
+        off.push(nearest(1.0));
+        wrong.push(nearest(0.5));
+    }
+    let median = |v: &mut Vec<f64>| {
+        v.sort_by(f64::total_cmp);
+        v[v.len() / 2]
+    };
+    assert!(off.len() > 200, "{}", off.len());
+    // Nodes lie 0.25 mm apart: rounding alone leaves 0.06 in the middle.
+    let (right, half) = (median(&mut off), median(&mut wrong));
+    assert!(right < 0.1 && half > 3.0 * right, "{right} {half}");
+}
+
+/// With the base's speed known the filter finds the contact; told another speed, it does not.
+#[test]
+fn the_bayes_filter_follows_with_the_right_speed_only() {
+    let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
+    let median = |courses: &BTreeMap<String, Vec<Course>>| {
+        let rows = over_objects(Method::Bayes(fine(), true), courses, &meshes).unwrap();
+        rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
+    };
+    let mut hurried = courses().clone();
+    hurried.values_mut().flatten().flat_map(|c| &mut c.instants).for_each(|i| i.speed_mm_s *= 1.6);
+    let (right, wrong) = (median(courses()), median(&hurried));
+    assert!(right < 1.0 && wrong > 2.0 * right, "{right} {wrong}");
+}
+
+#[test]
+fn every_parameter_learns() {
+    use burn::module::{Module, ModuleVisitor, Param};
+    use burn::optim::GradientsParams;
+    struct Without<'a>(&'a GradientsParams, usize, Vec<usize>);
+    impl ModuleVisitor for Without<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let moved = self.0.get::<D>(param.id).is_some_and(|g| g.abs().sum().into_scalar::<f32>() > 0.0);
+            if !moved {
+                self.2.push(self.1);
+            }
+            self.1 += 1;
+        }
+    }
+    let device = Device::flex().autodiff();
+    let config = tiny();
+    let net = WhiskerNet::new(&config, &device).unwrap();
+    let times = vec![(0..6).map(|k| f64::from(k) * 0.1).collect::<Vec<_>>(); 2];
+    let inputs: Vec<f32> = (0..2 * 6 * config.inputs).map(|k| ((k * 37 % 101) as f32) / 50.0 - 1.0).collect();
+    let inputs = Tensor::<3>::from_data(TensorData::new(inputs, [2, 6, config.inputs]), &device);
+    let out = net.forward(inputs, attention_bias(&times, config.heads, config.context, &device));
+    let gradients = GradientsParams::from_grads(out.square().sum().backward(), &net);
+    let mut visitor = Without(&gradients, 0, Vec::new());
+    net.visit(&mut visitor);
+    // Six parts of two tensors a layer; two of the encoder, norm and head.
+    assert_eq!((visitor.1, visitor.2), (2 * 12 + 8, Vec::<usize>::new()));
+}
+
+#[test]
+fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
+    let tracker = tracker(tiny());
+    let all = samples(&courses()["ball"][0]);
+    let answers = tracker.course(&all);
+    let change = |at: usize| {
+        let mut changed = all.clone();
+        changed[at].moment_nmm[0] += 0.3;
+        tracker.course(&changed)
+    };
+    let middle = all.len() / 2;
+    let later = change(middle);
+    assert_eq!(answers[..middle], later[..middle]);
+    assert!(answers[middle] != later[middle]);
+    // Within the context an earlier sample matters.
+    assert!(answers[middle] != change(middle - 5)[middle]);
+}
+
+#[test]
+fn a_stream_gives_what_the_batch_gives() {
+    for config in [tiny(), NetworkConfig { nodes: 0, ..tiny() }] {
+        let tracker = tracker(config);
+        let all = samples(&courses()["can"][1]);
+        assert!(all.len() > 2 * config.context);
+        let mut stream = tracker.stream();
+        for (sample, batch) in all.iter().zip(tracker.course(&all)) {
+            let one = stream.push(sample);
+            let off = (Vector3::from(one.point_mm) - Vector3::from(batch.point_mm)).norm();
+            // 1e-5 of the wire's reach.
+            assert!(off < 6e-4 && (one.contact - batch.contact).abs() < 1e-5, "{one:?} {batch:?}");
+        }
+    }
+}
+
+#[test]
+fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let before = tracker(tiny());
+    let mut card = Card {
+        format: FORMAT.into(),
+        trained_on_simulation: true,
+        weights_sha256: String::new(),
+        network: before.config,
+        inverse: grid(),
+        whisker: whisker(),
+        sd_factor: 1.0,
+        training: TrainSettings::default(),
+        passes: Vec::new(),
+        objects: Split::default(),
+        data: BTreeMap::new(),
+        sweeps_trained: 0,
+    };
+    save(folder.path(), &before.net, &mut card).unwrap();
+    let (after, read) = load(folder.path(), &Device::flex()).unwrap();
+    assert_eq!(read, card);
+    let all = samples(&courses()["ball"][2]);
+    assert_eq!(before.course(&all), after.course(&all));
+    let weights = folder.path().join("model.safetensors");
+    let bytes = std::fs::read(&weights).unwrap();
+    std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
+    let error = load(folder.path(), &Device::flex()).err().unwrap().to_string();
+    assert!(error.contains("model.safetensors") && error.contains("SHA-256"), "{error}");
+    // With the card adapted to the damage it is the weights' own format that refuses.
+    card.weights_sha256 = wcal_core::provenance::sha256_hex(&bytes[..bytes.len() / 2]);
+    std::fs::write(folder.path().join("model.json"), serde_json::to_string(&card).unwrap()).unwrap();
+    let error = load(folder.path(), &Device::flex()).err().unwrap().to_string();
+    assert!(error.contains("model.safetensors"), "{error}");
+}
+
+/// Three passes in one go, and one and two after a stop, give the same network; and it has learned something.
+#[test]
+fn training_learns_and_goes_on_where_it_stopped() {
+    let all: Vec<Course> = courses().values().flatten().cloned().collect();
+    let material = Material { courses: &all[..8], held_out: &all[8..], inverse: inverse() };
+    let settings = TrainSettings { epochs: 3, batch: 4, window: 48, patience: 9, ..TrainSettings::default() };
+    let device = Device::flex();
+    let (_, whole) = train(&tiny(), &settings, &material, None, &device, |_| {}).unwrap();
+    assert!(whole[2].held_out_loss < 0.9 * whole[0].held_out_loss, "{whole:?}");
+    let folder = tempfile::tempdir().unwrap();
+    let stopped = std::panic::catch_unwind(|| {
+        train(&tiny(), &settings, &material, Some(folder.path()), &device, |pass| {
+            assert!(pass.epoch < 2, "stopped on purpose");
+        })
+        .unwrap();
+    });
+    assert!(stopped.is_err());
+    let (_, resumed) = train(&tiny(), &settings, &material, Some(folder.path()), &device, |_| {}).unwrap();
+    assert_eq!(resumed.len(), 3);
+    assert!((resumed[2].held_out_loss - whole[2].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
+    let other = TrainSettings { rate: 1e-3, ..settings };
+    let error = train(&tiny(), &other, &material, Some(folder.path()), &device, |_| {}).err().unwrap();
+    assert!(error.to_string().contains("another folder"), "{error}");
+}

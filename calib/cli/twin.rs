@@ -20,7 +20,7 @@ use wcal_session::load;
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
 not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
 rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: come to straight from the start, past the places between, the wire rests elsewhere, so that the way and MuJoCo's
-version decide on the moment. Where the session has labels of an outside twin, those on another branch are named. MuJoCo runs with the released groove tip; preset released is
+version decide on the moment. With preset released, labels of the session's own twin.csv that lie on another branch are named. MuJoCo runs with the released groove tip; preset released is
 the released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or
 with several equilibria.")]
 pub struct TwinArgs {
@@ -180,7 +180,9 @@ fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
             }
         }
     }
-    name_other_branches(data, &rod, &rows, &labels);
+    if preset == groove::Preset::Released {
+        name_other_branches(data, &rod, &rows, &labels);
+    }
     against.sort_by(|a, b| a.0.total_cmp(&b.0));
     if let (Some(middle), Some(last)) = (against.get(against.len() / 2), against.last()) {
         eprintln!(

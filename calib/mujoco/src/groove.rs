@@ -16,7 +16,8 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 pub enum Preset {
     /// As released: MuJoCo's composite cable with a rigid first link, the released damping and contact.
     Released,
-    /// The whisker as measured: clamp right to second order, 40 links, the released contact.
+    /// The whisker as measured: clamp right to second order, 40 links. The contact is hard: the released one is soft where joints are
+    /// as light as here, and the wire would sink through the tip.
     Paper,
 }
 
@@ -96,7 +97,11 @@ fn released_from(whisker: &WhiskerSpec) -> Matrix3<f64> {
 /// # Errors
 /// Where the wire cannot be.
 pub fn bench(whisker: &WhiskerSpec, preset: Preset) -> Result<String, TwinError> {
-    let [assets, geoms] = convex_parts("tip", &tip_parts()?, &Touch::RELEASED);
+    let touch = match preset {
+        Preset::Released => Touch::RELEASED,
+        Preset::Paper => Touch::default(),
+    };
+    let [assets, geoms] = convex_parts("tip", &tip_parts()?, &touch);
     let place = |p: [f64; 3]| format!("{} {} {}", p[0] * 1e-3, p[1] * 1e-3, p[2] * 1e-3);
     let mut around = Surroundings {
         bodies: format!(
@@ -118,7 +123,7 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset) -> Result<String, TwinError>
                 whisker,
             )));
             around.base[0] = format!("pos=\"{}\" quat=\"{} {} {} {}\"", place(ROOT_MM), q.w, q.i, q.j, q.k);
-            mjcf_among(whisker, &MjcfOptions { touch: Touch::RELEASED, ..MjcfOptions::default() }, &around)
+            mjcf_among(whisker, &MjcfOptions { touch, ..MjcfOptions::default() }, &around)
         }
         Preset::Released => released(whisker, around, &place(ROOT_MM)),
     }

@@ -11,8 +11,8 @@ use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Shift of a whole line that pieces share, px: uneven light across the wire and the camera's tone curve on unequal sides.
-const LINE_FLOOR_PX: f64 = 0.015;
+/// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the camera's tone curve on unequal sides.
+const LINE_FLOOR_WIDTHS: f64 = 0.004;
 
 /// The base correction shared by the folder.
 pub(crate) struct Joint {
@@ -135,11 +135,11 @@ fn covariance(
     if let Some(c) = &stereo.covariance {
         covariance += &response * c * response.transpose();
     }
-    // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b).
+    // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b), and a width is f d / z pixels.
     let depth_mm = fit.left_from_base.translation.vector.norm();
     let baseline_mm = stereo.right_from_left.translation.vector.norm();
-    let by_pixel = depth_mm * depth_mm / (stereo.cameras[0].focal_px[0] * baseline_mm);
-    Some(Uncertain { covariance, by_calibration: response, shared_mm: LINE_FLOOR_PX * by_pixel })
+    let by_width_mm = fit.diameter_mm * depth_mm / baseline_mm;
+    Some(Uncertain { covariance, by_calibration: response, shared_mm: LINE_FLOOR_WIDTHS * by_width_mm })
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {

@@ -46,6 +46,8 @@ pub struct PairFit {
     pub polarity: f64,
     /// How the wire looks, left and right.
     pub looks: [Look; 2],
+    /// Nominal diameter of the wire, mm.
+    pub diameter_mm: f64,
     /// Distance of the root from the base's origin at which the search found it, mm.
     pub root_aside_mm: f64,
     /// Remarks.
@@ -203,6 +205,7 @@ fn refine(
         smoothing: prior.smoothing,
         polarity,
         looks,
+        diameter_mm: begun.diameter_mm,
         root_aside_mm: begun.root_aside_mm,
         warnings,
     })
@@ -242,6 +245,7 @@ fn begin(
         smoothing: prior.smoothing,
         polarity,
         looks: [Look { blur_px: 1.0, width_scale: 1.0 }; 2],
+        diameter_mm: rig.whisker.diameter_mm,
         root_aside_mm: found.root_mm[0].hypot(found.root_mm[1]),
         warnings: Vec::new(),
     })

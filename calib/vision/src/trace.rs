@@ -15,7 +15,9 @@ const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
-const HIDDEN_BEAM: usize = 1000;
+const HIDDEN_BEAM: usize = 600;
+/// Share of the length after which none of them is kept: what shares more of its way with a first wire is none of its own.
+const HIDDEN_SHARE: f64 = 0.4;
 /// Distance of the roots tried beside the stated one, mm.
 const ASIDE_STEP_MM: f64 = 0.25;
 /// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
@@ -123,7 +125,8 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize, aside_mm: f64
         }
         // While the started curves still lie side by side there is nothing to branch.
         if block >= UNBRANCHED {
-            now = branched(&now, beam, first);
+            let keep_hidden = (first as f64) * STEP_MM < HIDDEN_SHARE * whisker.length_mm;
+            now = branched(&now, beam, first, if keep_hidden { HIDDEN_BEAM } else { 0 });
         }
         history.push(now.iter().map(|c| (c.parent, c.bend)).collect());
     }
@@ -200,8 +203,8 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
 type Branch = (f64, usize, i32, i32);
 
 /// The best branches of all curves, one a place and direction, so that the beam does not fill with copies of one. `first`: the step
-/// at which the block began.
-fn branched(now: &[Candidate], beam: usize, first: usize) -> Vec<Candidate> {
+/// at which the block began; `hidden_beam`: curves kept besides that lie hidden.
+fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) -> Vec<Candidate> {
     let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
     let all = now.iter().enumerate().flat_map(|(k, c)| {
         changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
@@ -218,7 +221,7 @@ fn branched(now: &[Candidate], beam: usize, first: usize) -> Vec<Candidate> {
     // Nothing recovers from being this much worse than the best.
     let floor = order.first().map_or(0.0, |o| o.0) - 80.0 + 4.0 * HIDDEN;
     let mut cells: HashSet<[i32; 7]> = HashSet::new();
-    let mut kept = Vec::with_capacity(beam + HIDDEN_BEAM);
+    let mut kept = Vec::with_capacity(beam + hidden_beam);
     for branch in order {
         if kept.len() >= beam || branch.0 < floor {
             break;
@@ -228,13 +231,16 @@ fn branched(now: &[Candidate], beam: usize, first: usize) -> Vec<Candidate> {
             kept.push(child);
         }
     }
+    if hidden_beam == 0 {
+        return kept;
+    }
     cells.clear();
     hidden.sort_unstable_by(best_first);
     let children = hidden.into_iter().map(|b| grown(now, b, first));
     let hidden: Vec<_> =
         children.filter(|c| cells.insert(cell_of(c, HIDDEN_CELL, 2.0 * CURVATURE_STEP))).collect();
     // Spread evenly over what lies hidden: the first of them would all bend to one side.
-    let every = hidden.len().div_ceil(HIDDEN_BEAM).max(1);
+    let every = hidden.len().div_ceil(hidden_beam).max(1);
     kept.extend(hidden.into_iter().step_by(every));
     kept
 }

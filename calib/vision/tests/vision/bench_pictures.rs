@@ -151,6 +151,10 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
             &Picture::new(64, 48, (0..3072).map(|k| k as u8).collect()).unwrap(),
         );
         std::fs::copy(folder("scene/left/t1.png"), path.join("twice.png")).unwrap();
+        let sixteen = [&b"P5\n1280 960\n65535\n"[..], &vec![7; 2 * 1280 * 960]].concat();
+        std::fs::write(path.join("sixteen.pgm"), sixteen).unwrap();
+        let whole = std::fs::read(folder(&format!("scene/{side}/t1.png"))).unwrap();
+        std::fs::write(path.join("torn.png"), &whole[..whole.len() / 2]).unwrap();
         std::fs::write(path.join("empty.png"), if *side == "left" { &b""[..] } else { &b"x"[..] }).unwrap();
     }
     // Left and right pictures exchanged: the base tag fits no pose that both cameras share.
@@ -166,6 +170,8 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
         ("colour", "coloured"),
         ("small", "1280x960"),
         ("twice", "the same"),
+        ("sixteen", "16-bit"),
+        ("torn", "cut off"),
         ("empty", "zero bytes"),
         ("alone", "right picture is missing"),
         ("swapped", "swapped"),

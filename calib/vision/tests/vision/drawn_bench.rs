@@ -123,16 +123,39 @@ fn judged(shapes: &ShapesDocument, truths: &[Vec<Vector3<f64>>], factor: f64) ->
 fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() {
     let wires: Vec<_> = (1..=2).map(bench::wire).collect();
     let mut scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
+    // The second of these two pairs leaves the first wire's cover only where it has bent away from it.
     scenes.push(vec![bench::wire(1), bench::wire(5)]);
+    scenes.push(vec![bench::wire(304), bench::wire(305)]);
     let mut shapes = run(&calibrated(1), &scenes, None, 1, &Style::default());
-    let two = shapes.pairs.pop().unwrap();
-    assert_eq!(two.status, "rejected");
-    assert!(two.why.contains("two wires"), "{}", two.why);
+    for two in shapes.pairs.split_off(2) {
+        assert_eq!(two.status, "rejected");
+        assert!(two.why.contains("two wires"), "{}", two.why);
+    }
     let (inside, rms) = judged(&shapes, &wires, 1.0);
     assert!(rms <= 0.03, "{rms} mm");
     // Two wires share one calibration and base: a handful of independent errors. Many draws are judged below.
     assert!(inside >= 0.8, "{inside}");
     assert!(judged(&shapes, &wires, 0.1).0 < 0.5, "a tenth of the stated sd must not do");
+}
+
+#[test]
+fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
+    let styles = [
+        (0.03, Style { diameter_mm: 0.18, ..Style::default() }),
+        // Uneven light across a wire moves it by a share of its width: 6 px here.
+        (0.05, Style { diameter_mm: 0.5, ..Style::default() }),
+        (0.03, Style { wire_dn: 190.0, highlight_dn: 30.0, background_dn: 70.0, ..Style::default() }),
+        (0.03, Style { blur_px: 1.6, noise_dn: 3.0, ..Style::default() }),
+    ];
+    for (k, (limit_mm, style)) in styles.into_iter().enumerate() {
+        // A wire that bends away to 25 mm from its rest shape, which the search has to follow.
+        let wire = bench::wire(211);
+        let shapes = run(&calibrated(2), &[vec![wire.clone()]], None, 20 + k as u64, &style);
+        let (_, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
+        assert!(rms <= limit_mm, "{style:?}: {rms} mm");
+        let length = shapes.pairs[0].length_mm;
+        assert!((length - bench::LENGTH_MM).abs() < 0.05, "{style:?}: {length} mm");
+    }
 }
 
 /// A cable beside the whisker makes two wires; a picture of the bench without the whisker says which one to follow.

@@ -108,7 +108,9 @@ fn stated_sd_covers_95_percent_within_binomial_bounds() {
 fn stated_sd_covers_95_percent_over_2000_draws() {
     let draws = 2000;
     let slack = 3.3 * (0.95f64 * 0.05 / draws as f64).sqrt();
-    for (k, c) in coverage(draws, 1.0).into_iter().enumerate() {
+    let shares = coverage(draws, 1.0);
+    println!("{draws} draws, 0.95 +- {slack:.4}: {shares:.4?}");
+    for (k, c) in shares.into_iter().enumerate() {
         assert!((c - 0.95).abs() <= slack, "parameter {k}: {c}");
     }
 }

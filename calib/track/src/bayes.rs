@@ -110,7 +110,13 @@ impl<'a> BayesFilter<'a> {
         }
     }
 
-    /// Posterior over the arc lengths of the last sample; empty without contact.
+    /// Candidates of the last sample.
+    #[must_use]
+    pub fn candidates(&self) -> &[Candidate] {
+        &self.now
+    }
+
+    /// Posterior over the nodes at the last sample; empty without contact.
     #[must_use]
     pub fn posterior(&self) -> Vec<f64> {
         let nodes = self.inverse.nodes.len();

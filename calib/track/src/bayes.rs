@@ -53,6 +53,9 @@ const REACH: f64 = 6.0;
 
 /// Space in which a sprung contact may be anywhere, mm^3.
 const SPRING_MM3: f64 = 2e4;
+/// Probability that a sprung contact is the tip's, and moments that it may then have, (N mm)^2.
+const TIP_SHARE: f64 = 0.3;
+const SPRING_NMM2: f64 = 10.0;
 /// Norm of a Gauss across times an exponential of the distance along the surface: (2 pi)^-3/2.
 const FLAT: f64 = 0.063_494;
 
@@ -107,7 +110,13 @@ impl<'a> BayesFilter<'a> {
         }
     }
 
-    /// Posterior over the arc lengths of the last sample; empty without contact.
+    /// Candidates of the last sample.
+    #[must_use]
+    pub fn candidates(&self) -> &[Candidate] {
+        &self.now
+    }
+
+    /// Posterior over the nodes at the last sample; empty without contact.
     #[must_use]
     pub fn posterior(&self) -> Vec<f64> {
         let nodes = self.inverse.nodes.len();
@@ -143,6 +152,10 @@ impl<'a> BayesFilter<'a> {
         self.belief()
     }
 
+    fn at_tip(&self, node: usize) -> bool {
+        self.inverse.nodes[node].slant > 0.0
+    }
+
     fn speeds(&self) -> Vec<f64> {
         let ([low, high], n) = (self.settings.speed_mm_s, self.settings.speeds.max(2));
         (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect()
@@ -151,15 +164,18 @@ impl<'a> BayesFilter<'a> {
     fn follow(&mut self, dt_s: f64, speeds: &[f64]) {
         let s = &self.settings;
         let nodes = self.now.len();
+        let tip_nodes = (0..nodes).filter(|k| self.at_tip(*k)).count().max(1) as f64;
         let mut next = Vec::with_capacity(speeds.len());
         for (speed, row) in speeds.iter().zip(&self.weights) {
             let way_mm = speed * dt_s;
-            let (rule, slide) =
-                (s.rule_mm.powi(2) + (s.rule_share * way_mm).powi(2), s.slide_mm + s.slide_share * way_mm);
+            let rule = s.rule_mm.powi(2) + (s.rule_share * way_mm).powi(2);
             let total: f64 = row.iter().sum();
-            let mut new = vec![s.spring * total / SPRING_MM3; nodes];
+            let mut new = vec![0.0; nodes];
             for (k, weight) in row.iter().enumerate().filter(|(_, w)| **w > 1e-9 * total) {
                 let from = &self.before[k];
+                // A tip that is dragged stays where it is and the surface passes below it.
+                let share = if self.at_tip(k) { 1.0 } else { s.slide_share };
+                let slide = s.slide_mm + share * way_mm;
                 let reach_mm = REACH * slide;
                 let near = |c: &&Candidate| (c.point_mm - from.point_mm).norm() < way_mm + reach_mm;
                 let on = self.now.iter().skip(k).take_while(near).count();
@@ -176,7 +192,12 @@ impl<'a> BayesFilter<'a> {
                     new[j] += weight * density * FLAT;
                 }
             }
-            new.iter_mut().zip(&self.now).for_each(|(w, c)| *w *= if c.reachable { c.volume } else { 0.0 });
+            for (j, (w, c)) in new.iter_mut().zip(&self.now).enumerate() {
+                // After a spring the contact is anywhere in space, or at the tip with any moments.
+                let anywhere = (1.0 - TIP_SHARE) * c.volume / SPRING_MM3;
+                let tip = if self.at_tip(j) { TIP_SHARE / (tip_nodes * SPRING_NMM2) } else { 0.0 };
+                *w = if c.reachable { *w * c.volume + s.spring * total * (anywhere + tip) } else { 0.0 };
+            }
             next.push(new);
         }
         let moved = (s.speed_change_per_s * dt_s).min(0.25);

@@ -1,5 +1,6 @@
 //! What the network sees of a sample, made the same way for training and for a stream.
 
+use crate::bayes::{BayesFilter, BayesSettings};
 use crate::{Candidate, StaticInverse};
 use nalgebra::Vector3;
 
@@ -14,7 +15,7 @@ const STEP_S: f64 = 0.1;
 /// Inputs that do not belong to a node.
 const COMMON: usize = 9;
 /// Inputs a node.
-const PER_NODE: usize = 5;
+const PER_NODE: usize = 6;
 
 /// A sample as the network takes it.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,7 +33,7 @@ pub struct Token {
 /// Makes tokens out of samples in order of time.
 #[derive(Debug, Clone)]
 pub struct FeatureMaker<'a> {
-    inverse: &'a StaticInverse,
+    filter: BayesFilter<'a>,
     before: Option<([f64; 2], Vec<Candidate>)>,
 }
 
@@ -40,7 +41,7 @@ impl<'a> FeatureMaker<'a> {
     /// At the beginning of a recording.
     #[must_use]
     pub fn new(inverse: &'a StaticInverse) -> Self {
-        Self { inverse, before: None }
+        Self { filter: BayesFilter::new(inverse, BayesSettings::default()), before: None }
     }
 
     /// Inputs of a token.
@@ -51,8 +52,9 @@ impl<'a> FeatureMaker<'a> {
 
     /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
-        let mut now = Vec::new();
-        self.inverse.candidates(moment_nmm, &mut now);
+        self.filter.step(dt_s, moment_nmm, base_mm_s);
+        let believed = self.filter.posterior();
+        let now = self.filter.candidates().to_vec();
         let dt = dt_s.max(1e-4);
         let mut inputs = Vec::with_capacity(Self::width(now.len()));
         inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
@@ -71,7 +73,8 @@ impl<'a> FeatureMaker<'a> {
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
             inputs.extend(c.point_mm.iter().map(|x| x / LENGTH_MM));
-            inputs.extend([off, c.normal.z]);
+            // What the Bayes filter believes: the network mends its physics and its springs.
+            inputs.extend([off, c.normal.z, believed.get(k).map_or(0.0, |w| w.sqrt() * 2.0)]);
         }
         let token = Token {
             inputs: inputs.into_iter().map(|x| x as f32).collect(),

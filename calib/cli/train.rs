@@ -3,13 +3,10 @@
 use crate::simulate::whisker;
 use anyhow::{Context, ensure};
 use clap::Args;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_mujoco::read::manifests;
-use wcal_track::model_file::{Card, FORMAT, Split, network_grid, preset, save};
-use wcal_track::train::{Material, Pass, TrainSettings, best, train};
-use wcal_track::{Course, StaticInverse, Tracker, course, evaluate};
+use wcal_track::make::{Making, make_model};
+use wcal_track::train::{Pass, TrainSettings, best};
 
 /// Arguments of `wcal train`.
 #[derive(Debug, Args)]
@@ -56,47 +53,18 @@ pub struct TrainArgs {
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let whisker = whisker(args.whisker.as_deref())?;
     same_whisker(&args.sweeps, &format!("{whisker:?}"))?;
-    let mut all = course::read_courses(&args.sweeps, &[])?;
-    let eighth = (all.len() / 8).max(1);
-    let apart = [args.held_out.unwrap_or(eighth), args.unseen.unwrap_or(eighth)];
-    let objects = Split::draw(all.keys().cloned().collect(), apart, args.seed)?;
-    let (mut courses, mut sweeps_trained) = (Vec::new(), u64::MAX);
-    for name in &objects.training {
-        let mut of_object = all.remove(name).unwrap_or_default();
-        let first_kept = of_object.last().map_or(0, |c| (c.sweep + 1) * 9 / 10);
-        sweeps_trained = sweeps_trained.min(first_kept);
-        of_object.retain(|c| c.sweep < first_kept);
-        courses.extend(of_object);
-    }
-    let held_out: Vec<Course> =
-        objects.held_out.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect();
-    let inverse = StaticInverse::new(&whisker, network_grid())?;
-    let network = preset(&args.preset, &inverse)?;
     let settings = TrainSettings { epochs: args.epochs, seed: args.seed, ..TrainSettings::default() };
-    eprintln!("train: {} sweeps over {} objects; SIMULATED", courses.len(), objects.training.len());
-    let device = burn_device();
-    let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
-    let (net, passes) =
-        train(&network, &settings, &material, Some(&args.out.join("checkpoint")), &device, heard)?;
-    let mut tracker = Tracker { config: network, net, inverse, sd_factor: 1.0, device };
-    tracker.sd_factor = evaluate::spread_factor(&tracker, &held_out);
-    let data: BTreeMap<String, String> =
-        manifests(&args.sweeps)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect();
-    let mut card = Card {
-        format: FORMAT.to_owned(),
-        trained_on_simulation: true,
-        weights_sha256: String::new(),
-        network,
-        inverse: network_grid(),
+    let making = Making {
+        sweeps: &args.sweeps,
         whisker,
-        sd_factor: tracker.sd_factor,
-        training: settings,
-        passes,
-        objects,
-        data,
-        sweeps_trained,
+        preset: &args.preset,
+        settings,
+        held_out: args.held_out,
+        unseen: args.unseen,
+        out: &args.out,
     };
-    save(&args.out, &tracker.net, &mut card)?;
+    eprintln!("train: on SIMULATED sweeps");
+    let card = make_model(&making, &burn_device(), heard)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&card)?);
     } else if let Some(best) = best(&card.passes) {

@@ -49,12 +49,16 @@ pub struct Course {
     pub instants: Vec<Instant>,
 }
 
+/// Beyond this an estimate is nowhere near the object, mm.
+const FARTHEST_MM: f64 = 1e4;
+
 impl Course {
     /// Distance of a point (base frame, mm) to the object's surface after a way of the base, mm.
     #[must_use]
     pub fn surface_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
         let at_start = nalgebra::Point3::from(point_mm + Vector3::z() * travel_mm);
-        mesh.distance_mm(&self.base_from_object.inverse_transform_point(&at_start).coords).abs()
+        mesh.near(&self.base_from_object.inverse_transform_point(&at_start).coords, FARTHEST_MM)
+            .map_or(FARTHEST_MM, |n| n.distance_mm.abs())
     }
 }
 

@@ -7,6 +7,7 @@ pub mod course;
 mod error;
 pub mod evaluate;
 pub mod inverse;
+pub mod make;
 pub mod model_file;
 pub mod network;
 pub mod score;

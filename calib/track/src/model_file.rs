@@ -78,7 +78,9 @@ impl Split {
         names.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
         let mut training = names.split_off(held_out + unseen);
         let mut unseen = names.split_off(held_out);
-        [&mut training, &mut unseen, &mut names].map(|n| n.sort_unstable());
+        for part in [&mut training, &mut unseen, &mut names] {
+            part.sort_unstable();
+        }
         Ok(Self { training, held_out: names, unseen })
     }
 }

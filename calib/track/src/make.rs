@@ -1,0 +1,79 @@
+//! From a folder of sweeps to a trained model with its card.
+
+use crate::model_file::{Card, FORMAT, Split, network_grid, preset, save};
+use crate::train::{Material, Pass, TrainSettings, train};
+use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::read::manifests;
+
+/// What is made of what.
+#[derive(Debug, Clone)]
+pub struct Making<'a> {
+    /// Folder of shards.
+    pub sweeps: &'a Path,
+    /// Whisker of the sweeps.
+    pub whisker: WhiskerSpec,
+    /// default or paper.
+    pub preset: &'a str,
+    /// How it is trained.
+    pub settings: TrainSettings,
+    /// Objects held out, and kept unseen; an eighth of all where it is not given.
+    pub held_out: Option<usize>,
+    /// See `held_out`.
+    pub unseen: Option<usize>,
+    /// Folder for model and checkpoint.
+    pub out: &'a Path,
+}
+
+/// Share of the sweeps over an object that are trained on; the rest judges objects that were seen.
+const TRAINED: f64 = 0.9;
+
+/// Trains, states the spread from the held-out objects, and writes the model; taken up again where it stopped.
+///
+/// # Errors
+/// Where the sweeps cannot be used or the model cannot be written.
+pub fn make_model(
+    making: &Making<'_>,
+    device: &Device,
+    heard: impl FnMut(&Pass),
+) -> Result<Card, TrackError> {
+    let mut all = course::read_courses(making.sweeps, &[])?;
+    let eighth = (all.len() / 8).max(1);
+    let apart = [making.held_out.unwrap_or(eighth), making.unseen.unwrap_or(eighth)];
+    let objects = Split::draw(all.keys().cloned().collect(), apart, making.settings.seed)?;
+    let most = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+    let sweeps_trained = (most as f64 * TRAINED) as u64;
+    let mut of = |names: &[String]| -> Vec<Course> {
+        names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
+    };
+    let mut courses = of(&objects.training);
+    courses.retain(|c| c.sweep < sweeps_trained);
+    let held_out = of(&objects.held_out);
+    let inverse = StaticInverse::new(&making.whisker, network_grid())?;
+    let network = preset(making.preset, &inverse)?;
+    let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
+    let checkpoint = making.out.join("checkpoint");
+    let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
+    let mut tracker = Tracker { config: network, net, inverse, sd_factor: 1.0, device: device.clone() };
+    tracker.sd_factor = evaluate::spread_factor(&tracker, &held_out);
+    let data: BTreeMap<String, String> =
+        manifests(making.sweeps)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect();
+    let mut card = Card {
+        format: FORMAT.to_owned(),
+        trained_on_simulation: true,
+        weights_sha256: String::new(),
+        network,
+        inverse: network_grid(),
+        whisker: making.whisker.clone(),
+        sd_factor: tracker.sd_factor,
+        training: making.settings,
+        passes,
+        objects,
+        data,
+        sweeps_trained,
+    };
+    save(making.out, &tracker.net, &mut card)?;
+    Ok(card)
+}

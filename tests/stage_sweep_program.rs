@@ -150,14 +150,25 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
+    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. It may once in twenty sessions
+    // (its family-wise level) and the bench's noise is drawn anew every time, so that a second session decides.
+    let first = verdict(&bench);
+    if first != (0, "adequate".to_owned()) {
+        let again = Bench::start("");
+        assert_eq!(again.go("--out").status.code(), Some(0));
+        assert_eq!(verdict(&again), (0, "adequate".to_owned()), "twice in a row; first {first:?}");
+    }
+}
+
+/// Exit code and verdict of `verify` on what a bench recorded.
+fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
     let verify = wcal().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
     let verify = verify.expect("wcal runs");
-    let verdict = document(&verify);
-    println!("{} {} {}", verdict["verdict"], verdict["before"], verdict["reason"]);
-    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect.
-    assert_eq!(verdict["verdict"], "adequate", "{verdict}");
-    assert_eq!(verify.status.code(), Some(0));
+    let found = document(&verify);
+    println!("{} {} {}", found["verdict"], found["before"], found["reason"]);
+    let word = found["verdict"].as_str().expect("a verdict").to_owned();
+    (verify.status.code().unwrap_or(-1), word)
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides (shared facts in groove_tip/SOURCE.md).
+//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides (facts: groove_tip/SOURCE.md).
 //!
 //! In the released frame the wire leaves its root along +y and bends toward -x; the groove comes from +y. Sessions in the default
 //! frame (x distal, arc toward -z) are turned into it and back.

@@ -4,6 +4,7 @@ use crate::picture_output::write;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
+use std::cell::Cell;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
@@ -56,11 +57,10 @@ pub fn dynamics(
     );
     let recorded = args.ring_down.as_deref().map(read_ring_down).transpose()?;
     let targets = Targets { ring_down_s: recorded, bounce_ratio: args.bounce_ratio };
-    let mut count = 0;
-    let count = std::cell::RefCell::new(&mut count);
+    let count = Cell::new(0);
     let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
-        **count.borrow_mut() += 1;
-        eprintln!("fit-whisker: trial {} ({}): {:.3}", count.borrow(), trial.stage, trial.score.total);
+        count.set(count.get() + 1);
+        eprintln!("fit-whisker: trial {} ({}): {:.3}", count.get(), trial.stage, trial.score.total);
     })?;
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);

@@ -1,4 +1,4 @@
-//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides (shared facts in groove_tip/SOURCE.md).
+//! The released twin's bench: the whisker at its clamp and the V-groove's tip on three slides (facts: groove_tip/SOURCE.md).
 //!
 //! In the released frame the wire leaves its root along +y and bends toward -x; the groove comes from +y. Sessions in the default
 //! frame (x distal, arc toward -z) are turned into it and back.
@@ -16,8 +16,8 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 pub enum Preset {
     /// As released: MuJoCo's composite cable with a rigid first link, the released damping and contact.
     Released,
-    /// The whisker as measured: clamp right to second order, 40 links. The contact is hard: the released one is soft where joints are
-    /// as light as here, and the wire would sink through the tip.
+    /// The whisker as measured: clamp right to second order, 40 links; damping, armature and contact as released, scaled with the links:
+    /// that contact is soft where joints are lighter, and the wire sinks through the tip.
     Paper,
 }
 
@@ -56,6 +56,8 @@ const VERTICES: usize = 40;
 /// Joint damping (N m s/rad) and armature (kg m^2) as released.
 const RELEASED_DAMPING: f64 = 0.005;
 const RELEASED_ARMATURE: f64 = 3e-5;
+/// Link of the released cable, mm.
+const RELEASED_LINK_MM: f64 = 1.4345;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
 const REST_RAD_S: f64 = 1e-3;
 /// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
@@ -97,10 +99,7 @@ fn released_from(whisker: &WhiskerSpec) -> Matrix3<f64> {
 /// # Errors
 /// Where the wire cannot be.
 pub fn bench(whisker: &WhiskerSpec, preset: Preset) -> Result<String, TwinError> {
-    let touch = match preset {
-        Preset::Released => Touch::RELEASED,
-        Preset::Paper => Touch::default(),
-    };
+    let touch = Touch::RELEASED;
     let [assets, geoms] = convex_parts("tip", &tip_parts()?, &touch);
     let place = |p: [f64; 3]| format!("{} {} {}", p[0] * 1e-3, p[1] * 1e-3, p[2] * 1e-3);
     let mut around = Surroundings {
@@ -123,7 +122,17 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset) -> Result<String, TwinError>
                 whisker,
             )));
             around.base[0] = format!("pos=\"{}\" quat=\"{} {} {} {}\"", place(ROOT_MM), q.w, q.i, q.j, q.k);
-            mjcf_among(whisker, &MjcfOptions { touch, ..MjcfOptions::default() }, &around)
+            let section =
+                wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
+            // Stiffness of a joint of the released cable, N m.
+            let joint_nm = section.ei_nmm2 * 1e-3 / RELEASED_LINK_MM;
+            let options = MjcfOptions {
+                damping_s: RELEASED_DAMPING / joint_nm,
+                armature_s2: RELEASED_ARMATURE / joint_nm,
+                touch,
+                ..MjcfOptions::default()
+            };
+            mjcf_among(whisker, &options, &around)
         }
         Preset::Released => released(whisker, around, &place(ROOT_MM)),
     }

@@ -58,6 +58,8 @@ pub struct PairFit {
 const REACH: f64 = 1.12;
 /// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start where the tags say.
 pub const ROOT_FREE: [f64; 2] = [1.0, 0.05];
+/// Share of the nominal length by which a wire's end may lie elsewhere.
+const LENGTH_SHARE: f64 = 0.1;
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
@@ -102,6 +104,7 @@ fn refine(
     let mut pieces: [(Vec<Piece>, Vec<bool>); 2] = Default::default();
     let mut all: Vec<Sight> = Vec::new();
     let mut warnings = Vec::new();
+    let mut end_seen = false;
     // The window narrows as the curve settles; the look is fitted once the line is roughly right.
     let windows = [4.0, 2.0, 1.2, 1.0, 1.0];
     let mut round = if again { 3 } else { 0 };
@@ -162,6 +165,7 @@ fn refine(
                     find_tip(&pictures[camera], &line.stations, looks[camera], length)
                 })
                 .collect();
+            end_seen = !ends.is_empty();
             if ends.is_empty() {
                 let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
                 // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
@@ -186,6 +190,12 @@ fn refine(
         round += 1;
     }
     let expected = rig.whisker.length_mm;
+    // The wire's length is known: what ends far from it is something else that the search strayed to.
+    if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
+        return Err(format!(
+            "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
+        ));
+    }
     if (length - expected).abs() > 0.02 * expected {
         warnings.push(format!("length {length:.2} mm, nominal {expected:.2} mm"));
     }

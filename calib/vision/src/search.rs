@@ -27,7 +27,7 @@ const LONG_SHARE: f64 = 0.9;
 const MOST_EVIDENCE: f64 = 24.0;
 /// Share of the evidence along the nominal length at which a line is the wire: one of the other polarity does not beat it.
 const CONVINCING_SHARE: f64 = 0.4;
-/// Share below which the wire may start elsewhere than the tags say.
+/// Share below which the beam was too narrow, or the wire starts elsewhere than the tags say.
 const SOUND_SHARE: f64 = 0.6;
 /// How far aside it is looked for then, mm.
 const ASIDE_MM: f64 = 2.0;
@@ -90,9 +90,11 @@ impl Search<'_> {
                 break;
             }
         }
-        // A groove's edges can crowd the wire out of the beam: where what is found is too short, a wider one looks again.
+        // A groove's edges can crowd the wire out of the beam: where what is found is too short or too faint, a wider one looks again.
+        let poor =
+            |t: &Trace| t.length_mm < LONG_SHARE * whisker.length_mm || t.score < SOUND_SHARE * self.most();
         if let Some(found) = &mut best
-            && found.trace.length_mm < LONG_SHARE * whisker.length_mm
+            && poor(&found.trace)
             && let Some(wider) =
                 trace(&self.scene(found.strength, found.polarity), whisker, 4 * BEAM, aside_mm)
             && wider.score > found.trace.score

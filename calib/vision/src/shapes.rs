@@ -83,7 +83,7 @@ pub fn shapes_of_pairs(
                     Some(Ok(fit)) => Some(fit),
                     Some(Err(why)) => return Err(why.clone()),
                 };
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, root_sd, start, &times);
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, &times);
                 if start.is_none() {
                     progress(&l.name);
                 }
@@ -250,14 +250,19 @@ fn load(
     Ok(Loaded { name: files.name.clone(), pictures, tags })
 }
 
+/// How freely the root may lie, and an earlier fit to go on from.
+struct Attempt<'a> {
+    root_sd: [f64; 2],
+    start: Option<&'a PairFit>,
+}
+
 fn fit_one(
     stereo: &StereoCameras,
     rig: &Rig,
     loaded: &Loaded,
     base: Option<&FolderBase>,
     index: usize,
-    root_sd: [f64; 2],
-    start: Option<&PairFit>,
+    Attempt { root_sd, start }: Attempt<'_>,
     times: &StageClock,
 ) -> Result<PairFit, String> {
     let own = base_sightings(rig, &loaded.tags);

@@ -148,14 +148,24 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
         (0.03, Style { blur_px: 1.6, noise_dn: 3.0, ..Style::default() }),
     ];
     for (k, (limit_mm, style)) in styles.into_iter().enumerate() {
-        // A wire that bends away to 25 mm from its rest shape, which the search has to follow.
-        let wire = bench::wire(211);
+        // A wire that bends 22 mm away from its rest shape, which the search has to follow.
+        let wire = bench::wire(200);
         let shapes = run(&calibrated(2), &[vec![wire.clone()]], None, 20 + k as u64, &style);
         let (_, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= limit_mm, "{style:?}: {rms} mm");
         let length = shapes.pairs[0].length_mm;
         assert!((length - bench::LENGTH_MM).abs() < 0.05, "{style:?}: {length} mm");
     }
+}
+
+/// A line of three quarters of the wire's length is no wire of this rig.
+#[test]
+fn a_line_that_ends_far_from_the_known_length_is_rejected() {
+    let cut = bench::wire(200)[..=900].to_vec();
+    let shapes = run(&calibrated(2), &[vec![cut]], None, 30, &Style::default());
+    let pair = &shapes.pairs[0];
+    assert_eq!(pair.status, "rejected");
+    assert!(pair.why.contains("the wire is 60.0 mm long"), "{}", pair.why);
 }
 
 /// A cable beside the whisker makes two wires; a picture of the bench without the whisker says which one to follow.

@@ -46,6 +46,7 @@ fn courses() -> &'static BTreeMap<String, Vec<Course>> {
     COURSES.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let dataset = Dataset {
+            engine: wcal_mujoco::SweepEngine::Rod,
             whisker: whisker(),
             plan: SweepPlan { rate_hz: 10.0, ..SweepPlan::default() },
             objects: ["ball", "can"].map(|n| objects::built_in(n).unwrap()).into(),

@@ -1,0 +1,102 @@
+//! `wcal train`, `wcal evaluate` and `wcal track` as a user runs them (SIMULATED sweeps).
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn wcal(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn good(args: &[&str]) -> serde_json::Value {
+    let run = wcal(args);
+    assert_eq!(run.status.code(), Some(0), "{args:?}: {}", text(&run.stderr));
+    serde_json::from_slice(&run.stdout).unwrap_or_default()
+}
+
+#[test]
+fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (plan, sweeps, model, out) = (path("plan.toml"), path("sweeps"), path("model"), path("track.csv"));
+    std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 60.0\n").unwrap();
+    let objects = ["--object", "ball", "--object", "block", "--object", "can"];
+    let simulate = ["simulate", "--sweeps", "4", "--plan", &plan, "--out", &sweeps];
+    good(&[&simulate[..], &objects[..]].concat());
+    let train = ["train", &sweeps, "--epochs", "1", "--out", &model, "--json"];
+    let card = good(&train);
+    assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
+    assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
+    let again = good(&train);
+    assert_eq!(again["weights_sha256"], card["weights_sha256"], "the training was finished");
+    let scores = good(&["evaluate", &sweeps, "--model", &model, "--out", &path("evaluation"), "--json"]);
+    assert_eq!(scores["simulated"], true);
+    // Six methods on the unseen object and on the sweep kept back.
+    assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
+    assert!(scores["streaming"]["samples_per_s"].as_f64().unwrap() > 0.0);
+    assert!(Path::new(&path("evaluation/evaluation.json")).exists());
+
+    let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
+    good(&["fit-gpr", session, "--out", &path("fit")]);
+    let (table, calibration) = (format!("{session}/points.csv"), path("fit/calibration.json"));
+    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--out", &out];
+    let run = wcal(&track);
+    assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
+    assert!(text(&run.stderr).contains("never verified") && !Path::new(&out).exists());
+    let run = wcal(&[&track[..], &["--force"]].concat());
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let written = std::fs::read_to_string(&out).unwrap();
+    let mut lines = written.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let doubtful = names.iter().position(|n| *n == "calibration_doubtful").unwrap();
+    let rows: Vec<Vec<&str>> = lines.map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), std::fs::read_to_string(&table).unwrap().lines().count() - 1);
+    assert!(rows.iter().all(|r| r.len() == names.len() && r[doubtful] == "1"), "every row says so");
+
+    // Damage and lack are named.
+    let timeless = path("timeless.csv");
+    std::fs::write(&timeless, "point,fbg_1_shift_nm,fbg_2_shift_nm\n0,0.1,0.1\n").unwrap();
+    let run = wcal(&[
+        "track",
+        &timeless,
+        "--calibration",
+        &calibration,
+        "--model",
+        &model,
+        "--out",
+        &out,
+        "--force",
+    ]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("t_s"), "{}", text(&run.stderr));
+    let weights = path("model/model.safetensors");
+    let bytes = std::fs::read(&weights).unwrap();
+    std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
+    let run = wcal(&track);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("model.safetensors"), "{}", text(&run.stderr));
+}
+
+#[test]
+fn sweeps_that_cannot_be_trained_on_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (sweeps, out) = (folder.path().join("sweeps"), folder.path().join("model"));
+    let [sweeps, out] = [&sweeps, &out].map(|p| p.to_str().unwrap().to_owned());
+    let train = ["train", &sweeps, "--epochs", "1", "--out", &out];
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains(&sweeps), "{}", text(&run.stderr));
+    good(&["simulate", "--object", "can", "--sweeps", "1", "--out", &sweeps]);
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("left to train on"), "{}", text(&run.stderr));
+    let table = std::path::Path::new(&sweeps).join("can-000000.samples.parquet");
+    let bytes = std::fs::read(&table).unwrap();
+    std::fs::write(&table, &bytes[..bytes.len() - 9]).unwrap();
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("can-000000.samples.parquet"), "{}", text(&run.stderr));
+}

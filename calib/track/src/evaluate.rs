@@ -154,9 +154,9 @@ pub fn compared(
 
 /// Factor on the network's standard deviations with which its 90 % regions hold on courses that it was not trained on.
 #[must_use]
-pub fn spread_factor(tracker: &Tracker, courses: &[Course]) -> f64 {
+pub fn spread_factor(tracker: &Tracker, courses: &[Course], base_known: bool) -> f64 {
     let compared = |course: &Course| -> Vec<Compared> {
-        let estimates = Method::Network(tracker, true).run(course);
+        let estimates = Method::Network(tracker, base_known).run(course);
         let both = course.instants.iter().zip(&estimates);
         both.filter_map(|(i, e)| Some((i.contact?, e)))
             .map(|(c, e)| {

@@ -56,8 +56,8 @@ pub fn make_model(
     let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
     let checkpoint = making.out.join("checkpoint");
     let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
-    let mut tracker = Tracker { config: network, net, inverse, sd_factor: 1.0, device: device.clone() };
-    tracker.sd_factor = evaluate::spread_factor(&tracker, &held_out);
+    let mut tracker = Tracker { config: network, net, inverse, sd_factors: [1.0; 2], device: device.clone() };
+    tracker.sd_factors = [false, true].map(|known| evaluate::spread_factor(&tracker, &held_out, known));
     let data: BTreeMap<String, String> =
         manifests(making.sweeps)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect();
     let mut card = Card {
@@ -67,7 +67,7 @@ pub fn make_model(
         network,
         inverse: network_grid(),
         whisker: making.whisker.clone(),
-        sd_factor: tracker.sd_factor,
+        sd_factors: tracker.sd_factors,
         training: making.settings,
         passes,
         objects,

@@ -32,8 +32,8 @@ pub struct Card {
     pub inverse: InverseGrid,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// Factor on the stated standard deviations, from objects that were held out.
-    pub sd_factor: f64,
+    /// Factors on the stated standard deviations, from objects that were held out: base's speed not known, and known.
+    pub sd_factors: [f64; 2],
     /// How it was trained.
     pub training: TrainSettings,
     /// Learning curve.
@@ -126,7 +126,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
     net.load_from(&mut store).map_err(TrackError::file("reading", &weights))?;
     let inverse = StaticInverse::new(&card.whisker, card.inverse)?;
     let tracker =
-        Tracker { config: card.network, net, inverse, sd_factor: card.sd_factor, device: device.clone() };
+        Tracker { config: card.network, net, inverse, sd_factors: card.sd_factors, device: device.clone() };
     tracker.check()?;
     Ok((tracker, card))
 }

@@ -14,8 +14,8 @@ pub struct Tracker {
     pub net: WhiskerNet,
     /// Curve of candidates.
     pub inverse: StaticInverse,
-    /// Factor on the stated standard deviations.
-    pub sd_factor: f64,
+    /// Factors on the stated standard deviations: base's speed not known, and known.
+    pub sd_factors: [f64; 2],
     /// Where it runs.
     pub device: Device,
 }
@@ -69,10 +69,11 @@ impl Tracker {
         let times = vec![samples.iter().map(|s| s.t_s).collect()];
         let bias = attention_bias(&times, self.config.heads, self.config.context, &self.device);
         let out = numbers(self.net.forward(inputs, bias));
-        tokens.iter().zip(out.chunks(self.config.outputs())).map(|(t, o)| self.answer(t, o)).collect()
+        let both = tokens.iter().zip(samples).zip(out.chunks(self.config.outputs()));
+        both.map(|((t, s), o)| self.answer(t, o, s.base_mm_s.is_some())).collect()
     }
 
-    fn answer(&self, token: &Token, out: &[f32]) -> Prediction {
+    fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
         let k = self.config.nodes;
         let off = &out[k..k + 3];
         let contact = 1.0 / (1.0 + (-out[k + 3]).exp());
@@ -97,7 +98,7 @@ impl Tracker {
                 }
             }
         }
-        let factor = self.sd_factor.powi(2) as f32;
+        let factor = self.sd_factors[usize::from(base_known)].powi(2) as f32;
         for (i, row) in covariance.iter_mut().enumerate() {
             row[i] += LEAST_SD_MM * LEAST_SD_MM;
             row.iter_mut().for_each(|x| *x *= factor);
@@ -127,7 +128,7 @@ impl Stream<'_> {
         let data = TensorData::new(token.inputs.clone(), [1, 1, config.inputs]);
         let inputs = Tensor::<3>::from_data(data, &self.tracker.device);
         let out = self.tracker.net.step(inputs, sample.t_s, config.context, &mut self.memory);
-        self.tracker.answer(&token, &numbers(out))
+        self.tracker.answer(&token, &numbers(out), sample.base_mm_s.is_some())
     }
 }
 

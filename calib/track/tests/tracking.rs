@@ -4,6 +4,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::{Dataset, SweepPlan, objects};
@@ -68,7 +69,7 @@ fn tracker(config: NetworkConfig) -> Tracker {
     let device = Device::flex();
     device.seed(5);
     let net = WhiskerNet::new(&config, &device).unwrap();
-    Tracker { config, net, inverse: inverse().clone(), sd_factor: 1.0, device }
+    Tracker { config, net, inverse: inverse().clone(), sd_factors: [1.0; 2], device }
 }
 
 fn samples(course: &Course) -> Vec<Sample> {
@@ -192,7 +193,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         network: before.config,
         inverse: grid(),
         whisker: whisker(),
-        sd_factor: 1.0,
+        sd_factors: [1.0; 2],
         training: TrainSettings::default(),
         passes: Vec::new(),
         objects: Split::default(),
@@ -216,15 +217,15 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     assert!(error.contains("model.safetensors"), "{error}");
 }
 
-/// Three passes in one go, and one and two after a stop, give the same network; and it has learned something.
+/// All passes in one go, and the rest of them after a stop, give the same network; and it has learned something.
 #[test]
 fn training_learns_and_goes_on_where_it_stopped() {
     let all: Vec<Course> = courses().values().flatten().cloned().collect();
     let material = Material { courses: &all[..8], held_out: &all[8..], inverse: inverse() };
-    let settings = TrainSettings { epochs: 3, batch: 4, window: 48, patience: 9, ..TrainSettings::default() };
+    let settings = TrainSettings { epochs: 10, batch: 4, window: 48, patience: 99, ..TrainSettings::default() };
     let device = Device::flex();
     let (_, whole) = train(&tiny(), &settings, &material, None, &device, |_| {}).unwrap();
-    assert!(whole[2].held_out_loss < 0.9 * whole[0].held_out_loss, "{whole:?}");
+    assert!(whole[9].held_out_loss < 0.8 * whole[0].held_out_loss, "{whole:?}");
     let folder = tempfile::tempdir().unwrap();
     let stopped = std::panic::catch_unwind(|| {
         train(&tiny(), &settings, &material, Some(folder.path()), &device, |pass| {
@@ -234,9 +235,26 @@ fn training_learns_and_goes_on_where_it_stopped() {
     });
     assert!(stopped.is_err());
     let (_, resumed) = train(&tiny(), &settings, &material, Some(folder.path()), &device, |_| {}).unwrap();
-    assert_eq!(resumed.len(), 3);
-    assert!((resumed[2].held_out_loss - whole[2].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
+    assert_eq!(resumed.len(), 10);
+    assert!((resumed[9].held_out_loss - whole[9].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
     let other = TrainSettings { rate: 1e-3, ..settings };
     let error = train(&tiny(), &other, &material, Some(folder.path()), &device, |_| {}).err().unwrap();
     assert!(error.to_string().contains("another folder"), "{error}");
+}
+
+/// The model that comes with the program, on built-in objects: it has seen scans of other things only.
+#[test]
+fn the_shipped_model_beats_the_static_inverse_by_far() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/tracker");
+    let (tracker, card) = load(&folder, &Device::flex()).unwrap();
+    assert!(card.trained_on_simulation && card.objects.training.len() > 20);
+    let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
+    let contact_mm = |method| {
+        let rows = over_objects(method, courses(), &meshes).unwrap();
+        rows.iter().map(|r| r.followed.true_contact_rmse_mm).sum::<f64>() / rows.len() as f64
+    };
+    let [known, blind] = [true, false].map(|known| contact_mm(Method::Network(&tracker, known)));
+    let still = contact_mm(Method::Static(&tracker.inverse, 40.0));
+    println!("network, speed known {known:.2} mm, not known {blind:.2} mm, static inverse {still:.2} mm");
+    assert!(known < 0.4 * still && blind < 0.6 * still, "{known} {blind} {still}");
 }

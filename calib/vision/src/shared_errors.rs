@@ -92,7 +92,7 @@ fn rounded(by: [f64; 3]) -> [f64; 3] {
 
 /// Derivative of the nodes' places (base frame, mm) by the calibration.
 fn nodes_by_calibration(fit: &PairFit, u: &Uncertain) -> DMatrix<f64> {
-    fit.model.jacobian(&fit.state) * u.by_calibration.rows(6, fit.model.parameters())
+    fit.model.jacobian(&fit.state).tr_mul(&u.by_calibration.rows(6, fit.model.parameters()))
 }
 
 /// The pictures show the tip where they do: with other cameras that is another arc length.

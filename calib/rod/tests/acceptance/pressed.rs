@@ -148,9 +148,10 @@ fn a_push_from_the_contact_inward_is_the_pressed_wire() {
         let local = pressed.links.frames[link].tr_mul(&(contact.normal * contact.force_n));
         let push = chain.pushed(contact.arclength_mm, &local);
         let (moment, expected) = (push.moment_nmm, chain.root_moment_nmm(&pressed.links));
-        assert!((moment - expected).norm() < 1e-6 * expected.norm(), "{moment} {expected}");
+        // A contact lies on the smooth curve through the links' middles, some 0.01 mm off the link itself.
+        assert!((moment - expected).norm() < 1e-3 * expected.norm(), "{moment} {expected}");
         let off = push.axis_mm - contact.normal * chain.radius_mm - contact.point_mm;
-        assert!(off.norm() < 1e-6, "{off}");
+        assert!(off.norm() < 0.03, "{off}");
         let half = chain.pushed(contact.arclength_mm, &(local / 2.0));
         assert!((half.moment_nmm - expected).norm() > 0.2 * expected.norm());
     }

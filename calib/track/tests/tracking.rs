@@ -222,7 +222,8 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
 fn training_learns_and_goes_on_where_it_stopped() {
     let all: Vec<Course> = courses().values().flatten().cloned().collect();
     let material = Material { courses: &all[..8], held_out: &all[8..], inverse: inverse() };
-    let settings = TrainSettings { epochs: 10, batch: 4, window: 48, patience: 99, ..TrainSettings::default() };
+    let settings =
+        TrainSettings { epochs: 10, batch: 4, window: 48, patience: 99, ..TrainSettings::default() };
     let device = Device::flex();
     let (_, whole) = train(&tiny(), &settings, &material, None, &device, |_| {}).unwrap();
     assert!(whole[9].held_out_loss < 0.8 * whole[0].held_out_loss, "{whole:?}");

@@ -139,7 +139,7 @@ fn a_soft_contact_gives_the_hard_ones_moment() {
 #[test]
 fn a_push_from_the_contact_inward_is_the_pressed_wire() {
     let chain = chain(40);
-    for x_mm in [18.0, 33.0, 44.0] {
+    for x_mm in [16.0, 22.0, 28.0] {
         let by = Vector3::new(0.0, -2.0, -14.0);
         let start = Vector3::new(x_mm, 3.0, 21.0);
         let pressed = follow(&chain, 16, &by, |t| Ball { centre_mm: start + by * t, radius_mm: 9.0 });

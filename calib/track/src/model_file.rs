@@ -93,7 +93,9 @@ pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), Trac
     std::fs::create_dir_all(folder).map_err(TrackError::file("creating", folder))?;
     let weights = folder.join("model.safetensors");
     let part = folder.join("model.part.safetensors");
-    let mut store = SafetensorsStore::from_file(&part).overwrite(true);
+    // Several entries come in any order: the same weights would have several hashes.
+    let mut store =
+        SafetensorsStore::from_file(&part).clear_metadata().metadata("producer", "wcal").overwrite(true);
     net.save_into(&mut store).map_err(TrackError::file("writing", &weights))?;
     std::fs::rename(&part, &weights).map_err(TrackError::file("writing", &weights))?;
     let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;

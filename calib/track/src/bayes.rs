@@ -180,8 +180,8 @@ impl<'a> BayesFilter<'a> {
                 let near = |c: &&Candidate| (c.point_mm - from.point_mm).norm() < way_mm + reach_mm;
                 let on = self.now.iter().skip(k).take_while(near).count();
                 let back = self.now.iter().take(k).rev().take_while(near).count();
-                for j in k - back..k + on {
-                    let to = &self.now[j];
+                let within = k - back..k + on;
+                for ((j, to), new) in within.clone().zip(&self.now[within.clone()]).zip(&mut new[within]) {
                     let way = to.point_mm - from.point_mm + Vector3::z() * way_mm;
                     let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
                     let off = normal.dot(&way);
@@ -189,7 +189,7 @@ impl<'a> BayesFilter<'a> {
                     let variance = rule + self.rounding_before[k] + self.rounding[j];
                     let density = (-0.5 * off * off / variance - slid / slide).exp()
                         / (variance.sqrt() * slide * slide);
-                    new[j] += weight * density * FLAT;
+                    *new += weight * density * FLAT;
                 }
             }
             for (j, (w, c)) in new.iter_mut().zip(&self.now).enumerate() {

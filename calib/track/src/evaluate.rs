@@ -124,13 +124,12 @@ pub struct ObjectScores {
 /// Way of the base after which a new contact can have been told by its motion, mm.
 pub const SETTLING_MM: f64 = 2.0;
 
+/// Contact or not, at every instant: called and true.
+pub type Calls = Vec<(bool, bool)>;
+
 /// Estimates of a course beside the truth: where there is contact, and whether it has been followed for a while.
 #[must_use]
-pub fn compared(
-    course: &Course,
-    mesh: &Mesh,
-    estimates: &[Estimate],
-) -> (Vec<(Compared, bool)>, Vec<(bool, bool)>) {
+pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(Compared, bool)>, Calls) {
     let (mut pairs, mut calls) = (Vec::new(), Vec::new());
     let (mut since_mm, mut before): (f64, Option<Vector3<f64>>) = (0.0, None);
     for (now, estimate) in course.instants.iter().zip(estimates) {

@@ -158,6 +158,21 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
     }
 }
 
+/// A thick wire that was once followed only part of the way and taken for whole, 5.65 mm off: it is right or it is rejected.
+#[test]
+fn a_thick_wire_that_is_lost_is_not_called_ok() {
+    let style = Style { diameter_mm: 0.5, ..Style::default() };
+    let wire = bench::wire(211);
+    let shapes = run(&calibrated(2), &[vec![wire.clone()]], None, 21, &style);
+    let pair = &shapes.pairs[0];
+    if pair.status == "ok" {
+        let (_, rms) = judged(&shapes, &[wire], 1.0);
+        assert!(rms <= 0.05, "{rms} mm");
+    } else {
+        assert!(pair.why.contains("last third"), "{}", pair.why);
+    }
+}
+
 /// A line of three quarters of the wire's length is no wire of this rig.
 #[test]
 fn a_line_that_ends_far_from_the_known_length_is_rejected() {

@@ -1,11 +1,14 @@
 //! Bayes filter on a grid of arc lengths (and base speeds, where they are not known): the physical baseline.
 //!
 //! A body is rigid and no wire enters it: along the direction of the force the touched point moves as the object does. Each pair of
-//! candidates, before and now, breaks that rule by some distance, and the filter weighs it. Friction, bending of the object and
-//! several contacts are outside its model.
+//! candidates, before and now, breaks that rule by some distance, and the filter weighs it. At the first touch the wire cannot have
+//! bent further than the base went. Friction, bending of the object and several contacts are outside its model.
+
+mod rule;
 
 use crate::{Candidate, StaticInverse};
 use nalgebra::{Matrix3, Vector3};
+use rule::Rule;
 use serde::{Deserialize, Serialize};
 
 /// What the filter assumes.
@@ -14,14 +17,31 @@ use serde::{Deserialize, Serialize};
 pub struct BayesSettings {
     /// Moment above which there is a contact, N mm.
     pub onset_nmm: f64,
+    /// Standard deviation of the moments' noise, N mm.
+    pub noise_nmm: f64,
     /// Spread of the rule: a constant part, mm, and a part of the base's step.
     pub rule_mm: f64,
     /// See `rule_mm`.
     pub rule_share: f64,
+    /// Share of steps that may pass an edge of the object.
+    pub edge: f64,
+    /// Share of steps that break the rule otherwise (several contacts, contact along a line), and by how much: a constant part, mm, and a part
+    /// of the way on the surface.
+    pub wide: f64,
+    /// See `wide`.
+    pub wide_mm: f64,
+    /// See `wide`.
+    pub wide_share: f64,
     /// Mean way of the contact on the object's surface: a constant part, mm, and a part of the base's step.
     pub slide_mm: f64,
     /// See `slide_mm`.
     pub slide_share: f64,
+    /// Mean turn of the force at the tip over a step: a constant part, rad, and one by the base's way, rad/mm.
+    pub turn: f64,
+    /// See `turn`.
+    pub turn_per_mm: f64,
+    /// Probability that it turns to anywhere (an edge).
+    pub turn_any: f64,
     /// Probability that the contact springs to anywhere on the wire within one step.
     pub spring: f64,
     /// Speeds considered where the base's is not known, mm/s, and their number.
@@ -35,11 +55,19 @@ pub struct BayesSettings {
 impl Default for BayesSettings {
     fn default() -> Self {
         Self {
-            onset_nmm: 0.01,
-            rule_mm: 0.02,
-            rule_share: 0.05,
-            slide_mm: 0.2,
+            onset_nmm: 0.0015,
+            noise_nmm: 0.0005,
+            rule_mm: 0.005,
+            rule_share: 0.02,
+            edge: 0.2,
+            wide: 0.03,
+            wide_mm: 0.1,
+            wide_share: 0.2,
+            slide_mm: 0.4,
             slide_share: 0.3,
+            turn: 0.04,
+            turn_per_mm: 0.1,
+            turn_any: 0.02,
             spring: 0.002,
             speed_mm_s: [2.5, 7.5],
             speeds: 11,
@@ -48,16 +76,8 @@ impl Default for BayesSettings {
     }
 }
 
-/// Ways on the surface beyond so many times the mean one are left to springs.
-const REACH: f64 = 6.0;
-
-/// Space in which a sprung contact may be anywhere, mm^3.
-const SPRING_MM3: f64 = 2e4;
-/// Probability that a sprung contact is the tip's, and moments that it may then have, (N mm)^2.
-const TIP_SHARE: f64 = 0.3;
-const SPRING_NMM2: f64 = 10.0;
-/// Norm of a Gauss across times an exponential of the distance along the surface: (2 pi)^-3/2.
-const FLAT: f64 = 0.063_494;
+/// Weights below this share of all are dropped.
+const SMALL: f64 = 1e-7;
 
 /// Where the contact is believed to be.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,39 +95,17 @@ pub struct Belief {
 pub struct BayesFilter<'a> {
     inverse: &'a StaticInverse,
     settings: BayesSettings,
-    /// Weights by speed, then arc length; empty without contact.
+    /// Weights by speed, then node; empty without contact.
     weights: Vec<Vec<f64>>,
     before: Vec<Candidate>,
     now: Vec<Candidate>,
-    /// Variance of the rule by the rounding to nodes, before and now, mm^2.
-    rounding_before: Vec<f64>,
-    rounding: Vec<f64>,
-}
-
-/// How far the rule is off where a contact lies anywhere between a node's neighbours' middles, as variance, mm^2.
-fn rounding(candidates: &[Candidate], out: &mut Vec<f64>) {
-    out.clear();
-    let last = candidates.len() - 1;
-    out.extend((0..=last).map(|k| {
-        let (low, high) = (k.saturating_sub(1), (k + 1).min(last));
-        let pitch = (candidates[high].point_mm - candidates[low].point_mm) / (high - low) as f64;
-        candidates[k].normal.dot(&pitch).powi(2) / 12.0
-    }));
 }
 
 impl<'a> BayesFilter<'a> {
     /// Without contact so far.
     #[must_use]
     pub fn new(inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
-        Self {
-            inverse,
-            settings,
-            weights: Vec::new(),
-            before: Vec::new(),
-            now: Vec::new(),
-            rounding_before: Vec::new(),
-            rounding: Vec::new(),
-        }
+        Self { inverse, settings, weights: Vec::new(), before: Vec::new(), now: Vec::new() }
     }
 
     /// Candidates of the last sample.
@@ -130,30 +128,28 @@ impl<'a> BayesFilter<'a> {
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
-        std::mem::swap(&mut self.rounding_before, &mut self.rounding);
         self.inverse.candidates(moment_nmm, &mut self.now);
-        rounding(&self.now, &mut self.rounding);
-        if moment_nmm[0].hypot(moment_nmm[1]) < self.settings.onset_nmm {
+        let size = moment_nmm[0].hypot(moment_nmm[1]);
+        if size < self.settings.onset_nmm {
             self.weights.clear();
             return None;
         }
-        let speeds = match base_mm_s {
-            Some(v) => vec![v],
-            None => self.speeds(),
-        };
-        if self.weights.len() == speeds.len() {
-            self.follow(dt_s, &speeds);
-        } else {
-            let reachable = self.now.iter().filter(|c| c.reachable).count().max(1);
-            let each = 1.0 / (reachable * speeds.len()) as f64;
-            let row: Vec<f64> = self.now.iter().map(|c| if c.reachable { each } else { 0.0 }).collect();
-            self.weights = vec![row; speeds.len()];
+        let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
+        let followed = self.weights.len() == speeds.len() && self.follow(dt_s, &speeds);
+        if !followed {
+            let felt_before = !self.weights.is_empty() || self.before.is_empty();
+            self.weights = vec![Vec::new(); speeds.len()];
+            if !felt_before {
+                // The wire at rest, seen from where it is touched now.
+                self.inverse.candidates(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
+            }
+            let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
+            for (speed, row) in speeds.iter().zip(&mut self.weights) {
+                *row = rule.touched((!felt_before).then_some(speed * dt_s));
+            }
+            self.normalise();
         }
         self.belief()
-    }
-
-    fn at_tip(&self, node: usize) -> bool {
-        self.inverse.nodes[node].slant > 0.0
     }
 
     fn speeds(&self) -> Vec<f64> {
@@ -161,61 +157,26 @@ impl<'a> BayesFilter<'a> {
         (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect()
     }
 
-    fn follow(&mut self, dt_s: f64, speeds: &[f64]) {
-        let s = &self.settings;
-        let nodes = self.now.len();
-        let tip_nodes = (0..nodes).filter(|k| self.at_tip(*k)).count().max(1) as f64;
-        let mut next = Vec::with_capacity(speeds.len());
-        for (speed, row) in speeds.iter().zip(&self.weights) {
-            let way_mm = speed * dt_s;
-            let rule = s.rule_mm.powi(2) + (s.rule_share * way_mm).powi(2);
-            let total: f64 = row.iter().sum();
-            let mut new = vec![0.0; nodes];
-            for (k, weight) in row.iter().enumerate().filter(|(_, w)| **w > 1e-9 * total) {
-                let from = &self.before[k];
-                // A tip that is dragged stays where it is and the surface passes below it.
-                let share = if self.at_tip(k) { 1.0 } else { s.slide_share };
-                let slide = s.slide_mm + share * way_mm;
-                let reach_mm = REACH * slide;
-                let near = |c: &&Candidate| (c.point_mm - from.point_mm).norm() < way_mm + reach_mm;
-                let on = self.now.iter().skip(k).take_while(near).count();
-                let back = self.now.iter().take(k).rev().take_while(near).count();
-                let within = k - back..k + on;
-                for ((j, to), new) in within.clone().zip(&self.now[within.clone()]).zip(&mut new[within]) {
-                    let way = to.point_mm - from.point_mm + Vector3::z() * way_mm;
-                    let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
-                    let off = normal.dot(&way);
-                    let slid = (way - normal * off).norm();
-                    let variance = rule + self.rounding_before[k] + self.rounding[j];
-                    let density = (-0.5 * off * off / variance - slid / slide).exp()
-                        / (variance.sqrt() * slide * slide);
-                    *new += weight * density * FLAT;
-                }
-            }
-            for (j, (w, c)) in new.iter_mut().zip(&self.now).enumerate() {
-                // After a spring the contact is anywhere in space, or at the tip with any moments.
-                let anywhere = (1.0 - TIP_SHARE) * c.volume / SPRING_MM3;
-                let tip = if self.at_tip(j) { TIP_SHARE / (tip_nodes * SPRING_NMM2) } else { 0.0 };
-                *w = if c.reachable { *w * c.volume + s.spring * total * (anywhere + tip) } else { 0.0 };
-            }
-            next.push(new);
-        }
-        let moved = (s.speed_change_per_s * dt_s).min(0.25);
-        let n = next.len();
-        if n > 1 {
-            let old = next.clone();
-            for (v, row) in next.iter_mut().enumerate() {
-                let (low, high) = (v.saturating_sub(1), (v + 1).min(n - 1));
-                for (j, w) in row.iter_mut().enumerate() {
-                    *w = (1.0 - 2.0 * moved) * old[v][j] + moved * (old[low][j] + old[high][j]);
-                }
-            }
-        }
-        let total: f64 = next.iter().flatten().sum();
-        if total > 0.0 {
-            next.iter_mut().flatten().for_each(|w| *w /= total);
-        }
+    /// Whether anything is left that explains the sample.
+    fn follow(&mut self, dt_s: f64, speeds: &[f64]) -> bool {
+        let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
+        let least = SMALL * self.weights.iter().flatten().sum::<f64>();
+        let mut next: Vec<Vec<f64>> = speeds
+            .iter()
+            .zip(&self.weights)
+            .map(|(speed, row)| rule.moved(row, least, speed * dt_s))
+            .collect();
+        spread(&mut next, (self.settings.speed_change_per_s * dt_s).min(0.25));
         self.weights = next;
+        self.normalise()
+    }
+
+    fn normalise(&mut self) -> bool {
+        let total: f64 = self.weights.iter().flatten().sum();
+        if total > 0.0 {
+            self.weights.iter_mut().flatten().for_each(|w| *w /= total);
+        }
+        total > 0.0
     }
 
     fn belief(&self) -> Option<Belief> {
@@ -235,5 +196,23 @@ impl<'a> BayesFilter<'a> {
             covariance += off * off.transpose() * (w / total);
         }
         Some(Belief { point_mm: point, covariance_mm2: covariance, arclength_mm: arclength })
+    }
+}
+
+/// Moment of a wire that is as good as at rest, N mm.
+const REST_NMM: f64 = 1e-5;
+
+/// Speeds change little by little: a share of each row's weights goes to each neighbour.
+fn spread(rows: &mut [Vec<f64>], share: f64) {
+    let n = rows.len();
+    if n < 2 {
+        return;
+    }
+    let old = rows.to_vec();
+    for (v, row) in rows.iter_mut().enumerate() {
+        let (low, high) = (v.saturating_sub(1), (v + 1).min(n - 1));
+        for (j, w) in row.iter_mut().enumerate() {
+            *w = (1.0 - 2.0 * share) * old[v][j] + share * (old[low][j] + old[high][j]);
+        }
     }
 }

@@ -1,15 +1,15 @@
 //! Where a single contact can be, given the two transverse moments: a curve in space, one point for each arc length.
 //!
 //! A force square to the wire has two components; with the arc length that makes three unknowns for two moments. At the tip the force
-//! may lean inward: there its slant is the third unknown, and the curve goes on. The rod gives the curve; time, the base's way and what
+//! may lean inward: there its lean toward the root is the third unknown (what points at the root makes no moment there), and the curve goes on. The rod gives the curve; time, the base's way and what
 //! is known of objects choose the point on it.
 
 use crate::TrackError;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use wcal_core::observation::WhiskerSpec;
-use wcal_rod::{Chain, Section, Shape};
+use wcal_rod::{Chain, Push, Section, Shape};
 
 /// How fine the table is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -21,8 +21,8 @@ pub struct InverseGrid {
     pub step_mm: f64,
     /// Nodes for each one at which the rod is solved; those between are interpolated.
     pub refine: usize,
-    /// Slants of the force at the tip, up to a right angle less one part.
-    pub slants: usize,
+    /// Leans of the force at the tip: parts of the way from square to the wire to straight at the root, less the last one.
+    pub leans: usize,
     /// Directions of the moment around the root.
     pub directions: usize,
     /// Largest moment, N mm, and its steps.
@@ -39,7 +39,7 @@ impl Default for InverseGrid {
             first_mm: 4.0,
             step_mm: 1.0,
             refine: 4,
-            slants: 9,
+            leans: 9,
             directions: 48,
             most_nmm: 3.2,
             steps: 32,
@@ -57,6 +57,10 @@ pub struct Candidate {
     pub normal: Vector3<f64>,
     /// Volume of places that the node and a unit square of moments stand for, mm^3/(N mm)^2.
     pub volume: f64,
+    /// Area over which a unit square of moments moves the point at this node, as a vector square to it, mm^2/(N mm)^2.
+    pub area: Vector3<f64>,
+    /// How the point gives way along the force by the moments, mm/(N mm).
+    pub give_mm_per_nmm: f64,
     /// Whether the moments can come from this arc length at all; where not, the last moments on the way that can are meant.
     pub reachable: bool,
 }
@@ -66,14 +70,14 @@ pub struct Candidate {
 pub struct Node {
     /// Arc length, mm.
     pub arclength_mm: f64,
-    /// Tangent of the force's slant, inward along the wire; 0 but at the tip.
-    pub slant: f64,
+    /// Lean of the force: 0 square to the wire, toward 1 straight at the root; 0 but at the tip.
+    pub lean: f64,
 }
 
 /// The table.
 #[derive(Debug, Clone)]
 pub struct StaticInverse {
-    /// Nodes from the root to the tip, then the tip's slants.
+    /// Nodes from the root to the tip, then the tip's leans.
     pub nodes: Vec<Node>,
     grid: InverseGrid,
     /// By arc length, direction and moment: point and normal.
@@ -100,15 +104,33 @@ impl StaticInverse {
         let chain = Chain::new(&section, &shape, whisker.diameter_mm, grid.links)?;
         let tip_mm = shape.length_mm;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
-        let along = (0..=steps)
-            .map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, slant: 0.0 });
-        let slant = |k: usize| (std::f64::consts::FRAC_PI_2 * k as f64 / (grid.slants + 1) as f64).tan();
-        let tip = (1..=grid.slants).map(|k| Node { arclength_mm: tip_mm, slant: slant(k) });
-        let nodes: Vec<Node> = along.chain(tip).collect();
-        let cells: Vec<Vec<Cell>> = nodes
+        let along =
+            (0..=steps).map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, lean: 0.0 });
+        let tip =
+            (1..=grid.leans).map(|k| Node { arclength_mm: tip_mm, lean: k as f64 / (grid.leans + 1) as f64 });
+        let mut cells: Vec<Vec<Cell>> = along
+            .clone()
+            .collect::<Vec<_>>()
             .par_iter()
-            .map(|n| (0..grid.directions).flat_map(|d| ray(&chain, n, d, &grid)).collect())
+            .map(|n| {
+                (0..grid.directions)
+                    .flat_map(|d| ray(&chain, n.arclength_mm, d, &grid))
+                    .map(|s| s.0)
+                    .collect()
+            })
             .collect();
+        let leaned: Vec<Vec<Vec<Cell>>> = (0..grid.directions)
+            .into_par_iter()
+            .map(|d| {
+                let square = ray(&chain, tip_mm, d, &grid).into_iter().enumerate();
+                square
+                    .map(|(m, (_, force))| leans(&chain, tip_mm, force, moment(d, m, &grid), &grid))
+                    .collect()
+            })
+            .collect();
+        let of_lean = |k: usize| leaned.iter().flatten().map(|at| at[k]).collect();
+        cells.extend((0..grid.leans).map(of_lean));
+        let nodes: Vec<Node> = along.chain(tip).collect();
         Ok(refined(&nodes, &cells, grid))
     }
 
@@ -117,7 +139,6 @@ impl StaticInverse {
         let [y, z] = moment_nmm;
         let here = self.corners(moment_nmm);
         let beside = [self.corners([y + BESIDE_NMM, z]), self.corners([y, z + BESIDE_NMM])];
-        let mut areas = Vec::with_capacity(self.nodes.len());
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
             let (values, reachable) = self.mixed(node, &here);
@@ -128,14 +149,14 @@ impl StaticInverse {
                 (Vector3::new(v[0], v[1], v[2]) - point_mm) / BESIDE_NMM
             });
             let normal = normal.try_normalize(1e-9).unwrap_or(Vector3::z());
-            areas.push(by_y.cross(&by_z));
-            Candidate { point_mm, normal, volume: 0.0, reachable }
+            let give_mm_per_nmm = normal.dot(&by_y).hypot(normal.dot(&by_z));
+            Candidate { point_mm, normal, volume: 0.0, area: by_y.cross(&by_z), give_mm_per_nmm, reachable }
         }));
         let last = out.len() - 1;
-        for (k, area) in areas.iter().enumerate() {
+        for k in 0..=last {
             let (low, high) = (k.saturating_sub(1), (k + 1).min(last));
             let pitch = (out[high].point_mm - out[low].point_mm) / (high - low) as f64;
-            out[k].volume = pitch.dot(area).abs();
+            out[k].volume = pitch.dot(&out[k].area).abs();
         }
     }
 
@@ -182,7 +203,7 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInve
         let (a, b) = (nodes[from], nodes[to]);
         fine.push(Node {
             arclength_mm: mix(a.arclength_mm, b.arclength_mm, u),
-            slant: mix(a.slant.atan(), b.slant.atan(), u).tan(),
+            lean: mix(a.lean, b.lean, u),
         });
         fine_cells.extend(cells[from].iter().zip(&cells[to]).map(|((a, there), (b, too))| {
             let values: [f32; 6] = std::array::from_fn(|i| mix(a[i].into(), b[i].into(), u) as f32);
@@ -199,48 +220,61 @@ const AGREES_NMM: f64 = 1e-7;
 /// Moment that stands for the first touch, N mm.
 const FIRST_NMM: f64 = 1e-4;
 
-/// One node and direction: moments from none to the largest.
-fn ray(chain: &Chain, node: &Node, direction: usize, grid: &InverseGrid) -> Vec<Cell> {
+/// Moments at the root of a cell, N mm.
+fn moment(direction: usize, step: usize, grid: &InverseGrid) -> Vector2<f64> {
     let angle = std::f64::consts::TAU * direction as f64 / grid.directions as f64;
-    let toward = Vector2::new(angle.cos(), angle.sin());
-    let cell = |force: Vector2<f64>, reachable: bool| {
-        let push = chain.pushed(node.arclength_mm, &leaning(force, node.slant));
-        let normal = push.force_n.normalize();
-        let point = push.axis_mm - normal * chain.radius_mm;
-        ([point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32), reachable)
-    };
-    let step = grid.most_nmm / grid.steps as f64;
+    let size = if step == 0 { FIRST_NMM } else { grid.most_nmm * step as f64 / grid.steps as f64 };
+    Vector2::new(angle.cos(), angle.sin()) * size
+}
+
+/// What a force (N, frame of the wire at the contact) makes of the wire there.
+fn cell(chain: &Chain, arclength_mm: f64, force: &Vector3<f64>, reachable: bool) -> Cell {
+    let push = chain.pushed(arclength_mm, force);
+    let normal = push.force_n.normalize();
+    let point = push.axis_mm - normal * chain.radius_mm;
+    ([point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32), reachable)
+}
+
+/// Forces square to the wire at an arc length, mm, in one direction: moments from none to the largest.
+fn ray(
+    chain: &Chain,
+    arclength_mm: f64,
+    direction: usize,
+    grid: &InverseGrid,
+) -> Vec<(Cell, Option<Vector3<f64>>)> {
+    let across = |f: Vector2<f64>| Vector3::new(0.0, f.x, f.y);
     // Without a force there is a direction all the same: that of the first one.
-    let mut force = solve(chain, node, toward * FIRST_NMM, Vector2::zeros());
+    let mut force = square(chain, arclength_mm, moment(direction, 0, grid), Vector2::zeros());
     let mut last = force.unwrap_or(Vector2::new(1e-6, 0.0));
-    let mut cells = vec![cell(last, force.is_some())];
+    let mut found = vec![(cell(chain, arclength_mm, &across(last), force.is_some()), force.map(across))];
     let mut before = Vector2::zeros();
     for m in 1..=grid.steps {
         if let Some(from) = force {
-            let guess = if m > 1 { from * 2.0 - before } else { from * (step / FIRST_NMM) };
+            let to = moment(direction, m, grid);
+            let guess = if m > 1 { from * 2.0 - before } else { from * (to.norm() / FIRST_NMM) };
             before = if m > 1 { from } else { Vector2::zeros() };
-            force = solve(chain, node, toward * (step * m as f64), guess);
+            force = square(chain, arclength_mm, to, guess);
             last = force.unwrap_or(last);
         }
-        cells.push(cell(last, force.is_some()));
+        found.push((cell(chain, arclength_mm, &across(last), force.is_some()), force.map(across)));
     }
-    cells
-}
-
-fn leaning(force: Vector2<f64>, slant: f64) -> Vector3<f64> {
-    Vector3::new(-slant * force.norm(), force.x, force.y)
+    found
 }
 
 /// Transverse force (N) whose moments at the root are these; `None` where none is found near the guess.
-fn solve(chain: &Chain, node: &Node, moment_nmm: Vector2<f64>, guess: Vector2<f64>) -> Option<Vector2<f64>> {
+fn square(
+    chain: &Chain,
+    arclength_mm: f64,
+    moment_nmm: Vector2<f64>,
+    guess: Vector2<f64>,
+) -> Option<Vector2<f64>> {
     let moments = |f: Vector2<f64>| {
-        let m = chain.pushed(node.arclength_mm, &leaning(f, node.slant)).moment_nmm;
+        let m = chain.pushed(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
         Vector2::new(m.y, m.z)
     };
     let mut force = guess;
     if force == Vector2::zeros() {
-        // Small forces only: the lean has no derivative at none.
-        let arm = node.arclength_mm.max(1.0);
+        let arm = arclength_mm.max(1.0);
         force = Vector2::new(moment_nmm.y, -moment_nmm.x) / arm;
     }
     let start = force;
@@ -253,6 +287,64 @@ fn solve(chain: &Chain, node: &Node, moment_nmm: Vector2<f64>, guess: Vector2<f6
         let h = 1e-4 * force.norm();
         let column = |e: Vector2<f64>| (moments(force + e * h) - moments(force - e * h)) / (2.0 * h);
         let step = Matrix2::from_columns(&[column(Vector2::x()), column(Vector2::y())]).lu().solve(&off)?;
+        let most = 0.5 * force.norm();
+        force -= if step.norm() > most { step * (most / step.norm()) } else { step };
+    }
+    None
+}
+
+/// The tip under forces with the same moments at the root that lean more and more, from one that is square to the wire.
+fn leans(
+    chain: &Chain,
+    tip_mm: f64,
+    square: Option<Vector3<f64>>,
+    moment_nmm: Vector2<f64>,
+    grid: &InverseGrid,
+) -> Vec<Cell> {
+    let mut last = square.unwrap_or(Vector3::y() * 1e-6);
+    let angle = square.map(|f| lean_sine(&chain.pushed(tip_mm, &f)).asin());
+    let mut force = square;
+    (1..=grid.leans)
+        .map(|k| {
+            let part = k as f64 / (grid.leans + 1) as f64;
+            force = force.zip(angle).and_then(|(from, angle)| {
+                let angle = angle + (std::f64::consts::FRAC_PI_2 - angle) * part;
+                leaning(chain, tip_mm, &from, moment_nmm, angle.sin())
+            });
+            last = force.unwrap_or(last);
+            cell(chain, tip_mm, &last, force.is_some())
+        })
+        .collect()
+}
+
+/// Sine of the angle by which a force leans toward the root.
+fn lean_sine(push: &Push) -> f64 {
+    -push.force_n.normalize().dot(&push.axis_mm.normalize())
+}
+
+/// Force at the tip with these moments and this lean, from one near it.
+fn leaning(
+    chain: &Chain,
+    tip_mm: f64,
+    from: &Vector3<f64>,
+    moment_nmm: Vector2<f64>,
+    sine: f64,
+) -> Option<Vector3<f64>> {
+    let off = |f: &Vector3<f64>| {
+        let push = chain.pushed(tip_mm, f);
+        let m = push.moment_nmm;
+        Vector3::new(m.y - moment_nmm.x, m.z - moment_nmm.y, (lean_sine(&push) - sine) * moment_nmm.norm())
+    };
+    let mut force = *from;
+    for _ in 0..NEWTON_STEPS {
+        let value = off(&force);
+        if value.norm() < AGREES_NMM {
+            return Some(force);
+        }
+        let h = 1e-4 * force.norm();
+        let column = |e: Vector3<f64>| (off(&(force + e * h)) - off(&(force - e * h))) / (2.0 * h);
+        let columns = [column(Vector3::x()), column(Vector3::y()), column(Vector3::z())];
+        let step = Matrix3::from_columns(&columns).lu().solve(&value)?;
         let most = 0.5 * force.norm();
         force -= if step.norm() > most { step * (most / step.norm()) } else { step };
     }

@@ -1,6 +1,6 @@
 //! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
 
-use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet};
+use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
 use crate::train::{Pass, TrainSettings};
 use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
 use burn::store::{ModuleSnapshot, SafetensorsStore};
@@ -133,10 +133,10 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
     Ok((tracker, card))
 }
 
-/// Grid of the curve that the default network is built on: a node every 2 mm.
+/// Grid of the curve that the networks are built on: a node every half millimetre.
 #[must_use]
 pub fn network_grid() -> InverseGrid {
-    InverseGrid { step_mm: 2.0, refine: 1, slants: 6, ..InverseGrid::default() }
+    InverseGrid { step_mm: 1.0, refine: 2, leans: 8, ..InverseGrid::default() }
 }
 
 /// Sizes of a preset on a curve.
@@ -147,7 +147,7 @@ pub fn preset(name: &str, inverse: &StaticInverse) -> Result<NetworkConfig, Trac
     let nodes = inverse.nodes.len();
     let inputs = FeatureMaker::width(nodes);
     match name {
-        "default" => Ok(NetworkConfig::small(inputs, nodes)),
+        "default" => Ok(NetworkConfig::small(inputs, knots(nodes).len())),
         "paper" => Ok(NetworkConfig::paper(inputs)),
         _ => Err(TrackError::value("preset", "default or paper", name)),
     }

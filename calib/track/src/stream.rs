@@ -1,7 +1,7 @@
 //! Tracks sample by sample, and whole courses at once; both give the same answers.
 
 use crate::network::model::attention_bias;
-use crate::network::{Attended, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet};
+use crate::network::{Attended, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots};
 use crate::{StaticInverse, TrackError};
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -35,10 +35,11 @@ impl Tracker {
     /// # Errors
     /// Where network and curve do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {
-        let (nodes, width) = (self.inverse.nodes.len(), FeatureMaker::width(self.inverse.nodes.len()));
+        let (nodes, width) =
+            (knots(self.inverse.nodes.len()).len(), FeatureMaker::width(self.inverse.nodes.len()));
         if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
-            let found = format!("{} inputs, {} nodes", self.config.inputs, self.config.nodes);
-            return Err(TrackError::value("network", format!("{width} inputs, {nodes} nodes"), found));
+            let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
+            return Err(TrackError::value("network", format!("{width} inputs, {nodes} knots"), found));
         }
         Ok(())
     }
@@ -82,8 +83,14 @@ impl Tracker {
             let point_mm = [0, 1, 2].map(|i| off[i] * crate::train::PLACE_MM as f32);
             return Prediction { contact, point_mm, covariance_mm2: [[0.0; 3]; 3], weights: Vec::new() };
         }
-        let most = out[..k].iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let mut weights: Vec<f32> = out[..k].iter().map(|x| (x - most).exp()).collect();
+        let factors =
+            between(token.believed.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
+                Some(next) => out[knot] * (1.0 - u) + next * u,
+                None => out[knot],
+            });
+        let mut weights: Vec<f32> = factors.zip(&token.believed).map(|(f, b)| f + b).collect();
+        let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        weights.iter_mut().for_each(|w| *w = (*w - most).exp());
         let total: f32 = weights.iter().sum();
         weights.iter_mut().for_each(|w| *w /= total);
         let mut mean = [0.0_f32; 3];

@@ -1,7 +1,7 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
 use crate::network::model::attention_bias;
-use crate::network::{NetworkConfig, WhiskerNet};
+use crate::network::{NetworkConfig, WhiskerNet, between};
 use crate::{Course, StaticInverse, TrackError};
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
@@ -224,8 +224,10 @@ fn loss(
     let (mean, choice) = if config.nodes == 0 {
         (off_curve * PLACE_MM, Tensor::zeros([1], device))
     } else {
-        let k = config.nodes;
-        let log_weights = log_softmax(out.narrow(1, 0, k), 1);
+        let k = windows[0].points.len() / (3 * time);
+        let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
+        let believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
+        let log_weights = log_softmax(factors + believed, 1);
         let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
         let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
         let points = gather(|w| &w.points, [n, k, 3]);
@@ -238,6 +240,18 @@ fn loss(
     let contact = -(log_sigmoid(logit.clone()) * touching.clone() + log_sigmoid(-logit) * (-touching + 1.0));
     let contact = (contact * counted.clone()).sum() / (counted.sum() + 1.0);
     (choice + place_loss + contact, off)
+}
+
+/// Linear interpolation from knots to nodes, `[knots, nodes]`.
+fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
+    let mut hats = vec![0.0_f32; knots * nodes];
+    for (node, (k, u)) in between(nodes).into_iter().enumerate() {
+        hats[k * nodes + node] += 1.0 - u;
+        if k + 1 < knots {
+            hats[(k + 1) * nodes + node] += u;
+        }
+    }
+    Tensor::from_data(TensorData::new(hats, [knots, nodes]), device)
 }
 
 /// Scale of a place that comes out as it is, mm.

@@ -27,7 +27,7 @@ fn whisker() -> WhiskerSpec {
 }
 
 fn grid() -> InverseGrid {
-    InverseGrid { step_mm: 4.0, refine: 1, slants: 3, directions: 24, steps: 16, ..InverseGrid::default() }
+    InverseGrid { step_mm: 4.0, refine: 1, leans: 3, directions: 24, steps: 16, ..InverseGrid::default() }
 }
 
 fn inverse() -> &'static StaticInverse {

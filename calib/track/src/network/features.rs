@@ -14,8 +14,33 @@ const STEP_S: f64 = 0.1;
 
 /// Inputs that do not belong to a node.
 const COMMON: usize = 9;
-/// Inputs a node.
-const PER_NODE: usize = 6;
+/// Inputs a knot.
+const PER_KNOT: usize = 6;
+/// Nodes of the curve from one knot, of which the network sees and says something, to the next.
+const STRIDE: usize = 4;
+/// Belief that is left to a node whatever the filter says of it: the network may still choose it.
+const DOUBT: f64 = 1e-4;
+
+/// Nodes of the curve at which the network's knots lie: every fourth, and the last.
+#[must_use]
+pub fn knots(nodes: usize) -> Vec<usize> {
+    let last = nodes.saturating_sub(1);
+    (0..last).step_by(STRIDE).chain([last]).collect()
+}
+
+/// For each node the knot at or before it and the share of the next one.
+#[must_use]
+pub fn between(nodes: usize) -> Vec<(usize, f32)> {
+    let knots = knots(nodes);
+    let one = |node: usize| {
+        let k = (node / STRIDE).min(knots.len().saturating_sub(2));
+        match knots.get(k + 1) {
+            Some(next) if *next > knots[k] => (k, (node - knots[k]) as f32 / (next - knots[k]) as f32),
+            _ => (k, 0.0),
+        }
+    };
+    (0..nodes).map(one).collect()
+}
 
 /// A sample as the network takes it.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,14 +51,16 @@ pub struct Token {
     pub dt_s: f32,
     /// Where the contact would be, a node of the static inverse, mm.
     pub points_mm: Vec<[f32; 3]>,
-    /// Whether the node can explain the moments.
-    pub reachable: Vec<bool>,
+    /// Logarithm of what the Bayes filter believes of each node: the network mends its physics and its springs.
+    pub believed: Vec<f32>,
 }
 
 /// Makes tokens out of samples in order of time.
 #[derive(Debug, Clone)]
 pub struct FeatureMaker<'a> {
     filter: BayesFilter<'a>,
+    knots: Vec<usize>,
+    between: Vec<(usize, f32)>,
     before: Option<([f64; 2], Vec<Candidate>)>,
 }
 
@@ -41,22 +68,35 @@ impl<'a> FeatureMaker<'a> {
     /// At the beginning of a recording.
     #[must_use]
     pub fn new(inverse: &'a StaticInverse) -> Self {
-        Self { filter: BayesFilter::new(inverse, BayesSettings::default()), before: None }
+        let nodes = inverse.nodes.len();
+        let filter = BayesFilter::new(inverse, BayesSettings::default());
+        Self { filter, knots: knots(nodes), between: between(nodes), before: None }
     }
 
-    /// Inputs of a token.
+    /// Inputs of a token on a curve of so many nodes.
     #[must_use]
     pub fn width(nodes: usize) -> usize {
-        COMMON + PER_NODE * nodes
+        COMMON + PER_KNOT * knots(nodes).len()
     }
 
     /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
         self.filter.step(dt_s, moment_nmm, base_mm_s);
-        let believed = self.filter.posterior();
-        let now = self.filter.candidates().to_vec();
+        let all = self.filter.candidates();
+        let mut posterior = self.filter.posterior();
+        if posterior.is_empty() {
+            posterior = vec![1.0 / all.len() as f64; all.len()];
+        }
+        let mut at_knots = vec![0.0; self.knots.len()];
+        for (weight, (k, u)) in posterior.iter().zip(&self.between) {
+            at_knots[*k] += weight * f64::from(1.0 - u);
+            if let Some(next) = at_knots.get_mut(k + 1) {
+                *next += weight * f64::from(*u);
+            }
+        }
+        let now: Vec<Candidate> = self.knots.iter().map(|k| all[*k]).collect();
         let dt = dt_s.max(1e-4);
-        let mut inputs = Vec::with_capacity(Self::width(now.len()));
+        let mut inputs = Vec::with_capacity(Self::width(all.len()));
         inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
         inputs.extend(moment_nmm.map(|m| (m / SMALL_MOMENT_NMM).asinh() / 4.0));
         let rate =
@@ -73,17 +113,16 @@ impl<'a> FeatureMaker<'a> {
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
             inputs.extend(c.point_mm.iter().map(|x| x / LENGTH_MM));
-            // What the Bayes filter believes: the network mends its physics and its springs.
-            inputs.extend([off, c.normal.z, believed.get(k).map_or(0.0, |w| w.sqrt() * 2.0)]);
+            inputs.extend([off, c.normal.z, at_knots[k].sqrt() * 2.0]);
         }
         let token = Token {
             inputs: inputs.into_iter().map(|x| x as f32).collect(),
             dt_s: dt_s as f32,
-            points_mm: now
+            points_mm: all
                 .iter()
                 .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32))
                 .collect(),
-            reachable: now.iter().map(|c| c.reachable).collect(),
+            believed: posterior.iter().map(|w| (w + DOUBT / all.len() as f64).ln() as f32).collect(),
         };
         self.before = Some((moment_nmm, now));
         token

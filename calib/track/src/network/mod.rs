@@ -1,10 +1,10 @@
 //! WhiskerNet: a causal transformer over the whisker's signals.
 //!
 //! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
-//! inverse's curve, which keep the answer on what the moments allow.
+//! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on what the Bayes filter believes.
 
 pub mod features;
 pub mod model;
 
-pub use features::{FeatureMaker, Token};
+pub use features::{FeatureMaker, Token, between, knots};
 pub use model::{Attended, NetworkConfig, Output, Prediction, WhiskerNet};

@@ -2,7 +2,7 @@
 
 use crate::TrackError;
 use burn::module::Module;
-use burn::nn::{Dropout, DropoutConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::{gelu, softmax};
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub struct NetworkConfig {
     /// Inputs of a token.
     pub inputs: usize,
-    /// Nodes of the static inverse; 0: the place itself comes out (the paper's head).
+    /// Knots on the static inverse's curve; 0: the place itself comes out (the paper's head).
     pub nodes: usize,
     /// Hidden width of the encoder.
     pub encoder: usize,
@@ -48,7 +48,7 @@ impl NetworkConfig {
         }
     }
 
-    /// The default network on a curve of `nodes` nodes.
+    /// The default network on a curve of `nodes` knots.
     #[must_use]
     pub fn small(inputs: usize, nodes: usize) -> Self {
         Self {
@@ -78,7 +78,7 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Numbers that come out for a token: weights of nodes, a place (or what is off it), contact.
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.nodes + 3 + 1
@@ -154,7 +154,10 @@ impl WhiskerNet {
             encode_out: linear(c.encoder, c.width),
             blocks: (0..c.layers).map(block).collect(),
             norm: norm(),
-            head: linear(c.width, c.outputs()),
+            // Small: what comes out at first is the filter's own belief.
+            head: LinearConfig::new(c.width, c.outputs())
+                .with_initializer(Initializer::Normal { mean: 0.0, std: 0.01 })
+                .init(device),
             dropout: DropoutConfig::new(c.dropout).init(),
             heads: c.heads,
         })

@@ -14,6 +14,8 @@ pub(super) struct Window {
     pub times_s: Vec<f64>,
     /// Candidates' places, a token and node, mm.
     pub points: Vec<f32>,
+    /// Logarithms of the filter's belief, a token and node.
+    pub believed: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,
     /// True place, mm; what no token has is 0 and not counted.
@@ -61,6 +63,7 @@ fn window(
         inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
         times_s: Vec::with_capacity(t),
         points: Vec::with_capacity(t * nodes * 3),
+        believed: Vec::with_capacity(t * nodes),
         weights: Vec::with_capacity(t * nodes),
         place: Vec::with_capacity(t * 3),
         touching: Vec::with_capacity(t),
@@ -87,6 +90,7 @@ fn window(
         });
         made.inputs.extend(token.inputs);
         made.points.extend(token.points_mm.iter().flatten());
+        made.believed.extend(token.believed);
         made.times_s.push(t_s);
         made.place.extend(truth.unwrap_or_default());
         made.touching.push(f32::from(u8::from(truth.is_some())));

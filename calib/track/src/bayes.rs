@@ -52,6 +52,19 @@ pub struct BayesSettings {
     pub speed_change_per_s: f64,
 }
 
+impl BayesSettings {
+    /// For moments with this white noise, and with a zero that is off by so much, N mm.
+    #[must_use]
+    pub fn stated(noise_nmm: f64, zero_nmm: f64) -> Self {
+        let clean = Self::default();
+        Self {
+            noise_nmm: clean.noise_nmm.max(noise_nmm),
+            onset_nmm: clean.onset_nmm.max(5.0 * noise_nmm).max(2.0 * zero_nmm),
+            ..clean
+        }
+    }
+}
+
 impl Default for BayesSettings {
     fn default() -> Self {
         Self {

@@ -1,5 +1,6 @@
 //! From a folder of sweeps to a trained model with its card.
 
+use crate::bayes::BayesSettings;
 use crate::model_file::{Card, FORMAT, Split, network_grid, preset, save};
 use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
@@ -56,7 +57,14 @@ pub fn make_model(
     let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
     let checkpoint = making.out.join("checkpoint");
     let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
-    let mut tracker = Tracker { config: network, net, inverse, sd_factors: [1.0; 2], device: device.clone() };
+    let mut tracker = Tracker {
+        config: network,
+        net,
+        inverse,
+        filter: BayesSettings::default(),
+        sd_factors: [1.0; 2],
+        device: device.clone(),
+    };
     tracker.sd_factors = [false, true].map(|known| evaluate::spread_factor(&tracker, &held_out, known));
     let data: BTreeMap<String, String> =
         manifests(making.sweeps)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect();

@@ -1,5 +1,6 @@
 //! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
 
+use crate::bayes::BayesSettings;
 use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
 use crate::train::{Pass, TrainSettings};
 use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
@@ -127,8 +128,14 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
     let mut store = SafetensorsStore::from_bytes(Some(bytes));
     net.load_from(&mut store).map_err(TrackError::file("reading", &weights))?;
     let inverse = StaticInverse::new(&card.whisker, card.inverse)?;
-    let tracker =
-        Tracker { config: card.network, net, inverse, sd_factors: card.sd_factors, device: device.clone() };
+    let tracker = Tracker {
+        config: card.network,
+        net,
+        inverse,
+        filter: BayesSettings::default(),
+        sd_factors: card.sd_factors,
+        device: device.clone(),
+    };
     tracker.check()?;
     Ok((tracker, card))
 }

@@ -1,5 +1,6 @@
 //! Tracks sample by sample, and whole courses at once; both give the same answers.
 
+use crate::bayes::BayesSettings;
 use crate::network::model::attention_bias;
 use crate::network::{Attended, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots};
 use crate::{StaticInverse, TrackError};
@@ -14,6 +15,8 @@ pub struct Tracker {
     pub net: WhiskerNet,
     /// Curve of candidates.
     pub inverse: StaticInverse,
+    /// What the filter below the network is told of the moments.
+    pub filter: BayesSettings,
     /// Factors on the stated standard deviations: base's speed not known, and known.
     pub sd_factors: [f64; 2],
     /// Where it runs.
@@ -49,7 +52,7 @@ impl Tracker {
     pub fn stream(&self) -> Stream<'_> {
         Stream {
             tracker: self,
-            features: FeatureMaker::new(&self.inverse),
+            features: FeatureMaker::new(&self.inverse, self.filter),
             memory: Attended::default(),
             last_s: None,
         }
@@ -58,7 +61,7 @@ impl Tracker {
     /// All answers of a course in one pass.
     #[must_use]
     pub fn course(&self, samples: &[Sample]) -> Vec<Prediction> {
-        let mut features = FeatureMaker::new(&self.inverse);
+        let mut features = FeatureMaker::new(&self.inverse, self.filter);
         let mut last_s = None;
         let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
         if tokens.is_empty() {

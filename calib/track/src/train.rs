@@ -57,7 +57,7 @@ impl Default for TrainSettings {
             time_factor: [0.4, 1.5],
             noise_nmm: 0.002,
             gain: 0.005,
-            drift_nmm_s: 0.0002,
+            drift_nmm_s: 0.0004,
             seed: 1,
         }
     }

@@ -67,9 +67,9 @@ pub struct FeatureMaker<'a> {
 impl<'a> FeatureMaker<'a> {
     /// At the beginning of a recording.
     #[must_use]
-    pub fn new(inverse: &'a StaticInverse) -> Self {
+    pub fn new(inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
         let nodes = inverse.nodes.len();
-        let filter = BayesFilter::new(inverse, BayesSettings::default());
+        let filter = BayesFilter::new(inverse, settings);
         Self { filter, knots: knots(nodes), between: between(nodes), before: None }
     }
 

@@ -1,6 +1,7 @@
 //! Windows of courses as the network takes them, with noise, gain, drift and clock that a bench would add.
 
 use super::TrainSettings;
+use crate::bayes::BayesSettings;
 use crate::network::FeatureMaker;
 use crate::stream::FIRST_S;
 use crate::{Course, StaticInverse};
@@ -41,6 +42,11 @@ pub(super) fn windows(
         .collect()
 }
 
+/// Share of courses without noise and drift.
+const CLEAN: f64 = 0.4;
+/// Time after which the filter is told how far the zero went, s.
+const DRIFTED_S: f64 = 10.0;
+
 fn window(
     course: &Course,
     inverse: &StaticInverse,
@@ -49,14 +55,18 @@ fn window(
 ) -> Window {
     let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
     let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
-    let noise = settings.noise_nmm * uniform(0.0, 1.0);
+    // Some courses stay as the twin made them.
+    let clean = uniform(0.0, 1.0) < CLEAN;
+    let noise = if clean { 0.0 } else { settings.noise_nmm * uniform(0.0, 1.0) };
     let gain: [f64; 2] = std::array::from_fn(|_| 1.0 + settings.gain * uniform(-1.0, 1.0));
-    let drift: [f64; 2] = std::array::from_fn(|_| settings.drift_nmm_s * uniform(-1.0, 1.0));
+    let drift: [f64; 2] =
+        std::array::from_fn(|_| if clean { 0.0 } else { settings.drift_nmm_s * uniform(-1.0, 1.0) });
+    let zero_nmm = drift[0].hypot(drift[1]) * DRIFTED_S;
     let known = uniform(0.0, 1.0) < settings.speed_known;
     let stride = 1 + usize::from(uniform(0.0, 1.0) < 0.3);
     let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
     let first = (uniform(-0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::new(inverse);
+    let mut features = FeatureMaker::new(inverse, BayesSettings::stated(noise, zero_nmm));
     let nodes = inverse.nodes.len();
     let t = settings.window;
     let mut made = Window {

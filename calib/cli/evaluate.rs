@@ -1,5 +1,8 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
+mod tables;
+mod virtual_bench;
+
 use crate::picture_output::{provenance, write};
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
@@ -10,6 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 use wcal_mujoco::{Mesh, objects};
+use wcal_track::bayes::BayesSettings;
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::load;
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
@@ -39,6 +43,12 @@ pub struct EvaluateArgs {
     /// Folder for evaluation.json
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Seed of the virtual bench and of the sweeps that are drawn on the spot
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Leave out the virtual real bench, the tables over speed and medium, and the ablations
+    #[arg(long)]
+    pub simulation_only: bool,
     /// Print the document on stdout
     #[arg(long)]
     pub json: bool,
@@ -71,11 +81,12 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
     // Two thirds out: the middle of what sweeps touch.
     let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
+    let settings = BayesSettings::default();
     let methods = [
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),
-        ("bayes, speed known", Method::Bayes(&fine, true)),
-        ("bayes", Method::Bayes(&fine, false)),
+        ("bayes, speed known", Method::Bayes(&fine, true, settings)),
+        ("bayes", Method::Bayes(&fine, false, settings)),
         ("static inverse", Method::Static(&fine, middle)),
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];
@@ -83,11 +94,18 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     for (set, courses) in &sets {
         let meshes = meshes(courses.keys(), args)?;
         for (name, method) in methods {
-            rows.push((set, name, over_objects(method, courses, &meshes)?));
+            rows.push((set, name, over_objects(&|c: &Course| method.run(c), courses, &meshes)?));
         }
     }
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
-    let document = document(&rows, &streaming, &card.weights_sha256, args);
+    let mut document = document(&rows, &streaming, &card.weights_sha256, args);
+    if !args.simulation_only {
+        let folder = tempfile::tempdir().context("making a folder for what is in between")?;
+        let maker = tables::Maker { tracker: &tracker, card: &card, args, folder: folder.path() };
+        for (name, table) in maker.tables()? {
+            document[name] = table;
+        }
+    }
     write(
         &args.out,
         "evaluation.json",
@@ -98,6 +116,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     } else {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
+        print_tables(&document);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -158,16 +177,8 @@ fn document(
     let of =
         |set: &str, name: &str| rows.iter().find(|r| r.0 == set && r.1 == name).map_or(&[][..], |r| &r.2[..]);
     let best = "network, speed known";
-    let objects: Vec<Value> = ["seen", "unseen"]
-        .iter()
-        .flat_map(|set| {
-            of(set, best).iter().map(move |o| {
-                json!({"name": o.name, "set": set, "rmse_mm": o.all.rmse_mm, "true_contact_rmse_mm": o.all.true_contact_rmse_mm,
-                    "along_track_mm": o.all.along_track_mm, "p95_mm": o.all.p95_mm, "coverage90": o.all.coverage90,
-                    "followed": o.followed, "detection": o.detection})
-            })
-        })
-        .collect();
+    let objects: Vec<Value> =
+        ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
     let methods: Vec<Value> = rows
         .iter()
         .map(|(set, name, r)| {
@@ -183,9 +194,60 @@ fn document(
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
             "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "objects": objects},
         "methods": methods, "streaming": streaming,
-        "missing": ["virtual_real", "speed", "sim2real", "ablations"],
         "provenance": provenance([args.model.join("model.json").as_path()]),
     })
+}
+
+/// An object's row in evaluation.json.
+fn object(o: &ObjectScores, set: &str) -> Value {
+    json!({"name": o.name, "set": set, "rmse_mm": o.all.rmse_mm, "true_contact_rmse_mm": o.all.true_contact_rmse_mm,
+        "along_track_mm": o.all.along_track_mm, "p95_mm": o.all.p95_mm, "coverage90": o.all.coverage90,
+        "followed": o.followed, "detection": o.detection})
+}
+
+fn print_tables(document: &Value) {
+    let number = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
+    let real = &document["virtual_real"];
+    if real.is_null() {
+        return;
+    }
+    println!(
+        "VIRTUAL real bench: seen {:.2}, unseen {:.2}, worst {:.2} mm (verify: {}, accepted {})",
+        number(&real["seen_mean_mm"]),
+        number(&real["unseen_mean_mm"]),
+        number(&real["worst_mm"]),
+        real["verdict"],
+        real["accepted"]
+    );
+    let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
+    for r in rows("ablations") {
+        println!(
+            "  {:24} {:8.2} {:9.2}",
+            r["name"].as_str().unwrap_or(""),
+            number(&r["rmse_mm"]),
+            number(&r["followed_rmse_mm"])
+        );
+    }
+    let speeds = rows("speed");
+    println!("speed mm/s: constant, random (mm)");
+    for r in &speeds {
+        println!(
+            "  {:4.0} {:8.2} {:8.2}",
+            number(&r["mm_s"]),
+            number(&r["constant_mm"]),
+            number(&r["random_mm"])
+        );
+    }
+    println!(
+        "  slope {:.3} s, {:.3} s",
+        tables::slope_s(&speeds, "constant_mm"),
+        tables::slope_s(&speeds, "random_mm")
+    );
+    println!("simulation, virtual air, virtual water (mm)");
+    for r in rows("sim2real") {
+        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| number(&r[k]));
+        println!("  {:18} {s:8.2} {a:8.2} {w:8.2}", r["name"].as_str().unwrap_or(""));
+    }
 }
 
 fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {

@@ -123,7 +123,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Calibration and rest rows with their labels; readings of one pose share a group, and so do all rest readings.
-fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, Vec<i64>) {
+pub fn training_set(data: &WhiskerData, labels: &MomentLabels) -> (MapTraining, Vec<i64>) {
     let mut out = MapTraining::default();
     let mut unlabelled = Vec::new();
     let mut poses: Vec<Option<(u32, i64)>> = Vec::new();

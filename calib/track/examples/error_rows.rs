@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mesh = Mesh::read(&std::path::Path::new(&a[3]).join(format!("{name}.stl")))?;
         for c in cs.iter().take(8) {
             let n = Method::Network(&tracker, true).run(c);
-            let b = Method::Bayes(&fine, true).run(c);
+            let b = Method::Bayes(&fine, true, Default::default()).run(c);
             let mut since = 0.0;
             for ((i, n), b) in c.instants.iter().zip(&n).zip(&b) {
                 if ["onset", "jump", "slip"].contains(&i.event.as_str()) {

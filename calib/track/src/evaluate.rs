@@ -26,7 +26,7 @@ pub enum Method<'a> {
     /// The network; `true`: the base's speed is known to it.
     Network(&'a Tracker, bool),
     /// The Bayes filter; `true`: the base's speed is known to it.
-    Bayes(&'a StaticInverse, bool),
+    Bayes(&'a StaticInverse, bool, BayesSettings),
     /// The static inverse at one arc length, mm.
     Static(&'a StaticInverse, f64),
     /// One place, mm.
@@ -62,8 +62,8 @@ impl Method<'_> {
                 };
                 tracker.course(&samples).into_iter().map(answer).collect()
             }
-            Self::Bayes(inverse, known) => {
-                let mut filter = BayesFilter::new(inverse, BayesSettings::default());
+            Self::Bayes(inverse, known, settings) => {
+                let mut filter = BayesFilter::new(inverse, *settings);
                 let mut last_s = 0.0;
                 let mut last = middle(inverse, [0.0; 2], 40.0);
                 let step = |i: &crate::Instant| {
@@ -167,12 +167,12 @@ pub fn spread_factor(tracker: &Tracker, courses: &[Course], base_known: bool) ->
     calibrating_factor(&all)
 }
 
-/// A method over objects.
+/// Who estimates over objects, from a course to its estimates.
 ///
 /// # Errors
 /// Where an object's mesh is missing.
 pub fn over_objects(
-    method: Method<'_>,
+    run: &(dyn Fn(&Course) -> Vec<Estimate> + Sync),
     courses: &BTreeMap<String, Vec<Course>>,
     meshes: &BTreeMap<String, Mesh>,
 ) -> Result<Vec<ObjectScores>, TrackError> {
@@ -183,7 +183,7 @@ pub fn over_objects(
                 .get(name)
                 .ok_or_else(|| TrackError::value("meshes", name.clone(), "no such object"))?;
             let parts: Vec<_> =
-                courses.par_iter().map(|course| compared(course, mesh, &method.run(course))).collect();
+                courses.par_iter().map(|course| compared(course, mesh, &run(course))).collect();
             let pairs: Vec<(Compared, bool)> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
             let calls: Vec<(bool, bool)> = parts.iter().flat_map(|p| p.1.iter().copied()).collect();
             let all: Vec<Compared> = pairs.iter().map(|p| p.0).collect();

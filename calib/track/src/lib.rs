@@ -4,6 +4,7 @@
 
 pub mod bayes;
 pub mod course;
+pub mod drawn;
 mod error;
 pub mod evaluate;
 pub mod inverse;

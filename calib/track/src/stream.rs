@@ -2,7 +2,9 @@
 
 use crate::bayes::BayesSettings;
 use crate::network::model::attention_bias;
-use crate::network::{Attended, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots};
+use crate::network::{
+    Attended, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
+};
 use crate::{StaticInverse, TrackError};
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -86,12 +88,13 @@ impl Tracker {
             let point_mm = [0, 1, 2].map(|i| off[i] * crate::train::PLACE_MM as f32);
             return Prediction { contact, point_mm, covariance_mm2: [[0.0; 3]; 3], weights: Vec::new() };
         }
+        let doubt = (out[k + 4] + DOUBT).exp() / token.believed.len() as f32;
         let factors =
             between(token.believed.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
                 Some(next) => out[knot] * (1.0 - u) + next * u,
                 None => out[knot],
             });
-        let mut weights: Vec<f32> = factors.zip(&token.believed).map(|(f, b)| f + b).collect();
+        let mut weights: Vec<f32> = factors.zip(&token.believed).map(|(f, b)| f + (b + doubt).ln()).collect();
         let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         weights.iter_mut().for_each(|w| *w = (*w - most).exp());
         let total: f32 = weights.iter().sum();

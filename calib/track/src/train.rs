@@ -1,7 +1,7 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
 use crate::network::model::attention_bias;
-use crate::network::{NetworkConfig, WhiskerNet, between};
+use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
 use crate::{Course, StaticInverse, TrackError};
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
@@ -225,9 +225,10 @@ fn loss(
         (off_curve * PLACE_MM, Tensor::zeros([1], device))
     } else {
         let k = windows[0].points.len() / (3 * time);
+        let doubt = (out.clone().narrow(1, k_doubt(config), 1) + DOUBT).exp() / k as f32;
         let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
         let believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
-        let log_weights = log_softmax(factors + believed, 1);
+        let log_weights = log_softmax(factors + (believed + doubt).log(), 1);
         let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
         let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
         let points = gather(|w| &w.points, [n, k, 3]);
@@ -240,6 +241,11 @@ fn loss(
     let contact = -(log_sigmoid(logit.clone()) * touching.clone() + log_sigmoid(-logit) * (-touching + 1.0));
     let contact = (contact * counted.clone()).sum() / (counted.sum() + 1.0);
     (choice + place_loss + contact, off)
+}
+
+/// Where the doubt comes out.
+fn k_doubt(config: &NetworkConfig) -> usize {
+    config.nodes + 4
 }
 
 /// Linear interpolation from knots to nodes, `[knots, nodes]`.

@@ -132,6 +132,18 @@ pub struct Case {
 pub fn draw(request: &Request) -> Result<Case, PlantError> {
     let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
     let bench = Bench::draw(&mut rng);
+    drawn(request, bench, rng)
+}
+
+/// Draws a session on a given bench.
+///
+/// # Errors
+/// As [`draw`].
+pub fn draw_on(request: &Request, bench: Bench) -> Result<Case, PlantError> {
+    drawn(request, bench, ChaCha8Rng::seed_from_u64(request.seed))
+}
+
+fn drawn(request: &Request, bench: Bench, mut rng: ChaCha8Rng) -> Result<Case, PlantError> {
     let trajectories = bench.trajectories();
     let rows = plan(request.design, &trajectories, &mut rng);
     let end_s = rows.iter().rev().find(|r| !r.holdout).map_or(0.0, |r| r.t_s);

@@ -18,8 +18,8 @@ const COMMON: usize = 9;
 const PER_KNOT: usize = 6;
 /// Nodes of the curve from one knot, of which the network sees and says something, to the next.
 const STRIDE: usize = 4;
-/// Belief that is left to a node whatever the filter says of it: the network may still choose it.
-const DOUBT: f64 = 1e-4;
+/// Logarithm of the doubt in the filter that the network starts with: the weight of what it says nothing about.
+pub const DOUBT: f32 = -4.0;
 
 /// Nodes of the curve at which the network's knots lie: every fourth, and the last.
 #[must_use]
@@ -51,7 +51,7 @@ pub struct Token {
     pub dt_s: f32,
     /// Where the contact would be, a node of the static inverse, mm.
     pub points_mm: Vec<[f32; 3]>,
-    /// Logarithm of what the Bayes filter believes of each node: the network mends its physics and its springs.
+    /// What the Bayes filter believes of each node: the network mends its physics and its springs.
     pub believed: Vec<f32>,
 }
 
@@ -122,7 +122,7 @@ impl<'a> FeatureMaker<'a> {
                 .iter()
                 .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32))
                 .collect(),
-            believed: posterior.iter().map(|w| (w + DOUBT / all.len() as f64).ln() as f32).collect(),
+            believed: posterior.iter().map(|w| *w as f32).collect(),
         };
         self.before = Some((moment_nmm, now));
         token

@@ -6,5 +6,5 @@
 pub mod features;
 pub mod model;
 
-pub use features::{FeatureMaker, Token, between, knots};
+pub use features::{DOUBT, FeatureMaker, Token, between, knots};
 pub use model::{Attended, NetworkConfig, Output, Prediction, WhiskerNet};

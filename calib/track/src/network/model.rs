@@ -78,10 +78,11 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact.
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, and with knots
+    /// the doubt in the filter.
     #[must_use]
     pub fn outputs(&self) -> usize {
-        self.nodes + 3 + 1
+        self.nodes + 3 + 1 + usize::from(self.nodes > 0)
     }
 }
 

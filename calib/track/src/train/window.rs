@@ -15,7 +15,7 @@ pub(super) struct Window {
     pub times_s: Vec<f64>,
     /// Candidates' places, a token and node, mm.
     pub points: Vec<f32>,
-    /// Logarithms of the filter's belief, a token and node.
+    /// The filter's belief, a token and node.
     pub believed: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,

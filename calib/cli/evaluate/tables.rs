@@ -1,0 +1,235 @@
+//! The paper's tables II and III, the virtual real bench, and ablations. All of it is SIMULATED.
+
+use super::virtual_bench::{Calibrated, VirtualBench};
+use super::{EvaluateArgs, mean, meshes};
+use anyhow::Context;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+use wcal_mujoco::physics::Medium;
+use wcal_mujoco::{Mesh, SweepPlan};
+use wcal_track::bayes::BayesSettings;
+use wcal_track::drawn::{Order, drawn};
+use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
+use wcal_track::model_file::Card;
+use wcal_track::{Course, Tracker};
+
+type Courses = BTreeMap<String, Vec<Course>>;
+type Meshes = BTreeMap<String, Mesh>;
+
+/// Speeds of table II, mm/s.
+const SPEEDS_MM_S: [f64; 5] = [4.0, 6.0, 8.0, 10.0, 12.0];
+/// Objects of table III.
+const SIM_TO_REAL: [&str; 3] = ["vase", "035_power_drill", "rock"];
+/// Bounds of the random speeds as shares, and of their accelerations, mm/s^2.
+const RANDOM: [f64; 2] = [0.75, 1.25];
+const RANDOM_MM_S2: f64 = 1.0;
+/// Readings a second.
+const RATE_HZ: f64 = 10.0;
+/// Material time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
+const DAMPING_S: f64 = 0.24;
+
+/// What the tables are made with.
+pub struct Maker<'a> {
+    /// Network.
+    pub tracker: &'a Tracker,
+    /// Its card.
+    pub card: &'a Card,
+    /// Arguments of the command.
+    pub args: &'a EvaluateArgs,
+    /// Folder for what is in between.
+    pub folder: &'a Path,
+}
+
+impl Maker<'_> {
+    /// All tables by their names in evaluation.json.
+    pub fn tables(&self) -> anyhow::Result<BTreeMap<&'static str, Value>> {
+        let bench = VirtualBench::new(&self.card.whisker, self.args.seed, self.folder)
+            .context("calibrating the virtual bench")?;
+        eprintln!(
+            "virtual bench: {} act; verify says {:?} and accepts {:?}",
+            bench.acting.join(", "),
+            bench.verdict,
+            bench.accepted
+        );
+        let objects = |names: &[String]| -> anyhow::Result<Meshes> {
+            meshes(names.iter().take(self.args.objects), self.args)
+        };
+        let (seen, unseen) = (objects(&self.card.objects.training)?, objects(&self.card.objects.unseen)?);
+        let (real, ablations) = self.virtual_real(&bench, &seen, &unseen)?;
+        Ok(BTreeMap::from([
+            ("virtual_real", real),
+            ("ablations", ablations),
+            ("speed", self.speeds(&unseen)?),
+            ("sim2real", self.sim_to_real(&bench)?),
+        ]))
+    }
+
+    fn courses(&self, meshes: &Meshes, order: &Order<'_>) -> anyhow::Result<Courses> {
+        let mut all = Courses::new();
+        for (name, mesh) in meshes {
+            let courses = drawn(mesh, order)?;
+            if !courses.is_empty() {
+                all.insert(name.clone(), courses);
+            }
+        }
+        Ok(all)
+    }
+
+    fn on_bench(&self, bench: &VirtualBench, meshes: &Meshes, medium: Medium) -> anyhow::Result<Courses> {
+        let plan = VirtualBench::plan(medium);
+        let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+        self.courses(meshes, &Order { whisker: &bench.whisker, plan: &plan, seed, sweeps })
+    }
+
+    fn through(&self, bench: &VirtualBench, by: &Calibrated, courses: &Courses) -> anyhow::Result<Courses> {
+        let one = |(name, all): (&String, &Vec<Course>)| {
+            let seen = all.iter().map(|c| bench.through(c, by, self.args.seed, self.folder));
+            Ok((name.clone(), seen.collect::<anyhow::Result<Vec<Course>>>()?))
+        };
+        courses.iter().map(one).collect()
+    }
+
+    /// The tracker as it is told of this bench's noise.
+    fn told(&self, bench: &VirtualBench) -> Tracker {
+        let [noise_nmm, zero_nmm] = bench.stated_nmm();
+        Tracker { filter: BayesSettings::stated(noise_nmm, zero_nmm), ..self.tracker.clone() }
+    }
+
+    fn virtual_real(
+        &self,
+        bench: &VirtualBench,
+        seen: &Meshes,
+        unseen: &Meshes,
+    ) -> anyhow::Result<(Value, Value)> {
+        let told = self.told(bench);
+        let by = bench.model.as_ref().unwrap_or(&bench.map);
+        let score = |meshes: &Meshes, courses: &Courses, known: bool| {
+            over_objects(&|c: &Course| Method::Network(&told, known).run(c), courses, meshes)
+        };
+        let [true_seen, true_unseen] =
+            [self.on_bench(bench, seen, Medium::Air)?, self.on_bench(bench, unseen, Medium::Air)?];
+        let rows_seen = score(seen, &self.through(bench, by, &true_seen)?, true)?;
+        let felt = self.through(bench, by, &true_unseen)?;
+        let rows_unseen = score(unseen, &felt, true)?;
+        let worst = rows_seen.iter().chain(&rows_unseen).map(|o| o.all.rmse_mm).fold(0.0, f64::max);
+        let with_set = |set: &'static str| move |o: &ObjectScores| super::object(o, set);
+        let objects: Vec<Value> = rows_seen
+            .iter()
+            .map(with_set("seen"))
+            .chain(rows_unseen.iter().map(with_set("unseen")))
+            .collect();
+        let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
+        let real = json!({
+            "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
+            "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
+            "calibration": if bench.model.is_some() { "verify" } else { "fit-gpr" },
+            "objects": objects,
+        });
+        let later = |c: &Course| {
+            let mut estimates: Vec<Estimate> = Method::Network(&told, true).run(c);
+            estimates.rotate_right(1);
+            estimates
+        };
+        let damped = |courses: &Courses| -> Courses {
+            courses.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
+        };
+        let row = |name: &str, rows: Vec<ObjectScores>| {
+            json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
+                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm)})
+        };
+        let ablations = vec![
+            row("effects-accepted", rows_unseen),
+            row(
+                "effects-not-accepted",
+                score(unseen, &self.through(bench, &bench.map, &true_unseen)?, true)?,
+            ),
+            row("moments-without-error", score(unseen, &true_unseen, true)?),
+            row("speed-not-known", score(unseen, &felt, false)?),
+            row("horizon-1", over_objects(&later, &felt, unseen)?),
+            row("damping-bias", score(unseen, &damped(&felt), true)?),
+            row(
+                "bayes-filter",
+                over_objects(
+                    &|c: &Course| Method::Bayes(&told.inverse, true, told.filter).run(c),
+                    &felt,
+                    unseen,
+                )?,
+            ),
+        ];
+        Ok((real, Value::Array(ablations)))
+    }
+
+    fn speeds(&self, meshes: &Meshes) -> anyhow::Result<Value> {
+        let mut rows = Vec::new();
+        for speed in SPEEDS_MM_S {
+            let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<f64> {
+                let plan =
+                    SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
+                let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+                let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
+                let courses = self.courses(meshes, &order)?;
+                let rows =
+                    over_objects(&|c: &Course| Method::Network(self.tracker, true).run(c), &courses, meshes)?;
+                Ok(mean(&rows, |o| o.all.rmse_mm))
+            };
+            let constant = run([speed, speed], 0.0)?;
+            let random = run(RANDOM.map(|r| r * speed), RANDOM_MM_S2)?;
+            rows.push(json!({"mm_s": speed, "constant_mm": constant, "random_mm": random}));
+        }
+        Ok(Value::Array(rows))
+    }
+
+    fn sim_to_real(&self, bench: &VirtualBench) -> anyhow::Result<Value> {
+        let told = self.told(bench);
+        let by = bench.model.as_ref().unwrap_or(&bench.map);
+        let mut rows = Vec::new();
+        for name in SIM_TO_REAL {
+            let name = name.to_owned();
+            let Ok(mesh) = meshes(std::iter::once(&name), self.args) else {
+                eprintln!("table III: {name}: no mesh; left out");
+                continue;
+            };
+            let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
+            let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+            let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
+            let score = |courses: &Courses, tracker: &Tracker| -> anyhow::Result<f64> {
+                let rows = over_objects(&|c: &Course| Method::Network(tracker, true).run(c), courses, &mesh)?;
+                Ok(mean(&rows, |o| o.all.rmse_mm))
+            };
+            let simulation = score(&self.courses(&mesh, &order)?, self.tracker)?;
+            let mut media = Vec::new();
+            for medium in [Medium::Air, Medium::Water] {
+                let courses = self.on_bench(bench, &mesh, medium)?;
+                media.push(score(&self.through(bench, by, &courses)?, &told)?);
+            }
+            rows.push(json!({"name": name, "seen": self.card.objects.training.contains(&name),
+                "simulation_mm": simulation, "air_mm": media[0], "water_mm": media[1]}));
+        }
+        Ok(Value::Array(rows))
+    }
+}
+
+/// The moments that a cable with damped joints would have: damping and stiffness of all its joints have one ratio.
+fn damped(course: &Course) -> Course {
+    let mut with = course.clone();
+    for (k, pair) in course.instants.windows(2).enumerate() {
+        let dt = pair[1].t_s - pair[0].t_s;
+        for axis in 0..2 {
+            let rate = (pair[1].moment_nmm[axis] - pair[0].moment_nmm[axis]) / dt;
+            with.instants[k + 1].moment_nmm[axis] += DAMPING_S * rate;
+        }
+    }
+    with
+}
+
+/// Slope of an error over the speed by least squares, s.
+pub fn slope_s(rows: &[Value], key: &str) -> f64 {
+    let points: Vec<[f64; 2]> =
+        rows.iter().filter_map(|r| Some([r["mm_s"].as_f64()?, r[key].as_f64()?])).collect();
+    let n = points.len().max(1) as f64;
+    let middle = points.iter().fold([0.0; 2], |a, p| [a[0] + p[0] / n, a[1] + p[1] / n]);
+    let sum =
+        |f: fn([f64; 2]) -> f64| points.iter().map(|p| f([p[0] - middle[0], p[1] - middle[1]])).sum::<f64>();
+    sum(|[x, y]| x * y) / sum(|[x, _]| x * x).max(1e-12)
+}

@@ -1,0 +1,215 @@
+//! A virtual bench for the tracker: another wire, another physics, and gratings with effects that nobody declared. All of it is SIMULATED.
+//!
+//! The wire differs a little from the one that the tracker was trained on, the groove of its calibration sat elsewhere than declared, and
+//! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
+
+use crate::fit_gpr::training_set;
+use crate::labels::{LabelSource, moment_labels};
+use crate::predict::{moments_of_map, moments_of_model};
+use crate::verify::verify_session;
+use anyhow::{Context, bail};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use std::fmt::Write as _;
+use std::path::Path;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::{SessionData, verify_document::Verdict};
+use wcal_map::{FitOptions, MapArtefact, fit_map};
+use wcal_mujoco::SweepPlan;
+use wcal_mujoco::physics::{Medium, PhysicsPlan};
+use wcal_plant::bench::{Bench, PM_PER_DEGC};
+use wcal_plant::effects::FBG_PM;
+use wcal_plant::session::draw_on;
+use wcal_plant::{Design, Kind, Request, Want};
+use wcal_trace::verify::PhysicalModel;
+use wcal_track::Course;
+
+/// How moments come out of wavelengths.
+#[derive(Debug, Clone)]
+pub enum Calibrated {
+    /// Through the map of `fit-gpr`, as if no effect had been found.
+    Map(Box<MapArtefact>),
+    /// Through the sensitivity and the effects that `verify` accepted.
+    Model(Box<PhysicalModel>),
+}
+
+/// The bench.
+#[derive(Debug)]
+pub struct VirtualBench {
+    bench: Bench,
+    /// Squares of the moments in the shifts, pm/(N mm)^2.
+    squares: [f64; 3],
+    /// The wire as it is.
+    pub whisker: WhiskerSpec,
+    /// What `verify` said, and the effects it accepted.
+    pub verdict: Verdict,
+    /// See `verdict`.
+    pub accepted: Vec<String>,
+    /// Effects that act.
+    pub acting: Vec<String>,
+    /// The map of `fit-gpr`.
+    pub map: Calibrated,
+    /// The verified calibration, where there is one.
+    pub model: Option<Calibrated>,
+}
+
+/// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
+const STRAIGHT_MM: f64 = -0.1;
+const RADIUS_MM: f64 = 0.15;
+const YOUNGS: f64 = -0.015;
+/// Size of each undeclared effect in the calibration session, in noises.
+const SIZE_SIGMA: f64 = 20.0;
+/// Samples of a 2 kHz stream in one reading at 10 Hz.
+const AVERAGED: f64 = 200.0;
+/// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
+const SLOW_S: f64 = 60.0;
+/// Readings at the start of a course that set its zero, without contact.
+const TARE: usize = 5;
+
+impl VirtualBench {
+    /// Draws the bench around the wire of the twin, records its calibration session, and calibrates it twice.
+    pub fn new(twin: &WhiskerSpec, seed: u64, folder: &Path) -> anyhow::Result<Self> {
+        let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = twin.rest_shape else {
+            bail!("virtual bench: expected a wire of a straight part and an arc, found another rest shape");
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut bench = Bench::draw(&mut rng);
+        (bench.straight_mm, bench.arc_radius_mm) = (straight_mm + STRAIGHT_MM, arc_radius_mm + RADIUS_MM);
+        (bench.youngs_gpa, bench.shear_gpa) =
+            (twin.youngs_gpa * (1.0 + YOUNGS), twin.shear_gpa * (1.0 + YOUNGS));
+        let request = Request {
+            seed,
+            design: Design::Rich,
+            want: Want::Effects(vec![Kind::FbgThree, Kind::OffsetGroove]),
+            target_sigma: SIZE_SIGMA,
+            rivals: false,
+        };
+        let mut case = draw_on(&request, bench.clone())?;
+        // What the session declares is the twin's wire.
+        (case.bench.straight_mm, case.bench.arc_radius_mm) = (straight_mm, arc_radius_mm);
+        (case.bench.youngs_gpa, case.bench.shear_gpa) = (twin.youngs_gpa, twin.shear_gpa);
+        let squares = case
+            .effects
+            .iter()
+            .find(|e| e.kind == Kind::FbgThree)
+            .map_or([0.0; 3], |e| std::array::from_fn(|k| e.amplitude * FBG_PM * e.shape[k]));
+        let session_folder = folder.join("session");
+        case.write(&session_folder)?;
+        let session = wcal_session::load(&session_folder)?;
+        let SessionData::Whisker(data) = &session.data else {
+            bail!("virtual bench: not a whisker's session")
+        };
+        let labels = moment_labels(data, LabelSource::Rod)?;
+        let options =
+            FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
+        let map = fit_map(&training_set(data, &labels).0, &options)?.artefact;
+        let report = verify_session(&session, &folder.join("verify"), seed, &[])?;
+        let calibration = folder.join("verify/calibration.json");
+        let model = if calibration.exists() {
+            match crate::artefact::read_calibration(&calibration)?.model {
+                crate::artefact::CalibrationModel::Physical(model) => {
+                    Some(Calibrated::Model(Box::new(model)))
+                }
+                _ => None,
+            }
+        } else {
+            None
+        };
+        let whisker = WhiskerSpec {
+            youngs_gpa: bench.youngs_gpa,
+            shear_gpa: bench.shear_gpa,
+            rest_shape: RestShape::StraightArc {
+                straight_mm: bench.straight_mm,
+                arc_radius_mm: bench.arc_radius_mm,
+                length_mm: wcal_plant::bench::LENGTH_MM,
+            },
+            ..twin.clone()
+        };
+        Ok(Self {
+            bench,
+            squares,
+            whisker,
+            verdict: report.verify.verdict,
+            accepted: report.verify.effects.iter().map(|e| e.id.clone()).collect(),
+            acting: case.truth.names.clone(),
+            map: Calibrated::Map(Box::new(map)),
+            model,
+        })
+    }
+
+    /// Sweeps on this bench: friction, weight, and the medium's drag.
+    #[must_use]
+    pub fn plan(medium: Medium) -> SweepPlan {
+        let physics = PhysicsPlan { friction: [0.05, 0.25], medium, weight: true, ..PhysicsPlan::default() };
+        SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
+    }
+
+    /// The course as the calibration sees it: true moments become wavelengths, and those the moments that a user would get.
+    pub fn through(
+        &self,
+        course: &Course,
+        by: &Calibrated,
+        seed: u64,
+        folder: &Path,
+    ) -> anyhow::Result<Course> {
+        let path = folder.join(format!("{}-{}.csv", course.object, course.sweep));
+        std::fs::write(&path, self.readings(course, seed)).with_context(|| path.display().to_string())?;
+        let rows = match by {
+            Calibrated::Map(artefact) => moments_of_map(&path, artefact)?,
+            Calibrated::Model(model) => moments_of_model(&path, model)?,
+        };
+        let tare = [0, 1].map(|k| {
+            let first = rows.iter().take(TARE).map(|r| r.moment_nmm[k]);
+            first.sum::<f64>() / TARE.min(rows.len()).max(1) as f64
+        });
+        let mut seen = course.clone();
+        for (instant, row) in seen.instants.iter_mut().zip(&rows) {
+            instant.moment_nmm = [0, 1].map(|k| row.moment_nmm[k] - tare[k]);
+        }
+        Ok(seen)
+    }
+
+    /// White noise of a reading and how far its zero goes in a course, as moments, N mm.
+    #[must_use]
+    pub fn stated_nmm(&self) -> [f64; 2] {
+        let gain = self.bench.k[0][0].hypot(self.bench.k[1][0]);
+        [self.bench.sample_sd_pm / AVERAGED.sqrt() / gain, 0.5 * self.bench.noise_pm / gain]
+    }
+
+    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.
+    fn readings(&self, course: &Course, seed: u64) -> String {
+        let b = &self.bench;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ course.sweep.wrapping_mul(0x9e37_79b9));
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let mut slow = [0, 1].map(|_| b.noise_pm * normal());
+        let mut out = String::from("point,t_s,fbg_ref_nm,fbg_1_nm,fbg_2_nm,temperature_degc\n");
+        let mut last_s = 0.0;
+        for (point, i) in course.instants.iter().enumerate() {
+            let kept = (-(i.t_s - last_s) / SLOW_S).exp();
+            last_s = i.t_s;
+            let warm = b.thermal.at(i.t_s);
+            let [y, z] = i.moment_nmm;
+            let [p, q, r] = self.squares;
+            let square = [p * y * y + q * y * z, r * z * z];
+            let shift = b.shift_pm(i.moment_nmm);
+            let white = b.sample_sd_pm / AVERAGED.sqrt();
+            let nm: [f64; 2] = std::array::from_fn(|c| {
+                slow[c] = kept * slow[c] + (1.0 - kept * kept).sqrt() * b.noise_pm * normal();
+                let pm =
+                    b.zero_pm[c] + shift[c] + square[c] + PM_PER_DEGC * warm + slow[c] + white * normal();
+                b.nominal_nm[c] + 1e-3 * pm
+            });
+            let reference = b.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + white * normal());
+            let _ = writeln!(
+                out,
+                "{point},{},{reference:.7},{:.7},{:.7},{:.3}",
+                i.t_s,
+                nm[0],
+                nm[1],
+                22.0 + warm
+            );
+        }
+        out
+    }
+}

@@ -37,6 +37,13 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     // Six methods on the unseen object and on the sweep kept back.
     assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
     assert!(scores["streaming"]["samples_per_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(scores["virtual_real"]["virtual"], true);
+    assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
+    assert_eq!(scores["speed"].as_array().unwrap().len(), 5);
+    // The drill's mesh does not come with the program.
+    assert_eq!(scores["sim2real"].as_array().unwrap().len(), 2);
+    let named = |name: &str| scores["ablations"].as_array().unwrap().iter().any(|a| a["name"] == name);
+    assert!(["effects-accepted", "effects-not-accepted", "horizon-1", "damping-bias"].into_iter().all(named));
     assert!(Path::new(&path("evaluation/evaluation.json")).exists());
 
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");

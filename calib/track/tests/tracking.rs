@@ -8,6 +8,8 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::{Dataset, SweepPlan, objects};
+use wcal_track::bayes::BayesSettings;
+use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
 use wcal_track::network::model::attention_bias;
@@ -41,6 +43,12 @@ fn fine() -> &'static StaticInverse {
     FINE.get_or_init(|| StaticInverse::new(&whisker(), InverseGrid::default()).unwrap())
 }
 
+const SEED: u64 = 4;
+
+fn plan() -> SweepPlan {
+    SweepPlan { rate_hz: 10.0, ..SweepPlan::default() }
+}
+
 /// Ten sweeps over two objects, made once.
 fn courses() -> &'static BTreeMap<String, Vec<Course>> {
     static COURSES: OnceLock<BTreeMap<String, Vec<Course>>> = OnceLock::new();
@@ -49,10 +57,10 @@ fn courses() -> &'static BTreeMap<String, Vec<Course>> {
         let dataset = Dataset {
             engine: wcal_mujoco::SweepEngine::Rod,
             whisker: whisker(),
-            plan: SweepPlan { rate_hz: 10.0, ..SweepPlan::default() },
+            plan: plan(),
             objects: ["ball", "can"].map(|n| objects::built_in(n).unwrap()).into(),
             sweeps: 5,
-            seed: 4,
+            seed: SEED,
             share: [0, 1],
         };
         dataset.make(folder.path(), |_, _| {}).unwrap();
@@ -69,7 +77,8 @@ fn tracker(config: NetworkConfig) -> Tracker {
     let device = Device::flex();
     device.seed(5);
     let net = WhiskerNet::new(&config, &device).unwrap();
-    Tracker { config, net, inverse: inverse().clone(), sd_factors: [1.0; 2], device }
+    let filter = BayesSettings::default();
+    Tracker { config, net, inverse: inverse().clone(), filter, sd_factors: [1.0; 2], device }
 }
 
 fn samples(course: &Course) -> Vec<Sample> {
@@ -106,12 +115,53 @@ fn the_curve_of_candidates_passes_through_the_contact() {
     assert!(right < 0.1 && half > 3.0 * right, "{right} {half}");
 }
 
+/// Where the tip is dragged along, its force leans toward the root: the curve's end holds it, and the wire's own part does not.
+#[test]
+fn the_curve_holds_a_tip_whose_force_leans() {
+    let (mut off, mut square, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
+    let on_wire = fine().nodes.iter().take_while(|n| n.lean == 0.0).count();
+    for instant in courses().values().flatten().flat_map(|c| &c.instants) {
+        let Some(contact) = instant.contact.filter(|c| c.arclength_mm > 59.99 && instant.contacts == 1)
+        else {
+            continue;
+        };
+        fine().candidates(instant.moment_nmm, &mut candidates);
+        let nearest = |all: &[wcal_track::Candidate]| {
+            all.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
+        };
+        off.push(nearest(&candidates));
+        square.push(nearest(&candidates[..on_wire]));
+    }
+    let p90 = |v: &mut Vec<f64>| {
+        v.sort_by(f64::total_cmp);
+        v[v.len() * 9 / 10]
+    };
+    assert!(off.len() > 50, "{}", off.len());
+    let (right, wrong) = (p90(&mut off), p90(&mut square));
+    assert!(right < 0.25 && wrong > 2.0 * right, "{right} {wrong}");
+}
+
+/// A course drawn on the spot is the one that the shards hold.
+#[test]
+fn drawn_courses_are_those_of_a_dataset() {
+    let ball = objects::built_in("ball").unwrap();
+    let made =
+        |seed: u64| drawn(&ball, &Order { whisker: &whisker(), plan: &plan(), seed, sweeps: 2 }).unwrap();
+    let (right, other, kept) = (made(SEED), made(SEED + 1), &courses()["ball"][..2]);
+    assert_eq!(right.len(), 2);
+    for (one, other) in right.iter().zip(kept) {
+        assert_eq!((one.sweep, &one.instants), (other.sweep, &other.instants));
+    }
+    assert!(other[0].instants != kept[0].instants);
+}
+
 /// With the base's speed known the filter finds the contact; told another speed, it does not.
 #[test]
 fn the_bayes_filter_follows_with_the_right_speed_only() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
     let median = |courses: &BTreeMap<String, Vec<Course>>| {
-        let rows = over_objects(Method::Bayes(fine(), true), courses, &meshes).unwrap();
+        let method = Method::Bayes(fine(), true, BayesSettings::default());
+        let rows = over_objects(&|c: &Course| method.run(c), courses, &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
     };
     let mut hurried = courses().clone();
@@ -254,8 +304,8 @@ fn the_shipped_model_beats_the_static_inverse_by_far() {
     let (tracker, card) = load(&folder, &Device::flex()).unwrap();
     assert!(card.trained_on_simulation && card.objects.training.len() > 20);
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
-    let contact_mm = |method| {
-        let rows = over_objects(method, courses(), &meshes).unwrap();
+    let contact_mm = |method: Method<'_>| {
+        let rows = over_objects(&|c: &Course| method.run(c), courses(), &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_rmse_mm).sum::<f64>() / rows.len() as f64
     };
     let [known, blind] = [true, false].map(|known| contact_mm(Method::Network(&tracker, known)));

@@ -79,6 +79,46 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     ]);
     assert_eq!(run.status.code(), Some(1));
     assert!(text(&run.stderr).contains("t_s"), "{}", text(&run.stderr));
+    // Without the strain-isolated grating that the calibration needs; control: with it, and with poses of the base.
+    let table_of = |reference: bool| {
+        let mut rows = String::from(
+            "t_s,fbg_1_nm,fbg_2_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz",
+        );
+        rows += if reference { ",fbg_ref_nm\n" } else { "\n" };
+        for k in 0..20 {
+            let (t, z) = (0.1 * f64::from(k), 0.4 * f64::from(k));
+            rows += &format!("{t},1545.249,1543.606,7,0,{z},1,0,0,0");
+            rows += if reference && k != 12 {
+                ",1542.461\n"
+            } else if reference {
+                ",\n"
+            } else {
+                "\n"
+            };
+        }
+        let file = path(if reference { "carried.csv" } else { "unreferenced.csv" });
+        std::fs::write(&file, rows).unwrap();
+        wcal(&["track", &file, "--calibration", &calibration, "--model", &model, "--out", &out, "--force"])
+    };
+    let run = table_of(false);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("fbg_ref_nm"), "{}", text(&run.stderr));
+    let run = table_of(true);
+    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+    let written = std::fs::read_to_string(&out).unwrap();
+    let rows: Vec<Vec<&str>> = written.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let number = |row: usize, name: &str| -> Option<f64> {
+        let header: Vec<&str> = written.lines().next().unwrap().split(',').collect();
+        rows[row][header.iter().position(|n| *n == name).unwrap()].parse().ok()
+    };
+    // The reading without its reference is flagged and has no contact.
+    assert!(rows[12].contains(&"reference-lost") && number(12, "contact_x_mm").is_none(), "{:?}", rows[12]);
+    assert!(rows[11].contains(&"ok") && rows[11].contains(&"unverified|other-whisker"), "{:?}", rows[11]);
+    assert!((number(11, "base_speed_mm_s").unwrap() - 4.0).abs() < 1e-6);
+    let moved = |axis: &str| {
+        number(11, &format!("world_{axis}_mm")).unwrap() - number(11, &format!("contact_{axis}_mm")).unwrap()
+    };
+    assert!((moved("x") - 7.0).abs() < 1e-3 && (moved("z") - 4.4).abs() < 1e-3);
     let weights = path("model/model.safetensors");
     let bytes = std::fs::read(&weights).unwrap();
     std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();

@@ -4,7 +4,7 @@ use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
-use wcal_core::{CalibrationFile, InputFile, Provenance, VerificationStatus};
+use wcal_core::{CalibrationFile, InputFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
 use wcal_trace::scalar::ScalarModel;
 use wcal_trace::verify::PhysicalModel;
@@ -33,12 +33,13 @@ pub fn provenance(inputs: &[InputFile], seed: u64) -> Provenance {
     }
 }
 
-/// A calibration with its content hash.
+/// A calibration with its content hash; `whisker` is the wire that it was made with.
 pub fn seal(
     session: &str,
     verification: VerificationStatus,
     model: CalibrationModel,
     provenance: Provenance,
+    whisker: Option<&WhiskerSpec>,
 ) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
     let mut file = CalibrationFile {
         format: CALIBRATION_FORMAT.to_owned(),
@@ -48,6 +49,7 @@ pub fn seal(
         // Through JSON once, so that the hash is that of what is written.
         model: serde_json::from_str(&serde_json::to_string(&model)?)?,
         provenance,
+        whisker: whisker.cloned(),
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash()?;
@@ -56,6 +58,14 @@ pub fn seal(
 
 /// Reads the file and checks format and content hash.
 pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
+    match read_unsealed(path)? {
+        (file, None) => Ok(file),
+        (_, Some(changed)) => bail!(changed),
+    }
+}
+
+/// Reads the file and checks its format; says so where the content is not what was sealed.
+pub fn read_unsealed(path: &Path) -> anyhow::Result<(CalibrationFile<CalibrationModel>, Option<String>)> {
     let name = path.display();
     let bytes = std::fs::read(path).with_context(|| format!("reading {name}"))?;
     let raw: CalibrationFile<serde_json::Value> =
@@ -64,14 +74,15 @@ pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<Calibrati
         bail!("{name}: field `format`: expected {CALIBRATION_FORMAT:?}, found {:?}", raw.format);
     }
     let found = raw.compute_hash()?;
-    if found != raw.content_sha256 {
-        bail!(
+    let changed = (found != raw.content_sha256).then(|| {
+        format!(
             "{name}: field `content_sha256`: expected {found}, found {}: the file was changed",
             raw.content_sha256
-        );
-    }
-    serde_json::from_slice(&bytes)
-        .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))
+        )
+    });
+    let file = serde_json::from_slice(&bytes)
+        .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))?;
+    Ok((file, changed))
 }
 
 /// What speaks against using the calibration now.

@@ -105,6 +105,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         VerificationStatus::Unverified,
         CalibrationModel::Map(fit.artefact),
         provenance(&session.inputs, args.seed),
+        Some(&data.whisker),
     )?;
 
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;

@@ -137,6 +137,10 @@ fn by_model(
 pub struct Moments {
     /// Number of the reading.
     pub point: i64,
+    /// Its line in the table.
+    pub line: usize,
+    /// Whether the strain-isolated grating was read.
+    pub reference: bool,
     /// Time, s, where the table has it.
     pub t_s: Option<f64>,
     /// Shifts, pm.
@@ -161,7 +165,16 @@ pub fn moments_of_map(path: &Path, artefact: &MapArtefact) -> anyhow::Result<Vec
         let shift_pm = row.compensated_pm(&artefact.fbg);
         let p = predictor.predict(shift_pm);
         let (moment_nmm, sd_nmm, valid) = (p.moment_nmm, p.sd_nmm, p.is_valid());
-        Moments { point: row.point, t_s: row.t_s, shift_pm, moment_nmm, sd_nmm, valid }
+        Moments {
+            point: row.point,
+            line: row.line,
+            reference: row.reference_shift_pm.is_some(),
+            t_s: row.t_s,
+            shift_pm,
+            moment_nmm,
+            sd_nmm,
+            valid,
+        }
     };
     Ok(table.rows.iter().map(one).collect())
 }
@@ -201,6 +214,8 @@ pub fn moments_of_model(path: &Path, model: &PhysicalModel) -> anyhow::Result<Ve
         let shift_pm = history.readings[i].shift_pm;
         Moments {
             point: row.point,
+            line: row.line,
+            reference: row.reference_shift_pm.is_some(),
             t_s: row.t_s,
             shift_pm,
             moment_nmm: m.moment_nmm,

@@ -100,7 +100,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
 }
 
 /// Puts the addresses of a virtual bench into a rig.
-fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
+pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     let addresses: serde_json::Value = serde_json::from_str(addresses)?;
     let text = |pointer: &str| {
         let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);

@@ -1,112 +1,225 @@
-//! `wcal track`: from a recording of wavelengths to contact points.
+//! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
-use crate::artefact::{CalibrationModel, read_calibration, standing};
-use crate::predict::{Moments, moments_of_map, moments_of_model};
+mod checks;
+mod feed;
+mod live;
+mod output;
+mod table;
+mod whiskers;
+
+use crate::artefact::CalibrationModel;
 use crate::train::burn_device;
-use anyhow::{Context, bail};
+use anyhow::{Context, Result, anyhow, bail};
+use checks::{Judged, Loaded};
 use clap::Args;
-use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_session::write_atomic;
-use wcal_track::Sample;
-use wcal_track::model_file::load;
+use wcal_core::CalibrationFile;
+use wcal_session::recording::rig::Rig;
+use wcal_track::Tracker;
+use wcal_track::model_file::{load, read_card};
 
 /// Arguments of `wcal track`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:
+#[command(after_help = "Examples:
   wcal track readings.csv --calibration calibration.json --model model --out track.csv
+  wcal track session --calibration calibration.json --model model --out track.csv
+  wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
-TABLE as for `wcal predict`, with t_s in every row, some ten readings a second. Columns of track.csv: point, t_s, moments and whether
-the calibration vouches for them, probability of contact, contact_{x,y,z}_mm in the base frame and their covariance (mm2). The network
-was trained on SIMULATED sweeps. Exit code 4: readings outside the valid region (marked), or a calibration that is unverified, expired
-or failed: nothing is written then without --force, with which every row says so.")]
+SOURCE: a table as for `wcal predict`, with t_s in every row; a recording (.mcap, with --rig) or a session folder; without it the rig's
+interrogator, until Ctrl-C or --seconds. A stream goes through the rig's channel map, temperature compensation, a linear-phase low-pass
+of --lag-s and the map; t_s of a row is the time that it is true of, the lag before the scan that completed it. Events (onset, release,
+slip, snap, jump) are told from every scan; the first --prefix-s must be without contact. Beside track.csv come track.json (filters, noise,
+limits, counts) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
+Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
+
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged). 4: readings outside the valid region (marked), or a calibration or
+model that is not to be trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then
+without --force, with which every row says so.")]
 pub struct TrackArgs {
-    /// Table of readings
-    pub table: PathBuf,
-    /// calibration.json of verify
-    #[arg(long, value_name = "FILE")]
-    pub calibration: PathBuf,
-    /// Folder of `wcal train`
-    #[arg(long, value_name = "DIR")]
-    pub model: PathBuf,
+    /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
+    pub source: Option<PathBuf>,
+    /// calibration.json of verify; ID=FILE for one of several whiskers
+    #[arg(long, value_name = "[ID=]FILE", required = true)]
+    pub calibration: Vec<String>,
+    /// Folder of `wcal train`; ID=DIR for one of several whiskers
+    #[arg(long, value_name = "[ID=]DIR", required = true)]
+    pub model: Vec<String>,
+    /// Rig: rig.toml or the folder that holds it; a session folder has its own
+    #[arg(long, value_name = "RIG")]
+    pub rig: Option<PathBuf>,
+    /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
+    #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
+    pub bench: Option<PathBuf>,
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Track although the calibration does not vouch for it; every row says so
+    /// Recording to write: contact points, events and, live, the raw streams
+    #[arg(long, value_name = "MCAP")]
+    pub mcap: Option<PathBuf>,
+    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); loopback unless another address is given
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    pub live: Option<SocketAddr>,
+    /// Stop a stream after this time by the interrogator's clock, s
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// Replay a recording as fast as it was recorded, not as fast as possible
+    #[arg(long)]
+    pub real_time: bool,
+    /// Rows a second of a stream; the network was trained near 10
+    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    pub rate_hz: f64,
+    /// Lag of the filter of a stream, s
+    #[arg(long, value_name = "S", default_value_t = 0.1)]
+    pub lag_s: f64,
+    /// Beginning of a stream without contact, from which the noise is taken, s
+    #[arg(long, value_name = "S", default_value_t = 3.0)]
+    pub prefix_s: f64,
+    /// False events an hour that noise as in the prefix may cause at most, for each whisker
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    pub false_alarms_per_hour: f64,
+    /// Scans that may wait for the tracker; more are dropped, counted and flagged
+    #[arg(long, value_name = "SCANS", default_value_t = 20_000)]
+    pub queue: usize,
+    /// Track although calibration or model do not vouch for it; every row says so
     #[arg(long)]
     pub force: bool,
+    /// Print the summary (track.json) on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Where readings come from.
+enum Source {
+    Table(PathBuf),
+    Recordings(Vec<PathBuf>),
+    Interrogator,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Where a file cannot be used, or a row has no time.
-pub fn run(args: &TrackArgs) -> anyhow::Result<ExitCode> {
-    let file = read_calibration(&args.calibration)?;
-    let (tracker, _) = load(&args.model, &burn_device())?;
-    let mut doubts = standing(&file, jiff::Timestamp::now())?;
-    if file.verification == wcal_core::VerificationStatus::Unverified {
-        doubts.push("the calibration was never verified".to_owned());
+/// Where a file or device cannot be used, or a row has no time.
+pub fn run(args: &TrackArgs) -> Result<ExitCode> {
+    let (source, rig) = source(args)?;
+    let names: Vec<String> = match &rig {
+        Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
+        None => vec![String::new()],
+    };
+    let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
+    let folders = by_whisker("--model", &args.model, &names)?;
+    let stream_s = (!matches!(source, Source::Table(_))).then(|| 1.0 / args.rate_hz);
+    let mut judged = Vec::new();
+    for name in &names {
+        let mut one = Judged::read(name, &calibrations[name], read_card(&folders[name])?)?;
+        match (&source, stream_s) {
+            (Source::Table(path), _) => one.judge_step(table::median_step_s(path)?),
+            (_, step_s) => one.judge_step(step_s),
+        }
+        judged.push(one);
     }
-    for doubt in &doubts {
-        eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });
+    for (one, doubt) in judged.iter().flat_map(|j| j.doubts.said().iter().map(move |d| (j, d))) {
+        let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
+        eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
     }
-    if !doubts.is_empty() && !args.force {
+    if judged.iter().any(|j| !j.doubts.none()) && !args.force {
         return Ok(ExitCode::from(4));
     }
-    let rows = match &file.model {
-        CalibrationModel::Map(artefact) => {
-            moments_of_map(&args.table, artefact).with_context(|| args.calibration.display().to_string())?
+    let mut trackers: BTreeMap<&Path, Tracker> = BTreeMap::new();
+    for folder in folders.values() {
+        if !trackers.contains_key(folder.as_path()) {
+            trackers.insert(folder, load(folder, &burn_device())?.0);
         }
-        CalibrationModel::Physical(model) => moments_of_model(&args.table, model)?,
-        CalibrationModel::Scalar(_) => {
-            bail!("{}: expected a whisker's calibration, found a scalar one", args.calibration.display())
+    }
+    let loaded: Vec<Loaded<'_>> =
+        names.iter().zip(judged).map(|(n, j)| j.with(&trackers[folders[n].as_path()])).collect();
+    if let (Source::Table(path), true) = (&source, args.mcap.is_some() || args.live.is_some()) {
+        bail!("{}: expected a stream for --mcap and --live, found a table", path.display());
+    }
+    match (source, rig) {
+        (Source::Table(path), _) => table::track(args, &path, &loaded[0]),
+        (Source::Recordings(parts), Some((place, rig))) => live::replay(args, &parts, &place, &rig, &loaded),
+        (Source::Interrogator, Some((place, rig))) => live::track(args, &place, &rig, &loaded),
+        (_, None) => bail!("expected --rig RIG for a stream, found none"),
+    }
+}
+
+/// What the arguments ask for, and the rig of a stream with its place.
+fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
+    let read =
+        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let (source, own_rig) = match &args.source {
+        None => (Source::Interrogator, None),
+        Some(path) if path.is_dir() => {
+            let parts = wcal_session::recording::reduce::recordings(path);
+            if parts.is_empty() {
+                bail!("{}: expected a session folder with recording.mcap, found none", path.display());
+            }
+            (Source::Recordings(parts), Some(path.join("rig.toml")))
         }
+        Some(path) if path.extension().is_some_and(|e| e == "mcap") => {
+            (Source::Recordings(vec![path.clone()]), None)
+        }
+        Some(path) => return Ok((Source::Table(path.clone()), None)),
     };
-    let doubtful = u8::from(!doubts.is_empty());
-    let mut csv = String::from(
-        "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
-         contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2\n",
-    );
-    let mut stream = tracker.stream();
-    let mut last_s = f64::NEG_INFINITY;
-    for Moments { point, t_s, moment_nmm, valid, .. } in &rows {
-        let t_s = t_s.with_context(|| {
-            format!("{}: point {point}: t_s: expected a time, found none", args.table.display())
-        })?;
-        if !(t_s > last_s) {
-            bail!(
-                "{}: point {point}: t_s: expected a later time than {last_s}, found {t_s}",
-                args.table.display()
-            );
-        }
-        last_s = t_s;
-        let p = stream.push(&Sample { t_s, moment_nmm: *moment_nmm, base_mm_s: args.base_mm_s });
-        let c = p.covariance_mm2;
-        write!(
-            csv,
-            "{point},{t_s},{:.6},{:.6},{},{doubtful}",
-            moment_nmm[0],
-            moment_nmm[1],
-            u8::from(!valid)
-        )?;
-        write!(csv, ",{:.4}", p.contact)?;
-        for x in p.point_mm.iter().chain(&[c[0][0], c[1][1], c[2][2], c[0][1], c[0][2], c[1][2]]) {
-            write!(csv, ",{x:.4}")?;
-        }
-        csv.push('\n');
+    let named = args.rig.as_ref().map(|r| if r.is_dir() { r.join("rig.toml") } else { r.clone() });
+    let file = named.or(own_rig).ok_or_else(|| anyhow!("expected --rig RIG for a stream, found none"))?;
+    let mut text = read(&file)?;
+    if let Some(bench) = &args.bench {
+        text = crate::stage_sweep::with_addresses(&text, &read(bench)?)
+            .with_context(|| format!("addresses in {}", bench.display()))?;
     }
-    write_atomic(&args.out, csv.as_bytes())?;
-    let outside = rows.iter().filter(|r| !r.valid).count();
-    if outside > 0 {
-        eprintln!(
-            "{outside} of {} readings lie outside the valid region; marked in outside_valid_region",
-            rows.len()
-        );
+    let place = file.display().to_string();
+    let rig = Rig::parse(&place, &text)?;
+    Ok((source, Some((place, rig))))
+}
+
+/// Values of a repeated option by whisker; one without ID serves all whiskers.
+fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeMap<String, PathBuf>> {
+    let mut all = BTreeMap::new();
+    let mut common = None;
+    for value in given {
+        match value.split_once('=').filter(|(id, _)| names.iter().any(|n| n == id)) {
+            Some((id, path)) => {
+                if all.insert(id.to_owned(), PathBuf::from(path)).is_some() {
+                    bail!("{option}: expected one for whisker {id}, found two");
+                }
+            }
+            None if common.is_none() => common = Some(PathBuf::from(value)),
+            None => {
+                bail!("{option}: expected one, or ID=... with whiskers {names:?} of the rig, found {value}")
+            }
+        }
     }
-    Ok(ExitCode::from(if outside == 0 || args.force { 0 } else { 4 }))
+    for name in names {
+        if let Some(path) = &common {
+            all.entry(name.clone()).or_insert_with(|| path.clone());
+        }
+        if !all.contains_key(name) {
+            bail!("{option}: expected {name}=..., found none for whisker {name}");
+        }
+    }
+    Ok(all)
+}
+
+/// Model of a whisker's calibration; a scalar one is refused.
+fn refuse_scalar(place: &Path, file: &CalibrationFile<CalibrationModel>) -> Result<()> {
+    if let CalibrationModel::Scalar(_) = file.model {
+        bail!("{}: expected a whisker's calibration, found a scalar one", place.display());
+    }
+    Ok(())
+}
+
+/// 4 before 3 before 0.
+fn exit_code(args: &TrackArgs, outside: u64, lost: bool) -> ExitCode {
+    ExitCode::from(match (outside > 0 && !args.force, lost) {
+        (true, _) => 4,
+        (false, true) => 3,
+        (false, false) => 0,
+    })
 }

@@ -158,7 +158,11 @@ pub fn verify_session(
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
-        let file = seal(&session.id, VerificationStatus::Verified, model, provenance)?;
+        let whisker = match &session.data {
+            SessionData::Whisker(data) => Some(&data.whisker),
+            _ => None,
+        };
+        let file = seal(&session.id, VerificationStatus::Verified, model, provenance, whisker)?;
         write_atomic(&out.join("calibration.json"), &serde_json::to_vec_pretty(&file)?)?;
     }
     write_atomic(&out.join("verify.json"), &serde_json::to_vec_pretty(&report.verify)?)?;

@@ -1,5 +1,6 @@
 //! The calibration artefact's envelope; what lies inside belongs to the crate that fitted it.
 
+use crate::observation::WhiskerSpec;
 use crate::provenance::Provenance;
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +34,11 @@ pub struct CalibrationFile<M> {
     pub model: M,
     /// What made it.
     pub provenance: Provenance,
-    /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model` and `provenance`; tampering changes it.
+    /// The wire that it was made with; absent in older files and where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whisker: Option<WhiskerSpec>,
+    /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where it is there, `whisker`;
+    /// tampering changes it.
     pub content_sha256: String,
 }
 
@@ -43,13 +48,76 @@ impl<M: Serialize> CalibrationFile<M> {
     /// # Errors
     /// Where the model cannot be written as JSON.
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
-        let body = serde_json::to_vec(&(
-            &self.session,
-            &self.verification,
-            &self.expires,
-            serde_json::to_value(&self.model)?,
-            &self.provenance,
-        ))?;
+        let model = serde_json::to_value(&self.model)?;
+        let old = (&self.session, &self.verification, &self.expires, model, &self.provenance);
+        // Files from before the whisker keep their hash.
+        let body = match &self.whisker {
+            None => serde_json::to_vec(&old)?,
+            Some(whisker) => serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?,
+        };
         Ok(crate::provenance::sha256_hex(&body))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observation::RestShape;
+
+    fn whisker() -> WhiskerSpec {
+        let rest_shape = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
+        WhiskerSpec {
+            diameter_mm: 0.3,
+            youngs_gpa: 75.0,
+            shear_gpa: 28.2,
+            density_kg_m3: None,
+            rest_shape,
+            gravity_direction: None,
+        }
+    }
+
+    fn file(whisker: Option<WhiskerSpec>) -> CalibrationFile<u8> {
+        CalibrationFile {
+            format: CALIBRATION_FORMAT.to_owned(),
+            session: "s".to_owned(),
+            verification: VerificationStatus::Verified,
+            expires: None,
+            model: 7,
+            provenance: Provenance::default(),
+            whisker,
+            content_sha256: String::new(),
+        }
+    }
+
+    #[test]
+    fn the_hash_covers_the_whisker_and_that_of_older_files_stays() {
+        let old = file(None);
+        let body = serde_json::to_vec(&("s", "verified", None::<()>, 7, &old.provenance)).unwrap();
+        assert_eq!(old.compute_hash().unwrap(), crate::provenance::sha256_hex(&body));
+        assert!(!serde_json::to_string(&old).unwrap().contains("whisker"));
+        let with = file(Some(whisker()));
+        let thinner = file(Some(WhiskerSpec { diameter_mm: 0.29, ..whisker() }));
+        let hashes = [&old, &with, &thinner].map(|f| f.compute_hash().unwrap());
+        assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2], "{hashes:?}");
+        let again: CalibrationFile<u8> =
+            serde_json::from_str(&serde_json::to_string(&with).unwrap()).unwrap();
+        assert_eq!(again.compute_hash().unwrap(), hashes[1]);
+    }
+
+    #[test]
+    fn whiskers_differ_by_what_bends_them() {
+        let own = whisker();
+        assert_eq!(
+            own.difference(&WhiskerSpec { youngs_gpa: 75.5, density_kg_m3: Some(6450.0), ..whisker() }),
+            None
+        );
+        let found = own.difference(&WhiskerSpec { youngs_gpa: 60.0, ..whisker() }).unwrap();
+        assert_eq!(found, "youngs_gpa: 75 and 60");
+        let bent = RestShape::StraightArc { straight_mm: 28.0, arc_radius_mm: 20.0, length_mm: 60.0 };
+        assert!(
+            own.difference(&WhiskerSpec { rest_shape: bent, ..whisker() }).unwrap().contains("straight_mm")
+        );
+        let line = RestShape::Polyline(vec![nalgebra::Vector3::zeros(), nalgebra::Vector3::x()]);
+        assert!(own.difference(&WhiskerSpec { rest_shape: line, ..whisker() }).is_some());
     }
 }

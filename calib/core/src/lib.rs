@@ -9,6 +9,7 @@ pub mod map_document;
 pub mod observation;
 pub mod provenance;
 pub mod residual;
+pub mod stream;
 pub mod verify_document;
 
 pub use calibration::{CalibrationFile, VerificationStatus};

@@ -101,6 +101,70 @@ pub struct FbgSpec {
     pub temperature_compensated: bool,
 }
 
+impl FbgSpec {
+    /// Whether readings must be compensated with the strain-isolated grating.
+    #[must_use]
+    pub fn needs_reference(&self) -> bool {
+        !self.temperature_compensated
+            && self.temperature_pm_per_degc.is_some()
+            && self.reference_temperature_pm_per_degc.is_some_and(|k| k != 0.0)
+    }
+
+    /// Temperature over that of the reference grating's nominal wavelength, K, from its shift (pm), where its coefficient is known.
+    #[must_use]
+    pub fn rise_degc(&self, reference_shift_pm: f64) -> Option<f64> {
+        self.reference_temperature_pm_per_degc.filter(|k| *k != 0.0).map(|k| reference_shift_pm / k)
+    }
+
+    /// Temperature-compensated shifts, pm, from raw shifts and the reference grating's: see [`WhiskerRow::compensated_pm`].
+    #[must_use]
+    pub fn compensated_pm(&self, shift_pm: [f64; 2], reference_shift_pm: Option<f64>) -> [f64; 2] {
+        if self.temperature_compensated {
+            return shift_pm;
+        }
+        match (reference_shift_pm.and_then(|s| self.rise_degc(s)), self.temperature_pm_per_degc) {
+            (Some(rise_degc), Some(k)) => [shift_pm[0] - k[0] * rise_degc, shift_pm[1] - k[1] * rise_degc],
+            _ => shift_pm,
+        }
+    }
+}
+
+impl WhiskerSpec {
+    /// The first property in which another whisker differs by more than a share of 1 % (shape: 1 mm), named with both values; the
+    /// density does not bend a wire at rest and is not compared.
+    #[must_use]
+    pub fn difference(&self, other: &Self) -> Option<String> {
+        let own = [
+            ("diameter_mm", self.diameter_mm, other.diameter_mm),
+            ("youngs_gpa", self.youngs_gpa, other.youngs_gpa),
+            ("shear_gpa", self.shear_gpa, other.shear_gpa),
+        ];
+        let differs = |a: f64, b: f64| (a - b).abs() > 0.01 * a.abs().max(b.abs());
+        let say = |name: &str, a: f64, b: f64| format!("{name}: {a} and {b}");
+        if let Some((name, a, b)) = own.into_iter().find(|(_, a, b)| differs(*a, *b)) {
+            return Some(say(name, a, b));
+        }
+        match (&self.rest_shape, &other.rest_shape) {
+            (
+                RestShape::StraightArc { straight_mm: s, arc_radius_mm: r, length_mm: l },
+                RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm },
+            ) => [
+                ("straight_mm", *s, *straight_mm),
+                ("arc_radius_mm", *r, *arc_radius_mm),
+                ("length_mm", *l, *length_mm),
+            ]
+            .into_iter()
+            .find(|(_, a, b)| differs(*a, *b))
+            .map(|(name, a, b)| say(name, a, b)),
+            (RestShape::Polyline(a), RestShape::Polyline(b)) => {
+                let far = a.len() != b.len() || a.iter().zip(b).any(|(a, b)| (a - b).norm() > 1.0);
+                far.then(|| "rest_shape: two polylines that are 1 mm apart or more".to_owned())
+            }
+            _ => Some("rest_shape: an arc and a polyline".to_owned()),
+        }
+    }
+}
+
 /// One straight path of the groove.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trajectory {
@@ -160,16 +224,7 @@ impl WhiskerRow {
     /// Uncompensated where the session has no reference grating or says that it is compensated already.
     #[must_use]
     pub fn compensated_pm(&self, fbg: &FbgSpec) -> [f64; 2] {
-        if fbg.temperature_compensated {
-            return self.shift_pm;
-        }
-        match (self.reference_shift_pm, fbg.reference_temperature_pm_per_degc, fbg.temperature_pm_per_degc) {
-            (Some(shift), Some(k_ref), Some(k)) if k_ref != 0.0 => {
-                let rise_degc = shift / k_ref;
-                [self.shift_pm[0] - k[0] * rise_degc, self.shift_pm[1] - k[1] * rise_degc]
-            }
-            _ => self.shift_pm,
-        }
+        fbg.compensated_pm(self.shift_pm, self.reference_shift_pm)
     }
 }
 

@@ -8,6 +8,7 @@ use crate::process::{Factor, ProcessModel};
 use crate::region::ValidRegion;
 use crate::student::half95;
 use crate::trend::{MAX_TERMS, Trend};
+use wcal_core::stream::{MomentStream, StreamMoments};
 
 /// Moments of one reading.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -114,6 +115,17 @@ impl MapPredictor {
             let weighted = |(x, a): (&[f64; 2], &f64)| a * output.kernel.at(distance(*x, z));
             output.trend_mean(z) + self.inputs.iter().zip(&output.alpha).map(weighted).sum::<f64>()
         })
+    }
+}
+
+impl MomentStream for MapPredictor {
+    fn quick_nmm(&mut self, _t_s: f64, shift_pm: [f64; 2], _rise_degc: f64) -> [f64; 2] {
+        self.mean_nmm(shift_pm)
+    }
+
+    fn moments(&mut self, _t_s: f64, shift_pm: [f64; 2], _rise_degc: f64) -> StreamMoments {
+        let p = self.predict(shift_pm);
+        StreamMoments { moment_nmm: p.moment_nmm, sd_nmm: p.sd_nmm, valid: p.is_valid() }
     }
 }
 

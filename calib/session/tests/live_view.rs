@@ -5,6 +5,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 use wcal_core::device::{Clocks, FbgReading};
 use wcal_session::recording::recorder::Recorder;
+use wcal_session::recording::tracks::TrackChannels;
 
 fn handshake(address: SocketAddr, protocol: &str) -> TcpStream {
     let mut link = TcpStream::connect(address).unwrap();
@@ -47,5 +48,17 @@ fn a_client_is_told_the_channels_of_the_recording() {
     drop(view);
     let clocks = Clocks { host_s: 1.0, device_s: Some(1.0) };
     recorder.scan(&FbgReading { serial: 1, clocks, ..FbgReading::default() }).unwrap();
+    recorder.finish().unwrap();
+}
+
+#[test]
+fn a_view_without_a_recording_shows_tracks_too() {
+    let recorder = Recorder::without_file().unwrap();
+    let _channels = TrackChannels::new(&recorder, &["left".to_owned()]).unwrap();
+    let view = recorder.serve("127.0.0.1:0".parse().unwrap()).unwrap();
+    let text = heard(&mut handshake(view.address(), "foxglove.sdk.v1"), "/track/pose/left");
+    assert!(text.contains("/track/pose/left"), "{text}");
+    // Control: a whisker that is not there has no channel.
+    assert!(!text.contains("/track/pose/right"), "{text}");
     recorder.finish().unwrap();
 }

@@ -11,6 +11,14 @@ use wcal_core::observation::{WhiskerData, WhiskerRow};
 /// Two moment components a reading, N mm.
 pub type Moments = Vec<[f64; 2]>;
 
+/// A sensor whose answer depends on what came before.
+pub trait Memory: Send {
+    /// What is felt of a moment (N mm) `dt_s` after the one before, none at the first; nothing is remembered.
+    fn felt(&self, dt_s: Option<f64>, moment_nmm: [f64; 2]) -> [f64; 2];
+    /// Remembers that moment.
+    fn accept(&mut self, dt_s: Option<f64>, moment_nmm: [f64; 2]);
+}
+
 /// Where an effect of the whisker acts; every hook does nothing by default.
 pub trait WhiskerEffect: Candidate {
     /// Why the effect cannot be seen in this session; none where it can.
@@ -21,8 +29,22 @@ pub trait WhiskerEffect: Candidate {
     fn pose(&self, _law: usize, _values: &[f64], _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
     /// Changes the mechanics of wire, root and groove.
     fn mechanics(&self, _law: usize, _values: &[f64], _mechanics: &mut Mechanics) {}
+    /// What the gratings feel of moments that come one after the other; none where they feel them as they are.
+    fn memory(&self, _law: usize, _values: &[f64]) -> Option<Box<dyn Memory>> {
+        None
+    }
     /// Changes the moments that the gratings feel at every node, N mm.
-    fn sensor(&self, _law: usize, _values: &[f64], _path: &WhiskerPath, _moments_nmm: &mut [[f64; 2]]) {}
+    fn sensor(&self, law: usize, values: &[f64], path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+        let Some(mut memory) = self.memory(law, values) else { return };
+        let mut last_s = None;
+        for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
+            let dt_s = last_s.map(|last| node.t_s - last);
+            last_s = Some(node.t_s);
+            let felt = memory.felt(dt_s, *m);
+            memory.accept(dt_s, *m);
+            *m = felt;
+        }
+    }
     /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
     fn columns(
         &self,

@@ -8,6 +8,7 @@ pub mod drawn;
 mod error;
 pub mod evaluate;
 pub mod inverse;
+pub mod live;
 pub mod make;
 pub mod model_file;
 pub mod network;

@@ -106,11 +106,16 @@ pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), Trac
     std::fs::write(&path, text).map_err(TrackError::file("writing", &path))
 }
 
-/// Reads a model; its card is checked against the weights.
+/// Reads a model's card, which is checked against the weights; the network is not made.
 ///
 /// # Errors
 /// Where a file is missing, truncated, of another version, or differs from the card.
-pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackError> {
+pub fn read_card(folder: &Path) -> Result<Card, TrackError> {
+    Ok(read_files(folder)?.0)
+}
+
+/// Card and weights.
+fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     let path = folder.join("model.json");
     let text = std::fs::read_to_string(&path).map_err(TrackError::file("reading", &path))?;
     let card: Card = serde_json::from_str(&text).map_err(TrackError::file("reading", &path))?;
@@ -124,6 +129,16 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         let what = format!("{}: SHA-256", weights.display());
         return Err(TrackError::value(what, card.weights_sha256, found));
     }
+    Ok((card, bytes))
+}
+
+/// Reads a model; its card is checked against the weights.
+///
+/// # Errors
+/// Where a file is missing, truncated, of another version, or differs from the card.
+pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackError> {
+    let (card, bytes) = read_files(folder)?;
+    let weights = folder.join("model.safetensors");
     let mut net = WhiskerNet::new(&card.network, device)?;
     let mut store = SafetensorsStore::from_bytes(Some(bytes));
     net.load_from(&mut store).map_err(TrackError::file("reading", &weights))?;

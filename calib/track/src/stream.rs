@@ -151,8 +151,14 @@ fn token(features: &mut FeatureMaker<'_>, last_s: &mut Option<f64>, sample: &Sam
     features.push(dt_s, sample.moment_nmm, sample.base_mm_s)
 }
 
-/// Time step that the first sample is taken to have, s.
+/// Time step that the first sample is taken to have, s; sweeps are simulated with it.
 pub(crate) const FIRST_S: f64 = 0.1;
+
+/// Shortest and longest time between samples that a network was trained with, s, from the factors of its training.
+#[must_use]
+pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
+    time_factor.map(|f| f * FIRST_S)
+}
 
 fn numbers(out: Tensor<3>) -> Vec<f32> {
     out.into_data().try_to_vec().unwrap_or_default()

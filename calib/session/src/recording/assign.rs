@@ -39,14 +39,14 @@ impl ChannelMap {
     /// The map of a rig.
     #[must_use]
     pub fn new(rig: &Rig) -> Self {
-        Self::of(&rig.interrogator)
+        Self::of(&rig.interrogator, rig.interrogator.whiskers().first().copied().unwrap_or_default())
     }
 
-    /// The map of an interrogator's gratings.
+    /// The map of a whisker's gratings.
     #[must_use]
-    pub fn of(interrogator: &InterrogatorRig) -> Self {
+    pub fn of(interrogator: &InterrogatorRig, whisker: &str) -> Self {
         let find = |name: &str| {
-            let g = interrogator.grating.iter().find(|g| g.name == name)?;
+            let g = interrogator.grating_of(whisker, name)?;
             Some((g.channel - 1, g.nominal_nm, g.window_nm))
         };
         Self { gratings: [find("fbg_ref"), find("fbg_1"), find("fbg_2")] }
@@ -66,12 +66,10 @@ impl ChannelMap {
         for (slot, grating) in found.iter_mut().zip(&self.gratings) {
             let Some((channel, nominal, window)) = grating else { continue };
             let peaks = reading.peaks_nm.get(*channel).map_or(&[][..], Vec::as_slice);
-            let mut inside: Vec<f64> =
-                peaks.iter().copied().filter(|nm| (nm - nominal).abs() <= *window).collect();
-            inside.sort_by(|a, b| (a - nominal).abs().total_cmp(&(b - nominal).abs()));
-            *slot = inside.first().copied();
+            let inside = || peaks.iter().copied().filter(|nm| (nm - nominal).abs() <= *window);
+            *slot = inside().min_by(|a, b| (a - nominal).abs().total_cmp(&(b - nominal).abs()));
             // A second peak in the window: a neighbour has strayed into it.
-            crossing |= inside.len() > 1;
+            crossing |= inside().nth(1).is_some();
         }
         for a in 0..3 {
             for b in 0..a {

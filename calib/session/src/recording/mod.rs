@@ -16,9 +16,11 @@ pub mod reduce;
 pub mod replay;
 pub mod rig;
 pub mod run_file;
+pub mod sensed;
 mod steps;
 pub mod sweep;
 pub mod tables;
+pub mod tracks;
 pub mod windows;
 
 pub use error::RecordingError;

@@ -25,8 +25,8 @@ const SYNC: Duration = Duration::from_secs(2);
 /// An open recording. Messages may come from several threads.
 pub struct Recorder {
     context: Arc<Context>,
-    writer: McapWriterHandle<BufWriter<File>>,
-    file: File,
+    /// None where there is only a live view.
+    file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
     scans: Arc<RawChannel>,
     stage: Arc<RawChannel>,
     events: Arc<RawChannel>,
@@ -68,12 +68,12 @@ fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
-fn timestamp(seconds: f64) -> Option<Timestamp> {
+pub(super) fn timestamp(seconds: f64) -> Option<Timestamp> {
     let nanos = nanoseconds(seconds);
     Timestamp::new_checked((nanos / 1_000_000_000) as u32, (nanos % 1_000_000_000) as u32)
 }
 
-fn at(seconds: f64) -> PartialMetadata {
+pub(super) fn at(seconds: f64) -> PartialMetadata {
     PartialMetadata { log_time: Some(nanoseconds(seconds)) }
 }
 
@@ -96,8 +96,25 @@ impl Recorder {
         let writer =
             context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(broken)?;
         writer.write_metadata("wcal", about).map_err(broken)?;
+        let recorder = Self::on(context, Some((writer, copy)))?;
+        recorder.flush()?;
+        Ok(recorder)
+    }
+
+    /// A recorder without a file: what is recorded is seen by a live view alone.
+    ///
+    /// # Errors
+    /// When the channels cannot be made.
+    pub fn without_file() -> Result<Self, RecordingError> {
+        Self::on(Context::new(), None)
+    }
+
+    fn on(
+        context: Arc<Context>,
+        file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
+    ) -> Result<Self, RecordingError> {
         let now = Instant::now();
-        let recorder = Self {
+        Ok(Self {
             scans: raw::<Scan>(&context, topic::SCAN)?,
             stage: raw::<StagePosition>(&context, topic::STAGE)?,
             events: raw::<SweepEvent>(&context, topic::EVENT)?,
@@ -106,11 +123,12 @@ impl Recorder {
             images: Mutex::new(HashMap::new()),
             pace: Mutex::new(Pace { flushed: now, synced: now }),
             context,
-            writer,
-            file: copy,
-        };
-        recorder.flush()?;
-        Ok(recorder)
+            file,
+        })
+    }
+
+    pub(super) fn context(&self) -> &Arc<Context> {
+        &self.context
     }
 
     /// Shows everything that is recorded from now on to Foxglove clients at `address` (port 0: one of the system's choice). A client
@@ -210,8 +228,9 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it; what was flushed before stays readable.
     pub fn finish(self) -> Result<(), RecordingError> {
-        self.writer.close().map_err(broken)?;
-        self.file.sync_all().map_err(|e| RecordingError::Recorder(e.to_string()))
+        let Some((writer, file)) = self.file else { return Ok(()) };
+        writer.close().map_err(broken)?;
+        file.sync_all().map_err(|e| RecordingError::Recorder(e.to_string()))
     }
 
     /// Brings everything so far into the file.
@@ -219,7 +238,7 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn flush(&self) -> Result<(), RecordingError> {
-        self.writer.flush().map_err(broken)
+        self.file.as_ref().map_or(Ok(()), |(writer, _)| writer.flush().map_err(broken))
     }
 
     fn keep_pace(&self) -> Result<(), RecordingError> {
@@ -237,14 +256,17 @@ impl Recorder {
             sync
         };
         self.flush()?;
-        if sync {
-            self.file.sync_data().map_err(|e| RecordingError::Recorder(e.to_string()))?;
+        match &self.file {
+            Some((_, file)) if sync => file.sync_data().map_err(|e| RecordingError::Recorder(e.to_string())),
+            _ => Ok(()),
         }
-        Ok(())
     }
 }
 
-fn raw<M: Recorded>(context: &Arc<Context>, topic: &str) -> Result<Arc<RawChannel>, RecordingError> {
+pub(super) fn raw<M: Recorded>(
+    context: &Arc<Context>,
+    topic: &str,
+) -> Result<Arc<RawChannel>, RecordingError> {
     ChannelBuilder::new(topic)
         .context(context)
         .message_encoding("protobuf")
@@ -253,7 +275,7 @@ fn raw<M: Recorded>(context: &Arc<Context>, topic: &str) -> Result<Arc<RawChanne
         .map_err(broken)
 }
 
-fn log_raw<M: Recorded>(channel: &RawChannel, message: &M, host_s: f64) {
+pub(super) fn log_raw<M: Recorded>(channel: &RawChannel, message: &M, host_s: f64) {
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
 }
 

@@ -41,6 +41,19 @@ pub struct Rig {
     /// Temperature coefficients for `[fbg]` of the session.
     #[serde(default)]
     pub fbg: toml::Table,
+    /// Where the base is in the world; only `wcal track` reads it.
+    #[serde(default)]
+    pub base: Option<BaseRig>,
+}
+
+/// Where the whisker's base is in the world, and what carries it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BaseRig {
+    /// 4 x 4, mm: takes base coordinates to the world's, at `stage_mm = 0` where the stage carries the base.
+    pub world_from_base: [[f64; 4]; 4],
+    /// Direction in which the stage carries the base, base frame; absent: the base stands still.
+    pub carried_along: Option<[f64; 3]>,
 }
 
 fn unity() -> f64 {
@@ -139,8 +152,28 @@ pub struct InterrogatorRig {
     pub peaks_address: Option<String>,
     /// Scan rate, Hz.
     pub rate_hz: f64,
-    /// Gratings: `fbg_ref`, `fbg_1`, `fbg_2`.
+    /// Gratings: `fbg_ref`, `fbg_1`, `fbg_2`, of each whisker.
     pub grating: Vec<GratingRig>,
+}
+
+impl InterrogatorRig {
+    /// Names of the whiskers, in order; one without a name where the gratings name none.
+    #[must_use]
+    pub fn whiskers(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for grating in &self.grating {
+            if !names.contains(&grating.whisker.as_str()) {
+                names.push(&grating.whisker);
+            }
+        }
+        names
+    }
+
+    /// A grating of a whisker by name.
+    #[must_use]
+    pub fn grating_of(&self, whisker: &str, name: &str) -> Option<&GratingRig> {
+        self.grating.iter().find(|g| g.whisker == whisker && g.name == name)
+    }
 }
 
 /// A grating.
@@ -155,6 +188,9 @@ pub struct GratingRig {
     pub nominal_nm: f64,
     /// Farthest a peak may be from the nominal wavelength, nm.
     pub window_nm: f64,
+    /// Whisker that it belongs to, where the fibres carry several; sessions are recorded of the first.
+    #[serde(default)]
+    pub whisker: String,
 }
 
 /// A camera. Keys that only other commands need (image size, calibration file) are kept, not read.
@@ -223,9 +259,27 @@ impl Rig {
         if !(s.speed_mm_s > 0.0 && s.microstep_um > 0.0 && rig.clock_scale > 0.0) {
             return fail("stage", "speed, microstep and clock scale above 0", format!("{s:?}"));
         }
-        for name in ["fbg_1", "fbg_2"] {
-            if rig.grating(name).is_none() {
-                return fail("interrogator.grating", "gratings fbg_1 and fbg_2", format!("no {name}"));
+        for whisker in rig.interrogator.whiskers() {
+            for name in ["fbg_1", "fbg_2"] {
+                if rig.interrogator.grating_of(whisker, name).is_none() {
+                    let of =
+                        if whisker.is_empty() { String::new() } else { format!(" of whisker {whisker}") };
+                    return fail(
+                        "interrogator.grating",
+                        "gratings fbg_1 and fbg_2",
+                        format!("no {name}{of}"),
+                    );
+                }
+            }
+        }
+        let gratings = &rig.interrogator.grating;
+        for (k, a) in gratings.iter().enumerate() {
+            // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
+            let apart = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
+            let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;
+            if let Some(b) = gratings[..k].iter().filter(other).find(apart) {
+                let found = format!("{} of {} and {} of {}", b.name, b.whisker, a.name, a.whisker);
+                return fail("interrogator.grating", "windows of two whiskers that do not overlap", found);
             }
         }
         if let Some(odd) = rig.interrogator.grating.iter().find(|g| g.channel == 0 || g.window_nm <= 0.0) {
@@ -245,10 +299,10 @@ impl Rig {
         Ok(rig)
     }
 
-    /// A grating by name.
+    /// A grating of the first whisker by name.
     #[must_use]
     pub fn grating(&self, name: &str) -> Option<&GratingRig> {
-        self.interrogator.grating.iter().find(|g| g.name == name)
+        self.interrogator.grating_of(self.interrogator.whiskers().first()?, name)
     }
 
     /// A trajectory by identifier.
@@ -321,6 +375,27 @@ shear_gpa = 28.2
     }
 
     #[test]
+    fn whiskers_share_a_fibre_where_their_windows_do_not_overlap() {
+        let more = |first_nm: f64| {
+            let grating = |name: &str, nm: f64| {
+                format!(
+                    "  {{ name = \"{name}\", channel = 1, nominal_nm = {nm}, window_nm = 0.7, whisker = \"b\" }},\n"
+                )
+            };
+            RIG.replace(
+                "]\n[[trajectory]]",
+                &format!("{}{}]\n[[trajectory]]", grating("fbg_1", first_nm), grating("fbg_2", 1555.0)),
+            )
+        };
+        let rig = Rig::parse("rig.toml", &more(1550.0)).unwrap();
+        assert_eq!(rig.interrogator.whiskers(), ["", "b"]);
+        assert_eq!(rig.interrogator.grating_of("b", "fbg_1").unwrap().nominal_nm, 1550.0);
+        assert_eq!(rig.grating("fbg_1").unwrap().nominal_nm, 1541.2);
+        let error = Rig::parse("rig.toml", &more(1542.0)).unwrap_err().to_string();
+        assert!(error.contains("do not overlap") && error.contains("fbg_1 of b"), "{error}");
+    }
+
+    #[test]
     fn rigs_that_make_no_sense_are_refused_by_field() {
         for (from, to, field) in [
             ("wcal-rig/1", "wcal-rig/2", "format"),
@@ -330,6 +405,7 @@ shear_gpa = 28.2
             ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
             ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
             ("retract_mm = -2", "retrct_mm = -2", "rig file"),
+            ("window_nm = 1.5 }", "window_nm = 1.5, whisker = \"b\" }", "no fbg_1"),
             (
                 "[whisker]",
                 "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]",

@@ -3,7 +3,7 @@
 use super::law;
 use crate::candidate::{Candidate, Law};
 use crate::path::WhiskerPath;
-use crate::whisker::WhiskerEffect;
+use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
 pub struct Creep;
@@ -47,24 +47,47 @@ impl WhiskerEffect for Creep {
         (!path.columns.time).then(|| "the session has no time stamps".to_owned())
     }
 
-    fn sensor(&self, law: usize, values: &[f64], path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
         // Weights and time constants; equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
         let spectrum: Vec<(f64, f64)> = match law {
             0 => vec![(values[0], values[1])],
             1 => (0..8).map(|k| (values[0] / 8.0, 10f64.powf(0.5 * f64::from(k)))).collect(),
             _ => vec![(values[0], values[1]), (values[2], values[3])],
         };
-        let driven = moments_nmm.to_vec();
-        for (share, time_constant_s) in spectrum {
-            let mut relaxed = [0.0; 2];
-            for k in 1..driven.len() {
-                let dt = path.nodes[k].t_s - path.nodes[k - 1].t_s;
-                for c in 0..2 {
-                    relaxed[c] = relax(relaxed[c], driven[k - 1][c], driven[k][c], dt, time_constant_s);
-                    moments_nmm[k][c] += share * relaxed[c];
-                }
-            }
+        let relaxed = vec![[0.0; 2]; spectrum.len()];
+        Some(Box::new(Relaxing { spectrum, relaxed, last: [0.0; 2] }))
+    }
+}
+
+/// Relaxed moments, one a time constant.
+struct Relaxing {
+    spectrum: Vec<(f64, f64)>,
+    relaxed: Vec<[f64; 2]>,
+    last: [f64; 2],
+}
+
+impl Relaxing {
+    fn next(&self, k: usize, dt_s: f64, m: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|c| relax(self.relaxed[k][c], self.last[c], m[c], dt_s, self.spectrum[k].1))
+    }
+}
+
+impl Memory for Relaxing {
+    fn felt(&self, dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
+        let Some(dt_s) = dt_s else { return m };
+        let mut felt = m;
+        for (k, (share, _)) in self.spectrum.iter().enumerate() {
+            let relaxed = self.next(k, dt_s, m);
+            felt = [0, 1].map(|c| felt[c] + share * relaxed[c]);
         }
+        felt
+    }
+
+    fn accept(&mut self, dt_s: Option<f64>, m: [f64; 2]) {
+        if let Some(dt_s) = dt_s {
+            self.relaxed = (0..self.spectrum.len()).map(|k| self.next(k, dt_s, m)).collect();
+        }
+        self.last = m;
     }
 }
 

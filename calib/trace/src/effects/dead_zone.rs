@@ -2,8 +2,7 @@
 
 use super::law;
 use crate::candidate::{Candidate, Law};
-use crate::path::WhiskerPath;
-use crate::whisker::WhiskerEffect;
+use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
 pub struct DeadZone;
@@ -27,16 +26,27 @@ impl Candidate for DeadZone {
 }
 
 impl WhiskerEffect for DeadZone {
-    fn sensor(&self, law: usize, values: &[f64], _path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let threshold = values[0];
-        for m in moments_nmm {
-            if law == 0 {
-                let size = m[0].hypot(m[1]);
-                let left = if size > threshold { 1.0 - threshold / size } else { 0.0 };
-                *m = [m[0] * left, m[1] * left];
-            } else {
-                *m = m.map(|v| v.signum() * (v.abs() - threshold).max(0.0));
-            }
+    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
+        Some(Box::new(Play { radial: law == 0, threshold_nmm: values[0] }))
+    }
+}
+
+/// A sensor that feels what is past a threshold; it remembers nothing.
+struct Play {
+    radial: bool,
+    threshold_nmm: f64,
+}
+
+impl Memory for Play {
+    fn felt(&self, _dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
+        if self.radial {
+            let size = m[0].hypot(m[1]);
+            let left = if size > self.threshold_nmm { 1.0 - self.threshold_nmm / size } else { 0.0 };
+            [m[0] * left, m[1] * left]
+        } else {
+            m.map(|v| v.signum() * (v.abs() - self.threshold_nmm).max(0.0))
         }
     }
+
+    fn accept(&mut self, _dt_s: Option<f64>, _moment_nmm: [f64; 2]) {}
 }

@@ -2,8 +2,7 @@
 
 use super::law;
 use crate::candidate::{Candidate, Law};
-use crate::path::WhiskerPath;
-use crate::whisker::WhiskerEffect;
+use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
 pub struct Hysteresis;
@@ -59,20 +58,41 @@ impl Candidate for Hysteresis {
 }
 
 impl WhiskerEffect for Hysteresis {
-    fn sensor(&self, law: usize, values: &[f64], _path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let driven = moments_nmm.to_vec();
-        for parameters in values.chunks(2) {
-            let (size, width) = (parameters[0], parameters[1]);
-            let mut state = [0.0_f64; 2];
-            let mut before = [0.0_f64; 2];
-            for (m, now) in moments_nmm.iter_mut().zip(&driven) {
-                let step = [now[0] - before[0], now[1] - before[1]];
-                state = next(law, state, step, width);
-                m[0] += size * state[0];
-                m[1] += size * state[1];
-                before = *now;
-            }
+    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
+        let loops: Vec<(f64, f64)> = values.chunks(2).map(|p| (p[0], p[1])).collect();
+        let states = vec![[0.0; 2]; loops.len()];
+        Some(Box::new(Loops { law, loops, states, before: [0.0; 2] }))
+    }
+}
+
+/// Sizes and widths of the loops with their states.
+struct Loops {
+    law: usize,
+    loops: Vec<(f64, f64)>,
+    states: Vec<[f64; 2]>,
+    before: [f64; 2],
+}
+
+impl Loops {
+    fn state(&self, k: usize, now: [f64; 2]) -> [f64; 2] {
+        let step = [now[0] - self.before[0], now[1] - self.before[1]];
+        next(self.law, self.states[k], step, self.loops[k].1)
+    }
+}
+
+impl Memory for Loops {
+    fn felt(&self, _dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
+        let mut felt = m;
+        for (k, (size, _)) in self.loops.iter().enumerate() {
+            let state = self.state(k, m);
+            felt = [0, 1].map(|c| felt[c] + size * state[c]);
         }
+        felt
+    }
+
+    fn accept(&mut self, _dt_s: Option<f64>, m: [f64; 2]) {
+        self.states = (0..self.loops.len()).map(|k| self.state(k, m)).collect();
+        self.before = m;
     }
 }
 

@@ -10,10 +10,12 @@ pub mod next;
 pub mod physical;
 pub mod predictions;
 pub mod rival;
+pub mod stream;
 pub mod twin_check;
 mod unseal;
 pub mod verdict;
 pub mod whisker;
 
 pub use physical::PhysicalModel;
+pub use stream::PhysicalStream;
 pub use whisker::{VerifyOptions, WhiskerVerification, verify_whisker};

@@ -60,7 +60,7 @@ pub struct Inferred {
 }
 
 /// Share of the largest fitted moment that is still valid.
-const VALID_SHARE: f64 = 1.1;
+pub(super) const VALID_SHARE: f64 = 1.1;
 
 impl PhysicalModel {
     /// The model of an explanation.
@@ -102,7 +102,7 @@ impl PhysicalModel {
     }
 
     /// The catalogue's effects with their terms.
-    fn terms(&self) -> Vec<(Arc<dyn WhiskerEffect>, Term)> {
+    pub(super) fn terms(&self) -> Vec<(Arc<dyn WhiskerEffect>, Term)> {
         let catalogue = crate::effects::whisker_catalogue();
         self.effects
             .iter()
@@ -166,7 +166,7 @@ impl PhysicalModel {
 
     /// Felt moments by Newton's method reading by reading, each step halved until the misfit falls: where a bent readout never gives the
     /// shift, the moment at its fold, the closest one, comes out. The slope is taken by differences because effects add columns.
-    fn felt(
+    pub(super) fn felt(
         &self,
         terms: &[(Arc<dyn WhiskerEffect>, Term)],
         path: &WhiskerPath,
@@ -221,7 +221,7 @@ impl PhysicalModel {
     }
 
     /// Noise and coefficient covariance through the inverse sensitivity.
-    fn sd_nmm(&self, inverse: &Matrix2<f64>, felt: &[f64; 2]) -> [f64; 2] {
+    pub(super) fn sd_nmm(&self, inverse: &Matrix2<f64>, felt: &[f64; 2]) -> [f64; 2] {
         let q = self.coefficients.len();
         let row = [1.0, felt[0], felt[1]];
         let mut cov = Matrix2::identity() * self.noise_sd_pm.powi(2);
@@ -237,6 +237,11 @@ impl PhysicalModel {
         let m = inverse * cov * inverse.transpose();
         [m[(0, 0)].max(0.0).sqrt(), m[(1, 1)].max(0.0).sqrt()]
     }
+}
+
+/// Whether nothing is felt beyond noise.
+pub(super) fn hidden(felt: &[f64; 2], sd: &[f64; 2]) -> bool {
+    felt[0].hypot(felt[1]) < 3.0 * sd[0].hypot(sd[1])
 }
 
 /// Finds base moments whose memory gives the felt ones, by fixed point over the whole history.
@@ -272,7 +277,7 @@ fn undo_memory(
         let mut change: f64 = 0.0;
         for (node, m) in path.nodes.iter().zip(&at_nodes) {
             let Some(i) = node.reading else { continue };
-            if felt[i][0].hypot(felt[i][1]) < 3.0 * sds[i][0].hypot(sds[i][1]) {
+            if hidden(&felt[i], &sds[i]) {
                 continue;
             }
             for c in 0..2 {

@@ -1,0 +1,120 @@
+//! What speaks against tracking with a calibration and a model.
+
+use crate::artefact::{CalibrationModel, read_unsealed, standing};
+use anyhow::Result;
+use std::path::{Path, PathBuf};
+use wcal_core::{CalibrationFile, VerificationStatus};
+use wcal_track::Tracker;
+use wcal_track::model_file::Card;
+use wcal_track::stream::trained_steps_s;
+
+/// Doubts, each with a short code for the rows and a sentence for people.
+#[derive(Debug, Clone, Default)]
+pub struct Doubts {
+    codes: Vec<&'static str>,
+    said: Vec<String>,
+}
+
+impl Doubts {
+    fn add(&mut self, code: &'static str, sentence: String) {
+        self.codes.push(code);
+        self.said.push(sentence);
+    }
+
+    /// Whether there are none.
+    pub fn none(&self) -> bool {
+        self.codes.is_empty()
+    }
+
+    /// Codes with `|` between them.
+    pub fn codes(&self) -> String {
+        self.codes.join("|")
+    }
+
+    /// Sentences.
+    pub fn said(&self) -> &[String] {
+        &self.said
+    }
+}
+
+/// A whisker's calibration and model.
+pub struct Loaded<'a> {
+    /// Name in the rig.
+    pub name: String,
+    /// Where the calibration lies.
+    pub place: PathBuf,
+    /// Calibration.
+    pub file: CalibrationFile<CalibrationModel>,
+    /// Model.
+    pub tracker: &'a Tracker,
+    /// Its card.
+    pub card: Card,
+    /// What speaks against them.
+    pub doubts: Doubts,
+}
+
+/// A whisker's calibration judged beside a model's card, before the model itself is loaded.
+pub struct Judged {
+    name: String,
+    place: PathBuf,
+    file: CalibrationFile<CalibrationModel>,
+    card: Card,
+    /// What speaks against them.
+    pub doubts: Doubts,
+}
+
+impl Judged {
+    /// Name in the rig.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// With its model.
+    pub fn with(self, tracker: &Tracker) -> Loaded<'_> {
+        let Self { name, place, file, card, doubts } = self;
+        Loaded { name, place, file, tracker, card, doubts }
+    }
+
+    /// Reads a calibration and judges it beside the model.
+    ///
+    /// # Errors
+    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
+    pub fn read(name: &str, place: &Path, card: Card) -> Result<Self> {
+        let (file, changed) = read_unsealed(place)?;
+        super::refuse_scalar(place, &file)?;
+        let mut doubts = Doubts::default();
+        if let Some(changed) = changed {
+            doubts.add("changed", changed);
+        }
+        for doubt in standing(&file, jiff::Timestamp::now())? {
+            let code = if doubt.contains("expired") { "expired" } else { "failed" };
+            doubts.add(code, doubt);
+        }
+        if file.verification == VerificationStatus::Unverified {
+            doubts.add("unverified", "the calibration was never verified".to_owned());
+        }
+        match file.whisker.as_ref().map(|w| w.difference(&card.whisker)) {
+            Some(Some(found)) => doubts.add(
+                "other-whisker",
+                format!("the model was trained for another whisker than the calibration's: {found}"),
+            ),
+            Some(None) => {}
+            None => eprintln!(
+                "warning: {}: it does not say of which whisker; the model is taken to fit",
+                place.display()
+            ),
+        }
+        Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
+    }
+
+    /// Judges the time between readings (s) by those that the network was trained with.
+    pub fn judge_step(&mut self, step_s: Option<f64>) {
+        let [low, high] = trained_steps_s(self.card.training.time_factor);
+        if let Some(step_s) = step_s.filter(|s| !(low..=high).contains(s)) {
+            self.doubts.add(
+                "sample-rate",
+                format!("the network was trained with {low:.3} to {high:.3} s between readings, found {step_s:.3} s"),
+            );
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! Tracks of a stream: live from the interrogator, or replayed from recordings.
+
+use super::checks::Loaded;
+use super::feed::{Intake, Item};
+use super::output::{FORMAT, TrackFiles};
+use super::whiskers::{Whiskers, lost_text};
+use super::{TrackArgs, exit_code};
+use anyhow::{Context, Result, anyhow};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
+use wcal_drivers::HostClock;
+use wcal_drivers::bench_files::{open_interrogator, open_stage};
+use wcal_session::recording::message::StagePosition;
+use wcal_session::recording::recorder::{LiveView, Recorder};
+use wcal_session::recording::replay::{End, Message, read};
+use wcal_session::recording::rig::Rig;
+use wcal_session::recording::tracks::TrackChannels;
+
+/// A stream that is silent this long has failed.
+const SILENCE: Duration = Duration::from_secs(2);
+/// Rows stay in memory no longer than this.
+const FLUSH: Duration = Duration::from_millis(500);
+/// Time between questions to a stage that carries the base.
+const STAGE_POLL: Duration = Duration::from_millis(20);
+
+/// Where rows go beside the table.
+struct Sinks {
+    recorder: Option<Arc<Recorder>>,
+    channels: Option<TrackChannels>,
+    _view: Option<LiveView>,
+}
+
+impl Sinks {
+    fn open(
+        args: &TrackArgs,
+        rig_place: &str,
+        whiskers: &Whiskers<'_>,
+        loaded: &[Loaded<'_>],
+    ) -> Result<Self> {
+        let recorder = match (&args.mcap, args.live) {
+            (Some(path), _) => Some(Recorder::create(path, about(args, rig_place, whiskers, loaded))?),
+            (None, Some(_)) => Some(Recorder::without_file()?),
+            (None, None) => None,
+        };
+        let view = match (&recorder, args.live) {
+            (Some(recorder), Some(address)) => {
+                let view = recorder.serve(address)?;
+                eprintln!("live view at ws://{}", view.address());
+                Some(view)
+            }
+            _ => None,
+        };
+        let channels = recorder.as_ref().map(|r| TrackChannels::new(r, &whiskers.names())).transpose()?;
+        Ok(Self { recorder: recorder.map(Arc::new), channels, _view: view })
+    }
+
+    fn finish(self) -> Result<()> {
+        drop((self.channels, self._view));
+        match self.recorder.map(Arc::try_unwrap) {
+            Some(Ok(recorder)) => Ok(recorder.finish()?),
+            Some(Err(_)) => Err(anyhow!("recording: a thread still holds it")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Metadata of the recording.
+fn about(
+    args: &TrackArgs,
+    rig_place: &str,
+    whiskers: &Whiskers<'_>,
+    loaded: &[Loaded<'_>],
+) -> BTreeMap<String, String> {
+    let facts = whiskers.summary();
+    let mut all = BTreeMap::from([
+        ("format".to_owned(), FORMAT.to_owned()),
+        ("program".to_owned(), format!("wcal {}", env!("CARGO_PKG_VERSION"))),
+        ("rig".to_owned(), rig_place.to_owned()),
+        ("lag_s".to_owned(), facts["lag_s"].to_string()),
+        ("filter".to_owned(), facts["filter"].to_string()),
+        ("rate_hz".to_owned(), args.rate_hz.to_string()),
+    ]);
+    for l in loaded {
+        let key = |what: &str| if l.name.is_empty() { what.to_owned() } else { format!("{what} {}", l.name) };
+        all.insert(key("calibration_sha256"), l.file.content_sha256.clone());
+        all.insert(key("model_sha256"), l.card.weights_sha256.clone());
+        all.insert(key("doubts"), l.doubts.codes());
+    }
+    all
+}
+
+/// Tracks recordings, one after the other.
+///
+/// # Errors
+/// Where one cannot be read or is not the rig's.
+pub fn replay(
+    args: &TrackArgs,
+    parts: &[PathBuf],
+    place: &str,
+    rig: &Rig,
+    loaded: &[Loaded<'_>],
+) -> Result<ExitCode> {
+    let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
+    let sinks = Sinks::open(args, place, &whiskers, loaded)?;
+    let mut files = TrackFiles::create(&args.out, true)?;
+    let mut cut_off = Vec::new();
+    let start = Instant::now();
+    let (mut first_host_s, mut ended) = (None, false);
+    for part in parts {
+        let (mut failed, mut scans) = (None, 0_u64);
+        let end = read(part, |message| {
+            if failed.is_some() || ended {
+                return;
+            }
+            match message {
+                Message::Scan(scan) => {
+                    scans += 1;
+                    let reading = scan.reading();
+                    ended = over(args, &whiskers, &reading);
+                    if ended {
+                        return;
+                    }
+                    if args.real_time {
+                        let due_s = scan.host_s - *first_host_s.get_or_insert(scan.host_s);
+                        let due = Duration::from_secs_f64((due_s / rig.clock_scale).max(0.0));
+                        std::thread::sleep(due.saturating_sub(start.elapsed()));
+                    }
+                    failed = whiskers.scan(&reading, false, &mut files, sinks.channels.as_ref()).err();
+                }
+                Message::Stage(position) => whiskers.stage(&position),
+                _ => {}
+            }
+        })?;
+        if let Some(error) = failed {
+            files.flush()?;
+            return Err(error.context(part.display().to_string()));
+        }
+        if scans == 0 && !ended {
+            return Err(anyhow!("{}: expected scans of an interrogator, found none", part.display()));
+        }
+        if let End::CutOff(why) = end {
+            eprintln!("warning: {}: cut off ({why}); tracked to there", part.display());
+            cut_off.push(part.display().to_string());
+        }
+    }
+    let more = json!({"source": parts, "cut_off": cut_off, "dropped_scans": 0});
+    conclude(args, whiskers, sinks, files, more, (0, !cut_off.is_empty()))
+}
+
+/// Tracks the rig's interrogator until Ctrl-C, the end of the time or a fault.
+///
+/// # Errors
+/// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
+pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) -> Result<ExitCode> {
+    let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
+    let clock = HostClock::start(rig.clock_scale);
+    let mut interrogator = open_interrogator(&rig.interrogator, clock)?;
+    let identity = interrogator.identity()?;
+    let sinks = Sinks::open(args, place, &whiskers, loaded)?;
+    let mut files = TrackFiles::create(&args.out, true)?;
+    let done = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&done);
+    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
+    let (intake, receiver) = Intake::new(args.queue, sinks.recorder.clone());
+    let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
+    let failed = std::thread::scope(|scope| {
+        scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
+        if carried {
+            scope.spawn(|| watch_stage(rig, clock, &intake, &done));
+        }
+        let result = consume(args, &receiver, &mut whiskers, &mut files, sinks.channels.as_ref(), &done);
+        done.store(true, Ordering::SeqCst);
+        // Whoever waits for room must not wait for ever.
+        drop(receiver);
+        result
+    });
+    let dropped = intake.dropped();
+    drop(intake);
+    let more = json!({"source": format!("{} {} {}", identity.driver, identity.model, identity.serial), "dropped_scans": dropped});
+    let code = conclude(args, whiskers, sinks, files, more, (dropped, false))?;
+    failed.map(|()| code)
+}
+
+/// Reads the interrogator into the intake.
+fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Intake, done: &AtomicBool) {
+    let mut heard = Instant::now();
+    if let Err(e) = interrogator.start() {
+        return intake.fail(e);
+    }
+    while !done.load(Ordering::SeqCst) {
+        let readings = match interrogator.read(Duration::from_millis(50)) {
+            Ok(readings) => readings,
+            Err(e) => return intake.fail(e),
+        };
+        if readings.is_empty() {
+            if heard.elapsed() > SILENCE {
+                let found = format!("silence for {} s", SILENCE.as_secs());
+                let kind = DeviceErrorKind::Timeout;
+                return intake.fail(DeviceError::new(
+                    kind,
+                    "interrogator",
+                    "read the stream",
+                    "scans",
+                    found,
+                ));
+            }
+            continue;
+        }
+        heard = Instant::now();
+        match intake.scans(readings) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(e) => {
+                let kind = DeviceErrorKind::Configuration;
+                return intake.fail(DeviceError::new(
+                    kind,
+                    "recording",
+                    "record",
+                    "space on disk",
+                    e.to_string(),
+                ));
+            }
+        }
+    }
+    // What was read is tracked; a unit that does not confirm the end changes nothing.
+    let _ = interrogator.stop();
+}
+
+/// Asks the stage that carries the base where it is; it is never moved from here.
+fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) {
+    let mut stage = match open_stage(&rig.stage, clock) {
+        Ok((stage, _)) => stage,
+        Err(e) => return intake.fail(e),
+    };
+    while !done.load(Ordering::SeqCst) {
+        match stage.read() {
+            Ok(reading) => {
+                if let Err(e) = intake.stage(StagePosition::from(&reading), &reading) {
+                    let kind = DeviceErrorKind::Configuration;
+                    return intake.fail(DeviceError::new(
+                        kind,
+                        "recording",
+                        "record",
+                        "space on disk",
+                        e.to_string(),
+                    ));
+                }
+            }
+            Err(e) => return intake.fail(e),
+        }
+        std::thread::sleep(STAGE_POLL);
+    }
+}
+
+/// Whether the time that was asked for is over.
+fn over(args: &TrackArgs, whiskers: &Whiskers<'_>, reading: &FbgReading) -> bool {
+    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s)
+}
+
+/// Tracks what the queue gives.
+fn consume(
+    args: &TrackArgs,
+    receiver: &Receiver<Item>,
+    whiskers: &mut Whiskers<'_>,
+    files: &mut TrackFiles,
+    channels: Option<&TrackChannels>,
+    done: &AtomicBool,
+) -> Result<()> {
+    let mut flushed = Instant::now();
+    while !done.load(Ordering::SeqCst) {
+        match receiver.recv_timeout(Duration::from_millis(100)) {
+            Ok(Item::Scans(readings, mut dropped)) => {
+                for reading in &readings {
+                    if over(args, whiskers, reading) {
+                        return Ok(());
+                    }
+                    whiskers.scan(reading, std::mem::take(&mut dropped) > 0, files, channels)?;
+                }
+            }
+            Ok(Item::Stage(position)) => whiskers.stage(&position),
+            Ok(Item::Failed(error)) => return Err(error.into()),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        }
+        if flushed.elapsed() > FLUSH {
+            files.flush()?;
+            flushed = Instant::now();
+        }
+    }
+    Ok(())
+}
+
+/// Summary, files, exit code.
+fn conclude(
+    args: &TrackArgs,
+    whiskers: Whiskers<'_>,
+    sinks: Sinks,
+    files: TrackFiles,
+    more: Value,
+    (dropped, cut_off): (u64, bool),
+) -> Result<ExitCode> {
+    let mut summary = json!({
+        "format": FORMAT, "out": args.out, "mcap": args.mcap, "rate_hz": args.rate_hz, "prefix_s": args.prefix_s,
+        "false_alarms_per_hour": args.false_alarms_per_hour,
+    });
+    if let Some(all) = summary.as_object_mut() {
+        for part in [more, whiskers.summary()] {
+            all.extend(part.as_object().cloned().unwrap_or_default());
+        }
+    }
+    let (outside, lost) = (whiskers.outside(), whiskers.lost());
+    eprintln!("track: lag {} s: t_s is the time of validity", summary["lag_s"]);
+    if outside > 0 {
+        eprintln!("{outside} rows lie outside the valid region; marked in outside_valid_region");
+    }
+    for name in whiskers.unheard() {
+        let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+        eprintln!("warning: {whose}no quiet prefix of {} s: no events were told", args.prefix_s);
+    }
+    let said = lost_text(lost, dropped);
+    if let Some(said) = &said {
+        eprintln!("warning: {said}");
+    }
+    files.finish(&summary, args.json)?;
+    sinks.finish()?;
+    Ok(exit_code(args, outside, said.is_some() || cut_off))
+}

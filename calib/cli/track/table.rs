@@ -1,0 +1,175 @@
+//! Tracks of a table of readings.
+
+use super::checks::Loaded;
+use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::{TrackArgs, exit_code};
+use crate::artefact::CalibrationModel;
+use crate::predict::{Moments, moments_of_map, moments_of_model};
+use anyhow::{Context, Result, bail};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde_json::json;
+use std::collections::HashMap;
+use std::path::Path;
+use std::process::ExitCode;
+use wcal_core::FbgSpec;
+use wcal_core::stream::{Flags, StreamMoments};
+use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_track::live::BasePose;
+use wcal_track::{Sample, Tracker};
+
+/// A step this many times the median is a gap.
+const GAP_STEPS: f64 = 4.0;
+
+/// Median time between the rows of a table, s; none without times.
+///
+/// # Errors
+/// Where the table cannot be read.
+pub fn median_step_s(path: &Path) -> Result<Option<f64>> {
+    let table = read_text_table(path, &TextTableLayout::default())?;
+    let Ok(column) = table.column("t_s") else { return Ok(None) };
+    let times: Vec<f64> = (0..table.rows.len())
+        .map(|k| table.number(k, column))
+        .collect::<Result<Vec<_>, _>>()?
+        .into_iter()
+        .flatten()
+        .collect();
+    Ok(median(times.windows(2).map(|w| w[1] - w[0]).collect()))
+}
+
+fn median(mut steps: Vec<f64>) -> Option<f64> {
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
+/// Tracks the readings of a table.
+///
+/// # Errors
+/// Where the table cannot be used, or a row has no time.
+pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitCode> {
+    let (rows, fbg) = match &loaded.file.model {
+        CalibrationModel::Map(artefact) => {
+            let rows = moments_of_map(path, artefact).with_context(|| loaded.place.display().to_string())?;
+            (rows, &artefact.fbg)
+        }
+        CalibrationModel::Physical(model) => (moments_of_model(path, model)?, &model.fbg),
+        CalibrationModel::Scalar(_) => bail!("{}: expected a whisker's calibration", loaded.place.display()),
+    };
+    check(path, &rows, fbg)?;
+    let poses = base_poses(path)?;
+    let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
+    let doubts = loaded.doubts.codes();
+    let mut files = TrackFiles::create(&args.out, false)?;
+    let tracker: &Tracker = loaded.tracker;
+    let mut stream = tracker.stream();
+    let mut last: Option<(f64, Option<BasePose>)> = None;
+    let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
+    for m in &rows {
+        let t_s = m.t_s.unwrap_or_default();
+        let mut flags = Flags::default();
+        if last.zip(step_s).is_some_and(|((before, _), step)| t_s - before > GAP_STEPS * step) {
+            // What happened in between is not known: the tracker starts anew.
+            flags = flags.with(Flags::GAP);
+            stream = tracker.stream();
+        }
+        if fbg.needs_reference() && !m.reference {
+            flags = flags.with(Flags::REFERENCE_LOST);
+        }
+        let base = poses.get(&m.line).copied();
+        let measured = last.and_then(|(before, old)| along_z(&old?, &base?, t_s - before));
+        let base = base.map(|b| BasePose { along_z_mm_s: measured, ..b });
+        let base_mm_s = measured.or(args.base_mm_s);
+        last = Some((t_s, base));
+        let usable = !flags.has(Flags::REFERENCE_LOST);
+        let moments =
+            usable.then_some(StreamMoments { moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, valid: m.valid });
+        let answer = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
+        outside += u64::from(usable && !m.valid);
+        flagged += u64::from(!flags.none());
+        unusable += u64::from(!usable);
+        files.row(&TrackRow {
+            point: m.point,
+            t_s,
+            whisker: "",
+            flags,
+            doubts: &doubts,
+            moments,
+            answer: answer.as_ref(),
+            base_mm_s,
+            base,
+            touching: None,
+        })?;
+    }
+    let summary = json!({
+        "format": FORMAT, "source": path, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
+        "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0,
+        "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
+        "trained_on_simulation": loaded.card.trained_on_simulation,
+    });
+    files.finish(&summary, args.json)?;
+    if outside > 0 {
+        eprintln!(
+            "{outside} of {} readings lie outside the valid region; marked in outside_valid_region",
+            rows.len()
+        );
+    }
+    if flagged > 0 {
+        eprintln!("{flagged} of {} rows are flagged in status", rows.len());
+    }
+    Ok(exit_code(args, outside, unusable > 0))
+}
+
+/// Times that go forward, and a reference where the calibration needs one.
+fn check(path: &Path, rows: &[Moments], fbg: &FbgSpec) -> Result<()> {
+    let name = path.display();
+    let mut last_s = f64::NEG_INFINITY;
+    for m in rows {
+        let Some(t_s) = m.t_s else { bail!("{name}: point {}: t_s: expected a time, found none", m.point) };
+        if t_s <= last_s {
+            bail!("{name}: point {}: t_s: expected a later time than {last_s}, found {t_s}", m.point);
+        }
+        last_s = t_s;
+    }
+    if fbg.needs_reference() && !rows.iter().any(|m| m.reference) {
+        bail!(
+            "{name}: fbg_ref_nm: expected the strain-isolated grating, since the calibration compensates temperature with it; found \
+             none"
+        );
+    }
+    Ok(())
+}
+
+const POSE: [&str; 7] = ["base_x_mm", "base_y_mm", "base_z_mm", "base_qw", "base_qx", "base_qy", "base_qz"];
+
+/// Poses of the base by line, where the table has its columns.
+fn base_poses(path: &Path) -> Result<HashMap<usize, BasePose>> {
+    let table: TextTable = read_text_table(path, &TextTableLayout::default())?;
+    let present = POSE.iter().filter(|c| table.column(c).is_ok()).count();
+    if present == 0 {
+        return Ok(HashMap::new());
+    }
+    let columns = POSE.iter().map(|c| table.column(c)).collect::<Result<Vec<_>, _>>()?;
+    let mut poses = HashMap::new();
+    for (k, (line, _)) in table.rows.iter().enumerate() {
+        let values = columns.iter().map(|c| table.number(k, *c)).collect::<Result<Vec<_>, _>>()?;
+        let Some(v) = values.into_iter().collect::<Option<Vec<f64>>>() else { continue };
+        let turn = Quaternion::new(v[3], v[4], v[5], v[6]);
+        if (turn.norm() - 1.0).abs() >= 1e-3 {
+            bail!(
+                "{}: line {line}: base_qw..base_qz: expected a unit quaternion, found norm {}",
+                path.display(),
+                turn.norm()
+            );
+        }
+        let place = Translation3::new(v[0], v[1], v[2]);
+        let world_from_base = Isometry3::from_parts(place, UnitQuaternion::new_normalize(turn));
+        poses.insert(*line, BasePose { world_from_base, along_z_mm_s: None });
+    }
+    Ok(poses)
+}
+
+/// Speed along the base's +z between two poses, mm/s.
+fn along_z(before: &BasePose, now: &BasePose, dt_s: f64) -> Option<f64> {
+    let moved = now.world_from_base.translation.vector - before.world_from_base.translation.vector;
+    let z = now.world_from_base.rotation * Vector3::z();
+    (dt_s > 0.0).then(|| moved.dot(&z) / dt_s)
+}

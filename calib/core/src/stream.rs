@@ -1,0 +1,110 @@
+//! A whisker's readings as they arrive, and the maps that take them one by one.
+
+/// What was wrong with a reading or since the one before, as bits; 0: nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Flags(pub u16);
+
+impl Flags {
+    /// Scans are missing before this one.
+    pub const GAP: Self = Self(1);
+    /// A sensing grating has no peak.
+    pub const PEAK_LOST: Self = Self(2);
+    /// Gratings that cannot be told apart.
+    pub const CROSSING: Self = Self(4);
+    /// The strain-isolated grating has no peak.
+    pub const REFERENCE_LOST: Self = Self(8);
+    /// The unit says that its data or its state is bad.
+    pub const UNIT: Self = Self(16);
+    /// The device's clock did not go forward.
+    pub const CLOCK: Self = Self(32);
+    /// Scans were dropped here because the tracker was behind.
+    pub const DROPPED: Self = Self(64);
+    /// The filter is not full yet: since the start or since what another flag says.
+    pub const FILLING: Self = Self(128);
+
+    const NAMES: [(Self, &'static str); 8] = [
+        (Self::GAP, "gap"),
+        (Self::PEAK_LOST, "peak-lost"),
+        (Self::CROSSING, "crossing"),
+        (Self::REFERENCE_LOST, "reference-lost"),
+        (Self::UNIT, "unit"),
+        (Self::CLOCK, "clock"),
+        (Self::DROPPED, "dropped"),
+        (Self::FILLING, "filling"),
+    ];
+
+    /// Both.
+    #[must_use]
+    pub fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether all bits of the other are set.
+    #[must_use]
+    pub fn has(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Whether nothing is wrong.
+    #[must_use]
+    pub fn none(self) -> bool {
+        self.0 == 0
+    }
+
+    /// `ok`, or the names with `|` between them.
+    #[must_use]
+    pub fn text(self) -> String {
+        if self.none() {
+            return "ok".to_owned();
+        }
+        let names: Vec<&str> = Self::NAMES.iter().filter(|(f, _)| self.has(*f)).map(|(_, n)| *n).collect();
+        names.join("|")
+    }
+}
+
+/// One reading of one whisker.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensed {
+    /// Running number of the scan.
+    pub serial: u64,
+    /// Time since the first scan, s, by the device's clock.
+    pub t_s: f64,
+    /// Temperature-compensated shifts, pm, and the temperature over nominal, K; `None` where the reading cannot be used.
+    pub shift_pm: Option<[f64; 2]>,
+    /// See `shift_pm`; 0 without a reference grating.
+    pub rise_degc: f64,
+    /// What was wrong.
+    pub flags: Flags,
+}
+
+/// Moments from one reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StreamMoments {
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Standard deviations, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Whether the calibration vouches for them.
+    pub valid: bool,
+}
+
+/// A calibration that takes readings one by one, in order of time.
+pub trait MomentStream: Send {
+    /// Moments alone, N mm, without memory: for every scan.
+    fn quick_nmm(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2];
+    /// Moments with their spread and validity, memory effects carried on from the reading before.
+    fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Flags;
+
+    #[test]
+    fn flags_are_named() {
+        assert_eq!(Flags::default().text(), "ok");
+        let both = Flags::FILLING.with(Flags::GAP);
+        assert_eq!(both.text(), "gap|filling");
+        assert!(both.has(Flags::GAP) && !both.has(Flags::CLOCK));
+    }
+}

@@ -1,0 +1,493 @@
+//! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and everything that it must refuse or flag.
+//! Bench and sweeps are SIMULATED.
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use wcal_core::CalibrationFile;
+use wcal_core::device::FbgReading;
+use wcal_drivers::HostClock;
+use wcal_drivers::bench_files::{ZaberMount, open_stage};
+use wcal_session::recording::recorder::Recorder;
+use wcal_session::recording::replay::{Message, read};
+use wcal_session::recording::rig::Rig;
+use wcal_session::recording::sweep::Mount;
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn wcal() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_wcal"))
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A running `wcal virtual-bench`, ended when dropped.
+struct Bench {
+    child: Child,
+    addresses: PathBuf,
+    rig: PathBuf,
+}
+
+impl Bench {
+    fn start(folder: &Path, speed: f64, rate_hz: f64) -> Self {
+        let path = |name: &str| folder.join(format!("{speed}-{name}"));
+        let scenario = format!(
+            "format = \"wcal-scenario/1\"\nseed = 7\nspeed = {speed}\n[interrogator]\nrate_hz = {rate_hz}\n[cameras]\nrate_hz = 1\n\
+             size_px = [64, 48]\n"
+        );
+        std::fs::write(path("scenario.toml"), scenario).unwrap();
+        let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
+        let base = "[base]\nworld_from_base = [[1, 0, 0, 100], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\ncarried_along = [0, 0, 1]\n";
+        let rig = rig.replace("rate_hz = 2000.0", &format!("rate_hz = {rate_hz:?}"));
+        std::fs::write(path("rig.toml"), format!("{rig}\n{base}")).unwrap();
+        let mut child = wcal()
+            .arg("virtual-bench")
+            .arg("--scenario")
+            .arg(path("scenario.toml"))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        std::fs::write(path("bench.json"), line).unwrap();
+        Self { child, addresses: path("bench.json"), rig: path("rig.toml") }
+    }
+
+    fn type_fault(&mut self, line: &str) {
+        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
+    }
+
+    /// The stage, homed, trajectory 1 presented, free of the wire.
+    fn stage(&self, speed: f64) -> Box<dyn wcal_core::device::Stage> {
+        let addresses: Value = serde_json::from_slice(&std::fs::read(&self.addresses).unwrap()).unwrap();
+        let port = format!("tcp://{}", addresses["stage_tcp"].as_str().unwrap());
+        let rig = std::fs::read_to_string(&self.rig).unwrap().replace("tcp://127.0.0.1:PORT", &port);
+        let rig = Rig::parse("rig.toml", &rig).unwrap();
+        let clock = HostClock::start(speed);
+        let (mut stage, chain) = open_stage(&rig.stage, clock).unwrap();
+        stage.start_home().unwrap();
+        until_standing(stage.as_mut());
+        ZaberMount::open(&rig.mount, chain.unwrap(), clock).unwrap().unwrap().select(1).unwrap();
+        go(stage.as_mut(), 18.0);
+        stage
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        drop(self.child.stdin.take());
+        let _ = self.child.wait();
+    }
+}
+
+fn until_standing(stage: &mut dyn wcal_core::device::Stage) {
+    let start = Instant::now();
+    // The axis answers with an error until it has its reference.
+    while stage.read().map_or(true, |r| r.moving) {
+        assert!(start.elapsed() < Duration::from_secs(60), "the stage does not come to rest");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {
+    stage.start_move(mm, 4.0).unwrap();
+    until_standing(stage);
+}
+
+/// A calibration that `fit-gpr` made of a session of the virtual bench, as it is and sealed again as verified.
+fn calibrations(folder: &Path) -> [PathBuf; 2] {
+    let bench = Bench::start(folder, 20.0, 500.0);
+    let (session, fit) = (folder.join("session"), folder.join("fit"));
+    let plan = repository("rigs/plans/paper-27.toml");
+    let sweep = wcal()
+        .args(["stage-sweep", "--home", "--json", "--rig"])
+        .arg(&bench.rig)
+        .arg("--plan")
+        .arg(plan)
+        .arg("--bench")
+        .arg(&bench.addresses)
+        .arg("--out")
+        .arg(&session)
+        .output()
+        .unwrap();
+    assert_eq!(sweep.status.code(), Some(0), "{}", text(&sweep.stderr));
+    let run = wcal().arg("fit-gpr").arg(&session).arg("--out").arg(&fit).output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let raw = fit.join("calibration.json");
+    let good = folder.join("verified.json");
+    reseal(&raw, &good, |c| c.verification = wcal_core::VerificationStatus::Verified);
+    [raw, good]
+}
+
+fn reseal(from: &Path, to: &Path, change: impl FnOnce(&mut CalibrationFile<Value>)) {
+    let mut file: CalibrationFile<Value> = serde_json::from_slice(&std::fs::read(from).unwrap()).unwrap();
+    change(&mut file);
+    file.content_sha256 = file.compute_hash().unwrap();
+    std::fs::write(to, serde_json::to_vec_pretty(&file).unwrap()).unwrap();
+}
+
+fn track(arguments: &[&str]) -> Command {
+    let mut command = wcal();
+    let model = repository("fixtures/tracker");
+    command.arg("track").args(arguments).arg("--model").arg(model).arg("--json");
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn document(run: &Output) -> Value {
+    serde_json::from_slice(&run.stdout).unwrap_or_else(|e| panic!("{e}: {}", text(&run.stderr)))
+}
+
+/// Rows of a table by column.
+struct Rows {
+    names: Vec<String>,
+    cells: Vec<Vec<String>>,
+}
+
+impl Rows {
+    fn read(path: &Path) -> Self {
+        let text = std::fs::read_to_string(path).unwrap();
+        let mut lines = text.lines().map(|l| l.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let names = lines.next().unwrap();
+        let cells: Vec<_> = lines.collect();
+        assert!(cells.iter().all(|c| c.len() == names.len()), "{names:?}");
+        Self { names, cells }
+    }
+
+    fn column(&self, name: &str) -> Vec<&str> {
+        let k = self.names.iter().position(|n| n == name).unwrap();
+        self.cells.iter().map(|c| c[k].as_str()).collect()
+    }
+
+    fn numbers(&self, name: &str) -> Vec<f64> {
+        self.column(name).iter().map(|c| c.parse().unwrap_or(f64::NAN)).collect()
+    }
+}
+
+/// Channels that a Foxglove client is told of.
+fn advertised(address: &str) -> String {
+    let mut link = TcpStream::connect(address).unwrap();
+    link.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+    let request = format!(
+        "GET / HTTP/1.1\r\nHost: {address}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    );
+    link.write_all(request.as_bytes()).unwrap();
+    let (end, mut bytes, mut part) = (Instant::now() + Duration::from_secs(10), Vec::new(), [0; 4096]);
+    // They come in any order.
+    let all = |bytes: &[u8]| ["/track/contact", "/track/event"].iter().all(|t| text(bytes).contains(t));
+    while Instant::now() < end && !all(&bytes) {
+        match link.read(&mut part) {
+            Ok(0) => break,
+            Ok(count) => bytes.extend_from_slice(&part[..count]),
+            Err(_) => {}
+        }
+    }
+    text(&bytes)
+}
+
+#[test]
+fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let [raw, good] = calibrations(folder.path()).map(|p| p.to_str().unwrap().to_owned());
+    const SPEED: f64 = 3.0;
+    let mut bench = Bench::start(folder.path(), SPEED, 2000.0);
+    let (rig, addresses) =
+        (bench.rig.to_str().unwrap().to_owned(), bench.addresses.to_str().unwrap().to_owned());
+    let mut stage = bench.stage(SPEED);
+
+    // Live: the stage presses the wire and lets it go, after the prefix.
+    let (live_csv, recording) = (path("live.csv"), path("live.mcap"));
+    let live = ["--rig", &rig, "--bench", &addresses, "--calibration", &good, "--out", &live_csv];
+    let more = ["--mcap", &recording, "--live", "127.0.0.1:0", "--seconds", "14"];
+    let mut child = track(&[&live[..], &more].concat()).spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.contains("ws://") {
+        line.clear();
+        assert!(said.read_line(&mut line).unwrap() > 0, "the program ended early");
+    }
+    let channels = advertised(line.trim().rsplit("ws://").next().unwrap());
+    assert!(channels.contains("/track/contact") && channels.contains("/track/event"), "{channels}");
+    // 4 s of prefix and 1 s more, by the bench's clock.
+    std::thread::sleep(Duration::from_secs_f64(5.0 / SPEED));
+    go(stage.as_mut(), 22.0);
+    std::thread::sleep(Duration::from_secs_f64(1.0 / SPEED));
+    go(stage.as_mut(), 18.0);
+    let mut rest = String::new();
+    said.read_to_string(&mut rest).unwrap();
+    let run = child.wait_with_output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{rest}");
+    let summary = document(&run);
+    assert_eq!((&summary["format"], &summary["lag_s"]), (&"wcal-track/2".into(), &0.1.into()), "{summary}");
+    assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
+    assert_eq!(summary["whiskers"][0]["events"]["onset"], 1, "{summary}");
+    assert!(Path::new(&path("live.json")).exists());
+    let rows = Rows::read(Path::new(&live_csv));
+    let (t_s, status) = (rows.numbers("t_s"), rows.column("status"));
+    assert!((130..=141).contains(&t_s.len()), "{} rows", t_s.len());
+    assert!(
+        status[..2].iter().all(|s| *s == "filling") && status[2..].iter().all(|s| *s == "ok"),
+        "{status:?}"
+    );
+    assert!(t_s.windows(2).skip(2).all(|w| (w[1] - w[0] - 0.1).abs() < 1e-3));
+    // Touching, and only then a moment and a probable contact.
+    let touching = rows.column("touching");
+    let (m, p) = (rows.numbers("moment_1_nmm"), rows.numbers("contact_probability"));
+    let pressed: Vec<usize> = (0..m.len()).filter(|k| m[*k].abs() > 0.1).collect();
+    assert!(pressed.len() > 5, "{m:?}");
+    assert!(pressed.iter().all(|k| touching[*k] == "1" && p[*k] > 0.5), "{p:?}");
+    let free = (0..m.len()).filter(|k| touching[*k] == "0").count();
+    assert!(free > 50, "{touching:?}");
+    // World frame: 100 mm to the side, carried along z by the stage.
+    let (world, base) = (rows.numbers("world_z_mm"), rows.numbers("contact_z_mm"));
+    let carried: Vec<f64> = pressed.iter().map(|k| world[*k] - base[*k]).filter(|x| x.is_finite()).collect();
+    assert!(carried.iter().all(|way| (-2.1..2.1).contains(way)), "{carried:?}");
+    assert!(carried.iter().any(|way| *way > 1.0), "{carried:?}");
+    let events = Rows::read(Path::new(&path("live-events.csv")));
+    let (kinds, times) = (events.column("kind"), events.numbers("t_s"));
+    // Nothing while the wire is free: the stage moves for two seconds before it touches.
+    assert_eq!(kinds, ["onset", "release"]);
+    let first_pressed = t_s[pressed[0]];
+    assert!(times[0] < first_pressed && first_pressed - times[0] < 0.5, "{times:?} {first_pressed}");
+
+    // The recording holds the contacts; replayed it gives the same rows, at once.
+    let contacts = std::cell::Cell::new(0);
+    read(Path::new(&recording), |m| {
+        if let Message::Other(topic, _) = m {
+            contacts.set(contacts.get() + usize::from(topic == "/track/contact"));
+        }
+    })
+    .unwrap();
+    assert_eq!(contacts.get(), t_s.len());
+    let replayed = path("replayed.csv");
+    let replay = [&recording, "--rig", &rig, "--calibration", &good, "--out", &replayed, "--seconds", "14"];
+    let run = track(&replay).output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let read_text = |p: &str| std::fs::read_to_string(p).unwrap();
+    assert_eq!(read_text(&live_csv), read_text(&replayed));
+    assert_eq!(read_text(&path("live-events.csv")), read_text(&path("replayed-events.csv")));
+    // Control: another lag is another track.
+    let other = [&replay[..], &["--lag-s", "0.15"]].concat();
+    assert_eq!(track(&other).output().unwrap().status.code(), Some(0));
+    assert_ne!(read_text(&live_csv), read_text(&replayed));
+
+    faults_are_flagged(&mut bench, &live, &path);
+    refusals(&recording, &rig, [&raw, &good], &path);
+    several_whiskers(&recording, &rig, &good, &path);
+}
+
+/// A gap, a lost peak and a tracker that is behind: flagged rows, counts, exit code 3.
+fn faults_are_flagged(bench: &mut Bench, live: &[&str], path: &dyn Fn(&str) -> String) {
+    let csv = path("faults.csv");
+    let live: Vec<&str> = live[..live.len() - 1].iter().copied().chain([csv.as_str()]).collect();
+    let child = track(&[&live[..], &["--seconds", "18"]].concat()).spawn().unwrap();
+    let start = Instant::now();
+    while std::fs::read_to_string(&csv).map_or(0, |t| t.lines().count()) < 2 {
+        assert!(start.elapsed() < Duration::from_secs(30), "no rows");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    bench.type_fault("{\"kind\":\"lost-samples\",\"count\":300}");
+    std::thread::sleep(Duration::from_secs_f64(0.3));
+    bench.type_fault("{\"kind\":\"peak-lost\",\"grating\":1,\"on\":true}");
+    std::thread::sleep(Duration::from_secs_f64(0.1));
+    bench.type_fault("{\"kind\":\"peak-lost\",\"grating\":1,\"on\":false}");
+    let run = child.wait_with_output().unwrap();
+    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+    let summary = document(&run);
+    assert_eq!((&summary["lost_scans"], &summary["gaps"]), (&300.into(), &1.into()), "{summary}");
+    assert!(summary["whiskers"][0]["unusable_scans"].as_u64() > Some(100), "{summary}");
+    let rows = Rows::read(Path::new(&csv));
+    let (status, moment) = (rows.column("status"), rows.column("moment_1_nmm"));
+    assert!(status.iter().any(|s| s.contains("gap")) && status.iter().any(|s| s.contains("peak-lost")));
+    assert!((0..status.len()).all(|k| moment[k].is_empty() == status[k].contains("filling")), "{status:?}");
+
+    // More than can be tracked: 80,000 scans a second into a queue of one batch.
+    let fast = Bench::start(Path::new(&path("")), 40.0, 2000.0);
+    drop(fast.stage(40.0));
+    let [rig, addresses] = [&fast.rig, &fast.addresses].map(|p| p.to_str().unwrap());
+    let fast: Vec<&str> = [&["--rig", rig, "--bench", addresses][..], &live[4..]].concat();
+    let run = track(&[&fast[..], &["--seconds", "40", "--queue", "1"]].concat()).output().unwrap();
+    let summary = document(&run);
+    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+    let count = |key: &str| summary[key].as_u64().unwrap();
+    assert!(count("dropped_scans") > 0 && count("lost_scans") > 0, "{summary}");
+    assert!(text(&run.stderr).contains("dropped here"), "{}", text(&run.stderr));
+    assert!(Rows::read(Path::new(&csv)).column("status").iter().any(|s| s.contains("dropped")));
+}
+
+/// What must not be tracked, or only with --force and then with a word in every row.
+fn refusals(recording: &str, rig: &str, [raw, good]: [&str; 2], path: &dyn Fn(&str) -> String) {
+    let out = path("refused.csv");
+    let run = |rig: &str, calibration: &str, more: &[&str]| {
+        let _ = std::fs::remove_file(&out);
+        let arguments =
+            [recording, "--rig", rig, "--calibration", calibration, "--out", &out, "--seconds", "3"];
+        track(&[&arguments[..], more].concat()).output().unwrap()
+    };
+    let changed = |name: &str, change: &dyn Fn(&mut CalibrationFile<Value>)| {
+        let file = path(name);
+        reseal(Path::new(good), Path::new(&file), change);
+        file
+    };
+    let expired = changed("expired.json", &|c| c.expires = Some("2001-01-01T00:00:00Z".to_owned()));
+    let failed = changed("failed.json", &|c| c.verification = wcal_core::VerificationStatus::Failed);
+    let other = changed("other.json", &|c| c.whisker.as_mut().unwrap().diameter_mm = 0.25);
+    let tampered = path("tampered.json");
+    let text_of = std::fs::read_to_string(good).unwrap();
+    std::fs::write(&tampered, text_of.replace("\"session\": \"", "\"session\": \"x")).unwrap();
+    for (calibration, more, code) in [
+        (raw, &[][..], "unverified"),
+        (&expired, &[], "expired"),
+        (&failed, &[], "failed"),
+        (&other, &[], "other-whisker"),
+        (&tampered, &[], "changed"),
+        (good, &["--rate-hz", "50"], "sample-rate"),
+    ] {
+        let refused = run(rig, calibration, more);
+        assert_eq!(refused.status.code(), Some(4), "{code}: {}", text(&refused.stderr));
+        assert!(text(&refused.stderr).contains("refused") && !Path::new(&out).exists(), "{code}");
+        // Each takes some seconds to load the model; the word in the rows is made in one place.
+        if ["expired", "failed", "other-whisker"].contains(&code) {
+            continue;
+        }
+        let forced = run(rig, calibration, &[more, &["--force"]].concat());
+        assert_eq!(forced.status.code(), Some(0), "{code}: {}", text(&forced.stderr));
+        let rows = Rows::read(Path::new(&out));
+        assert!(rows.cells.len() > 20 && rows.column("doubts").iter().all(|d| *d == code), "{code}");
+        assert!(rows.column("calibration_doubtful").iter().all(|d| *d == "1"), "{code}");
+    }
+    // Streams that are not what rig and calibration say: one named error.
+    let rig_text = std::fs::read_to_string(rig).unwrap();
+    for (name, change, expected) in [
+        (
+            "slow.toml",
+            &|t: &str| t.replace("rate_hz = 2000.0", "rate_hz = 1000.0") as String,
+            "1000 scans a second",
+        ),
+        (
+            "dark.toml",
+            &|t: &str| t.replace("channel = 1, nominal_nm = 1541.2", "channel = 2, nominal_nm = 1541.2"),
+            "channel map",
+        ),
+        ("cold.toml", &|t: &str| t.replace("\"fbg_ref\"", "\"fbg_other\""), "fbg_ref"),
+        (
+            "swapped.toml",
+            &|t: &str| {
+                t.replace("\"fbg_1\"", "\"x\"")
+                    .replace("\"fbg_2\"", "\"fbg_1\"")
+                    .replace("\"x\"", "\"fbg_2\"")
+            },
+            "fbg_1",
+        ),
+    ] as [(&str, &dyn Fn(&str) -> String, &str); 4]
+    {
+        let file = path(name);
+        std::fs::write(&file, change(&rig_text)).unwrap();
+        let refused = run(&file, good, &[]);
+        let message = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(1), "{name}: {message}");
+        assert!(message.contains(expected) && message.contains(name), "{name}: {message}");
+    }
+    let no_rig = track(&[recording, "--calibration", good, "--out", &out]).output().unwrap();
+    assert!(
+        no_rig.status.code() == Some(1) && text(&no_rig.stderr).contains("--rig"),
+        "{}",
+        text(&no_rig.stderr)
+    );
+    // A recording that was cut off is tracked to there; one without scans is no stream.
+    let (cut, empty) = (path("cut.mcap"), path("empty.mcap"));
+    let bytes = std::fs::read(recording).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    Recorder::create(Path::new(&empty), Default::default()).unwrap().finish().unwrap();
+    for (file, code, expected) in [(&cut, 3, "cut off"), (&empty, 1, "expected scans")] {
+        let run = track(&[file, "--rig", rig, "--calibration", good, "--out", &out]).output().unwrap();
+        assert_eq!(run.status.code(), Some(code), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(expected), "{}", text(&run.stderr));
+    }
+    // Control: rig and calibration as they are, as fast as it goes and as fast as it was.
+    let pace = |more: &[&str]| {
+        let run = run(rig, good, more);
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        document(&run)["time"]["times_real_time"].as_f64().unwrap()
+    };
+    // The rig file says four host seconds a wall second.
+    let (fast, real) = (pace(&[]), pace(&["--real-time"]));
+    assert!(real < 4.1 && fast > real, "{fast} {real}");
+}
+
+/// A second whisker on the fibre, 20 nm higher: the same rows as the first.
+fn several_whiskers(recording: &str, rig: &str, good: &str, path: &dyn Fn(&str) -> String) {
+    const APART_NM: f64 = 20.0;
+    let (two, rig_two, out) = (path("two.mcap"), path("two.toml"), path("two.csv"));
+    let recorder = Recorder::create(Path::new(&two), Default::default()).unwrap();
+    read(Path::new(recording), |m| {
+        if let Message::Scan(scan) = m {
+            let mut reading: FbgReading = scan.reading();
+            let more: Vec<f64> = reading.peaks_nm[0].iter().map(|nm| nm + APART_NM).collect();
+            reading.peaks_nm[0].extend(more);
+            recorder.scan(&reading).unwrap();
+        }
+    })
+    .unwrap();
+    recorder.finish().unwrap();
+    let text_of = std::fs::read_to_string(rig).unwrap();
+    let mut more = String::new();
+    for (name, nm) in [("fbg_ref", 1537.3), ("fbg_1", 1541.2), ("fbg_2", 1535.8)] {
+        let window = if name == "fbg_1" { 1.5 } else { 0.7 };
+        more += &format!(
+            "  {{ name = \"{name}\", channel = 1, nominal_nm = {}, window_nm = {window}, whisker = \"b\" }},\n",
+            nm + APART_NM
+        );
+    }
+    std::fs::write(&rig_two, text_of.replacen("]\n\n[fbg]", &format!("{more}]\n\n[fbg]"), 1)).unwrap();
+    let second = path("second.json");
+    reseal(Path::new(good), Path::new(&second), |c| {
+        for key in ["/fbg/nominal_nm/0", "/fbg/nominal_nm/1", "/fbg/reference_nominal_nm"] {
+            let value = c.model.pointer_mut(key).unwrap();
+            *value = (value.as_f64().unwrap() + APART_NM).into();
+        }
+    });
+    let b = format!("b={second}");
+    let arguments = [
+        &two,
+        "--rig",
+        &rig_two,
+        "--calibration",
+        good,
+        "--calibration",
+        &b,
+        "--out",
+        &out,
+        "--seconds",
+        "9",
+    ];
+    let run = track(&arguments).output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let rows = Rows::read(Path::new(&out));
+    let (names, m) = (rows.column("whisker"), rows.numbers("moment_1_nmm"));
+    let of = |name: &str| -> Vec<f64> { (0..m.len()).filter(|k| names[*k] == name).map(|k| m[k]).collect() };
+    let (first, second) = (of(""), of("b"));
+    assert!(first.len() > 80 && first.len() == second.len());
+    let off = first
+        .iter()
+        .zip(&second)
+        .filter(|(a, _)| a.is_finite())
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f64::max);
+    assert!(off < 1e-4 && first.iter().any(|x| x.abs() > 0.1), "{off}");
+    // Control: without a calibration for b nothing is tracked with that of the first.
+    let lacking = [&two, "--rig", &rig_two, "--calibration", good, "--out", &out];
+    let refused = track(&lacking).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("of whisker b"), "{}", text(&refused.stderr));
+}

@@ -4,9 +4,11 @@ use crate::artefact::{CalibrationModel, read_unsealed, standing};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 use wcal_core::{CalibrationFile, VerificationStatus};
-use wcal_track::Tracker;
+use wcal_map::OutputMap;
+use wcal_track::bayes::BayesSettings;
 use wcal_track::model_file::Card;
 use wcal_track::stream::trained_steps_s;
+use wcal_track::{Stream, Tracker};
 
 /// Doubts, each with a short code for the rows and a sentence for people.
 #[derive(Debug, Clone, Default)]
@@ -51,6 +53,25 @@ pub struct Loaded<'a> {
     pub card: Card,
     /// What speaks against them.
     pub doubts: Doubts,
+}
+
+/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow.
+const WHITE: f64 = 0.2;
+/// Share by which the zero may be off when a recording begins.
+const ZERO: f64 = 0.5;
+
+impl Loaded<'_> {
+    /// A stream whose filter is told of the calibration's noise.
+    pub fn stream(&self) -> Stream<'_> {
+        let noise_nmm = match &self.file.model {
+            CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
+            CalibrationModel::Physical(model) => {
+                model.noise_sd_pm / model.sensitivity().singular_values().min().max(1e-9)
+            }
+            CalibrationModel::Scalar(_) => 0.0,
+        };
+        self.tracker.stream_told(BayesSettings::stated(WHITE * noise_nmm, ZERO * noise_nmm))
+    }
 }
 
 /// A whisker's calibration judged beside a model's card, before the model itself is loaded.

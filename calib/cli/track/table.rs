@@ -59,8 +59,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
-    let tracker: &Tracker = loaded.tracker;
-    let mut stream = tracker.stream();
+    let mut stream = loaded.stream();
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -69,7 +68,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         if last.zip(step_s).is_some_and(|((before, _), step)| t_s - before > GAP_STEPS * step) {
             // What happened in between is not known: the tracker starts anew.
             flags = flags.with(Flags::GAP);
-            stream = tracker.stream();
+            stream = loaded.stream();
         }
         if fbg.needs_reference() && !m.reference {
             flags = flags.with(Flags::REFERENCE_LOST);

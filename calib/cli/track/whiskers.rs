@@ -91,7 +91,7 @@ impl<'a> Whiskers<'a> {
                 doubts: l.doubts.codes(),
                 reader: WhiskerReader::new(place, &rig.interrogator, &l.name, fbg)?,
                 chain: Chain::new(&settings, map)?,
-                stream: l.tracker.stream(),
+                stream: l.stream(),
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -239,7 +239,7 @@ impl Whisker<'_> {
             Some(m) => Some(self.stream.push(&Sample { t_s: row.t_s, moment_nmm: m.moment_nmm, base_mm_s })),
             None => {
                 // What happened in between is not known: the tracker starts anew.
-                self.stream = self.loaded.tracker.stream();
+                self.stream = self.loaded.stream();
                 None
             }
         };

@@ -52,9 +52,15 @@ impl Tracker {
     /// A stream from its beginning.
     #[must_use]
     pub fn stream(&self) -> Stream<'_> {
+        self.stream_told(self.filter)
+    }
+
+    /// A stream from its beginning whose filter is told of other noise.
+    #[must_use]
+    pub fn stream_told(&self, filter: BayesSettings) -> Stream<'_> {
         Stream {
             tracker: self,
-            features: FeatureMaker::new(&self.inverse, self.filter),
+            features: FeatureMaker::new(&self.inverse, filter),
             memory: Attended::default(),
             last_s: None,
         }

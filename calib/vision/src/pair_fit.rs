@@ -1,5 +1,6 @@
 //! One pair from pictures to a fitted curve, with a base pose that is taken as known here and corrected over the folder.
 
+use crate::chain::chained;
 use crate::document::StereoCameras;
 use crate::look::fit_look;
 use crate::picture::Picture;
@@ -134,6 +135,12 @@ fn refine(
         }
         if all.len() < 40 {
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
+        }
+        if round == 0 && std::env::var("WCAL_CHAIN").as_deref() != Ok("0") {
+            // Far off, the pieces' weights are no guide yet: the convex programme takes outliers by the sum of their distances.
+            let found = chained(stereo, left_from_base, &model, &state, &all, &prior);
+            state = found.ok_or("no curve of the wire's length passes through the pieces")?;
+            if std::env::var("WCAL_CHAIN").as_deref() != Ok("both") { round += 1; continue; }
         }
         // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
         for inner in 0..3 {

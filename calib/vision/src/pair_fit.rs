@@ -64,6 +64,10 @@ const LENGTH_SHARE: f64 = 0.1;
 /// Least pieces a mm of the wire's last third against those of the rest, in the picture that shows more of it. Drawn wires of the tests
 /// show 46-60 pieces there, one that was lost toward the cameras 13.
 const TAIL_SHARE: f64 = 0.35;
+/// Share of the wire's length over which each picture must show it, and the least share of its millimetres that show a piece there:
+/// a groove hides less, and beyond that the other picture alone does not tell the depth.
+const STRETCH_SHARE: f64 = 0.25;
+const STRETCH_SEEN: f64 = 0.25;
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
@@ -136,11 +140,12 @@ fn refine(
         if all.len() < 40 {
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
         }
-        if round == 0 && std::env::var("WCAL_CHAIN").as_deref() != Ok("0") {
-            // Far off, the pieces' weights are no guide yet: the convex programme takes outliers by the sum of their distances.
+        if round == 0 {
+            // Far off, the pieces' weights are no guide yet, and the smoothing cannot be told: the convex programme needs neither.
             let found = chained(stereo, left_from_base, &model, &state, &all, &prior);
             state = found.ok_or("no curve of the wire's length passes through the pieces")?;
-            if std::env::var("WCAL_CHAIN").as_deref() != Ok("both") { round += 1; continue; }
+            round += 1;
+            continue;
         }
         // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
         for inner in 0..3 {
@@ -159,43 +164,41 @@ fn refine(
                 noise = consistent_noise(&system, noise, &all);
             }
         }
-        if round >= 1 {
-            let shape = model.shape(&state);
-            let ends: Vec<_> = (0..2)
-                .filter_map(|camera| {
-                    let line = image_line(
-                        stereo,
-                        left_from_base,
-                        camera,
-                        &shape.points,
-                        model.step_mm,
-                        f64::INFINITY,
-                        rig.whisker.diameter_mm,
-                    );
-                    find_tip(&pictures[camera], &line.stations, looks[camera], length)
-                })
-                .collect();
-            end_seen = !ends.is_empty();
-            if ends.is_empty() {
-                let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
-                // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
-                if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
-                    length += GROWTH_MM;
-                    continue;
-                }
-                // Without a visible end: the last piece seen, or the nominal length where that lies near.
-                length =
-                    if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
-                (length_sd, length_shared) = (1.0, 0.0);
-                if round == 4 {
-                    warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
-                }
-            } else {
-                let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
-                length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
-                length_sd = w.powf(-0.5);
-                length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+        let shape = model.shape(&state);
+        let ends: Vec<_> = (0..2)
+            .filter_map(|camera| {
+                let line = image_line(
+                    stereo,
+                    left_from_base,
+                    camera,
+                    &shape.points,
+                    model.step_mm,
+                    f64::INFINITY,
+                    rig.whisker.diameter_mm,
+                );
+                find_tip(&pictures[camera], &line.stations, looks[camera], length)
+            })
+            .collect();
+        end_seen = !ends.is_empty();
+        if ends.is_empty() {
+            let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
+            // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
+            if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
+                length += GROWTH_MM;
+                continue;
             }
+            // Without a visible end: the last piece seen, or the nominal length where that lies near.
+            length =
+                if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
+            (length_sd, length_shared) = (1.0, 0.0);
+            if round == 4 {
+                warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
+            }
+        } else {
+            let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
+            length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+            length_sd = w.powf(-0.5);
+            length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
         }
         round += 1;
     }
@@ -204,6 +207,13 @@ fn refine(
     if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
         return Err(format!(
             "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
+        ));
+    }
+    zz(&all, &linearise(stereo, left_from_base, &model, &state, &all, noise));
+    if let Some((camera, from, to)) = unseen_stretch(&pieces, length) {
+        let side = ["left", "right"][camera];
+        return Err(format!(
+            "the {side} picture shows hardly anything of the wire from {from:.0} to {to:.0} mm: one view gives no shape (hidden, lost on something else, or no wire there)"
         ));
     }
     let tail = tail_share(&pieces, expected);
@@ -305,6 +315,25 @@ fn consistent_noise(system: &PairSystem, noise: f64, sights: &[Sight]) -> f64 {
     0.5 * noise + 0.5 * (scatter * shared).sqrt()
 }
 
+/// The first stretch that a picture does not show: camera, start and end, mm.
+fn unseen_stretch(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> Option<(usize, f64, f64)> {
+    let cells = length_mm as usize;
+    let long = ((STRETCH_SHARE * length_mm) as usize).max(1);
+    (0..2).find_map(|camera| {
+        let (all, seen) = &pieces[camera];
+        let mut shows = vec![false; cells];
+        for (piece, _) in all.iter().zip(seen).filter(|(_, seen)| **seen) {
+            if let Some(cell) = shows.get_mut(piece.station.arc_mm as usize) {
+                *cell = true;
+            }
+        }
+        let few = |w: &[bool]| (w.iter().filter(|s| **s).count() as f64) < STRETCH_SEEN * long as f64;
+        let from = shows.windows(long).position(few)?;
+        let to = from + shows[from..].windows(long).take_while(|w| few(w)).count() + long - 1;
+        Some((camera, from as f64, to as f64))
+    })
+}
+
 /// Seen pieces a mm in the last third of a length (mm) against those before it, in the picture that shows more.
 fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
     let from_mm = length_mm * 2.0 / 3.0;
@@ -317,3 +346,15 @@ fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
     };
     2.0 * seen(true) / seen(false).max(1.0)
 }
+fn zz(all: &[Sight], system: &PairSystem) {
+    if std::env::var("ZZ").is_err() { return; }
+    for camera in 0..2 {
+        let mut line = format!("zz camera {camera}:");
+        for k in 0..14 {
+            let part: Vec<f64> = all.iter().zip(&system.residuals_px).zip(&system.weights).filter(|((s, _), _)| s.camera == camera && (s.arc_mm / 5.0) as usize == k).map(|((s, r), _)| (r / s.sd_px).abs()).collect();
+            line += &format!(" {}:{:.1}", part.len(), wcal_med(&part));
+        }
+        eprintln!("{line}");
+    }
+}
+fn wcal_med(v: &[f64]) -> f64 { crate::initial::median(v) }

@@ -148,6 +148,8 @@ pub(crate) fn find_wire(
     // A narrow beam first: hardly anything passes it where there is one wire.
     let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM, 0.0)
         .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
+    if std::env::var("ZZ").is_ok() { let r = trace(&scene, &rig.whisker, 4 * BEAM, 0.0); let n = trace(&scene, &rig.whisker, RIVAL_BEAM, 0.0);
+        for t in [r, n].into_iter().flatten() { eprintln!("zz found {:.1} {:.2} rival {:.1} {:.2}", found.length_mm, density(&found), t.length_mm, density(&t)); } }
     if suspect
         && let Some(rival) = trace(&scene, &rig.whisker, 4 * BEAM, 0.0)
         && density(&rival) > RIVAL_SHARE * density(&found)

@@ -64,8 +64,8 @@ const LENGTH_SHARE: f64 = 0.1;
 /// Least pieces a mm of the wire's last third against those of the rest, in the picture that shows more of it. Drawn wires of the tests
 /// show 46-60 pieces there, one that was lost toward the cameras 13.
 const TAIL_SHARE: f64 = 0.35;
-/// Share of the wire's length over which each picture must show it, and the least share of its millimetres that show a piece there:
-/// a groove hides less, and beyond that the other picture alone does not tell the depth.
+/// Share of the wire's length that one picture alone must not show, and the share of its millimetres at which a picture shows a
+/// stretch; the other one has twice that. A groove hides less, and one view does not tell the depth.
 const STRETCH_SHARE: f64 = 0.25;
 const STRETCH_SEEN: f64 = 0.25;
 /// Length by which a wire is followed on where it does not end.
@@ -85,11 +85,17 @@ pub fn fit_pair(
     start: Option<&PairFit>,
     times: &StageClock,
 ) -> Result<PairFit, String> {
-    let begun = match start {
-        Some(fit) => fit.clone(),
-        None => times.time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior))?,
+    let fitted = |begun| {
+        times.time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
     };
-    times.time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
+    if let Some(fit) = start {
+        return fitted(fit.clone());
+    }
+    let search = |wide| {
+        times.time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior, wide)).and_then(fitted)
+    };
+    // What is lost in a gap or beside the wire is searched for once more; the first reason stands where that does not help.
+    search(false).or_else(|why| search(true).map_err(|_| why))
 }
 
 /// Follows the curve that the search found through the pieces of both pictures.
@@ -209,7 +215,6 @@ fn refine(
             "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
         ));
     }
-    zz(&all, &linearise(stereo, left_from_base, &model, &state, &all, noise));
     if let Some((camera, from, to)) = unseen_stretch(&pieces, length) {
         let side = ["left", "right"][camera];
         return Err(format!(
@@ -255,8 +260,10 @@ fn begin(
     pictures: &[Picture; 2],
     left_from_base: &Isometry3<f64>,
     prior: &Prior,
+    wide: bool,
 ) -> Result<PairFit, String> {
-    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, prior.root_sd == ROOT_FREE)?;
+    let root_free = prior.root_sd == ROOT_FREE;
+    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, root_free, wide)?;
     let model = RodModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
     let per_node: Vec<[f64; 2]> = (0..model.nodes)
         .map(|i| {
@@ -315,22 +322,25 @@ fn consistent_noise(system: &PairSystem, noise: f64, sights: &[Sight]) -> f64 {
     0.5 * noise + 0.5 * (scatter * shared).sqrt()
 }
 
-/// The first stretch that a picture does not show: camera, start and end, mm.
+/// The first stretch that one picture shows and the other does not: the other camera, start and end, mm.
 fn unseen_stretch(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> Option<(usize, f64, f64)> {
     let cells = length_mm as usize;
     let long = ((STRETCH_SHARE * length_mm) as usize).max(1);
-    (0..2).find_map(|camera| {
-        let (all, seen) = &pieces[camera];
-        let mut shows = vec![false; cells];
-        for (piece, _) in all.iter().zip(seen).filter(|(_, seen)| **seen) {
+    let shown = |camera: usize| {
+        let mut shows = vec![0.0; cells];
+        for (piece, _) in pieces[camera].0.iter().zip(&pieces[camera].1).filter(|(_, seen)| **seen) {
             if let Some(cell) = shows.get_mut(piece.station.arc_mm as usize) {
-                *cell = true;
+                *cell = 1.0;
             }
         }
-        let few = |w: &[bool]| (w.iter().filter(|s| **s).count() as f64) < STRETCH_SEEN * long as f64;
-        let from = shows.windows(long).position(few)?;
-        let to = from + shows[from..].windows(long).take_while(|w| few(w)).count() + long - 1;
-        Some((camera, from as f64, to as f64))
+        shows.windows(long).map(|w| w.iter().sum::<f64>() / long as f64).collect::<Vec<f64>>()
+    };
+    let both = [shown(0), shown(1)];
+    (0..2).find_map(|camera| {
+        let lost = |k: &usize| both[camera][*k] < STRETCH_SEEN && both[1 - camera][*k] > 2.0 * STRETCH_SEEN;
+        let from = (0..both[0].len()).find(lost)?;
+        let windows = (from..both[0].len()).take_while(lost).count();
+        Some((camera, from as f64, (from + windows + long - 1) as f64))
     })
 }
 
@@ -346,15 +356,3 @@ fn tail_share(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> f64 {
     };
     2.0 * seen(true) / seen(false).max(1.0)
 }
-fn zz(all: &[Sight], system: &PairSystem) {
-    if std::env::var("ZZ").is_err() { return; }
-    for camera in 0..2 {
-        let mut line = format!("zz camera {camera}:");
-        for k in 0..14 {
-            let part: Vec<f64> = all.iter().zip(&system.residuals_px).zip(&system.weights).filter(|((s, _), _)| s.camera == camera && (s.arc_mm / 5.0) as usize == k).map(|((s, r), _)| (r / s.sd_px).abs()).collect();
-            line += &format!(" {}:{:.1}", part.len(), wcal_med(&part));
-        }
-        eprintln!("{line}");
-    }
-}
-fn wcal_med(v: &[f64]) -> f64 { crate::initial::median(v) }

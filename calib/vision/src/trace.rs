@@ -16,8 +16,10 @@ const PLACES: usize = 3;
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
 const HIDDEN_BEAM: usize = 600;
-/// Factor of the curves kept while the likeliest crosses a gap.
-const GAP_BEAM: usize = 2;
+/// Curves kept where the first search found too little.
+pub const WIDE_BEAM: usize = 4 * BEAM;
+/// Factor of the curves that a wide search keeps while the likeliest crosses a gap.
+const GAP_BEAM: usize = 4;
 /// Share of the length after which none of them is kept: what shares more of its way with a first wire is none of its own.
 const HIDDEN_SHARE: f64 = 0.4;
 /// Distance of the roots tried beside the stated one, mm.
@@ -216,7 +218,7 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
     // Where the leader has seen nothing through the block a gap has begun: nothing tells its curves apart, and more of them, farther
     // apart, cross it.
     let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
-    let (beam, cell, bend) = if leader.is_some_and(|c| !c.hidden && c.best_step <= first) {
+    let (beam, cell, bend) = if beam >= WIDE_BEAM && leader.is_some_and(|c| !c.hidden && c.best_step <= first) {
         (GAP_BEAM * beam, HIDDEN_CELL, 2.0 * CURVATURE_STEP)
     } else {
         (beam, SEEN_CELL, CURVATURE_STEP)

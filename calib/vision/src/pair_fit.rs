@@ -68,6 +68,10 @@ const TAIL_SHARE: f64 = 0.35;
 /// stretch; the other one has twice that. A groove hides less, and one view does not tell the depth.
 const STRETCH_SHARE: f64 = 0.25;
 const STRETCH_SEEN: f64 = 0.25;
+/// Scatter of the pieces against their own noise that is remarked on, and that no single wire shows: drawn single wires have
+/// 0.5-1.3, two that were taken for one 2.5-15.
+const UNEVEN: f64 = 2.0;
+const TORN: f64 = 4.0;
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
@@ -226,6 +230,16 @@ fn refine(
         return Err(format!(
             "the wire is lost: its last third shows {:.0} % of the pieces that the rest of it has a mm (lost on something else, or it points at both cameras)",
             100.0 * tail
+        ));
+    }
+    if noise > TORN {
+        return Err(format!(
+            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire beside the first, or something before it"
+        ));
+    }
+    if noise > UNEVEN {
+        warnings.push(format!(
+            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture beside it?"
         ));
     }
     if (length - expected).abs() > 0.02 * expected {

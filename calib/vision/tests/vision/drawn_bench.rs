@@ -245,10 +245,12 @@ fn survey_of_styles() {
             let one = ShapesDocument { pairs: vec![pair.clone()], ..ShapesDocument::default() };
             let (share, rms) = judged(&one, std::slice::from_ref(wire), 1.0);
             println!(
-                "  {name} {}: {:.1} % inside, RMS {rms:.4} mm, length {:.3}",
+                "  {name} {}: {:.1} % inside, RMS {rms:.4} mm, length {:.3}, residual {:.3?} px, sd {:.4}",
                 first + pair.name.parse::<u64>().unwrap(),
                 100.0 * share,
-                pair.length_mm
+                pair.length_mm,
+                pair.residual_rms_px,
+                pair.centreline_sd_mm.iter().sum::<f64>() / pair.centreline_sd_mm.len() as f64
             );
             (good, worst, inside) = (good + 1, worst.max(rms), inside + share);
         }
@@ -266,7 +268,7 @@ fn survey_of_styles() {
                 let one = ShapesDocument { pairs: vec![pair.clone()], ..ShapesDocument::default() };
                 let near =
                     two.iter().map(|w| judged(&one, std::slice::from_ref(w), 1.0)).map(|j| j.1).fold(9e9, f64::min);
-                println!("  two wires {}: taken for one, {near:.4} mm from the nearer", pair.name);
+                println!("  two wires {}: taken for one, {near:.4} mm from the nearer, residual {:?} px", pair.name, pair.residual_rms_px);
             } else {
                 println!("  two wires {}: {}", pair.name, pair.why);
             }

@@ -72,9 +72,7 @@ pub fn chained(
         })
         .collect();
     // The middle one of a camera's pieces on a link stands for all of them: a fifth of the time.
-    pulls.sort_by(|a, b| {
-        (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual))
-    });
+    pulls.sort_by(|a, b| (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual)));
     let pulls: Vec<&Pull> =
         pulls.chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link)).map(|c| &c[c.len() / 2]).collect();
     let moved = solve(model, &shape.points, &model.rest_bends(state), &at, &pulls, prior)?;
@@ -174,7 +172,6 @@ fn solve(
     let mut solver = DefaultSolver::new(&p, &linear, &a, &bounds, &cones, settings).ok()?;
     solver.solve();
     let solved = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
-    solved.then(|| {
-        solver.solution.x[..moves].chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2])).collect()
-    })
+    solved
+        .then(|| solver.solution.x[..moves].chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2])).collect())
 }

@@ -90,13 +90,16 @@ pub fn fit_pair(
     times: &StageClock,
 ) -> Result<PairFit, String> {
     let fitted = |begun| {
-        times.time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
+        times
+            .time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
     };
     if let Some(fit) = start {
         return fitted(fit.clone());
     }
     let search = |wide| {
-        times.time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior, wide)).and_then(fitted)
+        times
+            .time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior, wide))
+            .and_then(fitted)
     };
     // What is lost in a gap or beside the wire is searched for once more; the first reason stands where that does not help.
     search(false).or_else(|why| search(true).map_err(|_| why))
@@ -198,8 +201,7 @@ fn refine(
                 continue;
             }
             // Without a visible end: the last piece seen, or the nominal length where that lies near.
-            length =
-                if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
+            length = if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
             (length_sd, length_shared) = (1.0, 0.0);
             if round == 4 {
                 warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());

@@ -128,7 +128,14 @@ pub(crate) fn find_wire(
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
-    let search = Search { stereo, rig, left_from_base, maps: &maps, background, beam: if wide { WIDE_BEAM } else { BEAM } };
+    let search = Search {
+        stereo,
+        rig,
+        left_from_base,
+        maps: &maps,
+        background,
+        beam: if wide { WIDE_BEAM } else { BEAM },
+    };
     let score = |f: &Option<Found>| f.as_ref().map_or(0.0, |f| f.trace.score);
     let mut best = search.best(0.0);
     if root_free || score(&best) < SOUND_SHARE * search.most() {

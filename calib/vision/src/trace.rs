@@ -218,7 +218,8 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
     // Where the leader has seen nothing through the block a gap has begun: nothing tells its curves apart, and more of them, farther
     // apart, cross it.
     let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
-    let (beam, cell, bend) = if beam >= WIDE_BEAM && leader.is_some_and(|c| !c.hidden && c.best_step <= first) {
+    let (beam, cell, bend) = if beam >= WIDE_BEAM && leader.is_some_and(|c| !c.hidden && c.best_step <= first)
+    {
         (GAP_BEAM * beam, HIDDEN_CELL, 2.0 * CURVATURE_STEP)
     } else {
         (beam, SEEN_CELL, CURVATURE_STEP)

@@ -266,9 +266,15 @@ fn survey_of_styles() {
             noticed += usize::from(pair.status != "ok");
             if pair.status == "ok" {
                 let one = ShapesDocument { pairs: vec![pair.clone()], ..ShapesDocument::default() };
-                let near =
-                    two.iter().map(|w| judged(&one, std::slice::from_ref(w), 1.0)).map(|j| j.1).fold(9e9, f64::min);
-                println!("  two wires {}: taken for one, {near:.4} mm from the nearer, residual {:?} px", pair.name, pair.residual_rms_px);
+                let near = two
+                    .iter()
+                    .map(|w| judged(&one, std::slice::from_ref(w), 1.0))
+                    .map(|j| j.1)
+                    .fold(9e9, f64::min);
+                println!(
+                    "  two wires {}: taken for one, {near:.4} mm from the nearer, {:?}",
+                    pair.name, pair.warnings
+                );
             } else {
                 println!("  two wires {}: {}", pair.name, pair.why);
             }

@@ -32,7 +32,7 @@ fn setting(wrong_px: f64) -> (StereoCameras, RodModel, RodState, RodState, Vec<S
         for i in (2..model.nodes - 2).filter(|i| !(100..132).contains(i)) {
             let tangent = (see(&shape.points[i + 1]) - see(&shape.points[i - 1])).normalize();
             let normal = Vector2::new(-tangent.y, tangent.x);
-            let off = if camera == 0 && (160..180).contains(&i) { wrong_px } else { 0.0 };
+            let off = if camera == 0 && (160..168).contains(&i) { wrong_px } else { 0.0 };
             let observed_px = see(&shape.points[i]) + normal * off;
             sights.push(Sight { camera, arc_mm: 0.25 * i as f64, observed_px, normal, sd_px: 0.03 });
         }

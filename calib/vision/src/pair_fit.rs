@@ -71,7 +71,7 @@ const STRETCH_SEEN: f64 = 0.25;
 /// Scatter of the pieces against their own noise that is remarked on, and that no single wire shows: drawn single wires have
 /// 0.5-1.3, two that were taken for one 2.5-15.
 const UNEVEN: f64 = 2.0;
-const TORN: f64 = 4.0;
+const TORN: f64 = 3.0;
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.

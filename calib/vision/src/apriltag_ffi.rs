@@ -76,15 +76,14 @@ impl Handles {
                 return None;
             }
             (*detector).nthreads = 1;
-            (*detector).refine_edges = true;
             sys::apriltag_detector_add_family_bits(detector, family, 2);
             Some(Self { detector, family, destroy_family })
         }
     }
 }
 
-/// Detects the tags of one family. `decimate` >= 1 searches for quads in a picture smaller by that factor (edges are
-/// refined at full size all the same).
+/// Detects the tags of one family. `decimate` >= 1 searches for quads in a picture smaller by that factor (above 1 the edges are
+/// refined at full size all the same; at 1 the corners are those of the quad).
 ///
 /// # Errors
 /// Where the family is unknown or the library gives no detector.
@@ -129,6 +128,8 @@ impl Handles {
         // every detection is read before the array is destroyed.
         unsafe {
             (*self.detector).quad_decimate = decimate.max(1.0);
+            // At full size this loses small tags, and `tags` fits the edges better.
+            (*self.detector).refine_edges = decimate > 1.0;
             let found = sys::apriltag_detector_detect(self.detector, image);
             if found.is_null() {
                 return Vec::new();

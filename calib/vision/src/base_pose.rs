@@ -2,7 +2,7 @@
 
 use crate::document::StereoCameras;
 use crate::initial::median;
-use crate::rig::Rig;
+use crate::rig::{Rig, RigTag};
 use crate::tag_pose::{BodyPose, Sighting, body_pose};
 use crate::tags::Tag;
 use nalgebra::{Isometry3, Vector2};
@@ -98,21 +98,26 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> (Vec<
     let alone: Vec<Option<RigPose>> = pairs
         .iter()
         .map(|tags| {
-            let sightings: Vec<Sighting> = tags
-                .iter()
-                .filter(|(_, t)| t.id == known.id && t.family == known.family)
-                .map(|(camera, tag)| Sighting {
-                    camera: *camera,
-                    tag: tag.clone(),
-                    size_mm: known.size_mm,
-                    body_from_tag: Isometry3::identity(),
-                })
-                .collect();
+            let sightings = sightings_of(known, tags);
             let pose = body_pose(stereo, &sightings)?;
             Some(RigPose { left_from_tag: pose.left_from_body, information: pose.information, sightings })
         })
         .collect();
     share_orientation(alone)
+}
+
+/// Sightings of one tag in its own frame.
+#[must_use]
+pub fn sightings_of(known: &RigTag, tags: &PairTags) -> Vec<Sighting> {
+    tags.iter()
+        .filter(|(_, t)| t.id == known.id && t.family == known.family)
+        .map(|(camera, tag)| Sighting {
+            camera: *camera,
+            tag: tag.clone(),
+            size_mm: known.size_mm,
+            body_from_tag: Isometry3::identity(),
+        })
+        .collect()
 }
 
 fn share_orientation(mut poses: Vec<Option<RigPose>>) -> (Vec<Option<RigPose>>, bool) {

@@ -13,6 +13,8 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the camera's tone curve on unequal sides.
 const LINE_FLOOR_WIDTHS: f64 = 0.004;
+/// Width in blurs above which a picture resolves the light across the wire, and that shift grows with the width.
+const RESOLVED_BLURS: f64 = 3.5;
 
 /// The base correction shared by the folder.
 pub(crate) struct Joint {
@@ -139,7 +141,14 @@ fn covariance(
     let depth_mm = fit.left_from_base.translation.vector.norm();
     let baseline_mm = stereo.right_from_left.translation.vector.norm();
     let by_width_mm = fit.diameter_mm * depth_mm / baseline_mm;
-    Some(Uncertain { covariance, by_calibration: response, shared_mm: LINE_FLOOR_WIDTHS * by_width_mm })
+    let width_px = fit.diameter_mm * stereo.cameras[0].focal_px[0] / depth_mm;
+    let blur_px = 0.5 * (fit.looks[0].blur_px + fit.looks[1].blur_px);
+    let resolved = (width_px / (RESOLVED_BLURS * blur_px)).max(1.0);
+    Some(Uncertain {
+        covariance,
+        by_calibration: response,
+        shared_mm: LINE_FLOOR_WIDTHS * resolved * by_width_mm,
+    })
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {

@@ -10,6 +10,7 @@ pub mod bundle;
 pub mod calibrate;
 pub mod calibrate_folders;
 pub mod camera;
+pub mod chain;
 mod checks;
 pub mod chessboard;
 pub mod corner;

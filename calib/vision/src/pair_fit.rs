@@ -1,5 +1,6 @@
 //! One pair from pictures to a fitted curve, with a base pose that is taken as known here and corrected over the folder.
 
+use crate::chain::chained;
 use crate::document::StereoCameras;
 use crate::look::fit_look;
 use crate::picture::Picture;
@@ -63,6 +64,14 @@ const LENGTH_SHARE: f64 = 0.1;
 /// Least pieces a mm of the wire's last third against those of the rest, in the picture that shows more of it. Drawn wires of the tests
 /// show 46-60 pieces there, one that was lost toward the cameras 13.
 const TAIL_SHARE: f64 = 0.35;
+/// Share of the wire's length that one picture alone must not show, and the share of its millimetres at which a picture shows a
+/// stretch; the other one has twice that. A groove hides less, and one view does not tell the depth.
+const STRETCH_SHARE: f64 = 0.25;
+const STRETCH_SEEN: f64 = 0.25;
+/// Scatter of the pieces against their own noise that is remarked on, and that no single wire shows: drawn single wires have
+/// 0.5-1.3, two that were taken for one 2.5-15.
+const UNEVEN: f64 = 2.0;
+const TORN: f64 = 3.0;
 /// Length by which a wire is followed on where it does not end.
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
@@ -80,11 +89,20 @@ pub fn fit_pair(
     start: Option<&PairFit>,
     times: &StageClock,
 ) -> Result<PairFit, String> {
-    let begun = match start {
-        Some(fit) => fit.clone(),
-        None => times.time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior))?,
+    let fitted = |begun| {
+        times
+            .time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
     };
-    times.time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
+    if let Some(fit) = start {
+        return fitted(fit.clone());
+    }
+    let search = |wide| {
+        times
+            .time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior, wide))
+            .and_then(fitted)
+    };
+    // What is lost in a gap or beside the wire is searched for once more; the first reason stands where that does not help.
+    search(false).or_else(|why| search(true).map_err(|_| why))
 }
 
 /// Follows the curve that the search found through the pieces of both pictures.
@@ -135,6 +153,13 @@ fn refine(
         if all.len() < 40 {
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
         }
+        if round == 0 {
+            // Far off, the pieces' weights are no guide yet, and the smoothing cannot be told: the convex programme needs neither.
+            let found = chained(stereo, left_from_base, &model, &state, &all, &prior);
+            state = found.ok_or("no curve of the wire's length passes through the pieces")?;
+            round += 1;
+            continue;
+        }
         // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
         for inner in 0..3 {
             let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
@@ -152,43 +177,40 @@ fn refine(
                 noise = consistent_noise(&system, noise, &all);
             }
         }
-        if round >= 1 {
-            let shape = model.shape(&state);
-            let ends: Vec<_> = (0..2)
-                .filter_map(|camera| {
-                    let line = image_line(
-                        stereo,
-                        left_from_base,
-                        camera,
-                        &shape.points,
-                        model.step_mm,
-                        f64::INFINITY,
-                        rig.whisker.diameter_mm,
-                    );
-                    find_tip(&pictures[camera], &line.stations, looks[camera], length)
-                })
-                .collect();
-            end_seen = !ends.is_empty();
-            if ends.is_empty() {
-                let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
-                // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
-                if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
-                    length += GROWTH_MM;
-                    continue;
-                }
-                // Without a visible end: the last piece seen, or the nominal length where that lies near.
-                length =
-                    if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
-                (length_sd, length_shared) = (1.0, 0.0);
-                if round == 4 {
-                    warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
-                }
-            } else {
-                let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
-                length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
-                length_sd = w.powf(-0.5);
-                length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+        let shape = model.shape(&state);
+        let ends: Vec<_> = (0..2)
+            .filter_map(|camera| {
+                let line = image_line(
+                    stereo,
+                    left_from_base,
+                    camera,
+                    &shape.points,
+                    model.step_mm,
+                    f64::INFINITY,
+                    rig.whisker.diameter_mm,
+                );
+                find_tip(&pictures[camera], &line.stations, looks[camera], length)
+            })
+            .collect();
+        end_seen = !ends.is_empty();
+        if ends.is_empty() {
+            let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
+            // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
+            if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
+                length += GROWTH_MM;
+                continue;
             }
+            // Without a visible end: the last piece seen, or the nominal length where that lies near.
+            length = if (last - rig.whisker.length_mm).abs() < 2.0 { rig.whisker.length_mm } else { last };
+            (length_sd, length_shared) = (1.0, 0.0);
+            if round == 4 {
+                warnings.push("the wire's end is not seen in either picture; its length is nominal or that of the last piece seen".into());
+            }
+        } else {
+            let w: f64 = ends.iter().map(|e| e.sd_mm.powi(-2)).sum();
+            length = ends.iter().map(|e| e.arc_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
+            length_sd = w.powf(-0.5);
+            length_shared = ends.iter().map(|e| e.shared_mm * e.sd_mm.powi(-2)).sum::<f64>() / w;
         }
         round += 1;
     }
@@ -199,11 +221,27 @@ fn refine(
             "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
         ));
     }
+    if let Some((camera, from, to)) = unseen_stretch(&pieces, length) {
+        let side = ["left", "right"][camera];
+        return Err(format!(
+            "the {side} picture shows hardly anything of the wire from {from:.0} to {to:.0} mm: one view gives no shape (hidden, lost on something else, or no wire there)"
+        ));
+    }
     let tail = tail_share(&pieces, expected);
     if tail < TAIL_SHARE {
         return Err(format!(
             "the wire is lost: its last third shows {:.0} % of the pieces that the rest of it has a mm (lost on something else, or it points at both cameras)",
             100.0 * tail
+        ));
+    }
+    if noise > TORN {
+        return Err(format!(
+            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire beside the first, or something before it"
+        ));
+    }
+    if noise > UNEVEN {
+        warnings.push(format!(
+            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture beside it?"
         ));
     }
     if (length - expected).abs() > 0.02 * expected {
@@ -238,8 +276,10 @@ fn begin(
     pictures: &[Picture; 2],
     left_from_base: &Isometry3<f64>,
     prior: &Prior,
+    wide: bool,
 ) -> Result<PairFit, String> {
-    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, prior.root_sd == ROOT_FREE)?;
+    let root_free = prior.root_sd == ROOT_FREE;
+    let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, root_free, wide)?;
     let model = RodModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);
     let per_node: Vec<[f64; 2]> = (0..model.nodes)
         .map(|i| {
@@ -296,6 +336,28 @@ fn consistent_noise(system: &PairSystem, noise: f64, sights: &[Sight]) -> f64 {
     let shared = (1.0 + rho) / (1.0 - rho);
     // Damped, so that noise and smoothing settle together.
     0.5 * noise + 0.5 * (scatter * shared).sqrt()
+}
+
+/// The first stretch that one picture shows and the other does not: the other camera, start and end, mm.
+fn unseen_stretch(pieces: &[(Vec<Piece>, Vec<bool>); 2], length_mm: f64) -> Option<(usize, f64, f64)> {
+    let cells = length_mm as usize;
+    let long = ((STRETCH_SHARE * length_mm) as usize).max(1);
+    let shown = |camera: usize| {
+        let mut shows = vec![0.0; cells];
+        for (piece, _) in pieces[camera].0.iter().zip(&pieces[camera].1).filter(|(_, seen)| **seen) {
+            if let Some(cell) = shows.get_mut(piece.station.arc_mm as usize) {
+                *cell = 1.0;
+            }
+        }
+        shows.windows(long).map(|w| w.iter().sum::<f64>() / long as f64).collect::<Vec<f64>>()
+    };
+    let both = [shown(0), shown(1)];
+    (0..2).find_map(|camera| {
+        let lost = |k: &usize| both[camera][*k] < STRETCH_SEEN && both[1 - camera][*k] > 2.0 * STRETCH_SEEN;
+        let from = (0..both[0].len()).find(lost)?;
+        let windows = (from..both[0].len()).take_while(lost).count();
+        Some((camera, from as f64, (from + windows + long - 1) as f64))
+    })
 }
 
 /// Seen pieces a mm in the last third of a length (mm) against those before it, in the picture that shows more.

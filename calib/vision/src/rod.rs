@@ -2,7 +2,7 @@
 //! Length is kept by construction; the root stands at the base's origin, pointing along x, up to small offsets.
 
 use crate::rig::RigWhisker;
-use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 /// Root offsets: y, z (mm) and tilts about z and y (rad).
 pub const ROOT: usize = 4;
@@ -30,6 +30,14 @@ pub struct RodState {
     pub root: [f64; ROOT],
     /// Coefficients: all of direction 1, then all of direction 2.
     pub coefficients: Vec<f64>,
+}
+
+impl RodState {
+    /// Adds a change of all parameters.
+    pub fn add(&mut self, step: &[f64]) {
+        let values = self.root.iter_mut().chain(&mut self.coefficients);
+        values.zip(step).for_each(|(value, by)| *value += by);
+    }
 }
 
 /// Nodes of a curve, base frame.
@@ -114,6 +122,53 @@ impl RodModel {
             shape.tangents.push(frame.column(0).into_owned());
         }
         shape
+    }
+
+    /// Second derivative by the arc length that the rest shape's bending has at every node, 1/mm.
+    #[must_use]
+    pub fn rest_bends(&self, state: &RodState) -> Vec<Vector3<f64>> {
+        let (_, mut frame) = Self::root(state);
+        let mut bends = Vec::with_capacity(self.nodes);
+        for i in 0..self.nodes - 1 {
+            bends.push(frame.column(2) * -self.nominal[i]);
+            let (k1, k2) = self.curvature(state, i);
+            let half = half_turn(k1, k2, self.step_mm);
+            frame = frame * half * half;
+        }
+        bends.push(frame.column(2) * -self.nominal.last().copied().unwrap_or(0.0));
+        bends
+    }
+
+    /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing lets it, from a nearby one.
+    #[must_use]
+    pub fn through(
+        &self,
+        start: &RodState,
+        nodes: &[(usize, Vector3<f64>)],
+        sd_mm: f64,
+        smoothing: f64,
+    ) -> RodState {
+        let mut state = start.clone();
+        for _ in 0..3 {
+            let (points, all) = (self.shape(&state).points, self.jacobian(&state));
+            let mut by_nodes = DMatrix::zeros(self.parameters(), 3 * nodes.len());
+            let mut off = DVector::zeros(3 * nodes.len());
+            for (n, (i, place)) in nodes.iter().enumerate() {
+                by_nodes.columns_mut(3 * n, 3).copy_from(&all.columns(3 * i, 3));
+                off.rows_mut(3 * n, 3).copy_from(&(place - points[*i]));
+            }
+            let bends = DVector::from_fn(self.parameters(), |k, _| {
+                k.checked_sub(ROOT).map_or(0.0, |c| state.coefficients[c])
+            });
+            let weight = sd_mm.powi(-2);
+            let h = &by_nodes * by_nodes.transpose() * weight
+                + self.penalty() * smoothing
+                + DMatrix::identity(self.parameters(), self.parameters()) * 1e-3;
+            let g = &by_nodes * off * weight - self.penalty() * bends * smoothing;
+            let Some(step) = h.cholesky().map(|c| c.solve(&g)) else { break };
+            state.add(step.as_slice());
+        }
+        state
     }
 
     /// Derivatives of every node's position: columns 3 i .. 3 i + 3 belong to node i, rows to the parameters.

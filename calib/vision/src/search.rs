@@ -6,7 +6,7 @@ use crate::picture::Picture;
 use crate::ridge::{Evidence, RidgeMap};
 use crate::rig::Rig;
 use crate::scene::{Scene, expected_strength};
-use crate::trace::{BEAM, Trace, trace};
+use crate::trace::{BEAM, Trace, WIDE_BEAM, trace};
 use nalgebra::Isometry3;
 
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
@@ -47,6 +47,7 @@ struct Search<'a> {
     left_from_base: &'a Isometry3<f64>,
     maps: &'a [RidgeMap<'a>; 2],
     background: [Vec<f64>; 2],
+    beam: usize,
 }
 
 impl Search<'_> {
@@ -70,7 +71,7 @@ impl Search<'_> {
         for (polarity, mut strength) in order.map(|k| strengths[k]) {
             // The second search knows how strong the wire of the first one answers.
             for _ in 0..2 {
-                let Some(trace) = trace(&self.scene(strength, polarity), whisker, BEAM, aside_mm) else {
+                let Some(trace) = trace(&self.scene(strength, polarity), whisker, self.beam, aside_mm) else {
                     break;
                 };
                 let settled = (0..2).all(|k| (trace.strength[k] / strength[k] - 1.0).abs() < 0.2);
@@ -93,10 +94,11 @@ impl Search<'_> {
         // A groove's edges can crowd the wire out of the beam: where what is found is too short or too faint, a wider one looks again.
         let poor =
             |t: &Trace| t.length_mm < LONG_SHARE * whisker.length_mm || t.score < SOUND_SHARE * self.most();
-        if let Some(found) = &mut best
+        if self.beam < WIDE_BEAM
+            && let Some(found) = &mut best
             && poor(&found.trace)
             && let Some(wider) =
-                trace(&self.scene(found.strength, found.polarity), whisker, 4 * BEAM, aside_mm)
+                trace(&self.scene(found.strength, found.polarity), whisker, WIDE_BEAM, aside_mm)
             && wider.score > found.trace.score
         {
             found.trace = wider;
@@ -111,13 +113,14 @@ impl Search<'_> {
 }
 
 /// Searches for a dark and for a bright wire; the likelier one with its polarity, +1 dark. `root_free`: the wire is known to start
-/// elsewhere than the tags say.
+/// elsewhere than the tags say. `wide`: with wider beams from the start, which cross gaps.
 pub(crate) fn find_wire(
     stereo: &StereoCameras,
     rig: &Rig,
     pictures: &[Picture; 2],
     left_from_base: &Isometry3<f64>,
     root_free: bool,
+    wide: bool,
 ) -> Result<(Trace, f64), String> {
     let depth = left_from_base.translation.z;
     let width = rig.whisker.diameter_mm * stereo.cameras[0].focal_px[0] / depth;
@@ -125,7 +128,14 @@ pub(crate) fn find_wire(
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];
-    let search = Search { stereo, rig, left_from_base, maps: &maps, background };
+    let search = Search {
+        stereo,
+        rig,
+        left_from_base,
+        maps: &maps,
+        background,
+        beam: if wide { WIDE_BEAM } else { BEAM },
+    };
     let score = |f: &Option<Found>| f.as_ref().map_or(0.0, |f| f.trace.score);
     let mut best = search.best(0.0);
     if root_free || score(&best) < SOUND_SHARE * search.most() {
@@ -149,7 +159,7 @@ pub(crate) fn find_wire(
     let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM, 0.0)
         .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
     if suspect
-        && let Some(rival) = trace(&scene, &rig.whisker, 4 * BEAM, 0.0)
+        && let Some(rival) = trace(&scene, &rig.whisker, WIDE_BEAM, 0.0)
         && density(&rival) > RIVAL_SHARE * density(&found)
         && rival.length_mm > RIVAL_LENGTH_SHARE * found.length_mm
     {

@@ -182,7 +182,7 @@ pub fn sight_residuals(
         .collect()
 }
 
-fn node(arc_mm: f64, step_mm: f64, nodes: usize) -> (usize, f64) {
+pub(crate) fn node(arc_mm: f64, step_mm: f64, nodes: usize) -> (usize, f64) {
     let x = (arc_mm / step_mm).clamp(0.0, nodes as f64 - 1.001);
     (x.floor() as usize, x.fract())
 }
@@ -257,12 +257,7 @@ pub fn stepped(
 ) -> (Isometry3<f64>, RodState) {
     let correction = updated(&Isometry3::identity(), &nalgebra::Vector6::from_fn(|k, _| step[k]));
     let mut next = state.clone();
-    for k in 0..ROOT {
-        next.root[k] += step[6 + k];
-    }
-    for (k, c) in next.coefficients.iter_mut().enumerate() {
-        *c += step[6 + ROOT + k];
-    }
+    next.add(&step.as_slice()[6..]);
     (left_from_base * correction, next)
 }
 

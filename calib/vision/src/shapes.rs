@@ -1,6 +1,6 @@
 //! `stereo-shape`: tags, the base's pose over the folder, one curve a pair, the joint correction of the base, groove and uncertainties.
 
-use crate::base_pose::{FolderBase, PairTags, base_sightings, folder_base, rig_poses};
+use crate::base_pose::{FolderBase, PairTags, base_sightings, folder_base, rig_poses, sightings_of};
 use crate::describe::{describe, tag_document};
 use crate::document::StereoCameras;
 use crate::groove::groove_document;
@@ -279,6 +279,18 @@ fn fit_one(
     let off_px = tag_pose::residual_rms_px(stereo, &own, &pose.left_from_body);
     if off_px > TAG_MISFIT_PX {
         return Err(exchanged_or_foreign(base, &own, off_px));
+    }
+    for tag in rig.tags.iter().filter(|t| t.base_from_tag.is_none()) {
+        let seen = sightings_of(tag, &loaded.tags);
+        let moved = tag_pose::body_pose(stereo, &seen)
+            .map(|own| tag_pose::residual_rms_px(stereo, &seen, &own.left_from_body))
+            .filter(|off_px| *off_px > TAG_MISFIT_PX);
+        if let Some(off_px) = moved {
+            return Err(format!(
+                "tag {} {} lies {off_px:.1} px from any pose that both cameras share: pictures not taken together, or another tag size",
+                tag.family, tag.id
+            ));
+        }
     }
     let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
     fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start, times)

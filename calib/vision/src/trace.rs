@@ -16,6 +16,10 @@ const PLACES: usize = 3;
 pub const BEAM: usize = 160;
 /// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
 const HIDDEN_BEAM: usize = 600;
+/// Curves kept where the first search found too little.
+pub const WIDE_BEAM: usize = 4 * BEAM;
+/// Factor of the curves that a wide search keeps while the likeliest crosses a gap.
+const GAP_BEAM: usize = 4;
 /// Share of the length after which none of them is kept: what shares more of its way with a first wire is none of its own.
 const HIDDEN_SHARE: f64 = 0.4;
 /// Distance of the roots tried beside the stated one, mm.
@@ -211,6 +215,15 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
     });
     let (mut hidden, mut order): (Vec<Branch>, Vec<Branch>) = all.partition(|b| now[b.1].hidden);
     let best_first = |x: &Branch, y: &Branch| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3)));
+    // Where the leader has seen nothing through the block a gap has begun: nothing tells its curves apart, and more of them, farther
+    // apart, cross it.
+    let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
+    let (beam, cell, bend) = if beam >= WIDE_BEAM && leader.is_some_and(|c| !c.hidden && c.best_step <= first)
+    {
+        (GAP_BEAM * beam, HIDDEN_CELL, 2.0 * CURVATURE_STEP)
+    } else {
+        (beam, SEEN_CELL, CURVATURE_STEP)
+    };
     // Far fewer are kept than there are: the rest need no order.
     let enough = 6 * beam;
     if order.len() > enough {
@@ -227,7 +240,7 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
             break;
         }
         let child = grown(now, branch, first);
-        if cells.insert(cell_of(&child, SEEN_CELL, CURVATURE_STEP)) {
+        if cells.insert(cell_of(&child, cell, bend)) {
             kept.push(child);
         }
     }

@@ -212,3 +212,73 @@ fn the_stated_region_holds_95_percent_of_true_points_over_ten_calibrations() {
         shares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (shares.len() * (shares.len() - 1)) as f64;
     assert!(mean >= 0.95 - 2.0 * spread.sqrt(), "{mean}");
 }
+
+/// Wires that were not looked at while anything was tuned, in several styles; and two wires in one picture.
+#[test]
+#[ignore = "draws some 200 pictures: minutes; run with --ignored --nocapture"]
+fn survey_of_styles() {
+    let first: u64 = std::env::var("WCAL_SURVEY").map_or(900, |s| s.parse().unwrap());
+    let only = std::env::var("WCAL_STYLE").unwrap_or_default();
+    let count = 6;
+    let plain = Style::default();
+    let styles = [
+        ("plain", plain),
+        ("thin", Style { diameter_mm: 0.18, ..plain }),
+        ("thick", Style { diameter_mm: 0.5, ..plain }),
+        ("bright", Style { wire_dn: 190.0, highlight_dn: 30.0, background_dn: 70.0, ..plain }),
+        ("blurred", Style { blur_px: 1.6, noise_dn: 3.0, ..plain }),
+        ("faint", Style { wire_dn: 140.0, highlight_dn: 8.0, texture_dn: 8.0, noise_dn: 2.0, ..plain }),
+        ("gap of 8 mm", Style { covered_mm: [20.0, 28.0], ..plain }),
+        ("gap of 4 mm", Style { covered_mm: [24.0, 28.0], ..plain }),
+        ("gap of 8 mm in the arc", Style { covered_mm: [38.0, 46.0], ..plain }),
+    ];
+    for (k, (name, style)) in styles.into_iter().enumerate().filter(|s| s.1.0.contains(&only)) {
+        let wires: Vec<_> = (0..count).map(|n| bench::wire(first + n)).collect();
+        let scenes: Vec<_> = wires.iter().map(|w| vec![w.clone()]).collect();
+        let shapes = run(&calibrated(first + k as u64), &scenes, None, first + k as u64, &style);
+        let (mut good, mut worst, mut inside) = (0, 0.0f64, 0.0);
+        for (pair, wire) in shapes.pairs.iter().zip(&wires) {
+            if pair.status != "ok" {
+                println!("  {name} {}: {}", first + pair.name.parse::<u64>().unwrap(), pair.why);
+                continue;
+            }
+            let one = ShapesDocument { pairs: vec![pair.clone()], ..ShapesDocument::default() };
+            let (share, rms) = judged(&one, std::slice::from_ref(wire), 1.0);
+            println!(
+                "  {name} {}: {:.1} % inside, RMS {rms:.4} mm, length {:.3}, residual {:.3?} px, sd {:.4}",
+                first + pair.name.parse::<u64>().unwrap(),
+                100.0 * share,
+                pair.length_mm,
+                pair.residual_rms_px,
+                pair.centreline_sd_mm.iter().sum::<f64>() / pair.centreline_sd_mm.len() as f64
+            );
+            (good, worst, inside) = (good + 1, worst.max(rms), inside + share);
+        }
+        let mean = 100.0 * inside / f64::from(good);
+        println!("{name}: {good} of {count} ok, {mean:.1} % inside, worst RMS {worst:.4} mm");
+    }
+    if "two wires".contains(&only) {
+        let scenes: Vec<_> =
+            (0..12).map(|n| vec![bench::wire(first + 100 + n), bench::wire(first + 200 + n)]).collect();
+        let shapes = run(&calibrated(first + 50), &scenes, None, first + 50, &plain);
+        let mut noticed = 0;
+        for (pair, two) in shapes.pairs.iter().zip(&scenes) {
+            noticed += usize::from(pair.status != "ok");
+            if pair.status == "ok" {
+                let one = ShapesDocument { pairs: vec![pair.clone()], ..ShapesDocument::default() };
+                let near = two
+                    .iter()
+                    .map(|w| judged(&one, std::slice::from_ref(w), 1.0))
+                    .map(|j| j.1)
+                    .fold(9e9, f64::min);
+                println!(
+                    "  two wires {}: taken for one, {near:.4} mm from the nearer, {:?}",
+                    pair.name, pair.warnings
+                );
+            } else {
+                println!("  two wires {}: {}", pair.name, pair.why);
+            }
+        }
+        println!("two wires: noticed in {noticed} of {}", scenes.len());
+    }
+}

@@ -82,9 +82,30 @@ fn pixel_centres_lie_at_integers_and_corners_are_as_accurate_as_the_best() {
         let n = e.len() as f64;
         let rms = (e.iter().map(|e| e.norm_squared()).sum::<f64>() / n).sqrt();
         let bias = e.iter().sum::<Vector2<f64>>() / n;
+        println!("side {side} px: rms {rms:.4} px (goal {limit}), mean offset {:.4} px", bias.norm());
         assert!(rms < limit, "side {side}: rms {rms}");
         // A half-pixel convention taken wrongly would show here as 0.5.
         assert!(bias.norm() < 0.006 + 3.0 * rms / n.sqrt(), "side {side}: bias {bias}");
+    }
+}
+
+/// Negative control: the library's corners of the same drawings, the quads alone, miss the limits above.
+#[test]
+fn corners_that_are_not_refined_miss_the_limits() {
+    for (side, limit) in [(30.0, 0.062), (60.0, 0.019), (120.0, 0.017), (240.0, 0.014)] {
+        let mut squares = Vec::new();
+        for k in 0..6u32 {
+            let t = f64::from(k);
+            let centre = Vector2::new(320.0 + (3.7 * t).sin(), 240.0 + (2.3 * t).cos());
+            let (picture, corners) = drawn(side, 0.3 + 0.4 * t, centre, 2.0, u64::from(k));
+            let raw = detect(&picture, "tag36h11", 1.0).unwrap().remove(0).corners_px;
+            squares.extend(corners.map(|c| {
+                let off = |p: &[f64; 2]| (Vector2::new(p[0], p[1]) - c).norm_squared();
+                raw.iter().map(off).min_by(f64::total_cmp).unwrap()
+            }));
+        }
+        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        assert!(rms > limit, "side {side}: {rms}");
     }
 }
 

@@ -26,6 +26,8 @@ pub struct Style {
     pub texture_dn: f64,
     pub blur_px: f64,
     pub noise_dn: f64,
+    /// Arc lengths between which a block 3 mm wide hides the wire from both cameras, mm; equal: none.
+    pub covered_mm: [f64; 2],
 }
 
 impl Default for Style {
@@ -38,6 +40,7 @@ impl Default for Style {
             texture_dn: 12.0,
             blur_px: 0.75,
             noise_dn: 1.2,
+            covered_mm: [0.0; 2],
         }
     }
 }
@@ -114,6 +117,7 @@ struct Segment {
     half: f64,
     first: bool,
     last: bool,
+    cover: bool,
 }
 
 /// Draws what one camera sees.
@@ -132,6 +136,9 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
         let count = places.len() - 1;
         for (k, w) in places.windows(2).enumerate() {
             let (a, b, half) = (w[0].0, w[1].0, w[0].1);
+            let arc_mm = k as f64 * 0.25;
+            let cover = arc_mm >= style.covered_mm[0] && arc_mm < style.covered_mm[1];
+            let half = if cover { half * 3.0 / style.diameter_mm } else { half };
             let (lo, hi) = (a.inf(&b), a.sup(&b));
             let reach = half + 1.5;
             for y in (lo.y - reach) as i64..=(hi.y + reach) as i64 {
@@ -139,7 +146,7 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
                     near.entry((x, y)).or_default().push(segments.len());
                 }
             }
-            segments.push(Segment { a, b, half, first: k == 0, last: k + 1 == count });
+            segments.push(Segment { a, b, half, first: k == 0, last: k + 1 == count, cover });
         }
     }
     let tag = draw_tag("tag36h11", 0).unwrap();
@@ -168,7 +175,7 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
         let p = Vector2::new(x, y);
         let mut best: Option<f64> = None;
         for &k in list {
-            let Segment { a, b, half, first, last } = segments[k];
+            let Segment { a, b, half, first, last, cover } = segments[k];
             let run = b - a;
             let along = (p - a).dot(&run) / run.norm_squared();
             // The wire's ends are cut square.
@@ -178,6 +185,9 @@ pub fn draw(camera: usize, wires: &[&[Vector3<f64>]], seed: u64, style: &Style) 
             let t = along.clamp(0.0, 1.0);
             let off = p - a - run * t;
             let across = off.norm() / half * run.perp(&off).signum();
+            if cover && across.abs() < 1.0 {
+                return 120.0;
+            }
             if across.abs() < 1.0 && best.is_none_or(|o| across.abs() < o.abs()) {
                 best = Some(across);
             }

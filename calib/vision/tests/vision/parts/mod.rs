@@ -1,6 +1,7 @@
 //! The parts one by one; here rather than beside them so that the library is compiled once.
 
 mod camera;
+mod chain;
 mod exchange;
 mod groove;
 mod page;

@@ -37,6 +37,9 @@ pub struct Dynamics {
     damping_s: f64,
     armature_s2: f64,
     contact_time_s: f64,
+    /// The contact as the model has it: overlap of full impedance, mm, and impedances.
+    width_mm: f64,
+    impedance: [f64; 2],
     chosen: Parameters,
     score: Score,
     targets: Targets,
@@ -71,6 +74,8 @@ pub fn dynamics(
         damping_s: fit.options.damping_s,
         armature_s2: fit.options.armature_s2,
         contact_time_s: fit.options.touch.time_s,
+        width_mm: fit.options.touch.width_mm,
+        impedance: fit.options.touch.impedance,
         chosen: best.parameters,
         score: best.score,
         targets,

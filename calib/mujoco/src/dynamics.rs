@@ -3,7 +3,7 @@
 //! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, SYSTEM), and on
 //! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
 
-use crate::compare::against_speed;
+use crate::against::against_speed;
 use crate::convex::Convex;
 use crate::engine::protocol::{Request, Series};
 use crate::mjcf::{MjcfOptions, Surroundings, Touch, mjcf_among};
@@ -330,14 +330,15 @@ impl Bench {
                 &plan,
                 &SPEEDS_MM_S,
                 1,
-            )?;
+            )?
+            .by_speed;
             let ripple = rows.iter().map(|r| r.ripple_nmm).fold(0.0, f64::max);
             let overlap = rows.iter().map(|r| r.overlap_mm).fold(0.0, f64::max);
             let bias = rows[1].bias - rows[0].bias;
             score.ripple_nmm = Some(ripple);
             (score.bias, score.overlap_mm) = (Some(bias), Some(overlap));
             // Without a sweep kept there is neither ripple nor bias.
-            let answered = rows.iter().all(|r| r.kept[0] > 0);
+            let answered = rows.iter().all(|r| r.samples > 0);
             let ripple = if answered { ripple } else { f64::NAN };
             demands.extend([ripple / UNITS[2], bias / UNITS[3], overlap / (self.whisker.diameter_mm / 2.0)]);
         }

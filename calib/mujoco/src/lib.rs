@@ -3,6 +3,7 @@
 //! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
 //! toward -z. All that these modules make is SIMULATED.
 
+pub mod against;
 pub mod cable_engine;
 pub mod columns;
 pub mod compare;

@@ -53,6 +53,13 @@ pub struct Run {
     pub iterations: usize,
 }
 
+impl Run {
+    /// Without a sample.
+    pub(crate) fn rejected(why: &'static str) -> Self {
+        Self { samples: Vec::new(), verdict: Verdict::Rejected(why), solves: 0, iterations: 0 }
+    }
+}
+
 impl RodEngine {
     /// For a whisker.
     ///
@@ -111,7 +118,7 @@ impl RodEngine {
             way.speed_mm_s = speed_mm_s;
             let reached = way.go_to(travel_mm);
             let contacts = way.pressed.contacts.clone();
-            let moment_nmm = way.chain.root_moment_nmm(&way.pressed.links);
+            let moment_nmm = way.chain.base_moment_nmm(&way.pressed);
             let step_mm = speed_mm_s / plan.rate_hz;
             let event = event(&before, &contacts, way.sprung, step_mm);
             run.samples.push(Sample {

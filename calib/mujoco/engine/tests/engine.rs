@@ -9,6 +9,7 @@ use wcal_mujoco::convex::Convex;
 use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::{self, Preset};
 use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
 
@@ -141,6 +142,42 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
         "{:?}",
         run.verdict
     );
+}
+
+/// Weight, buoyancy and drag reach the base of MuJoCo's wire as they reach the rod's.
+#[test]
+fn the_medium_bends_mujocos_wire_as_it_bends_the_rod() {
+    if !ready() {
+        return;
+    }
+    let mesh = objects::built_in("block").unwrap();
+    let convex = Convex::of(&mesh, tempfile::tempdir().unwrap().path()).unwrap();
+    let rod = RodEngine::new(&whisker(), LINKS).unwrap();
+    let mut cable = CableEngine::start(&whisker(), &MjcfOptions::default()).unwrap();
+    let mut run = |physics: PhysicsPlan, speed: f64| {
+        // The lead is long: the first samples are of the free wire.
+        let plan = SweepPlan {
+            speed_mm_s: [speed; 2],
+            lead_mm: [speed * 2.0; 2],
+            most_mm: speed * 1.4,
+            rate_hz: 2.0,
+            physics,
+            ..SweepPlan::default()
+        };
+        let sweep = (0..).find_map(|k| Sweep::draw(&mesh, &plan, 5, k, rod.reach_mm())).unwrap();
+        let both =
+            [rod.run(&mesh, &sweep, &plan), cable.run(&mesh, &convex.corners(), &sweep, &plan).unwrap()];
+        both.map(|r| r.samples.last().unwrap().moment_nmm)
+    };
+    let heavy = PhysicsPlan { medium: Medium::Water, weight: true, ..PhysicsPlan::default() };
+    let [quasi, dynamic] = run(heavy, 5.0);
+    assert!(quasi.norm() > 2e-3 && (quasi - dynamic).norm() < 0.02 * quasi.norm(), "{quasi} {dynamic}");
+    let stream = PhysicsPlan { medium: Medium::Water, current_mm_s: [60.0; 2], ..PhysicsPlan::default() };
+    let [quasi, dynamic] = run(stream, 100.0);
+    assert!(quasi.norm() > 1e-3 && (quasi - dynamic).norm() < 0.03 * quasi.norm(), "{quasi} {dynamic}");
+    // Negative control: without a medium neither bends.
+    let [quasi, dynamic] = run(PhysicsPlan::default(), 5.0);
+    assert!(quasi.norm() < 1e-6 && dynamic.norm() < 2e-4, "{quasi} {dynamic}");
 }
 
 #[test]

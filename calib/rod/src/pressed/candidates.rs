@@ -54,7 +54,7 @@ impl Chain {
         let slopes: Vec<Option<f64>> = spots
             .iter()
             .zip(&near)
-            .map(|(spot, near)| near.map(|x| x.normal.dot(&spot.tangent(links))))
+            .map(|(spot, near)| near.map(|x| x.normal.dot(&spot.tangent(self, links))))
             .collect();
         let mut found: Vec<(Spot, Near, bool)> = Vec::new();
         for (k, spot) in spots.iter().enumerate() {
@@ -92,7 +92,7 @@ impl Chain {
             let x = if k % 3 == 2 { (a + b) / 2.0 } else { (fb * a - fa * b) / (fb - fa) };
             let spot = Spot::new(x, self.links());
             let near = at(&spot)?;
-            let slope = near.normal.dot(&spot.tangent(links));
+            let slope = near.normal.dot(&spot.tangent(self, links));
             best = Some((spot, near));
             if slope.abs() < 1e-7 || b - a < 1e-8 {
                 break;

@@ -249,7 +249,7 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
     };
     // Ends after some requests, as a killed program does.
     let dying = folder.path().join("dying.sh");
-    std::fs::write(&dying, format!("#!/bin/sh\nhead -n 9 | '{}'\n", engine.display())).unwrap();
+    std::fs::write(&dying, format!("#!/bin/sh\nsed -u 9q | '{}'\n", engine.display())).unwrap();
     std::fs::set_permissions(&dying, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
     let dead = run(&dying, &["--json"]);
     let json: serde_json::Value = serde_json::from_slice(&dead.stdout).unwrap();

@@ -364,7 +364,7 @@ impl Bin {
             moment_nmm: quantiles(&mut self.differences_nmm),
             bias: self.sizes[1] / self.sizes[0] - 1.0,
             contact_mm: quantiles(&mut self.contacts_mm),
-            ripple_nmm: mean(self.ripples.iter().sum(), self.ripples.len()),
+            ripple_nmm: mean(self.ripples.iter().fold(0.0, |a, b| a + b), self.ripples.len()),
             overlap_mm: self.overlap_mm,
             chatter: self.chattering as f64 / self.all.max(1) as f64,
         }

@@ -14,6 +14,7 @@ pub mod engine;
 mod error;
 mod grid;
 pub mod groove;
+pub mod labels;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;

@@ -1,4 +1,4 @@
-//! The smooth centre line of the links: the integral of a quadratic B-spline through their directions, of fourth order in their length.
+//! The smooth centre line of the links: the integral of a quadratic B-spline through their directions, of third order in their length.
 //!
 //! A link's direction is the wire's at the link's middle. Links laid end to end leave a bent wire by a twelfth of bend times length
 //! squared: little, but a wire that is barely touched is bent by no more. Weights of the spline on the directions: C. de Boor, A
@@ -195,10 +195,15 @@ mod tests {
     }
 
     #[test]
-    fn the_curve_of_an_arc_is_of_fourth_order() {
-        let [coarse, fine] = [10, 20].map(|links| off_mm(links, 0.1));
-        assert!((coarse / fine).log2() > 3.3, "{coarse} {fine}");
-        assert!(off_mm(40, 0.1) < 2e-4, "{}", off_mm(40, 0.1));
+    fn the_curve_of_an_arc_is_of_third_order() {
+        let [coarse, middle, fine] = [10, 20, 40].map(|links| off_mm(links, 0.0));
+        let order = [coarse / middle, middle / fine].map(f64::log2);
+        assert!(order.iter().all(|o| *o > 2.7) && fine < 2e-3, "{coarse} {middle} {fine}");
+        // Links laid end to end leave the arc by more than four times that.
+        let (chain, shape) = chain(40, 0.0);
+        let rest = chain.at_rest();
+        let middle = (rest.nodes_mm[20] + rest.nodes_mm[21]) / 2.0;
+        assert!((middle - shape.rest_point(20.5 * chain.link_mm)).norm() > 4.0 * fine);
         // Where the bend begins at once, second order remains near there.
         assert!(off_mm(40, 30.0) < 6e-3, "{}", off_mm(40, 30.0));
     }

@@ -152,6 +152,9 @@ fn run(
     trajectories
         .par_iter()
         .map(|places| {
+            if places.is_empty() {
+                return Ok(Vec::new());
+            }
             let mut engine = MujocoEngine::start()?;
             engine.load(&xml, preset == Preset::Released)?;
             let mut bench = Bench { engine, turn };

@@ -76,7 +76,7 @@ pub fn dynamics(
     let recorded = args.ring_down.as_deref().map(read_ring_down).transpose()?;
     let targets = Targets {
         ring_down_s: recorded,
-        bounce_ratio: args.bounce_ratio,
+        bounce_ratio: Some(args.bounce_ratio),
         ripple_nmm: args.ripple_nmm,
         bias: args.speed_bias,
     };
@@ -159,7 +159,8 @@ fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
     )];
     why.push(format!(
         "More damping slows the bounce and smooths the ripple but makes the moment depend on the speed: here the bounce is {:.2} of the undamped wire's (wanted {:.2}), the mean moment changes by {percent:.2} % from 3.2 to 7.7 mm/s.",
-        s.bounce_ratio, targets.bounce_ratio
+        s.bounce_ratio,
+        targets.bounce_ratio.unwrap_or(f64::NAN)
     ));
     why.push(format!(
         "A softer contact bounces less but lets the wire in: overlap {:.3} mm, ripple {:.4} N mm.",

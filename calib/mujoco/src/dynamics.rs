@@ -35,8 +35,8 @@ pub struct Parameters {
 pub struct Targets {
     /// Time in which the released wire's base moment falls to 1/e for good, s; not judged without a record.
     pub ring_down_s: Option<f64>,
-    /// Speed of the bounce over that of the undamped wire.
-    pub bounce_ratio: f64,
+    /// Speed of the bounce over that of the undamped wire; not judged where the recorded wire crept to the plate without a bounce.
+    pub bounce_ratio: Option<f64>,
     /// Ripple of the sweep's moments, N mm; 0 without a record: as little as can be.
     pub ripple_nmm: f64,
     /// Change of the mean moment from 3.2 to 7.7 mm/s, as a share; 0 without a record.
@@ -195,11 +195,11 @@ pub fn fit_dynamics(
 /// # Errors
 /// Where the engine is missing or the wire cannot be.
 pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets, TwinError> {
-    let wanted = Targets { ring_down_s: None, bounce_ratio: 0.5, ripple_nmm: 0.0, bias: 0.0 };
+    let wanted = Targets { ring_down_s: None, bounce_ratio: None, ripple_nmm: 0.0, bias: 0.0 };
     let score = Bench::new(whisker, wanted)?.score(parameters, true)?;
     Ok(Targets {
         ring_down_s: Some(score.ring_down_s),
-        bounce_ratio: score.bounce_ratio,
+        bounce_ratio: Some(score.bounce_ratio).filter(|b| b.is_finite()),
         ripple_nmm: score.ripple_nmm.unwrap_or(0.0),
         bias: score.bias.unwrap_or(0.0),
     })

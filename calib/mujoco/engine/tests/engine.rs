@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
-use wcal_mujoco::dynamics::{Parameters, fit_dynamics, record};
+use wcal_mujoco::dynamics::{Parameters, Targets, fit_dynamics, record};
 use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::Preset;
 use wcal_mujoco::labels::{Way, labels};
@@ -148,38 +148,47 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
     );
 }
 
-/// The fit's demands tell a known damping from its neighbours on the paper's grid (SIMULATED record).
+/// What is recorded of a wire tells its damping (SIMULATED record): ring-down and speed bias grow with it.
 #[test]
-fn the_fit_of_damping_finds_the_known_one() {
+fn ring_down_and_speed_bias_grow_with_the_damping() {
     if !ready() {
         return;
     }
-    let known = Parameters { damping_nms_rad: 0.01, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
-    let targets = record(&whisker(), &known).unwrap();
-    assert!(targets.ring_down_s.unwrap() > 1e-3 && targets.bias.is_finite(), "{targets:?}");
-    let fit = fit_dynamics(&whisker(), targets, 1, |_| {}).unwrap();
-    let total = |damping: f64| {
-        let same = |p: &Parameters| Parameters { damping_nms_rad: p.damping_nms_rad, ..known } == *p;
-        let mut of = fit.trials.iter().filter(|t| t.stage == "grid-damping" && same(&t.parameters));
-        of.find(|t| (t.parameters.damping_nms_rad - damping).abs() < 1e-9).unwrap().score.total
+    let of = |damping_nms_rad: f64| {
+        let parameters = Parameters { damping_nms_rad, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
+        record(&whisker(), &parameters).unwrap()
     };
-    // Negative control in the same line: other dampings are worse.
-    for other in [0.0, 0.005, 0.015, 0.02, 0.025, 0.03] {
-        assert!(total(other) > total(0.01), "{other}: {} {}", total(other), total(0.01));
+    let [slack, stiff] = [0.005, 0.015].map(of);
+    let ring_down = |t: &Targets| t.ring_down_s.unwrap();
+    assert!(ring_down(&stiff) > 2.0 * ring_down(&slack), "{slack:?} {stiff:?}");
+    assert!(stiff.bias > slack.bias + 0.01, "{slack:?} {stiff:?}");
+    // Negative control: the same wire twice is the same record.
+    assert_eq!(of(0.005), slack);
+}
+
+/// Parameters off the search's start are found again from their own record, each to a step of the paper's grid unless the fit says
+/// that the data do not determine it.
+#[test]
+#[ignore = "minutes of trials"]
+fn the_fit_of_damping_and_contact_finds_the_known_ones() {
+    if !ready() {
+        return;
     }
-    let best = &fit.trials[fit.best];
-    assert!((best.parameters.damping_nms_rad - 0.01).abs() < 0.005, "{best:?}");
-    println!("known {known:?} {targets:?}; found {best:?}; {:?}", fit.sensitivity);
-    // What the data determine to a step of the grid is found to a step.
-    let loose = fit.sensitivity.undetermined();
-    let p = &best.parameters;
+    let known = Parameters { damping_nms_rad: 0.01, width_mm: 4.0, d0: 0.5, dmax: 1.0 };
+    let targets = record(&whisker(), &known).unwrap();
+    let fit = fit_dynamics(&whisker(), targets, 8, |_| {}).unwrap();
+    let (p, loose) = (&fit.trials[fit.best].parameters, fit.sensitivity.undetermined());
+    println!("known {known:?} {targets:?}; found {:?}; {:?}", fit.trials[fit.best], fit.sensitivity);
     for (name, off, step) in [
+        ("damping", p.damping_nms_rad - known.damping_nms_rad, 0.005),
         ("width", p.width_mm - known.width_mm, 1.0),
         ("d0", p.d0 - known.d0, 0.05),
         ("dmax", p.dmax - known.dmax, 0.05),
     ] {
         assert!(loose.contains(&name) || off.abs() < 1.01 * step, "{name}: {p:?} {:?}", fit.sensitivity);
     }
+    // Negative control: not everything is called undetermined.
+    assert!(!loose.contains(&"damping") && loose.len() < 4, "{loose:?}");
 }
 
 /// Weight, buoyancy and drag reach the base of MuJoCo's wire as they reach the rod's.

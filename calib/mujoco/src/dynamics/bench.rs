@@ -127,7 +127,10 @@ impl Bench {
 
     /// What a trial leaves of each demand, in units of what counts.
     pub(super) fn demands(&self, score: &Score) -> Vec<f64> {
-        let mut demands = vec![(score.bounce_ratio - self.targets.bounce_ratio) / UNITS[1]];
+        let mut demands = Vec::new();
+        if let Some(wanted) = self.targets.bounce_ratio {
+            demands.push((score.bounce_ratio - wanted) / UNITS[1]);
+        }
         if let Some(wanted) = self.targets.ring_down_s {
             demands.push((score.ring_down_s.max(1e-4) / wanted).ln() / UNITS[0]);
         }

@@ -203,9 +203,10 @@ mod tests {
         let (chain, shape) = chain(40, 0.0);
         let rest = chain.at_rest();
         let middle = (rest.nodes_mm[20] + rest.nodes_mm[21]) / 2.0;
-        assert!((middle - shape.rest_point(20.5 * chain.link_mm)).norm() > 4.0 * fine);
-        // Where the bend begins at once, second order remains near there.
-        assert!(off_mm(40, 30.0) < 6e-3, "{}", off_mm(40, 30.0));
+        let plain = (middle - shape.rest_point(20.5 * chain.link_mm)).norm();
+        assert!(plain > 4.0 * fine, "{plain} {fine}");
+        // Where the bend begins at once, second order remains near there; links end to end are farther off.
+        assert!(off_mm(40, 30.0) < 0.75 * plain, "{} {fine} {plain}", off_mm(40, 30.0));
     }
 
     #[test]

@@ -41,7 +41,7 @@ impl Chain {
         let n = self.links();
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
         let at = |spot: &Spot, within_mm: f64| surface.near(&spot.point_mm(self, links), within_mm);
-        // Middles of the links, where the curve runs along them, the tip, and closely around what is known to touch.
+        // Middles of the links, the tip, and closely around what is known to touch.
         let mut places: Vec<(f64, bool)> =
             (0..n).map(|j| (j as f64 + 0.5, true)).chain([(n as f64, true)]).collect();
         for c in before.iter().filter(|c| c.force_n > 0.0 || c.met) {

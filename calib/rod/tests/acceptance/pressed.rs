@@ -115,8 +115,14 @@ fn a_floor_holds_the_tip_first_and_then_a_line() {
     assert_eq!(tip.contacts.len(), 1);
     assert!((tip.contacts[0].arclength_mm - 60.0).abs() < 1e-9, "{:?}", tip.contacts);
     let lying = floor(-0.5);
+    // What touches lies on the floor; the links' ends are beside the centre line by some micrometres.
+    let touching: Vec<f64> = lying.contacts.iter().map(|c| c.centre_mm.z).collect();
+    assert!(
+        !touching.is_empty() && touching.iter().all(|z| (z - (-0.5 + 0.15)).abs() < 1e-4),
+        "{touching:?}"
+    );
     let lowest = lying.links.nodes_mm.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
-    assert!((lowest - (-0.5 + 0.15)).abs() < 1e-3, "{lowest}");
+    assert!((lowest - (-0.5 + 0.15)).abs() < 5e-3, "{lowest}");
 }
 
 /// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten times as deep it would not.
@@ -148,7 +154,7 @@ fn a_push_from_the_contact_inward_is_the_pressed_wire() {
         let local = pressed.links.frames[link].tr_mul(&(contact.normal * contact.force_n));
         let push = chain.pushed(contact.arclength_mm, &local);
         let (moment, expected) = (push.moment_nmm, chain.base_moment_nmm(&pressed));
-        // A contact lies on the smooth curve through the links' middles, some 0.01 mm off the link itself.
+        // A contact lies on the smooth centre line, some 0.01 mm off the link itself.
         assert!((moment - expected).norm() < 1e-3 * expected.norm(), "{moment} {expected}");
         let off = push.axis_mm - contact.normal * chain.radius_mm - contact.point_mm;
         assert!(off.norm() < 0.03, "{off}");

@@ -28,15 +28,25 @@ pub(super) struct Spot {
     /// First link of the window, and how many are in it.
     first: usize,
     count: usize,
-    /// Shares in its place, in its tangent, and in the tangent's change from link to link.
+    /// Shares in its place and in its tangent.
     place: Shares,
     tangent: Shares,
-    bend: Shares,
+    /// Links of the wire.
+    links: usize,
 }
 
 /// The spline's coefficients from the one before cell `cell` on, three of them, as shares of the links' directions.
 fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 3]) -> Shares {
     let mut found = Shares { clamp: 0.0, links: [0.0; WINDOW] };
+    if first > 0 && cell + 2 < links {
+        // Far from both ends, where most places are: the general rule below, written out.
+        let [a, b] = [0, 1].map(|k| before.get(k).copied().unwrap_or(0.0));
+        let [c, d, e] = local;
+        let eighths = |own: f64, beside: f64| 1.25 * own - beside / 8.0;
+        let near = [eighths(b, a + c), eighths(c, b + d), eighths(d, c + e), eighths(e, d), -e / 8.0];
+        found.links[..5].copy_from_slice(&near);
+        return found;
+    }
     // Coefficients of links, by number; those beyond the ends follow from the ends.
     let mut weights = [0.0; WINDOW + 2];
     let low = first.saturating_sub(1);
@@ -117,8 +127,7 @@ impl Spot {
         let mut place = shares(cell, first, links, before, local);
         place.clamp += if first == 0 { clamp } else { CLAMP };
         let tangent = shares(cell, first, links, &[], [left * left / 2.0, 0.5 + v - v * v, v * v / 2.0]);
-        let bend = shares(cell, first, links, &[], [-left, 1.0 - 2.0 * v, v]);
-        Self { at, first, count, place, tangent, bend }
+        Self { at, first, count, place, tangent, links }
     }
 
     /// Links that move it, with their shares.
@@ -167,7 +176,10 @@ impl Spot {
 
     /// Change of the tangent along the wire, 1/mm.
     pub(super) fn bend_per_mm(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
-        self.sum(chain, links, &self.bend) / chain.link_mm
+        let cell = (self.at as usize).min(self.links - 1);
+        let v = self.at - cell as f64;
+        let bend = shares(cell, self.first, self.links, &[], [v - 1.0, 1.0 - 2.0 * v, v]);
+        self.sum(chain, links, &bend) / chain.link_mm
     }
 }
 

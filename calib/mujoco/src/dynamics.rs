@@ -193,15 +193,23 @@ pub fn fit_dynamics(
 /// What a wire of these parameters does: a record to fit against (SIMULATED).
 ///
 /// # Errors
-/// Where the engine is missing or the wire cannot be.
+/// Where the engine is missing, the wire cannot be, or its sweeps are rejected.
 pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets, TwinError> {
     let wanted = Targets { ring_down_s: None, bounce_ratio: None, ripple_nmm: 0.0, bias: 0.0 };
     let score = Bench::new(whisker, wanted)?.score(parameters, true)?;
+    // A soft contact lets the wire through the ball: no sweep, no record.
+    let swept = |v: Option<f64>| {
+        v.filter(|v| v.is_finite()).ok_or_else(|| TwinError::Value {
+            what: "record",
+            expected: "a wire whose sweeps are kept".to_owned(),
+            found: format!("{parameters:?}: rejected"),
+        })
+    };
     Ok(Targets {
         ring_down_s: Some(score.ring_down_s),
         bounce_ratio: Some(score.bounce_ratio).filter(|b| b.is_finite()),
-        ripple_nmm: score.ripple_nmm.unwrap_or(0.0),
-        bias: score.bias.unwrap_or(0.0),
+        ripple_nmm: swept(score.ripple_nmm)?,
+        bias: swept(score.bias)?,
     })
 }
 

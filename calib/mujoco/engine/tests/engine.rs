@@ -160,8 +160,9 @@ fn ring_down_and_speed_bias_grow_with_the_damping() {
     };
     let [slack, stiff] = [0.005, 0.015].map(of);
     let ring_down = |t: &Targets| t.ring_down_s.unwrap();
-    assert!(ring_down(&stiff) > 2.0 * ring_down(&slack), "{slack:?} {stiff:?}");
-    assert!(stiff.bias > slack.bias + 0.01, "{slack:?} {stiff:?}");
+    // Watched for 0.6 s: a longer ring-down is cut short there.
+    assert!(ring_down(&stiff) > 1.2 * ring_down(&slack), "{slack:?} {stiff:?}");
+    assert!(stiff.bias > slack.bias + 0.1, "{slack:?} {stiff:?}");
     // Negative control: the same wire twice is the same record.
     assert_eq!(of(0.005), slack);
 }

@@ -1,6 +1,8 @@
 //! Sweeps by MuJoCo against the same sweeps by the quasi-static rod, by the base's speed: what inertia, damping, soft contacts and
 //! convex parts do to moments and contacts (SIMULATED).
 
+mod print;
+
 use crate::columns::Column;
 use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
@@ -9,7 +11,6 @@ use crate::{CableEngine, Mesh, RodEngine, Sweep, SweepPlan, TwinError, Verdict, 
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fmt::{Display, Formatter};
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 
@@ -56,62 +57,6 @@ pub struct AgainstRod {
     /// Change of the mean |moment| over the rod's with the sweep's speed, 1/(mm/s), and its standard deviation; none where the
     /// speeds are too few.
     pub bias_per_mm_s: Option<[f64; 2]>,
-}
-
-impl Display for AgainstRod {
-    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        writeln!(
-            f,
-            "{:>11} {:>8} {:>9} {:>24} {:>20} {:>7} {:>16} {:>10} {:>11} {:>8}",
-            "speed mm/s",
-            "samples",
-            "elsewhere",
-            "moment off, p50 p95 N mm",
-            "RMS of the rod's RMS",
-            "bias",
-            "contact off mm",
-            "ripple",
-            "overlap mm",
-            "chatter"
-        )?;
-        for r in &self.by_speed {
-            let [from, to] = r.speed_mm_s;
-            let speeds = if from == to { format!("{from:.1}") } else { format!("{from:.1}-{to:.1}") };
-            writeln!(
-                f,
-                "{speeds:>11} {:>8} {:>8.1}% {:>15.4} {:>8.4} {:>11.4} {:>8.4} {:>6.2}% {:>7.3} {:>8.3} {:>10.4} {:>11.3} {:>7.2}%",
-                r.samples,
-                r.elsewhere * 100.0,
-                r.moment_nmm[0],
-                r.moment_nmm[1],
-                r.moment_rms_nmm[0],
-                r.moment_rms_nmm[1],
-                r.bias * 100.0,
-                r.contact_mm[0],
-                r.contact_mm[1],
-                r.ripple_nmm,
-                r.overlap_mm,
-                r.chatter * 100.0
-            )?;
-        }
-        let verdicts: Vec<String> = self.verdicts.iter().map(|(v, n)| format!("{v}: {n}")).collect();
-        writeln!(
-            f,
-            "both kept {} of {}; verdicts by MuJoCo / rod: {}",
-            self.kept[0],
-            self.kept[1],
-            verdicts.join(", ")
-        )?;
-        match self.bias_per_mm_s {
-            Some([slope, sd]) => writeln!(
-                f,
-                "speed bias of the mean moment: {:.2} +- {:.2} % a mm/s (one standard deviation)",
-                slope * 100.0,
-                sd * 100.0
-            ),
-            None => writeln!(f, "speed bias of the mean moment: not known, the speeds are too few"),
-        }
-    }
 }
 
 /// A place of the wire at a sample: moment (N mm) and contact nearest to the base (mm).

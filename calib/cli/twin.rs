@@ -1,5 +1,7 @@
 //! `wcal twin`: the twin's base moments at a session's poses.
 
+mod mujoco;
+
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use nalgebra::Vector3;
@@ -7,7 +9,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
-use wcal_mujoco::groove::{self, PoseLabel};
+use wcal_mujoco::groove;
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
 
@@ -19,10 +21,11 @@ use wcal_session::load;
 
 One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
 not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
-rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: come to straight from the start, past the places between, the wire rests elsewhere, so that the way and MuJoCo's
-version decide on the moment. With preset released, labels of the session's own twin.csv that lie on another branch are named. MuJoCo runs with the released groove tip; preset released is
-the released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or
-with several equilibria.")]
+rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: the wire rests elsewhere when it is come to straight
+from the start or with less damping, so that its history and MuJoCo's version decide on the moment; every other place is printed with its moment,
+and where the session has labels of another twin, whose they are. MuJoCo runs with the released groove tip; preset released is the
+released cable, paper the measured one with the clamp right to second order. What the tip does to the moment is stated apart: its shape (play),
+its friction, its softness. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
 pub struct TwinArgs {
     /// Session folder (kind \"whisker\")
     pub session: PathBuf,
@@ -32,6 +35,9 @@ pub struct TwinArgs {
     /// Which MuJoCo twin
     #[arg(long, value_enum, default_value = "paper")]
     pub preset: Preset,
+    /// Leave out the two further runs that state the groove tip's shape, friction and softness apart
+    #[arg(long)]
+    pub no_tip: bool,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
@@ -66,7 +72,13 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     };
     let lines = match args.engine {
         Engine::Rod => by_rod(data)?,
-        Engine::Mujoco => by_mujoco(data, args.preset)?,
+        Engine::Mujoco => {
+            let preset = match args.preset {
+                Preset::Released => groove::Preset::Released,
+                Preset::Paper => groove::Preset::Paper,
+            };
+            mujoco::by_mujoco(data, preset, !args.no_tip)?
+        }
     };
     let mut text = String::from("point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled\n");
     let mut missing = Vec::new();
@@ -138,119 +150,4 @@ fn row(data: &WhiskerData, moment: &Vector3<f64>, at_mm: Option<f64>, branch: &s
     let moment = data.moments.components_nmm(moment);
     let at = at_mm.map_or_else(String::new, |s| format!("{s:.6}"));
     format!("{:.9},{:.9},{at},{branch},{settled}", moment[0], moment[1])
-}
-
-fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
-    let preset = match preset {
-        Preset::Released => groove::Preset::Released,
-        Preset::Paper => groove::Preset::Paper,
-    };
-    let mut rows: Vec<Vec<usize>> = Vec::new();
-    let mut places: Vec<Vec<Vector3<f64>>> = Vec::new();
-    for trajectory in &data.trajectories {
-        let mut at = of_trajectory(data, trajectory.id);
-        at.sort_by(|a, b| a.1.total_cmp(&b.1));
-        places.push(at.iter().map(|(_, x)| trajectory.origin_mm + trajectory.direction * *x).collect());
-        rows.push(at.into_iter().map(|a| a.0).collect());
-    }
-    let labels = groove::labels(&data.whisker, preset, &places)?;
-    let mut lines: Vec<Text> = vec![None; data.rows.len()];
-    let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
-    let mut against: Vec<(f64, i64)> = Vec::new();
-    for ((trajectory, rows), labels) in data.trajectories.iter().zip(&rows).zip(&labels) {
-        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
-        let xs: Vec<f64> = rows.iter().filter_map(|k| data.rows[*k].stage_mm).collect();
-        let held = rod.follow(&line, &xs);
-        for ((k, label), outcome) in rows.iter().zip(labels).zip(&held) {
-            let point = data.rows[*k].point;
-            say(point, label);
-            let Some(moment) = label.moment_nmm else {
-                lines[*k] = Some((",,,unstable,false".to_owned(), false));
-                continue;
-            };
-            let branch = match (label.arclength_mm, label.straight_nmm.is_none()) {
-                (_, false) => "several",
-                (Some(_), true) => "held",
-                (None, true) => "free",
-            };
-            let text = row(data, &moment, label.arclength_mm, branch, label.settled);
-            lines[*k] = Some((text, label.settled && label.straight_nmm.is_none()));
-            if let (Some(e), "held") = (outcome.equilibrium(), branch) {
-                against.push(((moment - e.moment_nmm).norm() / e.moment_nmm.norm(), point));
-            }
-        }
-    }
-    if preset == groove::Preset::Released {
-        name_other_branches(data, &rod, &rows, &labels);
-    }
-    against.sort_by(|a, b| a.0.total_cmp(&b.0));
-    if let (Some(middle), Some(last)) = (against.get(against.len() / 2), against.last()) {
-        eprintln!(
-            "twin: moments differ from the frictionless rod's at the same groove places by {:.1} % (median), {:.1} % at most (point {}): \
-             clamp, friction, the tip's play and the contact's softness",
-            middle.0 * 100.0,
-            last.0 * 100.0,
-            last.1
-        );
-    }
-    Ok(lines)
-}
-
-/// What is remarkable about a label.
-fn say(point: i64, label: &PoseLabel) {
-    let Some(here) = label.moment_nmm else {
-        return eprintln!("twin: point {point}: a step went wrong (NaN or infinity): no moment");
-    };
-    if let Some(there) = label.straight_nmm {
-        eprintln!(
-            "twin: point {point} has several equilibria: come to straight from the start the moment is {:.3} N mm instead of {:.3}",
-            there.norm(),
-            here.norm()
-        );
-    }
-    if !label.settled {
-        eprintln!("twin: point {point} is not at rest: {:.2e} rad/s", label.fastest_rad_s);
-    }
-}
-
-/// Labels of an outside twin farther than this share of their full scale are on another branch.
-const OTHER_BRANCH: f64 = 0.01;
-
-/// Compares with the session's own labels: where they leave our branch although it is stable, they are on another equilibrium.
-fn name_other_branches(data: &WhiskerData, rod: &Rod, rows: &[Vec<usize>], labels: &[Vec<PoseLabel>]) {
-    let scale = |values: &mut dyn Iterator<Item = f64>| {
-        let (low, high) = values.fold((0.0_f64, 0.0_f64), |(l, h), x| (l.min(x), h.max(x)));
-        high - low
-    };
-    let outside = &data.twin;
-    let full = (0..2).map(|c| scale(&mut outside.iter().map(|l| l.moment_nmm[c]))).fold(0.0, f64::max);
-    let (mut largest, mut close, mut all) = (0.0_f64, 0, 0);
-    for ((trajectory, rows), labels) in data.trajectories.iter().zip(rows).zip(labels) {
-        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
-        for (&k, label) in rows.iter().zip(labels) {
-            let point = data.rows[k].point;
-            let theirs = outside.iter().find(|l| l.point == point);
-            let (Some(moment), Some(theirs)) = (label.moment_nmm, theirs) else { continue };
-            let ours = data.moments.components_nmm(&moment);
-            all += 1;
-            let off = (0..2).map(|c| (ours[c] - theirs.moment_nmm[c]).abs()).fold(0.0, f64::max) / full;
-            if off < OTHER_BRANCH {
-                close += 1;
-                largest = largest.max(off);
-                continue;
-            }
-            let held = data.rows[k].stage_mm.map(|x| rod.follow(&line, &[x]));
-            let stable = held.and_then(|o| o[0].equilibrium().map(|e| rod.smallest_eigenvalue(e)));
-            eprintln!(
-                "twin: point {point}: the session's label is {:.0} % of full scale away, on another equilibrium; the branch from first touch is {}",
-                off * 100.0,
-                stable.map_or("lost there".to_owned(), |e| format!(
-                    "stable there (smallest eigenvalue {e:.4} N)"
-                ))
-            );
-        }
-    }
-    if all > 0 {
-        eprintln!("twin: {close} of {all} labels of the session agree, within {largest:.1e} of full scale");
-    }
 }

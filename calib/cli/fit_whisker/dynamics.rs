@@ -8,7 +8,9 @@ use std::cell::Cell;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::dynamics::{DynamicsFit, Parameters, Score, Targets, Trial, fit_dynamics, ring_down_s};
+use wcal_mujoco::dynamics::{
+    DynamicsFit, Parameters, Score, Sensitivity, Targets, Trial, fit_dynamics, ring_down_s,
+};
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_report::{DynamicsInput, DynamicsTrial, Fact, render_dynamics};
 
@@ -24,6 +26,18 @@ pub struct DynamicsArgs {
     /// Wanted speed of the bounce over the undamped wire's
     #[arg(long, default_value_t = 0.5, requires = "dynamics")]
     pub bounce_ratio: f64,
+    /// Recorded ripple of a sweep's moment, N mm; 0: as little as can be
+    #[arg(long, value_name = "N_MM", default_value_t = 0.0, requires = "dynamics")]
+    pub ripple_nmm: f64,
+    /// Recorded change of the mean moment from 3.2 to 7.7 mm/s, as a share; 0: as little as can be
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        requires = "dynamics",
+        allow_negative_numbers = true
+    )]
+    pub speed_bias: f64,
     /// Evaluations of each of NLopt's searches (BOBYQA, then CRS2)
     #[arg(long, default_value_t = 60, requires = "dynamics")]
     pub evaluations: u32,
@@ -37,8 +51,12 @@ pub struct Dynamics {
     damping_s: f64,
     armature_s2: f64,
     contact_time_s: f64,
+    /// The contact as the model has it: overlap of full impedance, mm, and impedances.
+    width_mm: f64,
+    impedance: [f64; 2],
     chosen: Parameters,
     score: Score,
+    sensitivity: Sensitivity,
     targets: Targets,
     trials: usize,
     why: Vec<String>,
@@ -56,7 +74,12 @@ pub fn dynamics(
         args.bounce_ratio
     );
     let recorded = args.ring_down.as_deref().map(read_ring_down).transpose()?;
-    let targets = Targets { ring_down_s: recorded, bounce_ratio: args.bounce_ratio };
+    let targets = Targets {
+        ring_down_s: recorded,
+        bounce_ratio: Some(args.bounce_ratio),
+        ripple_nmm: args.ripple_nmm,
+        bias: args.speed_bias,
+    };
     let count = Cell::new(0);
     let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
         count.set(count.get() + 1);
@@ -71,8 +94,11 @@ pub fn dynamics(
         damping_s: fit.options.damping_s,
         armature_s2: fit.options.armature_s2,
         contact_time_s: fit.options.touch.time_s,
+        width_mm: fit.options.touch.width_mm,
+        impedance: fit.options.touch.impedance,
         chosen: best.parameters,
         score: best.score,
+        sensitivity: fit.sensitivity,
         targets,
         trials: fit.trials.len(),
         why,
@@ -133,12 +159,27 @@ fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
     )];
     why.push(format!(
         "More damping slows the bounce and smooths the ripple but makes the moment depend on the speed: here the bounce is {:.2} of the undamped wire's (wanted {:.2}), the mean moment changes by {percent:.2} % from 3.2 to 7.7 mm/s.",
-        s.bounce_ratio, targets.bounce_ratio
+        s.bounce_ratio,
+        targets.bounce_ratio.unwrap_or(f64::NAN)
     ));
     why.push(format!(
         "A softer contact bounces less but lets the wire in: overlap {:.3} mm, ripple {:.4} N mm.",
         s.overlap_mm.unwrap_or(f64::NAN),
         s.ripple_nmm.unwrap_or(f64::NAN)
+    ));
+    let loose = fit.sensitivity.undetermined();
+    let s4 = &fit.sensitivity;
+    why.push(format!(
+        "A step of the grid changes the demands by {:.2} (damping, 0.005 N m s/rad), {:.2} (width, 1 mm), {:.2} (d0, 0.05) and {:.2} (dmax, 0.05) of what counts: {}.",
+        s4.damping,
+        s4.width,
+        s4.d0,
+        s4.dmax,
+        if loose.is_empty() {
+            "all four are determined to a step".to_owned()
+        } else {
+            format!("the data do not determine {} to a step", loose.join(", "))
+        }
     ));
     why.push(match targets.ring_down_s {
         Some(wanted) => format!("Ring-down {:.4} s, recorded {wanted:.4} s.", s.ring_down_s),

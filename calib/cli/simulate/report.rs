@@ -1,11 +1,14 @@
 //! `report.html` of a sweep dataset: counts from the summary, and a sweep of each kind drawn from the shards.
 
-use super::DatasetDocument;
+use super::document::{DatasetDocument, Twin};
 use anyhow::{Context, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use wcal_mujoco::columns::{Column, read};
-use wcal_report::{ExampleSample, ExampleSweep, Fact, SweepsInput, SweptObject, render_sweeps};
+use wcal_report::{
+    EnginesCompared, ExampleSample, ExampleSweep, Fact, SpeedDifference, SweepsInput, SweptObject,
+    render_sweeps,
+};
 
 /// Shards that are searched for sweeps to draw.
 const MOST_SHARDS: usize = 40;
@@ -50,8 +53,54 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         verdicts,
         events: counts(&document.events),
         objects: objects.collect(),
+        engines: engines(&document.twin),
         examples: examples(folder, shards)?,
     }))
+}
+
+fn engines(twin: &Twin) -> Option<EnginesCompared> {
+    let table = twin.against_rod.as_ref()?;
+    let verdicts: Vec<String> = table.verdicts.iter().map(|(v, n)| format!("{v} {n}")).collect();
+    let mut remarks = vec![format!(
+        "Both engines kept {} of {} sweeps (verdicts by MuJoCo / by the rod: {}).",
+        table.kept[0],
+        table.kept[1],
+        verdicts.join(", ")
+    )];
+    if let Some([slope, sd]) = table.bias_per_mm_s {
+        remarks.push(format!(
+            "The mean moment changes by {:.2} +- {:.2} % a mm/s against the rod's (one standard deviation).",
+            slope * 100.0,
+            sd * 100.0
+        ));
+    }
+    if let Some(s) = &twin.statics {
+        remarks.push(format!(
+            "The links alone ({}), under the continuous rod's own force: base moment off by {:.3} %, loaded point by {:.3} %.",
+            s.links,
+            s.moment_error * 100.0,
+            s.point_error * 100.0
+        ));
+    }
+    let worst = twin.convex.iter().max_by(|a, b| a.1.hausdorff_mm.total_cmp(&b.1.hausdorff_mm));
+    if let Some((name, c)) = worst {
+        remarks.push(format!(
+            "Convex parts: at most {:.3} mm from the mesh (Hausdorff; {name}, {} parts).",
+            c.hausdorff_mm, c.parts
+        ));
+    }
+    let by_speed = table.by_speed.iter().map(|r| SpeedDifference {
+        speed_mm_s: r.speed_mm_s,
+        samples: r.samples,
+        elsewhere: r.elsewhere,
+        moment_nmm: r.moment_nmm,
+        bias: r.bias,
+        contact_mm: r.contact_mm,
+        ripple_nmm: r.ripple_nmm,
+        overlap_mm: r.overlap_mm,
+        chatter: r.chatter,
+    });
+    Some(EnginesCompared { remarks, by_speed: by_speed.collect() })
 }
 
 /// One sweep for each verdict and each event, the first that there is.

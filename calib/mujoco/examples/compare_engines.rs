@@ -2,7 +2,8 @@
 //! the same sweeps against the speed (SIMULATED); FOLDER keeps the convex parts. Needs wcal-mujoco beside it or in WCAL_MUJOCO.
 
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_mujoco::compare::{against_speed, statics};
+use wcal_mujoco::against::against_speed;
+use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::{MujocoEngine, SweepPlan, objects};
@@ -49,20 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         bodies.push((mesh, convex));
     }
-    println!(
-        "{:>6} {:>7} {:>8} {:>12} {:>9} {:>8} {:>10} {:>11} {:>11} {:>8}  rejected by MuJoCo",
-        "mm/s",
-        "kept",
-        "samples",
-        "RMS N mm",
-        "of N mm",
-        "bias",
-        "ripple",
-        "contact mm",
-        "overlap mm",
-        "chatter"
-    );
-    let rows = against_speed(
+    let found = against_speed(
         &whisker,
         &options,
         &bodies,
@@ -70,22 +58,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &[3.2, 5.0, 7.7, 14.0],
         sweeps.parse()?,
     )?;
-    for r in rows {
-        println!(
-            "{:>6.1} {:>3}/{:<3} {:>8} {:>12.4} {:>9.3} {:>7.2}% {:>10.4} {:>11.3} {:>11.3} {:>7.2}%  {:?}",
-            r.speed_mm_s,
-            r.kept[0],
-            r.kept[1],
-            r.samples,
-            r.moment_rms_nmm[0],
-            r.moment_rms_nmm[1],
-            r.bias * 100.0,
-            r.ripple_nmm,
-            r.contact_mm,
-            r.overlap_mm,
-            r.chatter * 100.0,
-            r.rejected
-        );
-    }
+    print!("{found}");
     Ok(())
 }

@@ -2,13 +2,13 @@
 //!
 //! The wire has inertia, damping and soft contacts: what they cost is compared with the quasi-static rod (tests/peers and
 //! `compare_engines`). Steps that go wrong are named: `unstable` (a number that is none), `penetration` (deeper than the wire's
-//! radius), `chatter` (the contact opens and closes from step to step), `engine-died`.
+//! radius), `chatter` (the contact opens and closes from step to step), `engine-died`, `model-refused` (a part that MuJoCo cannot take).
 
 use crate::engine::protocol::{Frame, Request};
 use crate::mjcf::{MjcfOptions, Surroundings, convex_parts, mjcf_among};
 use crate::rod_engine::{LINKS, Run, event};
 use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
-use crate::{Mesh, MujocoEngine, RodEngine, TwinError};
+use crate::{Mesh, MujocoEngine, RodEngine, TwinError, physics};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Contact, Surface};
@@ -20,6 +20,10 @@ const MOST_CHATTER: f64 = 0.2;
 const ONE_CONTACT_MM: f64 = 1.0;
 /// Weight of the body that leads the wire, kg: contacts do not move it.
 const BASE_KG: f64 = 1000.0;
+/// Steps in which the free wire comes to hang in its medium before the base moves.
+const HANG_STEPS: u64 = 500;
+/// Verdict of a sweep in which the engine's program ended.
+pub(crate) const ENGINE_DIED: &str = "engine-died";
 /// A node that moves by more than this (mm) beyond three times the base's step has sprung.
 const SPRING_MM: f64 = 1.5;
 
@@ -32,6 +36,10 @@ pub struct CableEngine {
     /// Bending stiffness, N mm^2.
     ei_nmm2: f64,
     reach_mm: f64,
+    /// Processor time of engines that died, s.
+    spent_s: f64,
+    /// What MuJoCo said of the last model that it refused.
+    pub refused: Option<String>,
 }
 
 impl CableEngine {
@@ -47,6 +55,8 @@ impl CableEngine {
             options: options.clone(),
             ei_nmm2: section.ei_nmm2,
             reach_mm: RodEngine::new(whisker, LINKS)?.reach_mm(),
+            spent_s: 0.0,
+            refused: None,
         })
     }
 
@@ -56,10 +66,10 @@ impl CableEngine {
         self.reach_mm
     }
 
-    /// Processor time of the engine's process so far, s; of the last one where one died.
+    /// Processor time of the engine's processes so far, s.
     #[must_use]
     pub fn core_s(&self) -> f64 {
-        self.engine.core_s
+        self.spent_s + self.engine.core_s
     }
 
     /// Runs a sweep to its end; an engine that dies on the way is started again for the next one.
@@ -73,21 +83,23 @@ impl CableEngine {
         sweep: &Sweep,
         plan: &SweepPlan,
     ) -> Result<Run, TwinError> {
-        if sweep.physics.softening.is_some() || sweep.physics.medium != crate::physics::Medium::None {
+        if let Some(onset) = sweep.physics.onset_per_m() {
             return Err(TwinError::Value {
-                what: "physics",
-                expected: "no softening and no medium with the mujoco engine (the rod engine has them)"
+                what: "softening_onset_per_m",
+                expected: "none with the mujoco engine, whose joints are linear (the rod engine softens)"
                     .to_owned(),
-                found: "one of them".to_owned(),
+                found: format!("{onset:.1}"),
             });
         }
         let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
-        if let Err(e) = self.follow(mesh, parts, sweep, plan, &mut run) {
-            if run.solves == 0 {
-                return Err(e);
+        match self.follow(mesh, parts, sweep, plan, &mut run) {
+            Err(TwinError::EngineDied(_)) => {
+                let spent_s = self.engine.core_s;
+                self.engine = MujocoEngine::start()?;
+                self.spent_s += spent_s;
+                run.verdict = Verdict::Rejected(ENGINE_DIED);
             }
-            self.engine = MujocoEngine::start()?;
-            run.verdict = Verdict::Rejected("engine-died");
+            other => other?,
         }
         Ok(run)
     }
@@ -128,8 +140,19 @@ impl CableEngine {
         run: &mut Run,
     ) -> Result<(), TwinError> {
         let radius_mm = self.whisker.diameter_mm / 2.0;
-        let loaded = self.engine.load(&self.world(parts, sweep)?, false)?;
+        let loaded = match self.engine.load(&self.world(parts, sweep)?, false) {
+            Err(TwinError::Engine(why)) => {
+                self.refused = Some(why);
+                run.verdict = Verdict::Rejected("model-refused");
+                return Ok(());
+            }
+            other => other?,
+        };
         let mut frame = self.engine.frame(&Request::Run { steps: 0 })?;
+        if let Some(medium) = physics::Surroundings::new(&self.whisker, &sweep.physics) {
+            self.engine.frame(&Request::Medium { medium })?;
+            frame = self.engine.frame(&Request::Run { steps: HANG_STEPS })?;
+        }
         let mut nodes = nodes_mm(&frame, 0.0);
         let at_start = Passing::new(mesh, sweep, 0.0);
         if nodes.iter().any(|p| at_start.near(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
@@ -157,6 +180,11 @@ impl CableEngine {
             }
             run.solves += 1;
             run.iterations = steps as usize;
+            // A number that is none is no sample.
+            if frame.bad || frame.base_moment_nm.is_none_or(|m| m.iter().any(|x| !x.is_finite())) {
+                run.verdict = Verdict::Rejected("unstable");
+                return Ok(());
+            }
             let before = std::mem::replace(&mut nodes, nodes_mm(&frame, travel_mm));
             let step_mm = speed_mm_s / plan.rate_hz;
             let moved = nodes.iter().zip(&before).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
@@ -179,7 +207,6 @@ impl CableEngine {
             });
             let strain = moment.yz().norm() / self.ei_nmm2 * radius_mm;
             let wrong = [
-                (frame.bad || !strain.is_finite(), "unstable"),
                 (deepest_m * 1e3 > radius_mm, "penetration"),
                 (event == Event::Jump && !plan.keep_jumps, "contact-jump"),
                 (strain > plan.most_strain, "torque-too-high"),

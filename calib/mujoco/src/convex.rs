@@ -7,7 +7,7 @@ use parry3d_f64::math::Vector as Place;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
 
 /// CoACD's largest concavity (share of the size), most parts and seed.
@@ -42,19 +42,13 @@ impl Convex {
     /// # Errors
     /// Where the engine or CoACD is missing, or the folder cannot be written.
     pub fn of(mesh: &Mesh, folder: &Path) -> Result<Self, TwinError> {
-        let points: Vec<[f64; 3]> = mesh.points().map(Into::into).collect();
-        let triangles: Vec<[i32; 3]> = mesh.triangles().iter().map(|t| t.map(|k| k as i32)).collect();
-        let request =
-            Decompose { points, triangles, threshold: THRESHOLD, most_parts: MOST_PARTS, seed: SEED };
-        let text = serde_json::to_string(&request).map_err(|e| TwinError::Engine(e.to_string()))?;
-        let made_from = sha256_hex(text.as_bytes());
-        let path = folder.join(format!("{}-{}.json", mesh.name, &made_from[..16]));
-        let there = std::fs::read_to_string(&path).ok().and_then(|t| serde_json::from_str::<Self>(&t).ok());
-        if let Some(there) = there.filter(|c| c.made_from == made_from) {
+        let (request, made_from) = request(mesh)?;
+        if let Some(there) = Self::kept(mesh, folder)? {
             return Ok(there);
         }
         let parts = MujocoEngine::start()?.convex_parts(&request)?;
         let (beyond_mm, short_mm) = distances(mesh, &parts)?;
+        let path = file(mesh, folder, &made_from);
         let made = Self { made_from, parts, beyond_mm, short_mm };
         std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
@@ -62,11 +56,36 @@ impl Convex {
         Ok(made)
     }
 
+    /// From the folder; none where they are not there, or of another making.
+    ///
+    /// # Errors
+    /// Where the mesh cannot be written as a request.
+    pub fn kept(mesh: &Mesh, folder: &Path) -> Result<Option<Self>, TwinError> {
+        let (_, made_from) = request(mesh)?;
+        let text = std::fs::read_to_string(file(mesh, folder, &made_from)).ok();
+        let there = text.and_then(|t| serde_json::from_str::<Self>(&t).ok());
+        Ok(there.filter(|c| c.made_from == made_from))
+    }
+
     /// Corners as vectors, mm.
     #[must_use]
     pub fn corners(&self) -> Vec<Vec<Vector3<f64>>> {
         self.parts.iter().map(|part| part.iter().map(|p| Vector3::from(*p)).collect()).collect()
     }
+}
+
+/// What CoACD is asked for, and its hash.
+fn request(mesh: &Mesh) -> Result<(Decompose, String), TwinError> {
+    let points: Vec<[f64; 3]> = mesh.points().map(Into::into).collect();
+    let triangles: Vec<[i32; 3]> = mesh.triangles().iter().map(|t| t.map(|k| k as i32)).collect();
+    let request = Decompose { points, triangles, threshold: THRESHOLD, most_parts: MOST_PARTS, seed: SEED };
+    let text = serde_json::to_string(&request).map_err(|e| TwinError::Engine(e.to_string()))?;
+    let made_from = sha256_hex(text.as_bytes());
+    Ok((request, made_from))
+}
+
+fn file(mesh: &Mesh, folder: &Path, made_from: &str) -> PathBuf {
+    folder.join(format!("{}-{}.json", mesh.name, &made_from[..16]))
 }
 
 /// Largest distances parts to mesh and mesh to parts, mm, at points on every triangle.

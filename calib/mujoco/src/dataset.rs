@@ -1,10 +1,11 @@
 //! The sweep dataset: blocks of sweeps over objects on all cores, written shard by shard, taken up again where it stopped.
 
+use crate::against::{self, AgainstRod};
 use crate::cable_engine::CableEngine;
 use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
-use crate::rod_engine::{LINKS, RodEngine};
-use crate::shard::{self, Manifest, Outcome};
+use crate::rod_engine::{LINKS, RodEngine, Run};
+use crate::shard::{self, Beside, Manifest, Outcome};
 use crate::{Mesh, Sweep, SweepPlan, TwinError};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -14,6 +15,8 @@ use wcal_core::provenance::sha256_hex;
 
 /// Sweeps in a shard.
 pub const BLOCK: u64 = 25;
+/// Folder of the convex parts, in the dataset's.
+const CONVEX: &str = "convex";
 
 /// What runs the sweeps.
 #[derive(Debug, Clone, Default)]
@@ -59,6 +62,8 @@ pub struct Total {
     pub core_s: f64,
     /// Sweeps made now: the others were there already. In a survey all.
     pub made: u64,
+    /// What went wrong with the object or the engine, in words.
+    pub notes: Vec<String>,
 }
 
 /// A shard that is not there or cannot be used.
@@ -93,6 +98,9 @@ impl Total {
         for (event, count) in &manifest.events {
             *self.events.entry(event.clone()).or_default() += count;
         }
+        for note in manifest.notes.iter().filter(|n| !self.notes.contains(n)).collect::<Vec<_>>() {
+            self.notes.push(note.clone());
+        }
         if made {
             self.made += manifest.sweeps[1];
             self.core_s += manifest.core_s.unwrap_or(0.0);
@@ -125,7 +133,7 @@ impl Dataset {
     fn made_from(&self, mesh: &Mesh) -> String {
         let engine = match &self.engine {
             SweepEngine::Rod => format!("rod {LINKS}"),
-            SweepEngine::Mujoco(options) => format!("mujoco {options:?}"),
+            SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS}"),
         };
         let mut bytes = format!("{engine} {:?} {:?} {}", self.whisker, self.plan, self.seed).into_bytes();
         for p in mesh.points() {
@@ -196,14 +204,24 @@ impl Dataset {
                     Some(manifest) => manifest,
                     None => {
                         let begin_s = thread_s();
-                        let (outcomes, engine_s) = match &self.engine {
-                            SweepEngine::Rod => (self.block(&engine, mesh, first, size), 0.0),
+                        let (outcomes, beside, engine_s) = match &self.engine {
+                            SweepEngine::Rod => (self.block(&engine, mesh, first, size), None, 0.0),
                             SweepEngine::Mujoco(options) => {
-                                self.block_by_mujoco(options, &folder.join("convex"), mesh, first, size)?
+                                let convex = folder.join(CONVEX);
+                                self.block_by_mujoco(options, &engine, &convex, mesh, first, size)?
                             }
                         };
                         let core_s = thread_s() - begin_s + engine_s;
-                        shard::write(folder, &name, &mesh.name, &made_from[object], &outcomes, core_s)?
+                        let made_from = &made_from[object];
+                        shard::write(
+                            folder,
+                            &name,
+                            &mesh.name,
+                            made_from,
+                            &outcomes,
+                            beside.as_ref(),
+                            core_s,
+                        )?
                     }
                 };
                 let before = done.fetch_add(size, std::sync::atomic::Ordering::SeqCst);
@@ -216,6 +234,26 @@ impl Dataset {
             totals.entry(self.objects[*object].name.clone()).or_default().add(manifest, *made);
         }
         Ok(totals)
+    }
+
+    /// The convex parts that MuJoCo's sweeps in `folder` were made with, by object; those that are there.
+    #[must_use]
+    pub fn convex(&self, folder: &Path) -> BTreeMap<String, Convex> {
+        let there = |mesh: &Mesh| Some((mesh.name.clone(), Convex::kept(mesh, &folder.join(CONVEX)).ok()??));
+        self.objects.iter().filter_map(there).collect()
+    }
+
+    /// MuJoCo's sweeps in `folder` against the rod's, over the shards that are there; none by another engine.
+    ///
+    /// # Errors
+    /// Where a shard cannot be read.
+    pub fn against_rod(&self, folder: &Path) -> Result<Option<AgainstRod>, TwinError> {
+        if matches!(self.engine, SweepEngine::Rod) {
+            return Ok(None);
+        }
+        let mut names = self.shards();
+        names.retain(|name| folder.join(format!("{name}.json")).exists());
+        against::of_shards(folder, &names, &against::edges(&self.plan)).map(Some)
     }
 
     fn block(&self, engine: &RodEngine, mesh: &Mesh, first: u64, count: u64) -> Vec<Outcome> {
@@ -235,27 +273,42 @@ impl Dataset {
 }
 
 impl Dataset {
-    /// Outcomes, and the processor time of the engine's own process, s.
+    /// Outcomes, the rod's on the same sweeps, and the processor time of the engine's own process, s.
     fn block_by_mujoco(
         &self,
         options: &MjcfOptions,
+        rod: &RodEngine,
         convex: &Path,
         mesh: &Mesh,
         first: u64,
         count: u64,
-    ) -> Result<(Vec<Outcome>, f64), TwinError> {
-        let parts = Convex::of(mesh, convex)?.corners();
+    ) -> Result<(Vec<Outcome>, Option<Beside>, f64), TwinError> {
+        let mut beside = Beside::default();
+        let parts = match Convex::of(mesh, convex) {
+            // An object that cannot be taken apart: its sweeps are rejected, the others' go on.
+            Err(e @ (TwinError::Mesh { .. } | TwinError::EngineDied(_))) => {
+                beside.notes.push(format!("no convex parts: {e}"));
+                None
+            }
+            other => Some(other?.corners()),
+        };
         let mut engine = CableEngine::start(&self.whisker, options)?;
-        let outcomes = (first..first + count)
-            .map(|index| {
-                let Some(sweep) = Sweep::draw(mesh, &self.plan, self.seed, index, engine.reach_mm()) else {
-                    return Ok((index, None));
-                };
-                let run = engine.run(mesh, &parts, &sweep, &self.plan)?;
-                Ok((index, Some((sweep, run))))
-            })
-            .collect::<Result<_, TwinError>>()?;
-        Ok((outcomes, engine.core_s()))
+        let mut outcomes: Vec<Outcome> = Vec::new();
+        for index in first..first + count {
+            let sweep = Sweep::draw(mesh, &self.plan, self.seed, index, engine.reach_mm());
+            beside.quasi.push((index, sweep.as_ref().map(|sweep| rod.run(mesh, sweep, &self.plan))));
+            let outcome = match (sweep, &parts) {
+                (None, _) => None,
+                (Some(sweep), None) => Some((sweep, Run::rejected("no-convex-parts"))),
+                (Some(sweep), Some(parts)) => {
+                    let run = engine.run(mesh, parts, &sweep, &self.plan)?;
+                    Some((sweep, run))
+                }
+            };
+            outcomes.push((index, outcome));
+        }
+        beside.notes.extend(engine.refused.take());
+        Ok((outcomes, Some(beside), engine.core_s()))
     }
 }
 

@@ -3,42 +3,20 @@
 //! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, SYSTEM), and on
 //! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
 
-use crate::compare::against_speed;
-use crate::convex::Convex;
-use crate::engine::protocol::{Request, Series};
-use crate::mjcf::{MjcfOptions, Surroundings, Touch, mjcf_among};
-use crate::{Mesh, MujocoEngine, SweepPlan, TwinError};
+mod bench;
+
+use crate::TwinError;
+use crate::mjcf::MjcfOptions;
+use bench::Bench;
 use nlopt::{Algorithm, Nlopt, Target};
 use serde::Serialize;
 use std::cell::RefCell;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 
 /// The paper's grid: damping of its joints (N m s/rad), contact width (mm), impedances.
 const DAMPINGS: [f64; 7] = [0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03];
 const WIDTHS_MM: [f64; 2] = [1.0, 10.0];
 const IMPEDANCE_STEP: f64 = 0.05;
-/// MuJoCo keeps impedances within these.
-const IMPEDANCES: [f64; 2] = [0.0001, 0.9999];
-/// Links of the paper's cable, and of the one that is tried: damping scales with their number.
-const PAPER_LINKS: f64 = 39.0;
-const TRIED_LINKS: usize = 20;
-/// What counts as a unit of each demand: relative ring-down, bounce ratio, ripple (N mm), speed bias; overlap in wire radii.
-const UNITS: [f64; 4] = [0.2, 0.1, 0.01, 0.01];
-/// What a demand counts that a trial does not answer (unstable, or through the object).
-const BROKEN: f64 = 1e3;
-/// Material time of the undamped wire, s: what the step of 1 ms can follow.
-const BARE_S: f64 = 1e-3;
-/// Speeds of the sweep, mm/s (SYSTEM's measured pair), and its length, mm.
-const SPEEDS_MM_S: [f64; 2] = [3.2, 7.7];
-const SWEEP_MM: f64 = 28.0;
-/// Plate: how far the wire at rest is pressed by it, and half its side, mm. Steps that bend the wire, and those watched.
-const PRESSED_MM: f64 = 0.5;
-const PLATE_MM: f64 = 5.0;
-const BEND_STEPS: u64 = 1500;
-const WATCH_STEPS: u64 = 600;
-/// The released wire's deflection at two thirds of the straight reach, share of that reach.
-const DEFLECTION: f64 = 0.1;
-
 /// What is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Parameters {
@@ -57,8 +35,12 @@ pub struct Parameters {
 pub struct Targets {
     /// Time in which the released wire's base moment falls to 1/e for good, s; not judged without a record.
     pub ring_down_s: Option<f64>,
-    /// Speed of the bounce over that of the undamped wire.
-    pub bounce_ratio: f64,
+    /// Speed of the bounce over that of the undamped wire; not judged where the recorded wire crept to the plate without a bounce.
+    pub bounce_ratio: Option<f64>,
+    /// Ripple of the sweep's moments, N mm; 0 without a record: as little as can be.
+    pub ripple_nmm: f64,
+    /// Change of the mean moment from 3.2 to 7.7 mm/s, as a share; 0 without a record.
+    pub bias: f64,
 }
 
 /// What a trial gave.
@@ -96,9 +78,34 @@ pub struct DynamicsFit {
     pub trials: Vec<Trial>,
     /// Number of the best.
     pub best: usize,
+    /// How much the demands change with a step of the paper's grid in each parameter, in units of what counts; below 1 the data do
+    /// not determine it to a step.
+    pub sensitivity: Sensitivity,
     /// Options of the best, 40 links.
     #[serde(skip)]
     pub options: MjcfOptions,
+}
+
+/// Change of all demands together over a step of the paper's grid.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Sensitivity {
+    /// Over 0.005 N m s/rad.
+    pub damping: f64,
+    /// Over 1 mm.
+    pub width: f64,
+    /// Over 0.05.
+    pub d0: f64,
+    /// Over 0.05.
+    pub dmax: f64,
+}
+
+impl Sensitivity {
+    /// Names of the parameters that the data do not determine to a step of the grid.
+    #[must_use]
+    pub fn undetermined(&self) -> Vec<&'static str> {
+        let all = [("damping", self.damping), ("width", self.width), ("d0", self.d0), ("dmax", self.dmax)];
+        all.iter().filter(|(_, s)| !(*s >= 1.0)).map(|(name, _)| *name).collect()
+    }
 }
 
 /// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s. The end's mean is taken off.
@@ -175,11 +182,54 @@ pub fn fit_dynamics(
         let from = best_of(&shared.borrow().1).map_or(best, |k| shared.borrow().1[k].parameters);
         search(stage, algorithm, &from, evaluations, &shared, &progress)?;
     }
-    let (bench, trials, _) = shared.into_inner();
+    let (mut bench, trials, _) = shared.into_inner();
     let best = best_of(&trials).ok_or_else(|| TwinError::Engine("no trial was judged in full".to_owned()))?;
+    let sensitivity = sensitivity(&mut bench, &trials[best].parameters)?;
     let options =
         MjcfOptions { links: MjcfOptions::default().links, ..bench.options(&trials[best].parameters) };
-    Ok(DynamicsFit { trials, best, options })
+    Ok(DynamicsFit { trials, best, sensitivity, options })
+}
+
+/// What a wire of these parameters does: a record to fit against (SIMULATED).
+///
+/// # Errors
+/// Where the engine is missing, the wire cannot be, or its sweeps are rejected.
+pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets, TwinError> {
+    let wanted = Targets { ring_down_s: None, bounce_ratio: None, ripple_nmm: 0.0, bias: 0.0 };
+    let score = Bench::new(whisker, wanted)?.score(parameters, true)?;
+    // A soft contact lets the wire through the ball: no sweep, no record.
+    let swept = |v: Option<f64>| {
+        v.filter(|v| v.is_finite()).ok_or_else(|| TwinError::Value {
+            what: "record",
+            expected: "a wire whose sweeps are kept".to_owned(),
+            found: format!("{parameters:?}: rejected"),
+        })
+    };
+    Ok(Targets {
+        ring_down_s: Some(score.ring_down_s),
+        bounce_ratio: Some(score.bounce_ratio).filter(|b| b.is_finite()),
+        ripple_nmm: swept(score.ripple_nmm)?,
+        bias: swept(score.bias)?,
+    })
+}
+
+fn sensitivity(bench: &mut Bench, at: &Parameters) -> Result<Sensitivity, TwinError> {
+    let here = bench.score(at, true)?;
+    // Inward where the grid ends.
+    let step = |x: f64, by: f64, most: f64| if x + by <= most { x + by } else { x - by };
+    let mut over = |there: Parameters| -> Result<f64, TwinError> {
+        let there = bench.score(&there, true)?;
+        let pairs = bench.demands(&here).into_iter().zip(bench.demands(&there));
+        Ok(pairs.map(|(a, b)| (b - a).powi(2)).filter(|d| d.is_finite()).sum::<f64>().sqrt())
+    };
+    let dmax =
+        if at.dmax + IMPEDANCE_STEP <= 1.0 { at.dmax + IMPEDANCE_STEP } else { at.dmax - IMPEDANCE_STEP };
+    Ok(Sensitivity {
+        damping: over(Parameters { damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03), ..*at })?,
+        width: over(Parameters { width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]), ..*at })?,
+        d0: over(Parameters { d0: step(at.d0, IMPEDANCE_STEP, at.dmax), ..*at })?,
+        dmax: over(Parameters { dmax, d0: at.d0.min(dmax), ..*at })?,
+    })
 }
 
 /// Best of the trials that were judged in full.
@@ -244,152 +294,6 @@ fn search(
     let _ = opt.optimize(&mut x);
     drop(opt);
     shared.borrow_mut().2.take().map_or(Ok(()), Err)
-}
-
-/// What trials run on.
-struct Bench {
-    whisker: WhiskerSpec,
-    targets: Targets,
-    engine: MujocoEngine,
-    ball: (Mesh, Convex),
-    ei_nmm2: f64,
-    length_mm: f64,
-    reach_mm: f64,
-    bare_bounce: f64,
-}
-
-impl Bench {
-    fn new(whisker: &WhiskerSpec, targets: Targets) -> Result<Self, TwinError> {
-        let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let (length_mm, reach_mm) = match &whisker.rest_shape {
-            RestShape::StraightArc { straight_mm, length_mm, .. } => {
-                (*length_mm, straight_mm.max(length_mm / 3.0))
-            }
-            RestShape::Polyline(points) => {
-                let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-                (length, length / 3.0)
-            }
-        };
-        let mesh = crate::objects::built_in("ball")?;
-        // Convex already: no need of CoACD.
-        let parts = vec![mesh.points().map(Into::into).collect()];
-        let convex = Convex { made_from: "ball".to_owned(), parts, beyond_mm: 0.0, short_mm: 0.0 };
-        let mut bench = Self {
-            whisker: whisker.clone(),
-            targets,
-            engine: MujocoEngine::start()?,
-            ball: (mesh, convex),
-            ei_nmm2: section.ei_nmm2,
-            length_mm,
-            reach_mm,
-            bare_bounce: 1.0,
-        };
-        let hard = Touch::default();
-        let bare = Parameters {
-            damping_nms_rad: 0.0,
-            width_mm: hard.width_mm,
-            d0: hard.impedance[0],
-            dmax: hard.impedance[1],
-        };
-        bench.bare_bounce = bounce(&bench.released(&bare, true)?).unwrap_or(1.0).max(1e-3);
-        Ok(bench)
-    }
-
-    fn options(&self, p: &Parameters) -> MjcfOptions {
-        // N mm s/rad over the stiffness of a joint of the paper's length.
-        let damping_s = (p.damping_nms_rad * 1e3 * (self.length_mm / PAPER_LINKS) / self.ei_nmm2).max(BARE_S);
-        let within = |d: f64| d.clamp(IMPEDANCES[0], IMPEDANCES[1]);
-        let touch =
-            Touch { impedance: [within(p.d0), within(p.dmax)], width_mm: p.width_mm, ..Touch::default() };
-        MjcfOptions { links: TRIED_LINKS, damping_s, touch, ..MjcfOptions::default() }
-    }
-
-    fn score(&mut self, p: &Parameters, full: bool) -> Result<Score, TwinError> {
-        let free = self.released(p, false)?;
-        let moments: Vec<f64> = free.base_elastic_nm.iter().map(|m| m[2]).collect();
-        let ring_down_s = ring_down_s(&free.time_s, &moments).filter(|_| !free.bad).unwrap_or(f64::NAN);
-        let bounce_ratio = bounce(&self.released(p, true)?).unwrap_or(f64::NAN) / self.bare_bounce;
-        let mut demands = vec![(bounce_ratio - self.targets.bounce_ratio) / UNITS[1]];
-        if let Some(wanted) = self.targets.ring_down_s {
-            demands.push((ring_down_s.max(1e-4) / wanted).ln() / UNITS[0]);
-        }
-        let mut score =
-            Score { ring_down_s, bounce_ratio, ripple_nmm: None, bias: None, overlap_mm: None, total: 0.0 };
-        if full {
-            let plan = SweepPlan {
-                most_mm: SWEEP_MM,
-                rate_hz: 10.0,
-                gap_mm: [30.0, 30.0],
-                lead_mm: [1.0, 1.0],
-                ..SweepPlan::default()
-            };
-            let rows = against_speed(
-                &self.whisker,
-                &self.options(p),
-                std::slice::from_ref(&self.ball),
-                &plan,
-                &SPEEDS_MM_S,
-                1,
-            )?;
-            let ripple = rows.iter().map(|r| r.ripple_nmm).fold(0.0, f64::max);
-            let overlap = rows.iter().map(|r| r.overlap_mm).fold(0.0, f64::max);
-            let bias = rows[1].bias - rows[0].bias;
-            score.ripple_nmm = Some(ripple);
-            (score.bias, score.overlap_mm) = (Some(bias), Some(overlap));
-            // Without a sweep kept there is neither ripple nor bias.
-            let answered = rows.iter().all(|r| r.kept[0] > 0);
-            let ripple = if answered { ripple } else { f64::NAN };
-            demands.extend([ripple / UNITS[2], bias / UNITS[3], overlap / (self.whisker.diameter_mm / 2.0)]);
-        }
-        score.total = demands.iter().map(|d| if d.is_finite() { d * d } else { BROKEN }).sum();
-        Ok(score)
-    }
-
-    /// The wire bent aside and let go, with or without a plate that it falls on.
-    fn released(&mut self, p: &Parameters, plate: bool) -> Result<Series, TwinError> {
-        let options = self.options(p);
-        let radius_mm = self.whisker.diameter_mm / 2.0;
-        let mut around = Surroundings::default();
-        if plate {
-            // Across the straight part's end; the wire comes from +y.
-            let y = (PRESSED_MM - radius_mm - PLATE_MM) * 1e-3;
-            around.bodies = format!(
-                "<geom name=\"plate\" type=\"box\" pos=\"{} {y} 0\" size=\"{half} {half} {half}\" contype=\"2\" conaffinity=\"1\" {}/>",
-                self.reach_mm * 0.9e-3,
-                options.touch.attributes(),
-                half = PLATE_MM * 1e-3
-            );
-        }
-        self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?;
-        let deflection = DEFLECTION * self.reach_mm;
-        let force_n = 3.0 * self.ei_nmm2 * deflection / self.reach_mm.powi(3);
-        let link_mm = self.length_mm / options.links as f64;
-        let link = ((self.reach_mm / link_mm) as usize).saturating_sub(1);
-        self.engine.frame(&Request::Push {
-            body: format!("link{link}"),
-            along_m: link_mm * 1e-3,
-            force_n: [0.0, force_n, 0.0],
-            steps: BEND_STEPS,
-        })?;
-        self.engine.series(WATCH_STEPS, 1)
-    }
-}
-
-/// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on the plate, none where a step went
-/// wrong or the plate was not reached.
-fn bounce(series: &Series) -> Option<f64> {
-    if series.bad {
-        return None;
-    }
-    let touch = series.touching.iter().position(|t| *t)?;
-    let fastest =
-        |range: std::ops::Range<usize>| series.tip_speed_m_s[range].iter().copied().fold(0.0, f64::max);
-    let before = fastest(0..touch.max(1));
-    let Some(free) = series.touching[touch..].iter().position(|t| !*t).map(|k| touch + k) else {
-        return Some(0.0);
-    };
-    let again = series.touching[free..].iter().position(|t| *t).map_or(series.touching.len(), |k| free + k);
-    (before > 0.0).then(|| fastest(free..again) / before)
 }
 
 #[cfg(test)]

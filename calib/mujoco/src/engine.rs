@@ -149,7 +149,7 @@ impl MujocoEngine {
         if let Some(mut errors) = self.child.stderr.take() {
             let _ = errors.read_to_string(&mut said);
         }
-        TwinError::Engine(format!(
+        TwinError::EngineDied(format!(
             "{PROGRAM} ended ({status}): {}",
             said.trim().lines().next_back().unwrap_or("said nothing")
         ))

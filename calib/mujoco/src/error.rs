@@ -33,9 +33,12 @@ pub enum TwinError {
         /// What it is.
         found: String,
     },
-    /// The MuJoCo engine is missing, refuses or died.
+    /// The MuJoCo engine is missing or refuses.
     #[error("MuJoCo engine: {0}")]
     Engine(String),
+    /// The MuJoCo engine ended while it was asked.
+    #[error("MuJoCo engine: {0}")]
+    EngineDied(String),
     /// A shard that is damaged.
     #[error("shard {}: {detail}", path.display())]
     Shard {

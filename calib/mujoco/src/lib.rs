@@ -3,6 +3,7 @@
 //! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
 //! toward -z. All that these modules make is SIMULATED.
 
+pub mod against;
 pub mod cable_engine;
 pub mod columns;
 pub mod compare;
@@ -13,6 +14,7 @@ pub mod engine;
 mod error;
 mod grid;
 pub mod groove;
+pub mod labels;
 pub mod mesh;
 pub mod mjcf;
 pub mod objects;

@@ -157,7 +157,7 @@ impl Physics {
 }
 
 /// What a medium does to a wire.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Surroundings {
     diameter_m: f64,
     density_kg_m3: f64,
@@ -200,6 +200,12 @@ impl Surroundings {
         -across * (0.5 * self.density_kg_m3 * coefficient * self.diameter_m * speed * 1e-3)
     }
 
+    /// Weight and drag along a wire, N/mm.
+    #[must_use]
+    pub fn load_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
+        self.weight_n_per_mm + self.drag_n_per_mm(tangent, velocity_mm_s)
+    }
+
     /// Load along each link, N/mm; `base_mm_s` moves them all, their ends move at `nodes_mm_s` besides.
     #[must_use]
     pub fn loads_n_per_mm(
@@ -210,7 +216,7 @@ impl Surroundings {
     ) -> Vec<Vector3<f64>> {
         let of = |(frame, ends): (&nalgebra::Matrix3<f64>, &[Vector3<f64>])| {
             let velocity = base_mm_s + (ends[0] + ends[1]) / 2.0;
-            self.weight_n_per_mm + self.drag_n_per_mm(&frame.column(0).into_owned(), &velocity)
+            self.load_n_per_mm(&frame.column(0).into_owned(), &velocity)
         };
         links.frames.iter().zip(nodes_mm_s.windows(2)).map(of).collect()
     }
@@ -261,7 +267,7 @@ mod tests {
         let rest = chain.at_rest();
         let surroundings = Surroundings::new(&wire, physics).unwrap();
         chain.loads_n_per_mm = surroundings.loads_n_per_mm(&rest, &base_mm_s, &vec![Vector3::zeros(); 41]);
-        chain.root_moment_nmm(&chain.press(&Nothing, &rest, &[], &Vector3::zeros(), 60).links)
+        chain.base_moment_nmm(&chain.press(&Nothing, &rest, &[], &Vector3::zeros(), 60))
     }
 
     /// In closed form: even load q over L gives q L^2 / 2 at the root.

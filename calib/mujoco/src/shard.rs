@@ -13,7 +13,11 @@
 //! `.contacts.parquet`, a row a contact: `sweep`, `sample`, `contact` (from the base on), `x_mm`, `y_mm`, `z_mm` (a point of the mesh),
 //! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap),
 //! `friction_{x,y,z}_n` (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has no friction).
+//!
+//! Shards by MuJoCo have the rod on the same sweeps beside them: `rod_verdict` in the sweeps, and `.rod.parquet`, a row a sample of the
+//! rod's: `sweep`, `sample`, `rod_moment_{x,y,z}_nmm`, `rod_contact_{x,y,z}_mm`, `rod_contact_arclength_mm`, `rod_event`.
 
+use crate::cable_engine::ENGINE_DIED;
 use crate::columns::{Column, to_bytes};
 use crate::rod_engine::Run;
 use crate::sweep::{Event, Sweep};
@@ -51,15 +55,28 @@ pub struct Manifest {
     /// How often the wire touched, came free, sprang or slipped.
     #[serde(default)]
     pub events: BTreeMap<String, u64>,
+    /// What went wrong with the object or the engine, in words.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// SHA-256 of each table.
     pub sha256: BTreeMap<String, String>,
 }
 
+/// Ending of the table with the rod on MuJoCo's sweeps.
+pub(crate) const ROD: &str = "rod";
 /// Share of the friction cone below which a contact counts as sticking.
 const STICKS: f64 = 0.98;
 
 /// One sweep with what it gave; `None` where its plane misses the object.
 pub type Outcome = (u64, Option<(Sweep, Run)>);
+/// What MuJoCo's sweeps have beside their outcomes.
+#[derive(Debug, Default)]
+pub(crate) struct Beside {
+    /// What the rod gave on the sweep of that number.
+    pub quasi: Vec<(u64, Option<Run>)>,
+    /// What went wrong, in words.
+    pub notes: Vec<String>,
+}
 
 /// A shard that is there, whole, of the same making, and of these sweeps (first and number).
 ///
@@ -77,6 +94,9 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
             "expected first sweep and number {sweeps:?}, found {:?}",
             manifest.sweeps
         )));
+    }
+    if let Some(died) = manifest.verdicts.get(ENGINE_DIED) {
+        return Err(other(format!("the engine died in {died} of its sweeps")));
     }
     check(folder, &manifest)?;
     Ok(manifest)
@@ -108,16 +128,17 @@ pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), TwinError> {
     Ok(())
 }
 
-/// Writes a shard; each file is complete or not there.
+/// Writes a shard; each file is complete or not there. `beside`: the rod on the same sweeps, where MuJoCo made them.
 ///
 /// # Errors
 /// Where the folder cannot be written.
-pub fn write(
+pub(crate) fn write(
     folder: &Path,
     name: &str,
     object: &str,
     made_from: &str,
     outcomes: &[Outcome],
+    beside: Option<&Beside>,
     core_s: f64,
 ) -> Result<Manifest, TwinError> {
     let about =
@@ -132,6 +153,7 @@ pub fn write(
         verdicts: BTreeMap::new(),
         samples: 0,
         events: BTreeMap::new(),
+        notes: beside.map_or_else(Vec::new, |b| b.notes.clone()),
         sha256: BTreeMap::new(),
     };
     for (_, outcome) in outcomes {
@@ -144,9 +166,14 @@ pub fn write(
             }
         }
     }
-    for (table, columns) in
-        [("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))]
-    {
+    let mut tables =
+        vec![("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))];
+    if let Some(Beside { quasi, .. }) = beside {
+        let verdict = |run: &Option<Run>| run.as_ref().map_or("no-section", |r| r.verdict.name()).to_owned();
+        tables[0].1.push(("rod_verdict", Column::Text(quasi.iter().map(|(_, run)| verdict(run)).collect())));
+        tables.push((ROD, crate::against::columns(quasi)));
+    }
+    for (table, columns) in tables {
         let file = format!("{name}.{table}.parquet");
         let bytes = to_bytes(&columns, &about)
             .map_err(|e| TwinError::Shard { path: folder.join(&file), detail: e.to_string() })?;

@@ -36,4 +36,6 @@ pub use input::{
 };
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index, render_many};
-pub use sweeps::{ExampleSample, ExampleSweep, SweepsInput, SweptObject, render_sweeps};
+pub use sweeps::{
+    EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
+};

@@ -23,8 +23,42 @@ pub struct SweepsInput {
     pub events: Vec<(String, u64)>,
     /// Objects.
     pub objects: Vec<SweptObject>,
+    /// The same sweeps by two engines, where they were made so.
+    pub engines: Option<EnginesCompared>,
     /// Sweeps to draw.
     pub examples: Vec<ExampleSweep>,
+}
+
+/// A dynamic engine against a quasi-static one on the same sweeps.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EnginesCompared {
+    /// What else is known of the difference, in sentences.
+    pub remarks: Vec<String>,
+    /// By speed.
+    pub by_speed: Vec<SpeedDifference>,
+}
+
+/// What differs at speeds of a range.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SpeedDifference {
+    /// Speeds of the base, mm/s.
+    pub speed_mm_s: [f64; 2],
+    /// Samples at which both touch.
+    pub samples: usize,
+    /// Share of them in another equilibrium; the differences leave them out.
+    pub elsewhere: f64,
+    /// Difference of the base moments, median and 95th percentile, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Mean size of the moment over the quasi-static one's, less 1.
+    pub bias: f64,
+    /// Distance of the contacts, median and 95th percentile, mm.
+    pub contact_mm: [f64; 2],
+    /// Ripple of the moments, N mm.
+    pub ripple_nmm: f64,
+    /// Deepest overlap of wire and object, mm.
+    pub overlap_mm: f64,
+    /// Share of samples that chatter.
+    pub chatter: f64,
 }
 
 /// An object's counts.
@@ -85,6 +119,9 @@ pub fn render_sweeps(input: &SweepsInput) -> String {
     }
     section("counts", "Verdicts and events", counts(input));
     section("objects", "Objects", objects(&input.objects));
+    if let Some(compared) = &input.engines {
+        section("engines", "MuJoCo against the rod", engines(compared));
+    }
     section("examples", "Sweeps", examples(&input.examples));
     document(&input.title, true, &body)
 }
@@ -101,6 +138,12 @@ fn meaning(word: &str) -> &'static str {
         "no-equilibrium" => "the wire did not come to rest in too many samples",
         "onset" => "first touch",
         "release" => "the wire came free",
+        "unstable" => "a step went wrong: a number that is none",
+        "penetration" => "the wire sank into the object by more than its radius",
+        "chatter" => "the contact opened and closed from step to step",
+        "engine-died" => "MuJoCo's program ended; a second run makes these sweeps again",
+        "model-refused" => "MuJoCo cannot take one of the object's convex parts",
+        "no-convex-parts" => "the object could not be taken apart into convex parts",
         "jump" => "the wire sprang from one equilibrium to another",
         "slip" => "the contact ran along the wire several times faster than the base",
         _ => "",
@@ -155,6 +198,43 @@ fn objects(objects: &[SweptObject]) -> String {
         ]);
     }
     table.html()
+}
+
+fn engines(compared: &EnginesCompared) -> String {
+    let mut table = Table::new(
+        "The same sweeps by both engines, by the base's speed",
+        &[
+            "speed, mm/s",
+            "#samples",
+            "#elsewhere",
+            "#moment off, p50, N mm",
+            "#p95, N mm",
+            "#bias",
+            "#contact off, p50, mm",
+            "#p95, mm",
+            "#ripple, N mm",
+            "#overlap, mm",
+            "#chatter",
+        ],
+    );
+    for r in &compared.by_speed {
+        let [from, to] = r.speed_mm_s.map(number);
+        table.row(vec![
+            Cell::Text(if from == to { from } else { format!("{from} to {to}") }),
+            Cell::Number(r.samples.to_string()),
+            Cell::Number(percent(r.elsewhere)),
+            Cell::Number(number(r.moment_nmm[0])),
+            Cell::Number(number(r.moment_nmm[1])),
+            Cell::Number(percent(r.bias)),
+            Cell::Number(number(r.contact_mm[0])),
+            Cell::Number(number(r.contact_mm[1])),
+            Cell::Number(number(r.ripple_nmm)),
+            Cell::Number(number(r.overlap_mm)),
+            Cell::Number(percent(r.chatter)),
+        ]);
+    }
+    let note = "Elsewhere: the contacts are so far apart that the wire is in another equilibrium (one engine has let it spring, the other not yet); the other columns leave these samples out. Bias: mean size of MuJoCo's moment over the rod's, less one; it grows with the speed where damping makes it.";
+    compared.remarks.iter().map(|line| paragraph(line)).collect::<String>() + &table.html() + &paragraph(note)
 }
 
 fn examples(examples: &[ExampleSweep]) -> String {

@@ -143,9 +143,8 @@ impl Chain {
         self.placed(links.frames.iter().zip(by).map(turn).collect())
     }
 
-    /// Moment at the root, N mm: what the clamp's spring carries.
-    #[must_use]
-    pub fn root_moment_nmm(&self, links: &Links) -> Vector3<f64> {
+    /// What the clamp's spring carries, N mm: the moment a little before the first link's middle.
+    pub(crate) fn root_spring_nmm(&self, links: &Links) -> Vector3<f64> {
         self.joint(links, 0).0
     }
 

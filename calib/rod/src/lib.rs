@@ -8,6 +8,7 @@
 mod blocks;
 pub mod chain;
 pub mod dual;
+mod equilibria;
 mod error;
 pub mod integrate;
 pub mod material;

@@ -5,6 +5,7 @@ use mujoco_rs::prelude::*;
 use nalgebra::{Matrix3, Vector3};
 use std::sync::Once;
 use wcal_mujoco::engine::protocol::{Frame, Loaded, Reply, Request, Series, Touching};
+use wcal_mujoco::physics::Surroundings;
 
 /// What is loaded, and what is known of it.
 #[derive(Default)]
@@ -27,6 +28,8 @@ struct Model {
     tip: Option<usize>,
     since: Since,
     bad: bool,
+    /// What surrounds the wire, and the middles of its links at the step before, m.
+    medium: Option<(Surroundings, Vec<Vector3<f64>>)>,
 }
 
 /// Extremes since the last frame.
@@ -88,7 +91,18 @@ impl Model {
         let tip = ["tip", "wS_last"].iter().find_map(|name| id(MjtObjBase::mjOBJ_SITE, name));
         let mut data = MjData::new(Box::new(model));
         data.forward();
-        Ok(Self { data, links, geoms, root, base, sensor_site, tip, since: Since::default(), bad: false })
+        Ok(Self {
+            data,
+            links,
+            geoms,
+            root,
+            base,
+            sensor_site,
+            tip,
+            since: Since::default(),
+            bad: false,
+            medium: None,
+        })
     }
 
     fn answer(&mut self, request: &Request) -> Answer {
@@ -148,10 +162,20 @@ impl Model {
             Request::Series { steps, every } => {
                 return Ok(Reply::Series(self.series(*steps, (*every).max(1))));
             }
+            Request::Medium { medium } => {
+                if self.tip.is_none() {
+                    return Err("expected a wire with its tip, found none".to_owned());
+                }
+                self.medium = Some((medium.clone(), self.middles()));
+            }
             Request::Reset => {
                 self.data.reset();
                 self.data.forward();
                 self.since = Since::default();
+                let middles = self.middles();
+                if let Some((_, before)) = &mut self.medium {
+                    *before = middles;
+                }
             }
             Request::Hello | Request::Load { .. } | Request::Decompose(_) => {
                 return Err("asked elsewhere".to_owned());
@@ -166,6 +190,11 @@ impl Model {
     }
 
     fn step(&mut self) {
+        if let Some((medium, before)) = self.medium.take() {
+            let middles = self.middles();
+            self.push_by(&medium, &before, &middles);
+            self.medium = Some((medium, middles));
+        }
         self.data.step();
         self.since.steps += 1;
         let mut touching = false;
@@ -176,6 +205,26 @@ impl Model {
         self.since.toggles += u64::from(touching != self.since.touching);
         self.since.touching = touching;
         self.bad |= WARNINGS.iter().any(|w| self.data.warning()[*w as usize].number > 0);
+    }
+
+    /// Middles of the links, m.
+    fn middles(&self) -> Vec<Vector3<f64>> {
+        let mut ends: Vec<Vector3<f64>> =
+            self.links.iter().map(|b| Vector3::from(self.data.xpos()[*b])).collect();
+        ends.push(self.tip());
+        ends.windows(2).map(|w| (w[0] + w[1]) / 2.0).collect()
+    }
+
+    /// The medium's forces on the links; drag of the step before's velocity.
+    fn push_by(&mut self, medium: &Surroundings, before: &[Vector3<f64>], now: &[Vector3<f64>]) {
+        let dt = self.data.model_opt().timestep;
+        for (&link, (was, is)) in self.links.iter().zip(before.iter().zip(now)) {
+            let start = Vector3::from(self.data.xpos()[link]);
+            let tangent = Matrix3::from_row_slice(&self.data.xmat()[link]).column(0).into_owned();
+            let length_mm = 2e3 * (is - start).norm();
+            let force = medium.load_n_per_mm(&tangent, &((is - was) * (1e3 / dt))) * length_mm;
+            self.data.xfrc_applied_mut()[link][..3].copy_from_slice(force.as_slice());
+        }
     }
 
     fn series(&mut self, steps: u64, every: u64) -> Series {

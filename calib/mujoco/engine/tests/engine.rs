@@ -6,9 +6,12 @@ use std::process::{Command, Stdio};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
+use wcal_mujoco::dynamics::{Parameters, Targets, fit_dynamics, record};
 use wcal_mujoco::engine::protocol::Request;
-use wcal_mujoco::groove::{self, Preset};
+use wcal_mujoco::groove::Preset;
+use wcal_mujoco::labels::{Way, labels};
 use wcal_mujoco::mjcf::MjcfOptions;
+use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
 
@@ -82,16 +85,18 @@ fn a_released_label_is_reproduced_and_one_on_another_equilibrium_is_not() {
     let points = rows("points.csv");
     let place = |k: usize| Vector3::new(points[k][5], points[k][6], points[k][7]);
     // Columns: point, role, trajectory, replicate, stage, groove x, y, z.
-    let found = groove::labels(&whisker, Preset::Released, &[vec![place(9), place(11)]]).unwrap();
-    let labels = rows("twin.csv");
+    let found = labels(&whisker, Preset::Released, &[vec![place(9), place(11)]]).unwrap();
+    let known = rows("twin.csv");
     let [sure, unsure] = &found[0][..] else { panic!("{found:?}") };
     let [sure_nmm, unsure_nmm] = [sure, unsure].map(|l| l.moment_nmm.unwrap());
     // Full scale of the released labels: 7 N mm. The twin reports minus (position x force).
     for (axis, column) in [(0, 1), (2, 2)] {
-        assert!((-sure_nmm[axis] - labels[9][column]).abs() < 7e-3, "{sure:?}");
+        assert!((-sure_nmm[axis] - known[9][column]).abs() < 7e-3, "{sure:?}");
     }
-    assert!(sure.settled && sure.straight_nmm.is_none(), "{sure:?}");
-    assert!((-unsure_nmm.x - labels[11][1]).abs() > 0.1, "{unsure:?}");
+    assert!(sure.settled && !sure.chatters && sure.others.is_empty(), "{sure:?}");
+    // Without the labels: with half of the damping the groove's travel throws the wire out of its vertex.
+    assert!(unsure.others.iter().any(|o| o.way == Way::LessDamping(0.5)), "{unsure:?}");
+    assert!((-unsure_nmm.x - known[11][1]).abs() > 0.1, "{unsure:?}");
 }
 
 #[test]
@@ -141,6 +146,83 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
         "{:?}",
         run.verdict
     );
+}
+
+/// What is recorded of a wire tells its damping (SIMULATED record): ring-down and speed bias grow with it.
+#[test]
+fn ring_down_and_speed_bias_grow_with_the_damping() {
+    if !ready() {
+        return;
+    }
+    let of = |damping_nms_rad: f64| {
+        let parameters = Parameters { damping_nms_rad, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
+        record(&whisker(), &parameters).unwrap()
+    };
+    let [slack, stiff] = [0.005, 0.015].map(of);
+    let ring_down = |t: &Targets| t.ring_down_s.unwrap();
+    // Watched for 0.6 s: a longer ring-down is cut short there.
+    assert!(ring_down(&stiff) > 1.2 * ring_down(&slack), "{slack:?} {stiff:?}");
+    assert!(stiff.bias > slack.bias + 0.1, "{slack:?} {stiff:?}");
+    // Negative control: the same wire twice is the same record.
+    assert_eq!(of(0.005), slack);
+}
+
+/// A known damping is found again from its own record; the contact is the one that the search starts from, so it may only be kept.
+#[test]
+#[ignore = "minutes of trials"]
+fn the_fit_of_damping_finds_the_known_one() {
+    if !ready() {
+        return;
+    }
+    let known = Parameters { damping_nms_rad: 0.01, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
+    let fit = fit_dynamics(&whisker(), record(&whisker(), &known).unwrap(), 1, |_| {}).unwrap();
+    let p = &fit.trials[fit.best].parameters;
+    assert!((p.damping_nms_rad - 0.01).abs() < 0.005, "{p:?} {:?}", fit.sensitivity);
+    let loose = fit.sensitivity.undetermined();
+    for (name, off, step) in [
+        ("width", p.width_mm - known.width_mm, 1.0),
+        ("d0", p.d0 - known.d0, 0.05),
+        ("dmax", p.dmax - known.dmax, 0.05),
+    ] {
+        assert!(loose.contains(&name) || off.abs() < 1.01 * step, "{name}: {p:?} {:?}", fit.sensitivity);
+    }
+    assert!(!loose.contains(&"damping") && loose.len() < 4, "negative control: {loose:?}");
+}
+
+/// Weight, buoyancy and drag reach the base of MuJoCo's wire as they reach the rod's.
+#[test]
+fn the_medium_bends_mujocos_wire_as_it_bends_the_rod() {
+    if !ready() {
+        return;
+    }
+    let mesh = objects::built_in("block").unwrap();
+    let convex = Convex::of(&mesh, tempfile::tempdir().unwrap().path()).unwrap();
+    let rod = RodEngine::new(&whisker(), LINKS).unwrap();
+    let mut cable = CableEngine::start(&whisker(), &MjcfOptions::default()).unwrap();
+    let mut run = |physics: PhysicsPlan, speed: f64| {
+        // The lead is long: the first samples are of the free wire.
+        let plan = SweepPlan {
+            speed_mm_s: [speed; 2],
+            lead_mm: [speed * 2.0; 2],
+            most_mm: speed * 1.4,
+            rate_hz: 2.0,
+            physics,
+            ..SweepPlan::default()
+        };
+        let sweep = (0..).find_map(|k| Sweep::draw(&mesh, &plan, 5, k, rod.reach_mm())).unwrap();
+        let both =
+            [rod.run(&mesh, &sweep, &plan), cable.run(&mesh, &convex.corners(), &sweep, &plan).unwrap()];
+        both.map(|r| r.samples.last().unwrap().moment_nmm)
+    };
+    let heavy = PhysicsPlan { medium: Medium::Water, weight: true, ..PhysicsPlan::default() };
+    let [quasi, dynamic] = run(heavy, 5.0);
+    assert!(quasi.norm() > 2e-3 && (quasi - dynamic).norm() < 0.02 * quasi.norm(), "{quasi} {dynamic}");
+    let stream = PhysicsPlan { medium: Medium::Water, current_mm_s: [60.0; 2], ..PhysicsPlan::default() };
+    let [quasi, dynamic] = run(stream, 100.0);
+    assert!(quasi.norm() > 1e-3 && (quasi - dynamic).norm() < 0.03 * quasi.norm(), "{quasi} {dynamic}");
+    // Negative control: without a medium neither bends.
+    let [quasi, dynamic] = run(PhysicsPlan::default(), 5.0);
+    assert!(quasi.norm() < 1e-6 && dynamic.norm() < 2e-4, "{quasi} {dynamic}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What `wcal` and `wcal-mujoco` say to each other: one request a line, one reply a line. SI units, world frame.
 
+use crate::physics::Surroundings;
 use serde::{Deserialize, Serialize};
 
 /// What is asked.
@@ -57,6 +58,12 @@ pub enum Request {
         steps: u64,
         /// Every so many.
         every: u64,
+    },
+    /// Weight, buoyancy and drag on the wire from now on, as forces on its links: MuJoCo's own fluid forces do not reach a joint's
+    /// springs as a load does.
+    Medium {
+        /// In the library's own units (mm): the library computes the forces.
+        medium: Surroundings,
     },
     /// Goes back to the start.
     Reset,

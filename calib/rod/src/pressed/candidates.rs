@@ -41,7 +41,7 @@ impl Chain {
         let n = self.links();
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
         let at = |spot: &Spot, within_mm: f64| surface.near(&spot.point_mm(self, links), within_mm);
-        // Middles of the links, where the curve runs along them, the tip, and closely around what is known to touch.
+        // Middles of the links, the tip, and closely around what is known to touch.
         let mut places: Vec<(f64, bool)> =
             (0..n).map(|j| (j as f64 + 0.5, true)).chain([(n as f64, true)]).collect();
         for c in before.iter().filter(|c| c.force_n > 0.0 || c.met) {
@@ -54,7 +54,7 @@ impl Chain {
         let slopes: Vec<Option<f64>> = spots
             .iter()
             .zip(&near)
-            .map(|(spot, near)| near.map(|x| x.normal.dot(&spot.tangent(links))))
+            .map(|(spot, near)| near.map(|x| x.normal.dot(&spot.tangent(self, links))))
             .collect();
         let mut found: Vec<(Spot, Near, bool)> = Vec::new();
         for (k, spot) in spots.iter().enumerate() {
@@ -92,7 +92,7 @@ impl Chain {
             let x = if k % 3 == 2 { (a + b) / 2.0 } else { (fb * a - fa * b) / (fb - fa) };
             let spot = Spot::new(x, self.links());
             let near = at(&spot)?;
-            let slope = near.normal.dot(&spot.tangent(links));
+            let slope = near.normal.dot(&spot.tangent(self, links));
             best = Some((spot, near));
             if slope.abs() < 1e-7 || b - a < 1e-8 {
                 break;

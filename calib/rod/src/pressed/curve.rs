@@ -1,66 +1,247 @@
-//! The smooth centre line of the links: it runs through their middles along them (uniform quadratic B-spline of the nodes).
+//! The smooth centre line of the links: the integral of a quadratic B-spline through their directions, of third order in their length.
+//!
+//! A link's direction is the wire's at the link's middle. Links laid end to end leave a bent wire by a twelfth of bend times length
+//! squared: little, but a wire that is barely touched is bent by no more. Weights of the spline on the directions: C. de Boor, A
+//! Practical Guide to Splines (2001), ch. XII (quasi-interpolant); the clamp's direction bounds it at the root.
 
 use crate::chain::{Chain, Links};
 use nalgebra::Vector3;
+
+/// Most links near a place that weigh in it otherwise than wholly.
+const WINDOW: usize = 9;
+/// Shares of the clamp and of the first links in all places beyond the window.
+const CLAMP: f64 = 1.0 / 9.0;
+const FIRST: [f64; 2] = [0.875, 1.0 + 1.0 / 72.0];
+
+/// Shares of the clamp's direction and of the links' from `first` on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Shares {
+    clamp: f64,
+    links: [f64; WINDOW],
+}
 
 /// A place on the centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Spot {
     /// From the root in links, 0 to their number.
     pub at: f64,
-    /// Last link that moves it, and the shares of the two last ones in its place and in its tangent.
-    last: usize,
-    place: [f64; 2],
-    tangent: [f64; 2],
+    /// First link of the window, and how many are in it.
+    first: usize,
+    count: usize,
+    /// Shares in its place and in its tangent.
+    place: Shares,
+    tangent: Shares,
+    /// Links of the wire.
+    links: usize,
+}
+
+/// The spline's coefficients from the one before cell `cell` on, three of them, as shares of the links' directions.
+fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 3]) -> Shares {
+    let mut found = Shares { clamp: 0.0, links: [0.0; WINDOW] };
+    if first > 0 && cell + 2 < links {
+        // Far from both ends, where most places are: the general rule below, written out.
+        let [a, b] = [0, 1].map(|k| before.get(k).copied().unwrap_or(0.0));
+        let [c, d, e] = local;
+        let eighths = |own: f64, beside: f64| 1.25 * own - beside / 8.0;
+        let near = [eighths(b, a + c), eighths(c, b + d), eighths(d, c + e), eighths(e, d), -e / 8.0];
+        found.links[..5].copy_from_slice(&near);
+        return found;
+    }
+    // Coefficients of links, by number; those beyond the ends follow from the ends.
+    let mut weights = [0.0; WINDOW + 2];
+    let low = first.saturating_sub(1);
+    for (k, weight) in before.iter().enumerate() {
+        weights[k] += weight;
+    }
+    for (k, weight) in local.into_iter().enumerate() {
+        match (cell + k).checked_sub(1) {
+            // The tangent at the root is the clamp's.
+            None => {
+                found.clamp += 2.0 * weight;
+                weights[0] -= weight;
+            }
+            // Straight on beyond the tip.
+            Some(link) if link == links => {
+                weights[link - 1 - low] += 2.0 * weight;
+                weights[link - 2 - low] -= weight;
+            }
+            Some(link) => weights[link - low] += weight,
+        }
+    }
+    let mut add = |link: usize, share: f64| {
+        if let Some(at) = link.checked_sub(first).filter(|at| *at < WINDOW) {
+            found.links[at] += share;
+        }
+    };
+    for (k, weight) in weights.into_iter().enumerate().filter(|w| w.1 != 0.0) {
+        let link = low + k;
+        if link == 0 {
+            add(0, 1.5 * weight);
+            add(1, -weight / 6.0);
+            found.clamp -= weight / 3.0;
+        } else if link + 1 < links {
+            add(link - 1, -weight / 8.0);
+            add(link, 1.25 * weight);
+            add(link + 1, -weight / 8.0);
+        } else {
+            add(link, 0.875 * weight);
+            add(link - 1, 0.25 * weight);
+            if link > 1 {
+                add(link - 2, -weight / 8.0);
+            } else {
+                found.clamp -= weight / 8.0;
+            }
+        }
+    }
+    found
 }
 
 impl Spot {
     pub(super) fn new(at: f64, links: usize) -> Self {
         let at = at.clamp(0.0, links as f64);
-        if at <= 0.5 || at >= links as f64 - 0.5 {
-            let last = if at <= 0.5 { 0 } else { links - 1 };
-            return Self { at, last, place: [1.0, at - last as f64], tangent: [0.0, 1.0] };
+        let cell = (at as usize).min(links - 1);
+        let v = at - cell as f64;
+        // From the root on where the clamp weighs in, else the five links around.
+        let first = if cell < 6 { 0 } else { cell - 2 };
+        let count = (cell + 3).min(links) - first;
+        let left = 1.0 - v;
+        let mut local =
+            [(1.0 - left.powi(3)) / 6.0, v / 2.0 + v * v / 2.0 - v.powi(3) / 3.0, v.powi(3) / 6.0];
+        let mut whole = [1.0; WINDOW + 2];
+        let low = first.saturating_sub(1);
+        // Whole cells before this one: a sixth of the coefficient before each, four of its own, one of the next.
+        if cell > 0 {
+            local[0] += 5.0 / 6.0;
+            local[1] += 1.0 / 6.0;
         }
-        let last = (at + 0.5) as usize;
-        let u = at + 0.5 - last as f64;
-        Self { at, last, place: [0.5 + u - u * u / 2.0, u * u / 2.0], tangent: [1.0 - u, u] }
+        let mut clamp = 0.0;
+        let before = &mut whole[..(cell.saturating_sub(1)).saturating_sub(low)];
+        if first == 0 && cell > 0 {
+            // Nothing lies before the first cell: a sixth of the coefficient there is the clamp's.
+            clamp = 1.0 / 3.0;
+            match before.first_mut() {
+                Some(weight) => *weight -= 1.0 / 3.0,
+                None => local[0] -= 1.0 / 3.0,
+            }
+        }
+        let mut place = shares(cell, first, links, before, local);
+        place.clamp += if first == 0 { clamp } else { CLAMP };
+        let tangent = shares(cell, first, links, &[], [left * left / 2.0, 0.5 + v - v * v, v * v / 2.0]);
+        Self { at, first, count, place, tangent, links }
     }
 
     /// Links that move it, with their shares.
     pub(super) fn places(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let share = move |j: usize| match self.last - j {
-            0 => self.place[1],
-            1 => self.place[0],
-            _ => 1.0,
+        let share = |j: usize| match j.checked_sub(self.first) {
+            Some(k) => self.place.links[k],
+            None => FIRST.get(j).copied().unwrap_or(1.0),
         };
-        (0..=self.last).map(move |j| (j, share(j)))
+        (0..self.first + self.count).map(move |j| (j, share(j)))
+    }
+
+    /// Share of the clamp's direction in its place, in links.
+    pub(super) fn clamp_share(&self) -> f64 {
+        self.place.clamp
     }
 
     /// Links that turn its tangent, with their shares.
     pub(super) fn tangents(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let before = self.last.checked_sub(1).map(|j| (j, self.tangent[0]));
-        before.into_iter().chain([(self.last, self.tangent[1])])
+        self.near(&self.tangent)
+    }
+
+    fn near<'a>(&'a self, shares: &'a Shares) -> impl Iterator<Item = (usize, f64)> + 'a {
+        shares.links[..self.count].iter().enumerate().map(|(k, share)| (self.first + k, *share))
+    }
+
+    /// Sum of directions with their shares.
+    fn sum(&self, chain: &Chain, links: &Links, shares: &Shares) -> Vector3<f64> {
+        let near: Vector3<f64> = self.near(shares).map(|(j, share)| links.frames[j].column(0) * share).sum();
+        near + chain.clamp_frame().column(0) * shares.clamp
     }
 
     pub(super) fn point_mm(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
-        let h = chain.link_mm;
-        let tail = links.frames[self.last].column(0) * (h * self.place[1]);
-        match self.last {
-            0 => links.nodes_mm[0] + tail,
-            last => links.nodes_mm[last - 1] + links.frames[last - 1].column(0) * (h * self.place[0]) + tail,
+        let mut point = links.nodes_mm[self.first] + self.sum(chain, links, &self.place) * chain.link_mm;
+        if self.first > 0 {
+            for (share, frame) in FIRST.iter().zip(&links.frames) {
+                point += frame.column(0) * ((share - 1.0) * chain.link_mm);
+            }
         }
+        point
     }
 
-    /// Tangent; of unit length at the links' middles, shorter by second order between them.
-    pub(super) fn tangent(&self, links: &Links) -> Vector3<f64> {
-        self.tangents().map(|(j, share)| links.frames[j].column(0) * share).sum()
+    /// Tangent, of unit length to third order.
+    pub(super) fn tangent(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
+        self.sum(chain, links, &self.tangent)
     }
 
     /// Change of the tangent along the wire, 1/mm.
     pub(super) fn bend_per_mm(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
-        if self.at <= 0.5 || self.at >= chain.links() as f64 - 0.5 {
-            return Vector3::zeros();
+        let cell = (self.at as usize).min(self.links - 1);
+        let v = self.at - cell as f64;
+        let bend = shares(cell, self.first, self.links, &[], [v - 1.0, 1.0 - 2.0 * v, v]);
+        self.sum(chain, links, &bend) / chain.link_mm
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Section, Shape};
+    use wcal_core::observation::RestShape;
+
+    fn chain(links: usize, straight_mm: f64) -> (Chain, Shape) {
+        let rest = RestShape::StraightArc { straight_mm, arc_radius_mm: 20.0, length_mm: 60.0 };
+        let shape = Shape::new(&rest, 0.05).unwrap();
+        (Chain::new(&Section::round(0.3, 75.0, 28.2), &shape, 0.3, links).unwrap(), shape)
+    }
+
+    /// Farthest that the curve of the wire at rest is from the wire, mm.
+    fn off_mm(links: usize, straight_mm: f64) -> f64 {
+        let (chain, shape) = chain(links, straight_mm);
+        let rest = chain.at_rest();
+        let off = |k: u32| {
+            let at = f64::from(k) / 400.0 * links as f64;
+            (Spot::new(at, links).point_mm(&chain, &rest) - shape.rest_point(at * chain.link_mm)).norm()
+        };
+        (0..=400).map(off).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn the_curve_of_an_arc_is_of_third_order() {
+        let [coarse, middle, fine] = [10, 20, 40].map(|links| off_mm(links, 0.0));
+        let order = [coarse / middle, middle / fine].map(f64::log2);
+        assert!(order.iter().all(|o| *o > 2.7) && fine < 2e-3, "{coarse} {middle} {fine}");
+        // Links laid end to end leave the arc by more than four times that.
+        let (chain, shape) = chain(40, 0.0);
+        let rest = chain.at_rest();
+        let middle = (rest.nodes_mm[20] + rest.nodes_mm[21]) / 2.0;
+        let plain = (middle - shape.rest_point(20.5 * chain.link_mm)).norm();
+        assert!(plain > 4.0 * fine, "{plain} {fine}");
+        // Where the bend begins at once, second order remains near there; links end to end are farther off.
+        assert!(off_mm(40, 30.0) < 0.75 * plain, "{} {fine} {plain}", off_mm(40, 30.0));
+    }
+
+    #[test]
+    fn tangent_and_bend_are_the_places_derivatives() {
+        let links = 12;
+        let (chain, _) = chain(links, 10.0);
+        let rest = chain.at_rest();
+        for k in 1..240 {
+            let at = f64::from(k) * 0.05 - 0.02;
+            let step = 1e-5;
+            let spot = |x: f64| Spot::new(x, links);
+            let point = |x: f64| spot(x).point_mm(&chain, &rest) / chain.link_mm;
+            let slope = (point(at + step) - point(at - step)) / (2.0 * step);
+            assert!((slope - spot(at).tangent(&chain, &rest)).norm() < 1e-8, "{at}");
+            let tangent = |x: f64| spot(x).tangent(&chain, &rest);
+            let bend = (tangent(at + step) - tangent(at - step)) / (2.0 * step * chain.link_mm);
+            assert!((bend - spot(at).bend_per_mm(&chain, &rest)).norm() < 1e-5, "{at}");
+            let sum = spot(at).places().map(|p| p.1).sum::<f64>() + spot(at).clamp_share();
+            assert!((sum - at).abs() < 1e-12, "a straight wire is as long as it is: {at} {sum}");
         }
-        (links.frames[self.last].column(0) - links.frames[self.last - 1].column(0)) / chain.link_mm
+        // Negative control: half a link on, the tangent is another.
+        let turned =
+            Spot::new(8.0, links).tangent(&chain, &rest) - Spot::new(8.5, links).tangent(&chain, &rest);
+        assert!(turned.norm() > 1e-2);
     }
 }

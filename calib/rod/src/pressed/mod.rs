@@ -135,6 +135,18 @@ impl Chain {
         self.press_with(surface, start, known, moved_mm, most_iterations, &[])
     }
 
+    /// Moment at the root, N mm.
+    #[must_use]
+    pub fn base_moment_nmm(&self, pressed: &Pressed) -> Vector3<f64> {
+        let along = self.clamp_frame().column(0) * self.link_mm;
+        let beyond = |c: &Contact| {
+            // The clamp's share in the contact's place is an arm that no link has.
+            let share = Spot::new(c.arclength_mm / self.link_mm, self.links()).clamp_share();
+            (along * share).cross(&(c.normal * c.force_n + c.friction_n))
+        };
+        self.root_spring_nmm(&pressed.links) + pressed.contacts.iter().map(beyond).sum::<Vector3<f64>>()
+    }
+
     fn press_with<S: Surface>(
         &self,
         surface: &S,

@@ -102,7 +102,7 @@ impl Candidate {
             }
         }
         if self.slides {
-            let tangent = self.spot.tangent(links);
+            let tangent = self.spot.tangent(chain, links);
             let turn_per_mm = second * tangent;
             let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.spot.bend_per_mm(chain, links));
             if opens_per_mm > LEAST_OPENING_PER_MM {

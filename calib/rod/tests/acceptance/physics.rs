@@ -57,7 +57,7 @@ fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
     let tangent = last.links.frames[(c.arclength_mm / 1.5) as usize].column(0).into_owned();
     assert!(slid_mm.abs() > 0.02 && c.friction_n.dot(&tangent) * slid_mm > 0.0, "{slid_mm} {c:?}");
     let ratio = c.friction_n.dot(&tangent).signum() * mu;
-    let (moment, force) = (chain.root_moment_nmm(&last.links), c.normal * c.force_n + c.friction_n);
+    let (moment, force) = (chain.base_moment_nmm(&last), c.normal * c.force_n + c.friction_n);
     let off = |ratio: f64| {
         let rod = rod_at(last, &bent(1.0), Tangential::Ratio(ratio));
         ((moment - rod.moment_nmm).norm() / moment.norm(), (force - rod.force_n).norm() / force.norm())
@@ -91,13 +91,13 @@ fn a_contact_sticks_while_friction_turns_round() {
     let force = c.normal * c.force_n + c.friction_n;
     assert!((force - rod.force_n).norm() < 1e-2 * force.norm(), "{force} {:?}", rod.force_n);
     assert!((rod.arclength_mm - c.arclength_mm).abs() < 0.02, "{rod:?}");
-    let moment = chain.root_moment_nmm(&stuck.links);
+    let moment = chain.base_moment_nmm(&stuck);
     assert!((moment - rod.moment_nmm).norm() < 6e-3 * moment.norm(), "{moment} {rod:?}");
     // Negative control: without friction there is none, and the plain equilibrium comes out.
     let smooth = rubbed(&chain, 0.0, [34.0, 0.0], 2.0, DEEP).pop().unwrap();
     assert_eq!(smooth.contacts[0].friction_n.norm(), 0.0);
     let rod = rod_at(&smooth, &bent(1.0), Tangential::Frictionless);
-    let moment = chain.root_moment_nmm(&smooth.links);
+    let moment = chain.base_moment_nmm(&smooth);
     assert!((moment - rod.moment_nmm).norm() < 6e-3 * moment.norm(), "{moment} {rod:?}");
 }
 
@@ -108,7 +108,7 @@ fn friction_takes_the_direction_of_the_slip() {
     let last = rubbed(&chain, 0.1, [42.0, 1.0], 0.0, LAST).pop().unwrap();
     let c = last.contacts[0];
     assert!((c.friction_n.norm() - 0.1 * c.force_n).abs() < 1e-3 * c.force_n, "{c:?}");
-    let moment = chain.root_moment_nmm(&last.links);
+    let moment = chain.base_moment_nmm(&last);
     let applied = c.centre_mm.cross(&(c.normal * c.force_n + c.friction_n));
     assert!((moment - applied).norm() < 2e-3 * moment.norm(), "{moment} {applied}");
     let without = c.centre_mm.cross(&(c.normal * c.force_n));
@@ -127,7 +127,7 @@ fn softened_links_bend_as_the_softened_rod() {
         let mut rod = bent(0.5);
         rod.section.softening = law;
         let (moment, rod) =
-            (chain.root_moment_nmm(&last.links), rod_at(&last, &rod, Tangential::Frictionless).moment_nmm);
+            (chain.base_moment_nmm(&last), rod_at(&last, &rod, Tangential::Frictionless).moment_nmm);
         (moment - rod).norm() / rod.norm()
     };
     let errors = [20, 40, 80].map(|links| error(links, Some(softening)));
@@ -146,7 +146,7 @@ fn the_root_carries_the_integral_of_the_loads() {
         let far = Ball { centre_mm: Vector3::repeat(1e4), radius_mm: 1.0 };
         let pressed = chain.press(&far, &chain.at_rest(), &[], &Vector3::zeros(), 60);
         assert!(pressed.converged && pressed.contacts.is_empty());
-        chain.root_moment_nmm(&pressed.links)
+        chain.base_moment_nmm(&pressed)
     };
     // A flow that grows along the wire from the clamp on: load q s / L, moment q L^2 / 3.
     let rigid = Section::round(0.3, 75e3, 28.2e3);

@@ -70,7 +70,7 @@ fn the_root_carries_what_the_contacts_apply() {
         ball(&chain(40)),
         follow(&chain(40), 20, &Vector3::new(0.0, 0.0, 12.0), |x| Floor { height_mm: -20.0 + 12.0 * x }),
     ] {
-        let moment = chain(40).root_moment_nmm(&pressed.links);
+        let moment = chain(40).base_moment_nmm(&pressed);
         assert!(moment.norm() > 0.2, "{moment}");
         let applied: Vector3<f64> =
             pressed.contacts.iter().map(|c| c.centre_mm.cross(&(c.normal * c.force_n))).sum();
@@ -95,7 +95,7 @@ fn links_agree_with_the_rod_to_second_order() {
             let guess =
                 Guess { force_n: contact.normal * contact.force_n, arclength_mm: contact.arclength_mm };
             let rod = bent(1.0).solve(&point, &guess, Tangential::Frictionless).unwrap();
-            (chain.root_moment_nmm(&pressed.links) - rod.moment_nmm).norm() / rod.moment_nmm.norm()
+            (chain.base_moment_nmm(&pressed) - rod.moment_nmm).norm() / rod.moment_nmm.norm()
         })
         .collect();
     assert!(errors[1] < 6e-3, "{errors:?}");
@@ -115,8 +115,14 @@ fn a_floor_holds_the_tip_first_and_then_a_line() {
     assert_eq!(tip.contacts.len(), 1);
     assert!((tip.contacts[0].arclength_mm - 60.0).abs() < 1e-9, "{:?}", tip.contacts);
     let lying = floor(-0.5);
+    // What touches lies on the floor; the links' ends are beside the centre line by some micrometres.
+    let touching: Vec<f64> = lying.contacts.iter().map(|c| c.centre_mm.z).collect();
+    assert!(
+        !touching.is_empty() && touching.iter().all(|z| (z - (-0.5 + 0.15)).abs() < 1e-4),
+        "{touching:?}"
+    );
     let lowest = lying.links.nodes_mm.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
-    assert!((lowest - (-0.5 + 0.15)).abs() < 1e-3, "{lowest}");
+    assert!((lowest - (-0.5 + 0.15)).abs() < 5e-3, "{lowest}");
 }
 
 /// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten times as deep it would not.
@@ -125,11 +131,11 @@ fn a_soft_contact_gives_the_hard_ones_moment() {
     let chain = chain(40);
     let hard = ball(&chain);
     let body = |lower_mm: f64| Ball { centre_mm: Vector3::new(42.0, 1.0, -3.0 - lower_mm), radius_mm: 5.0 };
-    let moment = chain.root_moment_nmm(&hard.links);
+    let moment = chain.base_moment_nmm(&hard);
     let off = |lower_mm: f64| {
         let soft = chain.press_softly(&body(lower_mm), &hard.links, 300);
         assert!(soft.converged && soft.overlap_mm < 0.05, "{} {}", soft.converged, soft.overlap_mm);
-        (chain.root_moment_nmm(&soft.links) - moment).norm() / moment.norm()
+        (chain.base_moment_nmm(&soft) - moment).norm() / moment.norm()
     };
     assert!(off(0.0) < 0.02, "{}", off(0.0));
     assert!(off(0.3) > 0.03, "negative control: a ball 0.3 mm lower shows ({})", off(0.3));
@@ -147,8 +153,8 @@ fn a_push_from_the_contact_inward_is_the_pressed_wire() {
         let link = ((contact.arclength_mm / chain.link_mm) as usize).min(39);
         let local = pressed.links.frames[link].tr_mul(&(contact.normal * contact.force_n));
         let push = chain.pushed(contact.arclength_mm, &local);
-        let (moment, expected) = (push.moment_nmm, chain.root_moment_nmm(&pressed.links));
-        // A contact lies on the smooth curve through the links' middles, some 0.01 mm off the link itself.
+        let (moment, expected) = (push.moment_nmm, chain.base_moment_nmm(&pressed));
+        // A contact lies on the smooth centre line, some 0.01 mm off the link itself.
         assert!((moment - expected).norm() < 1e-3 * expected.norm(), "{moment} {expected}");
         let off = push.axis_mm - contact.normal * chain.radius_mm - contact.point_mm;
         assert!(off.norm() < 0.03, "{off}");

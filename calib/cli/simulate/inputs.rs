@@ -1,0 +1,150 @@
+//! What `wcal simulate` reads: whisker and objects.
+
+use super::SimulateArgs;
+use anyhow::{Context, bail, ensure};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::mjcf::{MjcfOptions, Touch};
+use wcal_mujoco::{Mesh, objects};
+
+#[derive(Debug, Deserialize)]
+struct WhiskerFile {
+    whisker: WhiskerKeys,
+    dynamics: Option<DynamicsKeys>,
+}
+
+/// Keys of `[dynamics]` as `wcal fit-whisker --dynamics` writes them.
+#[derive(Debug, Deserialize)]
+struct DynamicsKeys {
+    damping_s: f64,
+    armature_s2: f64,
+    contact_time_s: f64,
+    width_mm: f64,
+    impedance: [f64; 2],
+}
+
+/// Keys of `[whisker]` as in session.toml.
+#[derive(Debug, Deserialize)]
+struct WhiskerKeys {
+    diameter_mm: f64,
+    length_mm: f64,
+    straight_mm: f64,
+    arc_radius_mm: f64,
+    #[serde(default = "youngs_gpa")]
+    youngs_gpa: f64,
+    #[serde(default = "shear_gpa")]
+    shear_gpa: f64,
+}
+
+/// NiTi (SYSTEM).
+fn youngs_gpa() -> f64 {
+    75.0
+}
+
+fn shear_gpa() -> f64 {
+    28.2
+}
+
+fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    toml::from_str(&text).with_context(|| format!("reading {}", path.display()))
+}
+
+/// Damping and contact of a file for MuJoCo's wire; the usual ones where it has none.
+///
+/// # Errors
+/// Where the file cannot be read.
+pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
+    let usual = MjcfOptions::default();
+    let Some(found) = path.map(read).transpose()?.and_then(|file| file.dynamics) else { return Ok(usual) };
+    let touch = Touch {
+        time_s: found.contact_time_s,
+        width_mm: found.width_mm,
+        impedance: found.impedance,
+        ..usual.touch
+    };
+    Ok(MjcfOptions { damping_s: found.damping_s, armature_s2: found.armature_s2, touch, ..usual })
+}
+
+/// Whisker of a file, or the nominal one.
+///
+/// # Errors
+/// Where the file cannot be read.
+pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
+    let keys = match path {
+        Some(path) => read(path)?.whisker,
+        None => WhiskerKeys {
+            diameter_mm: 0.3,
+            length_mm: 60.0,
+            straight_mm: 30.0,
+            arc_radius_mm: 20.0,
+            youngs_gpa: youngs_gpa(),
+            shear_gpa: shear_gpa(),
+        },
+    };
+    Ok(WhiskerSpec {
+        diameter_mm: keys.diameter_mm,
+        youngs_gpa: keys.youngs_gpa,
+        shear_gpa: keys.shear_gpa,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc {
+            straight_mm: keys.straight_mm,
+            arc_radius_mm: keys.arc_radius_mm,
+            length_mm: keys.length_mm,
+        },
+        gravity_direction: None,
+    })
+}
+
+/// Usable objects, and those left out with the reason.
+///
+/// # Errors
+/// Where two have one name, or none is usable.
+pub fn objects_of(args: &SimulateArgs) -> anyhow::Result<(Vec<Mesh>, Vec<String>)> {
+    let (mut all, mut left_out) = (Vec::new(), Vec::new());
+    for name in &args.object {
+        if name == "all" {
+            for name in objects::NAMES {
+                all.push(objects::built_in(name)?);
+            }
+        } else {
+            all.push(objects::built_in(name)?);
+        }
+    }
+    for path in &args.meshes {
+        for file in stl_files(path)? {
+            match Mesh::read(&file) {
+                Ok(mesh) => all.push(mesh),
+                Err(e) => left_out.push(format!("{} is left out: {e}", file.display())),
+            }
+        }
+    }
+    let mut names: Vec<&str> = all.iter().map(|m| m.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
+        bail!("expected objects of different names, found {:?} twice", twice[0]);
+    }
+    ensure!(
+        !all.is_empty(),
+        "expected an object (--object NAME or --meshes PATH), found none{}",
+        if left_out.is_empty() { String::new() } else { format!(": {}", left_out.join("; ")) }
+    );
+    Ok((all, left_out))
+}
+
+fn stl_files(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(path).with_context(|| format!("reading {}", path.display()))? {
+        let file = entry?.path();
+        if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
+            files.push(file);
+        }
+    }
+    ensure!(!files.is_empty(), "{}: expected STL files, found none", path.display());
+    files.sort();
+    Ok(files)
+}

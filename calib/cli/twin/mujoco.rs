@@ -1,0 +1,255 @@
+//! MuJoCo's labels at a session's poses: other equilibria, the error against the rod, and what the groove's tip does to them.
+
+use super::{Text, of_trajectory, row};
+use nalgebra::Vector3;
+use wcal_core::WhiskerData;
+use wcal_mujoco::MujocoEngine;
+use wcal_mujoco::compare::statics;
+use wcal_mujoco::groove::{Preset, paper_options};
+use wcal_mujoco::labels::{Other, PoseLabel, Tip, labels, tip};
+use wcal_rod::{Line, Rod, WORKING_STEP_MM};
+
+/// Labels of an outside twin farther than this share of their full scale are on another equilibrium; nearer than twice it to one of
+/// ours they are that one's.
+const OTHER_BRANCH: f64 = 0.01;
+
+/// Contacts nearer than this along the wire are at the same place, mm.
+const SAME_PLACE_MM: f64 = 0.5;
+
+/// A pose with what is known of it.
+struct Pose<'a> {
+    /// Row of the session.
+    row: usize,
+    point: i64,
+    label: &'a PoseLabel,
+    /// By the rod in a frictionless groove, N mm; none where it is not held.
+    ideal_nmm: Option<Vector3<f64>>,
+    /// Stable equilibria that the rod finds at this place.
+    stable: usize,
+    tip: Option<Tip>,
+    /// The session's own label, components.
+    outside: Option<[f64; 2]>,
+}
+
+/// Rows of the table.
+///
+/// # Errors
+/// Where the engine is missing or dies.
+pub fn by_mujoco(data: &WhiskerData, preset: Preset, with_tip: bool) -> anyhow::Result<Vec<Text>> {
+    let mut rows: Vec<Vec<usize>> = Vec::new();
+    let mut places: Vec<Vec<Vector3<f64>>> = Vec::new();
+    for trajectory in &data.trajectories {
+        let mut at = of_trajectory(data, trajectory.id);
+        at.sort_by(|a, b| a.1.total_cmp(&b.1));
+        places.push(at.iter().map(|(_, x)| trajectory.origin_mm + trajectory.direction * *x).collect());
+        rows.push(at.into_iter().map(|a| a.0).collect());
+    }
+    let labels = labels(&data.whisker, preset, &places)?;
+    let tips = if with_tip { Some(tip(&data.whisker, preset, &places)?) } else { None };
+    let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
+    let mut poses: Vec<Pose<'_>> = Vec::new();
+    for (t, trajectory) in data.trajectories.iter().enumerate() {
+        let line = Line { origin_mm: trajectory.origin_mm, direction: trajectory.direction };
+        let xs: Vec<f64> = rows[t].iter().filter_map(|k| data.rows[*k].stage_mm).collect();
+        for (n, outcome) in rod.follow(&line, &xs).iter().enumerate() {
+            let point = data.rows[rows[t][n]].point;
+            poses.push(Pose {
+                row: rows[t][n],
+                point,
+                label: &labels[t][n],
+                ideal_nmm: outcome.equilibrium().map(|e| e.moment_nmm),
+                stable: rod.equilibria(&places[t][n]).iter().filter(|e| e.1 > 0.0).count(),
+                tip: tips.as_ref().map(|tips| tips[t][n]),
+                outside: data.twin.iter().find(|l| l.point == point).map(|l| l.moment_nmm),
+            });
+        }
+    }
+    let full = full_scale(data);
+    let mut lines: Vec<Text> = vec![None; data.rows.len()];
+    for pose in &poses {
+        say(data, pose, full);
+        lines[pose.row] = Some(line(data, pose));
+    }
+    summary(data, &poses, full);
+    if preset == Preset::Paper {
+        let found = MujocoEngine::start()
+            .and_then(|mut engine| statics(&mut engine, &data.whisker, &paper_options(&data.whisker)))?;
+        eprintln!(
+            "twin: links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
+            found.links,
+            found.moment_error * 100.0,
+            found.point_error * 100.0
+        );
+    }
+    Ok(lines)
+}
+
+fn line(data: &WhiskerData, pose: &Pose<'_>) -> (String, bool) {
+    let label = pose.label;
+    let Some(moment) = label.moment_nmm else { return (",,,unstable,false".to_owned(), false) };
+    let branch = match (label.arclength_mm, label.others.is_empty()) {
+        (_, false) => "several",
+        (Some(_), true) => "held",
+        (None, true) => "free",
+    };
+    let text = row(data, &moment, label.arclength_mm, branch, label.settled);
+    (text, label.settled && label.others.is_empty())
+}
+
+/// Full scale of the session's own labels, N mm.
+fn full_scale(data: &WhiskerData) -> f64 {
+    let span = |c: usize| {
+        let values = data.twin.iter().map(|l| l.moment_nmm[c]);
+        let (low, high) = values.fold((0.0_f64, 0.0_f64), |(l, h), x| (l.min(x), h.max(x)));
+        high - low
+    };
+    span(0).max(span(1))
+}
+
+/// Largest difference of a moment's components from a label, share of full scale.
+fn off(data: &WhiskerData, moment: &Vector3<f64>, label: &[f64; 2], full: f64) -> f64 {
+    let ours = data.moments.components_nmm(moment);
+    (0..2).map(|c| (ours[c] - label[c]).abs()).fold(0.0, f64::max) / full
+}
+
+/// What is known of a pose, in one line, and a line for every other place of rest.
+fn say(data: &WhiskerData, pose: &Pose<'_>, full: f64) {
+    let (point, label) = (pose.point, pose.label);
+    let Some(moment) = label.moment_nmm else {
+        return eprintln!("twin: point {point}: a step went wrong (NaN or infinity): no moment");
+    };
+    let show = |m: &Vector3<f64>| {
+        let m = data.moments.components_nmm(m);
+        format!("({:.4}, {:.4}) N mm", m[0], m[1])
+    };
+    let place = label.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
+    let mut text = format!("twin: point {point}: {place}, {}", show(&moment));
+    if let Some(theirs) = &pose.outside {
+        text +=
+            &format!("; the session's label is {:.4} of full scale away", off(data, &moment, theirs, full));
+    }
+    if !label.settled {
+        text += &format!("; not at rest ({:.1e} rad/s)", label.fastest_rad_s);
+    }
+    if label.chatters {
+        text += "; chatters";
+    }
+    if label.overlap_mm > data.whisker.diameter_mm / 2.0 {
+        text += &format!("; sinks {:.2} mm into the tip, past the wire's radius", label.overlap_mm);
+    }
+    eprintln!("{text}");
+    for other in &label.others {
+        let place = other.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
+        eprintln!("twin: point {point}: {} it is {place}, {}", other.way, show(&other.moment_nmm));
+    }
+    if label.others.is_empty() {
+        return;
+    }
+    let near = |o: &&Other| {
+        o.arclength_mm.zip(label.arclength_mm).is_some_and(|(a, b)| (a - b).abs() < SAME_PLACE_MM)
+    };
+    let stuck = label.others.iter().filter(near).count();
+    eprintln!(
+        "twin: point {point}: several places of rest, though a frictionless groove has {} here: on its quick way the groove swings the wire, and {}; history, step and MuJoCo's version decide on the moment",
+        match pose.stable {
+            1 => "one stable equilibrium".to_owned(),
+            n => format!("{n} stable equilibria"),
+        },
+        match (stuck, stuck < label.others.len()) {
+            (0, _) => "it is thrown out",
+            (_, false) => "friction holds it sideways at the same contact",
+            (_, true) => "friction holds it sideways at the same contact, or it is thrown out",
+        }
+    );
+    let Some(theirs) = &pose.outside else { return };
+    if off(data, &moment, theirs, full) < OTHER_BRANCH {
+        return;
+    }
+    let same = label.others.iter().find(|o| off(data, &o.moment_nmm, theirs, full) < 2.0 * OTHER_BRANCH);
+    eprintln!(
+        "twin: point {point}: the session's label ({:.4}, {:.4}) N mm is {}",
+        theirs[0],
+        theirs[1],
+        same.map_or("none of these: friction holds a continuum of them".to_owned(), |o| format!(
+            "that {}",
+            o.way
+        ))
+    );
+}
+
+/// Median and largest, and where that is.
+fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
+    values.retain(|v| v.0.is_finite());
+    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (middle, last) = (values.get(values.len() / 2)?, values.last()?);
+    Some((middle.0, last.0, last.1))
+}
+
+fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
+    let several: Vec<&Pose<'_>> = poses.iter().filter(|p| !p.label.others.is_empty()).collect();
+    let points = |of: &[&Pose<'_>]| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
+    eprintln!(
+        "twin: {} of {} poses have several places of rest: {}",
+        several.len(),
+        poses.len(),
+        points(&several)
+    );
+    let labelled: Vec<(&Pose<'_>, f64)> = poses
+        .iter()
+        .filter_map(|p| Some((p, off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full))))
+        .collect();
+    if !labelled.is_empty() {
+        let (near, far): (Vec<(&Pose<'_>, f64)>, Vec<_>) =
+            labelled.iter().copied().partition(|(_, off)| *off < OTHER_BRANCH);
+        let largest = near.iter().map(|n| n.1).fold(0.0, f64::max);
+        let told = far.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
+        let false_alarms = near.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
+        eprintln!(
+            "twin: {} of {} labels of the session agree, within {largest:.1e} of full scale; of the {} others {told} were told without the labels to have several places of rest, and {false_alarms} of those that agree",
+            near.len(),
+            labelled.len(),
+            far.len()
+        );
+    }
+    let worst = |of: &dyn Fn(&PoseLabel) -> f64| {
+        spread(poses.iter().map(|p| (of(p.label), p.point)).collect())
+            .map_or_else(String::new, |(middle, most, at)| {
+                format!("{middle:.2e} (median), {most:.2e} at most (point {at})")
+            })
+    };
+    eprintln!(
+        "twin: still creeping over the second half of the settling, by damping and friction: {} N mm; {} of {} poses chatter; the wire sinks into the tip: {} mm",
+        worst(&|l| l.creep_nmm),
+        poses.iter().filter(|p| p.label.chatters).count(),
+        poses.len(),
+        worst(&|l| l.overlap_mm)
+    );
+    // Only on our branch: elsewhere a difference is no error of the twin's.
+    let sure: Vec<&Pose<'_>> =
+        poses.iter().filter(|p| p.label.others.is_empty() && p.label.arclength_mm.is_some()).collect();
+    type Moment<'a> = &'a dyn Fn(&Pose<'_>) -> Option<Vector3<f64>>;
+    let state = |what: &str, from: Moment<'_>, to: Moment<'_>| {
+        let differences = sure.iter().filter_map(|p| {
+            let (a, b, ideal) = (from(p)?, to(p)?, p.ideal_nmm?);
+            Some(((b - a).norm() / ideal.norm() * 100.0, p.point))
+        });
+        let differences: Vec<(f64, i64)> = differences.collect();
+        let count = differences.len();
+        match spread(differences) {
+            Some((middle, most, at)) => eprintln!(
+                "twin: {what}: {middle:.2} % of the moment (median of {count} poses), {most:.2} % at most (point {at})"
+            ),
+            None => eprintln!("twin: {what}: not known, no pose is held"),
+        }
+    };
+    let ideal: Moment<'_> = &|p| p.ideal_nmm;
+    let own: Moment<'_> = &|p| p.label.moment_nmm;
+    let smooth: Moment<'_> = &|p| p.tip?.hard_smooth_nmm;
+    let soft: Moment<'_> = &|p| p.tip?.soft_smooth_nmm;
+    state("all together, against the rod in an ideal groove", ideal, own);
+    if poses.iter().any(|p| p.tip.is_some()) {
+        state("the tip's shape alone (play: where a hard, smooth groove holds the wire)", ideal, smooth);
+        state("the contact's softness, added to that", smooth, soft);
+        state("the tip's friction, added to both", soft, own);
+    }
+}

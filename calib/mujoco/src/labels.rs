@@ -1,0 +1,242 @@
+//! Base moments at the poses of a calibration by MuJoCo's groove bench, and what they hang on.
+//!
+//! The groove runs from pose to pose in a tenth of a second; what the wire does on the way depends on its damping. Where it swings
+//! sideways, the tip's friction holds it there, at the same place of the wire but with another moment; where it is thrown out, it is
+//! free. MuJoCo's version, its step and its history decide: such poses are found, without any label, by running the same trajectories
+//! with less damping and by coming to each pose straight from the start.
+
+use crate::engine::protocol::{Frame, Request};
+use crate::groove::{Preset, START_MM, bench, released_from};
+use crate::mjcf::Touch;
+use crate::{MujocoEngine, TwinError};
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use std::fmt::{Display, Formatter};
+use wcal_core::observation::WhiskerSpec;
+
+/// Retreat before each trajectory, along y, mm.
+const RETREAT_MM: f64 = 60.0;
+/// A pose counts as reached when the tip moves less than this in ten steps, mm.
+const REACHED_MM: f64 = 1e-3;
+const MOST_STEPS: u64 = 20_000;
+/// Steps that settle a pose, and those that settle it on another way.
+const SETTLE_STEPS: u64 = 4000;
+const AGAIN_STEPS: u64 = 2500;
+/// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
+const REST_RAD_S: f64 = 1e-3;
+/// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
+const ELSEWHERE: [f64; 2] = [0.05, 0.02];
+/// Damping with which the trajectories are run again, over the stated one.
+const LESS_DAMPING: [f64; 2] = [0.7, 0.5];
+/// Share of steps with a change between touching and free past which a settled wire chatters.
+const CHATTER: f64 = 0.02;
+
+/// How a pose was come to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Way {
+    /// Straight from the start, past the places between.
+    Straight,
+    /// Along the trajectory with this share of the damping.
+    LessDamping(f64),
+}
+
+impl Display for Way {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Straight => write!(f, "come to straight from the start"),
+            Self::LessDamping(share) => write!(f, "with {share} of the damping"),
+        }
+    }
+}
+
+/// Where the wire came to rest on another way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Other {
+    /// The way.
+    pub way: Way,
+    /// r x F, N mm, session's base frame.
+    pub moment_nmm: Vector3<f64>,
+    /// Arc length of the contact, mm; none: the wire came free.
+    pub arclength_mm: Option<f64>,
+}
+
+/// What a pose gave.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseLabel {
+    /// r x F, N mm, session's base frame; none where a step went wrong (a number that is none).
+    pub moment_nmm: Option<Vector3<f64>>,
+    /// Arc length of the contact (mean by force), mm; none without contact.
+    pub arclength_mm: Option<f64>,
+    /// Deepest overlap while settling, mm.
+    pub overlap_mm: f64,
+    /// Fastest joint at the end, rad/s.
+    pub fastest_rad_s: f64,
+    /// Change of the moment over the second half of the settling, N mm: what damping still holds back.
+    pub creep_nmm: f64,
+    /// Whether the wire touches and comes free from step to step.
+    pub chatters: bool,
+    /// Whether the wire came to rest.
+    pub settled: bool,
+    /// Other places at which it rests at this pose, by the way there.
+    pub others: Vec<Other>,
+}
+
+/// Moments at a pose as the tip's ways of being real are added to the ideal contact, N mm; none where the wire is not held.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tip {
+    /// The groove's shape alone: hard, without friction. Less the ideal contact's moment: the play.
+    pub hard_smooth_nmm: Option<Vector3<f64>>,
+    /// With the released contact's softness. What is left to the label itself is friction.
+    pub soft_smooth_nmm: Option<Vector3<f64>>,
+}
+
+/// Labels at the groove's places of each trajectory (session's frame, in order of travel); trajectories run side by side.
+///
+/// # Errors
+/// Where the engine is missing or dies.
+pub fn labels(
+    whisker: &WhiskerSpec,
+    preset: Preset,
+    trajectories: &[Vec<Vector3<f64>>],
+) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
+    let touch = Touch::RELEASED;
+    let mut labels = run(whisker, preset, touch, 1.0, trajectories, SETTLE_STEPS, false)?;
+    let mut compare = |way: Way, found: Vec<Vec<PoseLabel>>| {
+        for (label, other) in labels.iter_mut().flatten().zip(found.into_iter().flatten()) {
+            if let (Some(here), Some(there)) = (label.moment_nmm, other.moment_nmm)
+                && (there - here).norm() > ELSEWHERE[0] * here.norm() + ELSEWHERE[1]
+            {
+                label.others.push(Other { way, moment_nmm: there, arclength_mm: other.arclength_mm });
+            }
+        }
+    };
+    compare(Way::Straight, run(whisker, preset, touch, 1.0, trajectories, AGAIN_STEPS, true)?);
+    for share in LESS_DAMPING {
+        let found = run(whisker, preset, touch, share, trajectories, AGAIN_STEPS, false)?;
+        compare(Way::LessDamping(share), found);
+    }
+    Ok(labels)
+}
+
+/// The tip's shape and softness apart from its friction, at the places of [`labels`].
+///
+/// # Errors
+/// As [`labels`].
+pub fn tip(
+    whisker: &WhiskerSpec,
+    preset: Preset,
+    trajectories: &[Vec<Vector3<f64>>],
+) -> Result<Vec<Vec<Tip>>, TwinError> {
+    let with = |touch: Touch| {
+        let touch = Touch { friction: 0.0, ..touch };
+        run(whisker, preset, touch, 1.0, trajectories, AGAIN_STEPS, false)
+    };
+    let (hard, soft) = (with(Touch::default())?, with(Touch::RELEASED)?);
+    let held = |label: &PoseLabel| label.moment_nmm.filter(|_| label.arclength_mm.is_some());
+    let pose = |(a, b): (&PoseLabel, &PoseLabel)| Tip { hard_smooth_nmm: held(a), soft_smooth_nmm: held(b) };
+    Ok(hard.iter().zip(&soft).map(|(a, b)| a.iter().zip(b).map(pose).collect()).collect())
+}
+
+/// Runs the trajectories; `straight`: from the start to each place, without those between.
+fn run(
+    whisker: &WhiskerSpec,
+    preset: Preset,
+    touch: Touch,
+    damping: f64,
+    trajectories: &[Vec<Vector3<f64>>],
+    steps: u64,
+    straight: bool,
+) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
+    let xml = bench(whisker, preset, touch, damping)?;
+    let turn = released_from(whisker);
+    trajectories
+        .par_iter()
+        .map(|places| {
+            if places.is_empty() {
+                return Ok(Vec::new());
+            }
+            let mut engine = MujocoEngine::start()?;
+            engine.load(&xml, preset == Preset::Released)?;
+            let mut bench = Bench { engine, turn };
+            bench.begin()?;
+            let mut labels = Vec::with_capacity(places.len());
+            for (k, place) in places.iter().enumerate() {
+                if straight && k > 0 {
+                    bench.begin()?;
+                }
+                labels.push(bench.label(&(turn * place), steps)?);
+            }
+            Ok(labels)
+        })
+        .collect()
+}
+
+/// A running bench; places in the released frame.
+struct Bench {
+    engine: MujocoEngine,
+    turn: Matrix3<f64>,
+}
+
+impl Bench {
+    fn go(&mut self, place_mm: &Vector3<f64>) -> Result<Frame, TwinError> {
+        let way = (place_mm - Vector3::from(START_MM)) * 1e-3;
+        let control = vec![way.x, -way.y, way.z];
+        let reached = Request::Control {
+            control,
+            body: "tip".to_owned(),
+            moved_m: REACHED_MM * 1e-3,
+            steps: MOST_STEPS,
+        };
+        self.engine.frame(&reached)
+    }
+
+    /// From the free wire: the groove retreats, then comes to the trajectories' start.
+    fn begin(&mut self) -> Result<(), TwinError> {
+        self.engine.frame(&Request::Reset)?;
+        self.go(&(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM))?;
+        self.go(&Vector3::from(START_MM)).map(drop)
+    }
+
+    fn label(&mut self, place_mm: &Vector3<f64>, steps: u64) -> Result<PoseLabel, TwinError> {
+        self.go(place_mm)?;
+        let half = self.engine.frame(&Request::Run { steps: steps / 2 })?;
+        let frame = self.engine.frame(&Request::Run { steps: steps - steps / 2 })?;
+        let (before, moment) = (self.moment(&half)?, self.moment(&frame)?);
+        Ok(PoseLabel {
+            moment_nmm: moment,
+            arclength_mm: arclength_mm(&frame),
+            overlap_mm: half.deepest_m.max(frame.deepest_m) * 1e3,
+            fastest_rad_s: frame.fastest,
+            creep_nmm: before.zip(moment).map_or(f64::NAN, |(a, b)| (b - a).norm()),
+            chatters: frame.toggles as f64 > CHATTER * frame.steps as f64,
+            settled: frame.fastest < REST_RAD_S && !frame.bad,
+            others: Vec::new(),
+        })
+    }
+
+    /// r x F in the session's frame. MuJoCo's torque sensor reads its reaction.
+    fn moment(&self, frame: &Frame) -> Result<Option<Vector3<f64>>, TwinError> {
+        if frame.bad {
+            return Ok(None);
+        }
+        let own = frame.base_moment_nm.map(Vector3::from);
+        let moment = own.or_else(|| frame.sensor_nm.map(|t| -Vector3::from(t)));
+        let moment =
+            moment.ok_or_else(|| TwinError::Engine("expected a base moment, found none".to_owned()))?;
+        Ok(Some(self.turn.tr_mul(&moment) * 1e3))
+    }
+}
+
+/// Arc length of the contact on the chain of links, mean by force, mm.
+fn arclength_mm(frame: &Frame) -> Option<f64> {
+    let at = |j: usize| Vector3::from(frame.links_m[j]);
+    let (mut sum, mut weight) = (0.0, 0.0);
+    for contact in &frame.contacts {
+        let along: f64 = (0..contact.link).map(|j| (at(j + 1) - at(j)).norm()).sum();
+        let axis = (at(contact.link + 1) - at(contact.link)).normalize();
+        let force = Vector3::from(contact.force_n).norm();
+        sum += force * (along + axis.dot(&(Vector3::from(contact.point_m) - at(contact.link))));
+        weight += force;
+    }
+    (weight > 0.0).then(|| sum / weight * 1e3)
+}

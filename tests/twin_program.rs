@@ -1,0 +1,72 @@
+//! `wcal twin --engine mujoco` as a user runs it, on two released poses (SIMULATED labels).
+
+use std::process::Command;
+
+#[test]
+fn the_twin_tells_a_pose_with_several_places_of_rest_without_its_label() {
+    let engine = std::path::Path::new(env!("CARGO_BIN_EXE_wcal")).with_file_name("wcal-mujoco");
+    let hello = Command::new("sh")
+        .args(["-c", "echo '{\"do\":\"hello\"}' | \"$0\"", engine.to_str().unwrap()])
+        .output();
+    if !hello.is_ok_and(|o| String::from_utf8_lossy(&o.stdout).contains("mujoco")) {
+        eprintln!("skipped: {} has no MuJoCo", engine.display());
+        return;
+    }
+    let fixture = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/whiskerfbg");
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["session.toml", "rest_shape.csv", "points.csv", "twin.csv"] {
+        let text = std::fs::read_to_string(fixture.join(name)).unwrap();
+        // Two poses of one trajectory: a sure one and one whose label is on another equilibrium.
+        let kept = |line: &&str| {
+            !name.ends_with("s.csv") && name != "twin.csv"
+                || line.starts_with("point")
+                || ["9,", "11,"].iter().any(|p| line.starts_with(p))
+        };
+        let text: Vec<&str> = text.lines().filter(kept).collect();
+        std::fs::write(folder.path().join(name), text.join("\n") + "\n").unwrap();
+    }
+    let out = folder.path().join("out.csv");
+    let run = |labels: bool| {
+        if !labels {
+            let path = folder.path().join("session.toml");
+            let text = std::fs::read_to_string(&path).unwrap();
+            let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("twin")).collect();
+            std::fs::write(&path, without.join("\n")).unwrap();
+        }
+        let args = [
+            "twin",
+            folder.path().to_str().unwrap(),
+            "--engine",
+            "mujoco",
+            "--preset",
+            "released",
+            "--no-tip",
+            "--out",
+        ];
+        let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
+            .args(args)
+            .arg(&out)
+            .env("WCAL_MUJOCO", &engine)
+            .output()
+            .unwrap();
+        (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+    };
+    let (code, said) = run(true);
+    assert_eq!(code, Some(3), "{said}");
+    for words in [
+        "point 11: with 0.5 of the damping",
+        "point 11: several places of rest",
+        "1 of 2 poses have several places of rest: 11",
+        "1 of 2 labels of the session agree",
+        "of the 1 others 1 were told without the labels",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let table = std::fs::read_to_string(&out).unwrap();
+    let row = |point: &str| table.lines().find(|l| l.starts_with(point)).unwrap().to_owned();
+    assert!(row("9,").contains(",held,true") && row("11,").contains(",several,"), "{table}");
+    // The same without any label.
+    let (code, said) = run(false);
+    assert!(code == Some(3) && said.contains("1 of 2 poses have several places of rest: 11"), "{said}");
+    assert!(!said.contains("labels of the session agree"), "{said}");
+}

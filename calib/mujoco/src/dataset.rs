@@ -120,6 +120,9 @@ impl Total {
     }
 }
 
+/// The rod's centre line between its links: tables made with another one are not the same.
+const CENTRE_LINE: &str = "spline of third order";
+
 impl Dataset {
     /// Names of this share's shards, with object and first sweep, in a fixed order.
     fn blocks(&self) -> Vec<(usize, u64)> {
@@ -132,8 +135,8 @@ impl Dataset {
     /// SHA-256 of what an object's tables follow from.
     fn made_from(&self, mesh: &Mesh) -> String {
         let engine = match &self.engine {
-            SweepEngine::Rod => format!("rod {LINKS}"),
-            SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS}"),
+            SweepEngine::Rod => format!("rod {LINKS} {CENTRE_LINE}"),
+            SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS} {CENTRE_LINE}"),
         };
         let mut bytes = format!("{engine} {:?} {:?} {}", self.whisker, self.plan, self.seed).into_bytes();
         for p in mesh.points() {

@@ -170,6 +170,21 @@ fn the_bayes_filter_follows_with_the_right_speed_only() {
     assert!(right < 1.0 && wrong > 2.0 * right, "{right} {wrong}");
 }
 
+/// A base that stands or goes back, however fast, leaves beliefs and answers numbers; one that keeps its way gives others.
+#[test]
+fn a_base_that_goes_back_leaves_answers_finite() {
+    let tracker = tracker(tiny());
+    let course = &courses()["can"][0];
+    let answers = |speed: &dyn Fn(usize) -> f64| {
+        let mut all = samples(course);
+        all.iter_mut().enumerate().for_each(|(k, s)| s.base_mm_s = Some(speed(k)));
+        tracker.course(&all)
+    };
+    let back = answers(&|k| [0.0, -30.0, 5.0][k % 3]);
+    assert!(back.iter().all(|p| p.contact.is_finite() && p.point_mm.iter().all(|x| x.is_finite())));
+    assert!(back != answers(&|_| 5.0));
+}
+
 #[test]
 fn every_parameter_learns() {
     use burn::module::{Module, ModuleVisitor, Param};
@@ -276,11 +291,18 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
 fn training_learns_and_goes_on_where_it_stopped() {
     let all: Vec<Course> = courses().values().flatten().cloned().collect();
     let material = Material { courses: &all[..8], held_out: &all[8..], inverse: inverse() };
-    let settings =
-        TrainSettings { epochs: 10, batch: 4, window: 48, patience: 99, ..TrainSettings::default() };
+    let settings = TrainSettings {
+        epochs: 10,
+        batch: 4,
+        window: 48,
+        rate: 1e-2,
+        patience: 99,
+        ..TrainSettings::default()
+    };
     let device = Device::flex();
     let (_, whole) = train(&tiny(), &settings, &material, None, &device, |_| {}).unwrap();
-    assert!(whole[9].held_out_loss < 0.8 * whole[0].held_out_loss, "{whole:?}");
+    // It begins with what the filter believes: twenty steps add to that, and do not replace it.
+    assert!(whole[9].held_out_loss < 0.93 * whole[0].held_out_loss, "{whole:?}");
     let folder = tempfile::tempdir().unwrap();
     let stopped = std::panic::catch_unwind(|| {
         train(&tiny(), &settings, &material, Some(folder.path()), &device, |pass| {

@@ -33,7 +33,7 @@ pub(super) struct Rule<'a> {
 
 /// What one step of the base allows.
 struct Step {
-    /// Way of the base, mm.
+    /// Way of the base along +z, mm.
     way_mm: f64,
     /// Mean way on the surface, mm.
     slide_mm: f64,
@@ -102,8 +102,8 @@ impl<'a> Rule<'a> {
         let s = self.settings;
         let step = Step {
             way_mm,
-            slide_mm: s.slide_mm + s.slide_share * way_mm,
-            turn: s.turn + s.turn_per_mm * way_mm,
+            slide_mm: s.slide_mm + s.slide_share * way_mm.abs(),
+            turn: s.turn + s.turn_per_mm * way_mm.abs(),
         };
         let mut new = vec![0.0; self.now.len()];
         for (k, weight) in row.iter().enumerate().filter(|(_, w)| **w > least) {
@@ -131,14 +131,14 @@ impl<'a> Rule<'a> {
         if k >= self.first_tip {
             weight *= (-(from.normal - self.before[self.first_tip - 1].normal).norm() / step.turn).exp();
         }
-        let reach_mm = step.way_mm + REACH * step.slide_mm;
+        let reach_mm = step.way_mm.abs() + REACH * step.slide_mm;
         let near = |c: &&Candidate| (c.point_mm - from.point_mm).norm() < reach_mm;
         let here = k.min(self.first_tip - 1);
         let on = self.now[here..self.first_tip].iter().take_while(near).count();
         let inward = self.now[..here].iter().rev().take_while(near).count();
-        for j in here - inward..here + on {
+        for (j, new) in new.iter_mut().enumerate().take(here + on).skip(here - inward) {
             let (density, slid) = self.density(k, j, step.way_mm);
-            new[j] += weight * density * (-slid.norm() / step.slide_mm).exp() * self.now[j].volume;
+            *new += weight * density * (-slid.norm() / step.slide_mm).exp() * self.now[j].volume;
         }
     }
 

@@ -14,8 +14,8 @@ use std::process::ExitCode;
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_track::Sample;
 use wcal_track::live::BasePose;
-use wcal_track::{Sample, Tracker};
 
 /// A step this many times the median is a gap.
 const GAP_STEPS: f64 = 4.0;

@@ -3,7 +3,7 @@
 use wcal_mujoco::engine::protocol::{Reply, Request};
 
 #[derive(Default)]
-pub struct World;
+pub struct World {}
 
 impl World {
     pub fn answer(&mut self, _: &Request) -> Reply {

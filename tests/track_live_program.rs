@@ -245,7 +245,9 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let (m, p) = (rows.numbers("moment_1_nmm"), rows.numbers("contact_probability"));
     let pressed: Vec<usize> = (0..m.len()).filter(|k| m[*k].abs() > 0.1).collect();
     assert!(pressed.len() > 5, "{m:?}");
-    assert!(pressed.iter().all(|k| touching[*k] == "1" && p[*k] > 0.5), "{p:?}");
+    // The readings in which the touch begins and ends are half free.
+    let whole = &pressed[1..pressed.len() - 1];
+    assert!(whole.iter().all(|k| touching[*k] == "1" && p[*k] > 0.5), "{pressed:?} {p:?}");
     let free = (0..m.len()).filter(|k| touching[*k] == "0").count();
     assert!(free > 50, "{touching:?}");
     // World frame: 100 mm to the side, carried along z by the stage.

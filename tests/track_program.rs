@@ -63,6 +63,22 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert_eq!(rows.len(), std::fs::read_to_string(&table).unwrap().lines().count() - 1);
     assert!(rows.iter().all(|r| r.len() == names.len() && r[doubtful] == "1"), "every row says so");
 
+    // The first reading as the zero: every row moves by the same moments.
+    let tared = path("tared.csv");
+    let first: Vec<&str> = track.iter().map(|a| if *a == out { tared.as_str() } else { *a }).collect();
+    let run = wcal(&[&first[..], &["--force", "--tare-s", "0.001"]].concat());
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let after = std::fs::read_to_string(&tared).unwrap();
+    let after: Vec<Vec<&str>> = after.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let column = names.iter().position(|n| *n == "moment_1_nmm").unwrap();
+    let value = |rows: &[Vec<&str>], k: usize| rows[k][column].parse::<f64>().unwrap();
+    assert_eq!(value(&after, 0), 0.0);
+    let zero = value(&rows, 0);
+    assert!(
+        zero.abs() > 1e-5
+            && (0..rows.len()).all(|k| (value(&rows, k) - value(&after, k) - zero).abs() < 3e-6)
+    );
+
     // Damage and lack are named.
     let timeless = path("timeless.csv");
     std::fs::write(&timeless, "point,fbg_1_shift_nm,fbg_2_shift_nm\n0,0.1,0.1\n").unwrap();

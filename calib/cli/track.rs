@@ -7,6 +7,8 @@ mod output;
 mod table;
 mod whiskers;
 
+pub use checks::told;
+
 use crate::artefact::CalibrationModel;
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
@@ -56,6 +58,9 @@ pub struct TrackArgs {
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
+    /// Time at the beginning, without contact, whose mean moments are the zero, s
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    pub tare_s: f64,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,

@@ -1,14 +1,15 @@
 //! The paper's tables II and III, the virtual real bench, and ablations. All of it is SIMULATED.
 
-use super::virtual_bench::{Calibrated, VirtualBench};
+use super::virtual_bench::VirtualBench;
 use super::{EvaluateArgs, mean, meshes};
+use crate::artefact::CalibrationModel;
+use crate::track::told;
 use anyhow::Context;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_mujoco::physics::Medium;
 use wcal_mujoco::{Mesh, SweepPlan};
-use wcal_track::bayes::BayesSettings;
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
 use wcal_track::model_file::Card;
@@ -82,7 +83,12 @@ impl Maker<'_> {
         self.courses(meshes, &Order { whisker: &bench.whisker, plan: &plan, seed, sweeps })
     }
 
-    fn through(&self, bench: &VirtualBench, by: &Calibrated, courses: &Courses) -> anyhow::Result<Courses> {
+    fn through(
+        &self,
+        bench: &VirtualBench,
+        by: &CalibrationModel,
+        courses: &Courses,
+    ) -> anyhow::Result<Courses> {
         let one = |(name, all): (&String, &Vec<Course>)| {
             let seen = all.iter().map(|c| bench.through(c, by, self.args.seed, self.folder));
             Ok((name.clone(), seen.collect::<anyhow::Result<Vec<Course>>>()?))
@@ -90,10 +96,9 @@ impl Maker<'_> {
         courses.iter().map(one).collect()
     }
 
-    /// The tracker as it is told of this bench's noise.
-    fn told(&self, bench: &VirtualBench) -> Tracker {
-        let [noise_nmm, zero_nmm] = bench.stated_nmm();
-        Tracker { filter: BayesSettings::stated(noise_nmm, zero_nmm), ..self.tracker.clone() }
+    /// The tracker told of a calibration's noise, as `wcal track` tells it.
+    fn told(&self, by: &CalibrationModel) -> Tracker {
+        Tracker { filter: told(by), ..self.tracker.clone() }
     }
 
     fn virtual_real(
@@ -102,8 +107,8 @@ impl Maker<'_> {
         seen: &Meshes,
         unseen: &Meshes,
     ) -> anyhow::Result<(Value, Value)> {
-        let told = self.told(bench);
-        let by = bench.model.as_ref().unwrap_or(&bench.map);
+        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+        let told = self.told(by);
         let score = |meshes: &Meshes, courses: &Courses, known: bool| {
             over_objects(&|c: &Course| Method::Network(&told, known).run(c), courses, meshes)
         };
@@ -123,13 +128,13 @@ impl Maker<'_> {
         let real = json!({
             "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
             "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
-            "calibration": if bench.model.is_some() { "verify" } else { "fit-gpr" },
+            "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
             "objects": objects,
         });
         let later = |c: &Course| {
-            let mut estimates: Vec<Estimate> = Method::Network(&told, true).run(c);
-            estimates.rotate_right(1);
-            estimates
+            // The estimate of the reading before; the first one has none.
+            let estimates: Vec<Estimate> = Method::Network(&told, true).run(c);
+            estimates.first().into_iter().chain(&estimates).take(c.instants.len()).copied().collect()
         };
         let damped = |courses: &Courses| -> Courses {
             courses.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
@@ -181,8 +186,8 @@ impl Maker<'_> {
     }
 
     fn sim_to_real(&self, bench: &VirtualBench) -> anyhow::Result<Value> {
-        let told = self.told(bench);
-        let by = bench.model.as_ref().unwrap_or(&bench.map);
+        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+        let told = self.told(by);
         let mut rows = Vec::new();
         for name in SIM_TO_REAL {
             let name = name.to_owned();

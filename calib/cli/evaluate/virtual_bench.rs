@@ -3,6 +3,7 @@
 //! The wire differs a little from the one that the tracker was trained on, the groove of its calibration sat elsewhere than declared, and
 //! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
 
+use crate::artefact::{CalibrationModel, read_calibration};
 use crate::fit_gpr::training_set;
 use crate::labels::{LabelSource, moment_labels};
 use crate::predict::{moments_of_map, moments_of_model};
@@ -15,24 +16,14 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
-use wcal_map::{FitOptions, MapArtefact, fit_map};
+use wcal_map::{FitOptions, fit_map};
 use wcal_mujoco::SweepPlan;
 use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::session::draw_on;
 use wcal_plant::{Design, Kind, Request, Want};
-use wcal_trace::verify::PhysicalModel;
-use wcal_track::Course;
-
-/// How moments come out of wavelengths.
-#[derive(Debug, Clone)]
-pub enum Calibrated {
-    /// Through the map of `fit-gpr`, as if no effect had been found.
-    Map(Box<MapArtefact>),
-    /// Through the sensitivity and the effects that `verify` accepted.
-    Model(Box<PhysicalModel>),
-}
+use wcal_track::{Course, Tare};
 
 /// The bench.
 #[derive(Debug)]
@@ -48,10 +39,10 @@ pub struct VirtualBench {
     pub accepted: Vec<String>,
     /// Effects that act.
     pub acting: Vec<String>,
-    /// The map of `fit-gpr`.
-    pub map: Calibrated,
-    /// The verified calibration, where there is one.
-    pub model: Option<Calibrated>,
+    /// The map of `fit-gpr`, as if no effect had been found.
+    pub map: CalibrationModel,
+    /// The sensitivity with the effects that `verify` accepted, where it vouches for one.
+    pub verified: Option<CalibrationModel>,
 }
 
 /// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
@@ -64,8 +55,8 @@ const SIZE_SIGMA: f64 = 20.0;
 const AVERAGED: f64 = 200.0;
 /// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
 const SLOW_S: f64 = 60.0;
-/// Readings at the start of a course that set its zero, without contact.
-const TARE: usize = 5;
+/// Time at the start of a course that sets its zero, without contact (`wcal track --tare-s`), s.
+const TARE_S: f64 = 0.5;
 
 impl VirtualBench {
     /// Draws the bench around the wire of the twin, records its calibration session, and calibrates it twice.
@@ -106,16 +97,7 @@ impl VirtualBench {
         let map = fit_map(&training_set(data, &labels).0, &options)?.artefact;
         let report = verify_session(&session, &folder.join("verify"), seed, &[])?;
         let calibration = folder.join("verify/calibration.json");
-        let model = if calibration.exists() {
-            match crate::artefact::read_calibration(&calibration)?.model {
-                crate::artefact::CalibrationModel::Physical(model) => {
-                    Some(Calibrated::Model(Box::new(model)))
-                }
-                _ => None,
-            }
-        } else {
-            None
-        };
+        let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
         let whisker = WhiskerSpec {
             youngs_gpa: bench.youngs_gpa,
             shear_gpa: bench.shear_gpa,
@@ -133,8 +115,8 @@ impl VirtualBench {
             verdict: report.verify.verdict,
             accepted: report.verify.effects.iter().map(|e| e.id.clone()).collect(),
             acting: case.truth.names.clone(),
-            map: Calibrated::Map(Box::new(map)),
-            model,
+            map: CalibrationModel::Map(map),
+            verified,
         })
     }
 
@@ -149,32 +131,23 @@ impl VirtualBench {
     pub fn through(
         &self,
         course: &Course,
-        by: &Calibrated,
+        by: &CalibrationModel,
         seed: u64,
         folder: &Path,
     ) -> anyhow::Result<Course> {
         let path = folder.join(format!("{}-{}.csv", course.object, course.sweep));
         std::fs::write(&path, self.readings(course, seed)).with_context(|| path.display().to_string())?;
         let rows = match by {
-            Calibrated::Map(artefact) => moments_of_map(&path, artefact)?,
-            Calibrated::Model(model) => moments_of_model(&path, model)?,
+            CalibrationModel::Map(artefact) => moments_of_map(&path, artefact)?,
+            CalibrationModel::Physical(model) => moments_of_model(&path, model)?,
+            CalibrationModel::Scalar(_) => bail!("virtual bench: expected a whisker's calibration"),
         };
-        let tare = [0, 1].map(|k| {
-            let first = rows.iter().take(TARE).map(|r| r.moment_nmm[k]);
-            first.sum::<f64>() / TARE.min(rows.len()).max(1) as f64
-        });
+        let mut tare = Tare::new(TARE_S);
         let mut seen = course.clone();
         for (instant, row) in seen.instants.iter_mut().zip(&rows) {
-            instant.moment_nmm = [0, 1].map(|k| row.moment_nmm[k] - tare[k]);
+            instant.moment_nmm = tare.zeroed(instant.t_s, row.moment_nmm);
         }
         Ok(seen)
-    }
-
-    /// White noise of a reading and how far its zero goes in a course, as moments, N mm.
-    #[must_use]
-    pub fn stated_nmm(&self) -> [f64; 2] {
-        let gain = self.bench.k[0][0].hypot(self.bench.k[1][0]);
-        [self.bench.sample_sd_pm / AVERAGED.sqrt() / gain, 0.5 * self.bench.noise_pm / gain]
     }
 
     /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.

@@ -72,17 +72,8 @@ pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
 /// # Errors
 /// Where the file cannot be read.
 pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
-    let keys = match path {
-        Some(path) => read(path)?.whisker,
-        None => WhiskerKeys {
-            diameter_mm: 0.3,
-            length_mm: 60.0,
-            straight_mm: 30.0,
-            arc_radius_mm: 20.0,
-            youngs_gpa: youngs_gpa(),
-            shear_gpa: shear_gpa(),
-        },
-    };
+    let Some(path) = path else { return Ok(WhiskerSpec::nominal()) };
+    let keys = read(path)?.whisker;
     Ok(WhiskerSpec {
         diameter_mm: keys.diameter_mm,
         youngs_gpa: keys.youngs_gpa,

@@ -55,22 +55,27 @@ pub struct Loaded<'a> {
     pub doubts: Doubts,
 }
 
-/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow.
+/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
 const WHITE: f64 = 0.2;
-/// Share by which the zero may be off when a recording begins.
+/// Share by which the zero may be off in a recording. An assumption too.
 const ZERO: f64 = 0.5;
+
+/// What the filter below the network is told of the moments that come through a calibration.
+pub fn told(model: &CalibrationModel) -> BayesSettings {
+    let noise_nmm = match model {
+        CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
+        CalibrationModel::Physical(model) => {
+            model.noise_sd_pm / model.sensitivity().singular_values().min().max(1e-9)
+        }
+        CalibrationModel::Scalar(_) => 0.0,
+    };
+    BayesSettings::stated(WHITE * noise_nmm, ZERO * noise_nmm)
+}
 
 impl Loaded<'_> {
     /// A stream whose filter is told of the calibration's noise.
     pub fn stream(&self) -> Stream<'_> {
-        let noise_nmm = match &self.file.model {
-            CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
-            CalibrationModel::Physical(model) => {
-                model.noise_sd_pm / model.sensitivity().singular_values().min().max(1e-9)
-            }
-            CalibrationModel::Scalar(_) => 0.0,
-        };
-        self.tracker.stream_told(BayesSettings::stated(WHITE * noise_nmm, ZERO * noise_nmm))
+        self.tracker.stream_told(told(&self.file.model))
     }
 }
 

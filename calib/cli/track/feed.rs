@@ -103,7 +103,7 @@ mod tests {
         // Room for two batches: the third and fourth are dropped.
         assert!(intake.scans(scans(0, 200)).unwrap());
         assert_eq!(intake.dropped(), 100);
-        let mut next = || match receiver.try_recv() {
+        let next = || match receiver.try_recv() {
             Ok(Item::Scans(scans, dropped)) => Some((scans[0].serial, scans.len(), dropped)),
             _ => None,
         };

@@ -188,6 +188,11 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) ->
     failed.map(|()| code)
 }
 
+/// The disk takes no more.
+fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
+    DeviceError::new(DeviceErrorKind::Configuration, "recording", "record", "space on disk", why.to_string())
+}
+
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Intake, done: &AtomicBool) {
     let mut heard = Instant::now();
@@ -217,16 +222,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
         match intake.scans(readings) {
             Ok(true) => {}
             Ok(false) => break,
-            Err(e) => {
-                let kind = DeviceErrorKind::Configuration;
-                return intake.fail(DeviceError::new(
-                    kind,
-                    "recording",
-                    "record",
-                    "space on disk",
-                    e.to_string(),
-                ));
-            }
+            Err(e) => return intake.fail(unrecorded(&e)),
         }
     }
     // What was read is tracked; a unit that does not confirm the end changes nothing.
@@ -243,14 +239,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) 
         match stage.read() {
             Ok(reading) => {
                 if let Err(e) = intake.stage(StagePosition::from(&reading), &reading) {
-                    let kind = DeviceErrorKind::Configuration;
-                    return intake.fail(DeviceError::new(
-                        kind,
-                        "recording",
-                        "record",
-                        "space on disk",
-                        e.to_string(),
-                    ));
+                    return intake.fail(unrecorded(&e));
                 }
             }
             Err(e) => return intake.fail(e),

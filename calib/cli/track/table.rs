@@ -14,8 +14,8 @@ use std::process::ExitCode;
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
-use wcal_track::Sample;
 use wcal_track::live::BasePose;
+use wcal_track::{Sample, Tare};
 
 /// A step this many times the median is a gap.
 const GAP_STEPS: f64 = 4.0;
@@ -60,6 +60,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
+    let mut tare = Tare::new(args.tare_s);
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -79,8 +80,11 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         let base_mm_s = measured.or(args.base_mm_s);
         last = Some((t_s, base));
         let usable = !flags.has(Flags::REFERENCE_LOST);
-        let moments =
-            usable.then_some(StreamMoments { moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, valid: m.valid });
+        let moments = usable.then(|| StreamMoments {
+            moment_nmm: tare.zeroed(t_s, m.moment_nmm),
+            sd_nmm: m.sd_nmm,
+            valid: m.valid,
+        });
         let answer = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
         outside += u64::from(usable && !m.valid);
         flagged += u64::from(!flags.none());
@@ -100,7 +104,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     }
     let summary = json!({
         "format": FORMAT, "source": path, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
-        "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0,
+        "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
     });

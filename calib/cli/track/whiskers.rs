@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use wcal_core::device::FbgReading;
-use wcal_core::stream::MomentStream;
+use wcal_core::stream::{MomentStream, StreamMoments};
 use wcal_map::MapPredictor;
 use wcal_session::recording::clocks::ClockPair;
 use wcal_session::recording::message::StagePosition;
@@ -19,7 +19,7 @@ use wcal_session::recording::sensed::WhiskerReader;
 use wcal_session::recording::tracks::TrackChannels;
 use wcal_trace::verify::PhysicalStream;
 use wcal_track::live::{BaseMotion, Chain, ChainSettings, Row, first_mode_hz};
-use wcal_track::{Sample, Stream};
+use wcal_track::{Sample, Stream, Tare};
 
 /// One whisker of a stream.
 struct Whisker<'a> {
@@ -28,6 +28,7 @@ struct Whisker<'a> {
     reader: WhiskerReader,
     chain: Chain,
     stream: Stream<'a>,
+    tare: Tare,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -40,6 +41,7 @@ pub struct Whiskers<'a> {
     all: Vec<Whisker<'a>>,
     base: Option<BaseMotion>,
     base_mm_s: Option<f64>,
+    tare_s: f64,
     zero_mm: f64,
     clocks: ClockPair,
     origin_s: Option<f64>,
@@ -92,6 +94,7 @@ impl<'a> Whiskers<'a> {
                 reader: WhiskerReader::new(place, &rig.interrogator, &l.name, fbg)?,
                 chain: Chain::new(&settings, map)?,
                 stream: l.stream(),
+                tare: Tare::new(args.tare_s),
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -103,6 +106,7 @@ impl<'a> Whiskers<'a> {
             all: loaded.iter().map(one).collect::<Result<_>>()?,
             base: base_motion(place, rig)?,
             base_mm_s: args.base_mm_s,
+            tare_s: args.tare_s,
             zero_mm: rig.stage.zero_mm,
             clocks: ClockPair::default(),
             origin_s: None,
@@ -210,7 +214,7 @@ impl<'a> Whiskers<'a> {
         json!({
             "scans": self.scans, "gaps": self.gaps, "lost_scans": self.lost,
             "scan_rate_hz": self.settings.rate_hz,
-            "lag_s": filter.map(|f| f.lag_s()),
+            "lag_s": filter.map(|f| f.lag_s()), "tare_s": self.tare_s,
             "filter": filter.map(|f| json!({
                 "kind": "linear-phase, Hann-windowed sinc", "gain_1_hz": f.gain(1.0), "gain_5_hz": f.gain(5.0), "gain_10_hz": f.gain(10.0),
                 "gain_34_hz": f.gain(34.0), "noise_gain": f.noise_gain(),
@@ -235,7 +239,9 @@ impl Whisker<'_> {
     ) -> Result<wcal_session::recording::tracks::ContactPoint> {
         let base = motion.and_then(|b| b.at(row.t_s));
         let base_mm_s = base.and_then(|b| b.along_z_mm_s).or(base_mm_s);
-        let answer = match &row.moments {
+        let moments =
+            row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(row.t_s, m.moment_nmm), ..m });
+        let answer = match &moments {
             Some(m) => Some(self.stream.push(&Sample { t_s: row.t_s, moment_nmm: m.moment_nmm, base_mm_s })),
             None => {
                 // What happened in between is not known: the tracker starts anew.
@@ -252,7 +258,7 @@ impl Whisker<'_> {
             whisker: &self.loaded.name,
             flags: row.flags,
             doubts: &self.doubts,
-            moments: row.moments,
+            moments,
             answer: answer.as_ref(),
             base_mm_s,
             base,

@@ -46,6 +46,30 @@ pub struct WhiskerSpec {
     pub gravity_direction: Option<Vector3<f64>>,
 }
 
+/// Density of NiTi where a whisker states none, kg/m^3 (SYSTEM, released).
+const NITI_KG_M3: f64 = 6450.0;
+
+impl WhiskerSpec {
+    /// Density, kg/m^3: the stated one, or NiTi's.
+    #[must_use]
+    pub fn density_or_niti_kg_m3(&self) -> f64 {
+        self.density_kg_m3.unwrap_or(NITI_KG_M3)
+    }
+
+    /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc of 20 mm (SYSTEM).
+    #[must_use]
+    pub fn nominal() -> Self {
+        Self {
+            diameter_mm: 0.3,
+            youngs_gpa: 75.0,
+            shear_gpa: 28.2,
+            density_kg_m3: None,
+            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
+            gravity_direction: None,
+        }
+    }
+}
+
 /// Stress-free centre line, root first, base frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

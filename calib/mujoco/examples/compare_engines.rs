@@ -1,7 +1,7 @@
 //! MuJoCo's wire against the rod: `compare_engines FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]` prints statics at 10 to 80 links and the difference on
 //! the same sweeps against the speed (SIMULATED); FOLDER keeps the convex parts. Needs wcal-mujoco beside it or in WCAL_MUJOCO.
 
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::against::against_speed;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
@@ -13,14 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [folder, sweeps, rest @ ..] = &words[..] else {
         return Err("expected FOLDER SWEEPS [DAMPING_S [ARMATURE_S2]]".into());
     };
-    let whisker = WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    };
+    let whisker = WhiskerSpec::nominal();
     let mut options = MjcfOptions::default();
     if let Some(damping) = rest.first() {
         options.damping_s = damping.parse()?;

@@ -2,7 +2,7 @@
 //! thread is what counts; the last line is what the paper's set (78 objects, 200 sweeps each) would take.
 
 use std::collections::BTreeMap;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, objects};
 
@@ -15,14 +15,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     } else {
         files.iter().map(|f| Mesh::read(f.as_ref())).collect::<Result<_, _>>()?
     };
-    let whisker = WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    };
+    let whisker = WhiskerSpec::nominal();
     let (engine, plan) = (RodEngine::new(&whisker, LINKS)?, SweepPlan::default());
     let (mut sweeps, mut samples, mut solves, mut iterations) = (0, 0, 0, 0);
     let mut verdicts: BTreeMap<&str, u64> = BTreeMap::new();

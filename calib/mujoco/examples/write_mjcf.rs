@@ -2,21 +2,14 @@
 //! Used by tests/peers/mujoco_statics.py.
 
 use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::{Guess, Rod, Tangential};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [links, out] = &words[..] else { return Err("expected LINKS OUT.xml".into()) };
-    let whisker = WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    };
+    let whisker = WhiskerSpec::nominal();
     let options = MjcfOptions { links: links.parse()?, ..MjcfOptions::default() };
     std::fs::write(out, mjcf(&whisker, &options)?)?;
     let rod = Rod::new(&whisker, 0.5)?;

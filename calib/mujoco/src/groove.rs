@@ -136,7 +136,7 @@ fn released(
     for p in vertices.iter().map(|p| turn * p * 1e-3) {
         let _ = write!(text, "{} {} {} ", p.x, p.y, p.z);
     }
-    let density = whisker.density_kg_m3.unwrap_or(crate::mjcf::DENSITY_KG_M3);
+    let density = whisker.density_or_niti_kg_m3();
     let Surroundings { head, bodies, tail, .. } = around;
     Ok(format!(
         "<mujoco model=\"released\"><extension><plugin plugin=\"mujoco.elasticity.cable\"/></extension>\

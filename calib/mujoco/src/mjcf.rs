@@ -102,8 +102,6 @@ impl Default for MjcfOptions {
 
 /// Shape is read on a mesh of this step, mm.
 const SHAPE_STEP_MM: f64 = 0.25;
-/// Density where none is given, kg/m^3 (NiTi, SYSTEM).
-pub(crate) const DENSITY_KG_M3: f64 = 6450.0;
 
 /// The wire's model by itself.
 ///
@@ -141,7 +139,7 @@ pub fn mjcf_among(
     let chain = Chain::new(&section, &shape, whisker.diameter_mm, options.links)
         .map_err(|e| refuse("whisker", "a wire that can be bent", e.to_string()))?;
     let (joints, h_m) = (chain.joints(), chain.link_mm * 1e-3);
-    let density = whisker.density_kg_m3.unwrap_or(DENSITY_KG_M3);
+    let density = whisker.density_or_niti_kg_m3();
     // Of the cylinder, not of the capsule: the round ends overlap.
     let mass_kg = density * PI * (whisker.diameter_mm * 0.5e-3).powi(2) * h_m;
     let root =

@@ -9,8 +9,6 @@ use std::f64::consts::{PI, TAU};
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Chain, Links, Softening};
 
-/// Density of NiTi where the whisker states none, kg/m^3 (SYSTEM, released).
-const NITI_KG_M3: f64 = 6450.0;
 const GRAVITY_M_S2: f64 = 9.806_65;
 
 /// What surrounds the wire.
@@ -172,7 +170,7 @@ impl Surroundings {
     pub fn new(whisker: &WhiskerSpec, physics: &Physics) -> Option<Self> {
         let [density_kg_m3, viscosity_m2_s] = physics.medium.fluid()?;
         let diameter_m = whisker.diameter_mm * 1e-3;
-        let wire_kg_m3 = whisker.density_kg_m3.unwrap_or(NITI_KG_M3);
+        let wire_kg_m3 = whisker.density_or_niti_kg_m3();
         let pull_n_per_mm =
             (wire_kg_m3 - density_kg_m3) * PI / 4.0 * diameter_m.powi(2) * GRAVITY_M_S2 * 1e-3;
         Some(Self {

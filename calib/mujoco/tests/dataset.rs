@@ -3,20 +3,13 @@
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, Mesh, SweepPlan, objects, shard};
 
 fn dataset(seed: u64) -> Dataset {
     Dataset {
         engine: wcal_mujoco::SweepEngine::Rod,
-        whisker: WhiskerSpec {
-            diameter_mm: 0.3,
-            youngs_gpa: 75.0,
-            shear_gpa: 28.2,
-            density_kg_m3: None,
-            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-            gravity_direction: None,
-        },
+        whisker: WhiskerSpec::nominal(),
         plan: SweepPlan { most_mm: 40.0, rate_hz: 2.0, ..SweepPlan::default() },
         objects: ["can", "wedge"].map(|n| objects::built_in(n).unwrap()).to_vec(),
         sweeps: 27,

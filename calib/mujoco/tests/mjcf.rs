@@ -1,18 +1,11 @@
 //! The MJCF text: bodies nest, rest shape and stiffness are the rod's. tests/peers/mujoco_statics.py loads it into MuJoCo itself.
 
 use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 
 fn whisker() -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    }
+    WhiskerSpec::nominal()
 }
 
 /// All numbers of an attribute, in order.

@@ -1,21 +1,14 @@
 //! Physics of sweeps (SIMULATED): friction, softening and medium as drawn, and base moments against the continuous rod.
 
 use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_mujoco::rod_engine::{LINKS, Run};
 use wcal_mujoco::{RodEngine, Sweep, SweepPlan, Verdict, objects};
 use wcal_rod::{Guess, Rod, Shape, Tangential};
 
 fn whisker() -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    }
+    WhiskerSpec::nominal()
 }
 
 fn plan(physics: PhysicsPlan) -> SweepPlan {

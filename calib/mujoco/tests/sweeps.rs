@@ -1,20 +1,13 @@
 //! Sweeps over built-in objects (SIMULATED): labels lie on the mesh, forces balance, the same draw gives the same sweep.
 
 use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::rod_engine::{LINKS, Run};
 use wcal_mujoco::sweep::Event;
 use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    }
+    WhiskerSpec::nominal()
 }
 
 fn all(mesh: &Mesh, seed: u64, count: u64) -> Vec<(Sweep, Run)> {

@@ -2,18 +2,11 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::Vector3;
 use std::hint::black_box;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Guess, Line, Rod, Tangential, WORKING_STEP_MM};
 
 fn rod() -> Rod {
-    let spec = WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    };
+    let spec = WhiskerSpec::nominal();
     Rod::new(&spec, WORKING_STEP_MM).expect("nominal whisker")
 }
 

@@ -99,17 +99,10 @@ impl Rod {
 mod tests {
     use super::*;
     use crate::{Line, Outcome};
-    use wcal_core::observation::{RestShape, WhiskerSpec};
+    use wcal_core::observation::WhiskerSpec;
 
     fn rod() -> Rod {
-        let spec = WhiskerSpec {
-            diameter_mm: 0.3,
-            youngs_gpa: 75.0,
-            shear_gpa: 28.2,
-            density_kg_m3: None,
-            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-            gravity_direction: None,
-        };
+        let spec = WhiskerSpec::nominal();
         Rod::new(&spec, 4.0).unwrap()
     }
 

@@ -14,6 +14,7 @@ pub mod model_file;
 pub mod network;
 pub mod score;
 pub mod stream;
+mod tare;
 pub mod train;
 
 pub use burn::tensor::Device;
@@ -21,3 +22,4 @@ pub use course::{Contact, Course, Instant};
 pub use error::TrackError;
 pub use inverse::{Candidate, InverseGrid, StaticInverse};
 pub use stream::{Sample, Stream, Tracker};
+pub use tare::Tare;

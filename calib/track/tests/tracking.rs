@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::OnceLock;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, SweepPlan, objects};
 use wcal_track::bayes::BayesSettings;
 use wcal_track::drawn::{Order, drawn};
@@ -18,14 +18,7 @@ use wcal_track::train::{Material, TrainSettings, train};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 fn whisker() -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    }
+    WhiskerSpec::nominal()
 }
 
 fn grid() -> InverseGrid {

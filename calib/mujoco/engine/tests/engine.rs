@@ -16,14 +16,7 @@ use wcal_mujoco::rod_engine::LINKS;
 use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-        gravity_direction: None,
-    }
+    WhiskerSpec::nominal()
 }
 
 /// Points the library at the program that cargo built; false without MuJoCo in it.

@@ -2,9 +2,6 @@
 
 use wcal_core::observation::{RestShape, WhiskerSpec};
 
-/// NiTi, kg/m^3, where the whisker does not say.
-const DENSITY_KG_M3: f64 = 6450.0;
-
 /// First bending mode of a straight clamped wire of the whisker's length, in air, Hz: 1.8751^2 / (2 pi L^2) sqrt(E I / (rho A)).
 ///
 /// A pre-curved wire and water differ by some ten percent (34 Hz in water, SYSTEM); what uses it allows for that.
@@ -16,25 +13,18 @@ pub fn first_mode_hz(whisker: &WhiskerSpec) -> f64 {
     };
     let (d, l) = (whisker.diameter_mm * 1e-3, length_mm * 1e-3);
     // sqrt(E I / (rho A)) of a round wire: d / 4 sqrt(E / rho).
-    let speed = d / 4.0 * (whisker.youngs_gpa * 1e9 / whisker.density_kg_m3.unwrap_or(DENSITY_KG_M3)).sqrt();
+    let speed = d / 4.0 * (whisker.youngs_gpa * 1e9 / whisker.density_or_niti_kg_m3()).sqrt();
     1.875_104_f64.powi(2) / (std::f64::consts::TAU * l * l) * speed
 }
 
 #[cfg(test)]
 mod tests {
     use super::first_mode_hz;
-    use wcal_core::observation::{RestShape, WhiskerSpec};
+    use wcal_core::observation::WhiskerSpec;
 
     #[test]
     fn the_papers_wire_rings_near_forty_hertz() {
-        let whisker = WhiskerSpec {
-            diameter_mm: 0.3,
-            youngs_gpa: 75.0,
-            shear_gpa: 28.2,
-            density_kg_m3: None,
-            rest_shape: RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 },
-            gravity_direction: None,
-        };
+        let whisker = WhiskerSpec::nominal();
         let hz = first_mode_hz(&whisker);
         assert!((hz - 39.75).abs() < 0.1, "{hz}");
         // 34 Hz in water lies in the band of the detector.

@@ -260,6 +260,28 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
         "{}",
         text(&dead.stderr)
     );
+    // One that greets and then says nothing more: ended after the wait, named and counted, and the run goes on.
+    let hanging = folder.path().join("hanging.sh");
+    std::fs::write(
+        &hanging,
+        "#!/bin/sh\nread line\necho '{\"is\":\"hello\",\"mujoco\":\"0\"}'\nexec sleep 60\n",
+    )
+    .unwrap();
+    std::fs::set_permissions(&hanging, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    let other = folder.path().join("hung");
+    let hung = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        .args(["simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "2", "--json", "--out"])
+        .arg(&other)
+        .envs([("WCAL_MUJOCO", hanging.as_os_str()), ("WCAL_MUJOCO_WAIT_S", "0.5".as_ref())])
+        .output()
+        .unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&hung.stdout).unwrap();
+    assert!(hung.status.code() == Some(3) && json["verdicts"]["no-convex-parts"] == 2, "{json}");
+    let said = text(&hung.stderr);
+    assert!(
+        said.contains("block: no convex parts") && said.contains("within 0.5 s") && said.contains("hung"),
+        "{said}"
+    );
     // The second run makes them again (negative control: nothing dies).
     let second = run(&engine, &["--json"]);
     let json: serde_json::Value = serde_json::from_slice(&second.stdout).unwrap();
@@ -319,4 +341,86 @@ fn softening_is_refused_by_mujoco_with_the_reason() {
             && error.contains("softening_onset_per_m: expected none with the mujoco engine"),
         "{error}"
     );
+}
+
+const WHISKER: &str = "[whisker]\ndiameter_mm = 0.3\nlength_mm = 60.0\n";
+const ARC: &str = "straight_mm = 30.0\narc_radius_mm = 20.0\n";
+
+/// Damping and contact of `wcal fit-whisker --dynamics` are what MuJoCo's wire then has.
+#[test]
+fn the_dynamics_of_a_fitted_whisker_are_used() {
+    let Some(engine) = mujoco() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(at("plan.toml"), "most_mm = 12.0\nrate_hz = 2.0\nspeed_mm_s = [6.0, 6.0]\ngap_mm = [25.0, 30.0]\nlead_mm = [1.0, 2.0]\n")
+        .unwrap();
+    let run = |name: &str, dynamics: &str| {
+        let toml = at(&format!("{name}.toml"));
+        std::fs::write(&toml, format!("{WHISKER}{ARC}{dynamics}")).unwrap();
+        let out = at(name);
+        let args = ["simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "1", "--seed", "3"];
+        let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
+            .args(args)
+            .args(["--whisker", &toml, "--plan", &at("plan.toml"), "--out", &out])
+            .env("WCAL_MUJOCO", &engine)
+            .output()
+            .unwrap();
+        let table = std::fs::read(format!("{out}/block-000000.samples.parquet")).ok();
+        (done.status.code(), table, text(&done.stderr))
+    };
+    let dynamics = |damping_s: f64| {
+        format!(
+            "[dynamics]\ndamping_s = {damping_s}\narmature_s2 = 1e-6\ncontact_time_s = 2e-3\nwidth_mm = 0.1\nimpedance = [0.95, 0.99]\n"
+        )
+    };
+    let (code, usual, said) = run("usual", "");
+    assert!(matches!(code, Some(0 | 3)) && usual.is_some(), "{said}");
+    assert!(run("slow", &dynamics(0.3)).1.unwrap() != *usual.as_ref().unwrap());
+    // Negative control: the usual ones, written out, are no change.
+    assert!(run("same", &dynamics(0.02)).1 == usual);
+    let (code, table, said) = run("broken", "[dynamics]\ndamping_s = 0.02\n");
+    assert!(code == Some(1) && table.is_none() && said.contains("missing field `armature_s2`"), "{said}");
+}
+
+/// A whisker of free curvature is read as its points; a shape stated twice or not at all is an error.
+#[test]
+fn a_whisker_may_have_any_rest_shape() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let points: Vec<String> = (0..=60)
+        .map(|k| f64::from(k) / 60.0)
+        .map(|x| format!("[{:.4}, 0.0, {:.4}]", 20.0 * (3.0 * x).sin(), 20.0 * ((3.0 * x).cos() - 1.0)))
+        .collect();
+    let bent = format!("rest_shape = [{}]\n", points.join(", "));
+    let run = |name: &str, keys: &str| {
+        std::fs::write(at("whisker.toml"), format!("{WHISKER}{keys}")).unwrap();
+        let out = at(name);
+        let done = wcal(&[
+            "simulate",
+            "--object",
+            "can",
+            "--sweeps",
+            "3",
+            "--json",
+            "--whisker",
+            &at("whisker.toml"),
+            "--out",
+            &out,
+        ]);
+        (
+            done.status.code(),
+            std::fs::read(format!("{out}/can-000000.samples.parquet")).ok(),
+            text(&done.stderr),
+        )
+    };
+    let (code, table, said) = run("bent", &bent);
+    assert!(matches!(code, Some(0 | 3)) && table.is_some(), "{said}");
+    assert!(run("arc", ARC).1 != table, "negative control: another wire");
+    for keys in [format!("{bent}{ARC}"), String::new(), "straight_mm = 30.0\n".to_owned()] {
+        let (code, _, said) = run("wrong", &keys);
+        assert!(
+            code == Some(1) && said.contains("expected straight_mm and arc_radius_mm, or rest_shape"),
+            "{said}"
+        );
+    }
 }

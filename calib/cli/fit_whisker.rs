@@ -1,8 +1,11 @@
 //! `wcal fit-whisker`: the whisker's rest geometry from measured shapes, and its stiffness where moments are known.
 //!
 //! `whisker.toml` (`format = "wcal-whisker/1"`):
-//! - `[whisker]`: the keys of session.toml's table: `diameter_mm` (nominal), `length_mm`, `straight_mm`, `arc_radius_mm`, and with
-//!   `--moments` `youngs_gpa`, `shear_gpa` (in the nominal ratio). `wcal simulate --whisker` reads these.
+//! - `[whisker]`: the keys of session.toml's table: `diameter_mm` (nominal), `length_mm`, then `straight_mm`, `arc_radius_mm` or, of a
+//!   wire of free curvature, `rest_shape` (points, mm), and with `--moments` `youngs_gpa`, `shear_gpa` (in the nominal ratio). `wcal
+//!   simulate --whisker` reads these.
+//! - `[curvature]`, of a wire of free curvature: `s_mm` (places), `bend_y_per_mm`, `bend_z_per_mm` (about the base's y and z where the
+//!   wire leaves the clamp, linear between the places) and their sds; `[[rest_models]]`: `model`, `unknowns`, `bic` of all that were tried.
 //! - `[root]`: the clamp in the base frame: `turn_rad` (rotation vector), `offset_mm`.
 //! - `[stiffness]`, with `--moments`: `youngs_gpa`, `sd_gpa`, `sd_by_geometry_gpa` (its part), `points`, `rms_nmm`, `left_out`.
 //! - `[fit]`: `parameters` (names, in the order of what follows), `sd`, `covariance`, `covariance_shared` (the part from errors common to
@@ -10,23 +13,22 @@
 //!   `largest_at_mm` (arc length).
 //! - `[provenance]`: `program`, `command`, `created`, `inputs` with their SHA-256.
 
+mod document;
 mod dynamics;
 mod stiffness;
 
 use crate::picture_output::{provenance, write};
 use anyhow::Context;
-use clap::Args;
-use dynamics::{Dynamics, DynamicsArgs, dynamics};
+use clap::{Args, ValueEnum};
+use document::{Geometry, Root, WhiskerDocument, curvature, described, rest_models};
+use dynamics::{DynamicsArgs, dynamics};
 use nalgebra::Vector3;
-use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use stiffness::{Stiffness, stiffness};
-use wcal_core::Provenance;
+use stiffness::stiffness;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
-use wcal_rod::rest_fit::NAMES;
-use wcal_rod::{MeasuredShape, RestFit, fit_rest};
+use wcal_rod::{MeasuredShape, fit_rest};
 use wcal_vision::rig::Rig;
 use wcal_vision::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 
@@ -55,6 +57,9 @@ pub struct FitWhiskerArgs {
     /// Session whose twin.csv holds known base moments at its poses: fits Young's modulus too
     #[arg(long, value_name = "SESSION")]
     pub moments: Option<PathBuf>,
+    /// Model of the rest shape
+    #[arg(long, value_enum, default_value = "best")]
+    pub rest: RestChoice,
     /// Damping and contact
     #[command(flatten)]
     pub dynamics: DynamicsArgs,
@@ -66,60 +71,15 @@ pub struct FitWhiskerArgs {
     pub json: bool,
 }
 
-/// `whisker.toml`.
-#[derive(Debug, Serialize)]
-struct WhiskerDocument {
-    format: &'static str,
-    whisker: Geometry,
-    root: Root,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    stiffness: Option<Stiffness>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    dynamics: Option<Dynamics>,
-    fit: Fit,
-    provenance: Provenance,
-}
-
-#[derive(Debug, Serialize)]
-struct Geometry {
-    diameter_mm: f64,
-    length_mm: f64,
-    straight_mm: f64,
-    arc_radius_mm: f64,
-    /// Where moments are known.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    youngs_gpa: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    shear_gpa: Option<f64>,
-}
-
-/// The clamp in the base frame: turn as a rotation vector.
-#[derive(Debug, Serialize)]
-struct Root {
-    turn_rad: [f64; 3],
-    offset_mm: [f64; 3],
-}
-
-#[derive(Debug, Serialize)]
-struct Fit {
-    parameters: Vec<&'static str>,
-    sd: Vec<f64>,
-    covariance: Vec<Vec<f64>>,
-    /// The part of the covariance that comes from errors common to all shapes.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    covariance_shared: Vec<Vec<f64>>,
-    rms_mm: f64,
-    rms_over_sd: f64,
-    warnings: Vec<String>,
-    shapes: Vec<ShapeRow>,
-}
-
-#[derive(Debug, Serialize)]
-struct ShapeRow {
-    name: String,
-    rms_mm: f64,
-    largest_mm: f64,
-    largest_at_mm: f64,
+/// Models of the rest shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RestChoice {
+    /// Whichever BIC asks for
+    Best,
+    /// Straight part and arc
+    StraightArc,
+    /// Curvature that is free along the wire, piecewise linear; the number of places by BIC
+    FreeCurvature,
 }
 
 /// Runs the command: 0, or 3 where shapes were left out or residuals are past what is stated.
@@ -162,7 +122,12 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             Err(why) => warnings.push(format!("{} is left out: {why}", pair.name)),
         }
     }
-    let mut fit = fit_rest(&nominal, &usable)?;
+    let choice = match args.rest {
+        RestChoice::Best => wcal_rod::RestChoice::Best,
+        RestChoice::StraightArc => wcal_rod::RestChoice::StraightArc,
+        RestChoice::FreeCurvature => wcal_rod::RestChoice::FreeCurvature,
+    };
+    let mut fit = fit_rest(&nominal, &usable, choice)?;
     let moved = moved_by_shared(&document, &usable);
     if moved.is_empty() {
         warnings.push(
@@ -181,8 +146,9 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     }
     if fit.rms_over_sd > DOUBTFUL {
         warnings.push(format!(
-            "the residuals are {:.1} times what the shapes state: a straight part with an arc in a frictionless groove is not the whole truth",
-            fit.rms_over_sd
+            "the residuals are {:.1} times what the shapes state: a {} in a frictionless groove is not the whole truth",
+            fit.rms_over_sd,
+            fit.model.name()
         ));
     }
     let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
@@ -192,34 +158,23 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     for warning in &warnings {
         eprintln!("fit-whisker: warning: {warning}");
     }
+    let rest_shape = fit.model.rest_shape(&fit.values)?;
+    let (turn, offset) = fit.model.root(&fit.values);
     let mut result = WhiskerDocument {
         format: "wcal-whisker/1",
-        whisker: Geometry {
-            diameter_mm: rig.diameter_mm,
-            length_mm: fit.values[2],
-            straight_mm: fit.values[0],
-            arc_radius_mm: fit.values[1],
-            youngs_gpa: stiffness.as_ref().map(|s| s.youngs_gpa),
-            // The ratio is kept: at a pose the moment barely tells the two apart.
-            shear_gpa: stiffness.as_ref().map(|s| SHEAR_GPA * s.youngs_gpa / YOUNGS_GPA),
-        },
-        root: Root {
-            turn_rad: [fit.values[3], fit.values[4], fit.values[5]],
-            offset_mm: [0.0, fit.values[6], fit.values[7]],
-        },
+        whisker: Geometry::new(rig.diameter_mm, &rest_shape, stiffness.as_ref()),
+        root: Root { turn_rad: turn.scaled_axis().into(), offset_mm: offset.into() },
+        curvature: curvature(&fit),
         stiffness,
         dynamics: None,
         fit: described(&fit, &warnings),
+        rest_models: rest_models(&fit),
         provenance: provenance(
             [args.shapes.as_path(), args.rig.as_path()].into_iter().chain(args.moments.as_deref()),
         ),
     };
     let fitted = WhiskerSpec {
-        rest_shape: RestShape::StraightArc {
-            straight_mm: fit.values[0],
-            arc_radius_mm: fit.values[1],
-            length_mm: fit.values[2],
-        },
+        rest_shape,
         youngs_gpa: result.whisker.youngs_gpa.unwrap_or(YOUNGS_GPA),
         shear_gpa: result.whisker.shear_gpa.unwrap_or(SHEAR_GPA),
         ..nominal
@@ -240,7 +195,15 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);
     } else {
-        for (k, name) in NAMES.iter().enumerate() {
+        for model in &result.rest_models {
+            println!(
+                "{:<18} {:>10.1}  ({} unknowns)",
+                format!("bic {}", model.model),
+                model.bic,
+                model.unknowns
+            );
+        }
+        for (k, name) in fit.model.names().iter().enumerate() {
             let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
             println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
         }
@@ -309,27 +272,4 @@ fn moved_by_shared(document: &ShapesDocument, usable: &[MeasuredShape]) -> Vec<V
         moved
     };
     (0..count).map(|k| usable.iter().map(|s| moved(s, k)).collect()).collect()
-}
-
-fn described(fit: &RestFit, warnings: &[String]) -> Fit {
-    let rows = |c: &nalgebra::DMatrix<f64>| c.row_iter().map(|r| r.iter().copied().collect()).collect();
-    Fit {
-        parameters: NAMES.to_vec(),
-        sd: (0..NAMES.len()).filter_map(|k| fit.sd(k)).collect(),
-        covariance: fit.covariance.as_ref().map(rows).unwrap_or_default(),
-        covariance_shared: fit.common.as_ref().map(rows).unwrap_or_default(),
-        rms_mm: fit.rms_mm,
-        rms_over_sd: fit.rms_over_sd,
-        warnings: warnings.to_vec(),
-        shapes: fit
-            .shapes
-            .iter()
-            .map(|s| ShapeRow {
-                name: s.name.clone(),
-                rms_mm: s.rms_mm,
-                largest_mm: s.largest_mm[0],
-                largest_at_mm: s.largest_mm[1],
-            })
-            .collect(),
-    }
 }

@@ -2,7 +2,7 @@
 
 mod mujoco;
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use clap::{Args, ValueEnum};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove;
+use wcal_report::{Fact, TwinInput, render_twin};
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
 
@@ -25,7 +26,7 @@ rest, free (the wire is out of the groove), unstable (a step went wrong: no mome
 from the start or with less damping, so that its history and MuJoCo's version decide on the moment; every other place is printed with its moment,
 and where the session has labels of another twin, whose they are. MuJoCo runs with the released groove tip; preset released is the
 released cable, paper the measured one with the clamp right to second order. What the tip does to the moment is stated apart: its shape (play),
-its friction, its softness. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
+its softness, its friction, in this order and so that they add up. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
 pub struct TwinArgs {
     /// Session folder (kind \"whisker\")
     pub session: PathBuf,
@@ -38,6 +39,9 @@ pub struct TwinArgs {
     /// Leave out the two further runs that state the groove tip's shape, friction and softness apart
     #[arg(long)]
     pub no_tip: bool,
+    /// Page to write: the MuJoCo twin's own error, and what the groove's tip does to the moment
+    #[arg(long, value_name = "HTML")]
+    pub report: Option<PathBuf>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
@@ -71,13 +75,20 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);
     };
     let lines = match args.engine {
-        Engine::Rod => by_rod(data)?,
+        Engine::Rod => {
+            ensure!(args.report.is_none(), "--report: expected with --engine mujoco, found --engine rod");
+            by_rod(data)?
+        }
         Engine::Mujoco => {
             let preset = match args.preset {
                 Preset::Released => groove::Preset::Released,
                 Preset::Paper => groove::Preset::Paper,
             };
-            mujoco::by_mujoco(data, preset, !args.no_tip)?
+            let (lines, findings) = mujoco::by_mujoco(data, preset, !args.no_tip)?;
+            if let Some(path) = &args.report {
+                wcal_session::write_atomic(path, page(args, &session.id, findings).as_bytes())?;
+            }
+            lines
         }
     };
     let mut text = String::from("point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled\n");
@@ -105,6 +116,23 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     }
     eprintln!("twin: warning: no certain equilibrium at points {}", missing.join(", "));
     Ok(ExitCode::from(3))
+}
+
+fn page(args: &TwinArgs, session: &str, findings: mujoco::Findings) -> String {
+    let preset = match args.preset {
+        Preset::Released => "released",
+        Preset::Paper => "paper",
+    };
+    render_twin(&TwinInput {
+        title: format!("MuJoCo twin at the poses of {session}"),
+        facts: vec![
+            Fact::new("preset", preset),
+            Fact::new("poses in the tip's table", findings.poses.to_string()),
+        ],
+        findings: findings.lines,
+        tip: findings.tip,
+        poses: findings.poses,
+    })
 }
 
 /// A row's text behind the point, and whether its moment is certain.

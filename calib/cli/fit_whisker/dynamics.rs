@@ -170,11 +170,12 @@ fn reasons(fit: &DynamicsFit, targets: &Targets) -> Vec<String> {
     let loose = fit.sensitivity.undetermined();
     let s4 = &fit.sensitivity;
     why.push(format!(
-        "A step of the grid changes the demands by {:.2} (damping, 0.005 N m s/rad), {:.2} (width, 1 mm), {:.2} (d0, 0.05) and {:.2} (dmax, 0.05) of what counts: {}.",
-        s4.damping,
-        s4.width,
-        s4.d0,
-        s4.dmax,
+        "A step of the grid changes the demands by {:.2} (damping, 0.005 N m s/rad), {:.2} (width, 1 mm), {:.2} (d0, 0.05) and {:.2} (dmax, 0.05) of what counts, each alone.",
+        s4.damping, s4.width, s4.d0, s4.dmax
+    ));
+    let [damping, width, d0, dmax] = s4.together_steps;
+    why.push(format!(
+        "With the others free they are known to {damping:.2}, {width:.2}, {d0:.2} and {dmax:.2} steps: {}.",
         if loose.is_empty() {
             "all four are determined to a step".to_owned()
         } else {

@@ -4,11 +4,11 @@
 //! points, robust against labels on another branch; its sd by a jackknife over trajectories, and by the geometry's covariance.
 
 use anyhow::{bail, ensure};
-use nalgebra::{DMatrix, Rotation3, Vector3};
+use nalgebra::DVector;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_core::{Role, SessionData, WhiskerData};
 use wcal_rod::{Line, Outcome, RestFit, Rod, WORKING_STEP_MM};
 
@@ -17,8 +17,8 @@ const HUBER: f64 = 1.345;
 const ROUNDS: usize = 30;
 /// A residual beyond this many robust standard deviations is no noise.
 const OUTLIER: f64 = 6.0;
-/// Steps for the derivative by the geometry: as in the fit, mm and rad.
-const NUDGES: [f64; 8] = [1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3];
+/// Steps for the derivative by the geometry, over those of the fit: labels are followed anew from the first touch.
+const NUDGE: f64 = 10.0;
 
 /// `[stiffness]` of whisker.toml.
 #[derive(Debug, Serialize)]
@@ -59,8 +59,7 @@ pub fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> anyhow
         "{}: expected [files] twin with the known moments in session.toml, found none",
         session.display()
     );
-    let values: Vec<f64> = fit.values.iter().copied().collect();
-    let (pairs, mut left_out) = pairs(data, nominal, &values)?;
+    let (pairs, mut left_out) = pairs(data, nominal, fit, &fit.values)?;
     let weights = weights(&pairs);
     for (p, _) in pairs.iter().zip(&weights).filter(|(_, w)| **w == 0.0) {
         left_out.push(format!(
@@ -72,7 +71,7 @@ pub fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> anyhow
     ensure!(used.len() >= 3, "--moments: expected three usable points or more, found {}", used.len());
     let ratio = slope(used.iter().map(|(p, w)| (p, *w)));
     let jackknifed = jackknife(&used, ratio)?;
-    let by_geometry = by_geometry(data, nominal, &values, &used, fit.covariance.as_ref(), ratio)?;
+    let by_geometry = by_geometry(data, nominal, fit, &used, ratio)?;
     let squares: f64 = used.iter().map(|(p, _)| residual(p, ratio).powi(2)).sum();
     Ok(Stiffness {
         youngs_gpa: nominal.youngs_gpa * ratio,
@@ -85,11 +84,15 @@ pub fn stiffness(session: &Path, nominal: &WhiskerSpec, fit: &RestFit) -> anyhow
 }
 
 /// Known and modelled moments, for a geometry in the order of the fit's unknowns.
-fn pairs(data: &WhiskerData, nominal: &WhiskerSpec, v: &[f64]) -> anyhow::Result<(Vec<Pair>, Vec<String>)> {
-    let rest_shape = RestShape::StraightArc { straight_mm: v[0], arc_radius_mm: v[1], length_mm: v[2] };
+fn pairs(
+    data: &WhiskerData,
+    nominal: &WhiskerSpec,
+    fit: &RestFit,
+    v: &DVector<f64>,
+) -> anyhow::Result<(Vec<Pair>, Vec<String>)> {
+    let rest_shape = fit.model.rest_shape(v)?;
     let rod = Rod::new(&WhiskerSpec { rest_shape, ..nominal.clone() }, WORKING_STEP_MM)?;
-    let turn = Rotation3::new(Vector3::new(v[3], v[4], v[5]));
-    let offset = Vector3::new(0.0, v[6], v[7]);
+    let (turn, offset) = fit.model.root(v);
     let known: BTreeMap<i64, [f64; 2]> = data.twin.iter().map(|t| (t.point, t.moment_nmm)).collect();
     let (mut pairs, mut left_out) = (Vec::new(), Vec::new());
     for trajectory in &data.trajectories {
@@ -182,26 +185,20 @@ fn jackknife(used: &[(Pair, f64)], ratio: f64) -> anyhow::Result<f64> {
 fn by_geometry(
     data: &WhiskerData,
     nominal: &WhiskerSpec,
-    values: &[f64],
+    fit: &RestFit,
     used: &[(Pair, f64)],
-    covariance: Option<&DMatrix<f64>>,
     ratio: f64,
 ) -> anyhow::Result<f64> {
-    let Some(covariance) = covariance else { return Ok(0.0) };
+    let Some(covariance) = &fit.covariance else { return Ok(0.0) };
     let weight: BTreeMap<i64, f64> = used.iter().map(|(p, w)| (p.point, *w)).collect();
-    let mut gradient = [0.0; 8];
-    for (k, nudge) in NUDGES.into_iter().enumerate() {
-        let mut there = values.to_vec();
-        there[k] += nudge;
-        let (pairs, _) = pairs(data, nominal, &there)?;
+    let mut gradient = DVector::zeros(fit.values.len());
+    for (k, nudge) in fit.model.nudges().into_iter().enumerate() {
+        let mut there = fit.values.clone();
+        there[k] += NUDGE * nudge;
+        let (pairs, _) = pairs(data, nominal, fit, &there)?;
         let weighted = pairs.iter().map(|p| (p, weight.get(&p.point).copied().unwrap_or(0.0)));
-        gradient[k] = (slope(weighted) - ratio) / nudge;
+        gradient[k] = (slope(weighted) - ratio) / (NUDGE * nudge);
     }
-    let mut variance = 0.0;
-    for i in 0..8 {
-        for j in 0..8 {
-            variance += gradient[i] * covariance[(i, j)] * gradient[j];
-        }
-    }
+    let variance = gradient.dot(&(covariance * &gradient));
     Ok(variance.max(0.0).sqrt())
 }

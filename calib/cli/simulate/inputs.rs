@@ -2,6 +2,7 @@
 
 use super::SimulateArgs;
 use anyhow::{Context, bail, ensure};
+use nalgebra::Vector3;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::{RestShape, WhiskerSpec};
@@ -29,8 +30,10 @@ struct DynamicsKeys {
 struct WhiskerKeys {
     diameter_mm: f64,
     length_mm: f64,
-    straight_mm: f64,
-    arc_radius_mm: f64,
+    straight_mm: Option<f64>,
+    arc_radius_mm: Option<f64>,
+    /// Points of another shape, mm.
+    rest_shape: Option<Vec<[f64; 3]>>,
     #[serde(default = "youngs_gpa")]
     youngs_gpa: f64,
     #[serde(default = "shear_gpa")]
@@ -74,16 +77,31 @@ pub fn mjcf_options(path: Option<&Path>) -> anyhow::Result<MjcfOptions> {
 pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
     let Some(path) = path else { return Ok(WhiskerSpec::nominal()) };
     let keys = read(path)?.whisker;
+    let rest_shape = match (keys.rest_shape, keys.straight_mm, keys.arc_radius_mm) {
+        (Some(points), None, None) => RestShape::Polyline(points.into_iter().map(Vector3::from).collect()),
+        (None, Some(straight_mm), Some(arc_radius_mm)) => {
+            RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm: keys.length_mm }
+        }
+        (points, straight, radius) => {
+            let keys = [
+                ("straight_mm", straight.is_some()),
+                ("arc_radius_mm", radius.is_some()),
+                ("rest_shape", points.is_some()),
+            ];
+            let found: Vec<&str> = keys.iter().filter(|k| k.1).map(|k| k.0).collect();
+            bail!(
+                "{}, [whisker]: expected straight_mm and arc_radius_mm, or rest_shape, found {}",
+                path.display(),
+                if found.is_empty() { "neither".to_owned() } else { found.join(" and ") }
+            );
+        }
+    };
     Ok(WhiskerSpec {
         diameter_mm: keys.diameter_mm,
         youngs_gpa: keys.youngs_gpa,
         shear_gpa: keys.shear_gpa,
         density_kg_m3: None,
-        rest_shape: RestShape::StraightArc {
-            straight_mm: keys.straight_mm,
-            arc_radius_mm: keys.arc_radius_mm,
-            length_mm: keys.length_mm,
-        },
+        rest_shape,
         gravity_direction: None,
     })
 }

@@ -7,6 +7,7 @@ use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::groove::{Preset, paper_options};
 use wcal_mujoco::labels::{Other, PoseLabel, Tip, labels, tip};
+use wcal_report::TipEffect;
 use wcal_rod::{Line, Rod, WORKING_STEP_MM};
 
 /// Labels of an outside twin farther than this share of their full scale are on another equilibrium; nearer than twice it to one of
@@ -35,7 +36,11 @@ struct Pose<'a> {
 ///
 /// # Errors
 /// Where the engine is missing or dies.
-pub fn by_mujoco(data: &WhiskerData, preset: Preset, with_tip: bool) -> anyhow::Result<Vec<Text>> {
+pub fn by_mujoco(
+    data: &WhiskerData,
+    preset: Preset,
+    with_tip: bool,
+) -> anyhow::Result<(Vec<Text>, Findings)> {
     let mut rows: Vec<Vec<usize>> = Vec::new();
     let mut places: Vec<Vec<Vector3<f64>>> = Vec::new();
     for trajectory in &data.trajectories {
@@ -70,18 +75,20 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset, with_tip: bool) -> anyhow::
         say(data, pose, full);
         lines[pose.row] = Some(line(data, pose));
     }
-    summary(data, &poses, full);
+    let mut findings = summary(data, &poses, full);
     if preset == Preset::Paper {
         let found = MujocoEngine::start()
             .and_then(|mut engine| statics(&mut engine, &data.whisker, &paper_options(&data.whisker)))?;
-        eprintln!(
-            "twin: links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
+        let line = format!(
+            "links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
             found.links,
             found.moment_error * 100.0,
             found.point_error * 100.0
         );
+        eprintln!("twin: {line}");
+        findings.lines.push(line);
     }
-    Ok(lines)
+    Ok((lines, findings))
 }
 
 fn line(data: &WhiskerData, pose: &Pose<'_>) -> (String, bool) {
@@ -185,15 +192,30 @@ fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
     Some((middle.0, last.0, last.1))
 }
 
-fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
+/// What is said of all poses together.
+pub struct Findings {
+    /// In sentences, as printed.
+    pub lines: Vec<String>,
+    /// The tip's effects.
+    pub tip: Vec<TipEffect>,
+    /// Poses that they are over.
+    pub poses: usize,
+}
+
+fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
+    let mut lines: Vec<String> = Vec::new();
+    let mut say = |line: String| {
+        eprintln!("twin: {line}");
+        lines.push(line);
+    };
     let several: Vec<&Pose<'_>> = poses.iter().filter(|p| !p.label.others.is_empty()).collect();
     let points = |of: &[&Pose<'_>]| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
-    eprintln!(
-        "twin: {} of {} poses have several places of rest: {}",
+    say(format!(
+        "{} of {} poses have several places of rest: {}",
         several.len(),
         poses.len(),
         points(&several)
-    );
+    ));
     let labelled: Vec<(&Pose<'_>, f64)> = poses
         .iter()
         .filter_map(|p| Some((p, off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full))))
@@ -204,12 +226,12 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
         let largest = near.iter().map(|n| n.1).fold(0.0, f64::max);
         let told = far.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
         let false_alarms = near.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
-        eprintln!(
-            "twin: {} of {} labels of the session agree, within {largest:.1e} of full scale; of the {} others {told} were told without the labels to have several places of rest, and {false_alarms} of those that agree",
+        say(format!(
+            "{} of {} labels of the session agree, within {largest:.1e} of full scale; of the {} others {told} were told without the labels to have several places of rest, and {false_alarms} of those that agree",
             near.len(),
             labelled.len(),
             far.len()
-        );
+        ));
     }
     let worst = |of: &dyn Fn(&PoseLabel) -> f64| {
         spread(poses.iter().map(|p| (of(p.label), p.point)).collect())
@@ -217,39 +239,119 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
                 format!("{middle:.2e} (median), {most:.2e} at most (point {at})")
             })
     };
-    eprintln!(
-        "twin: still creeping over the second half of the settling, by damping and friction: {} N mm; {} of {} poses chatter; the wire sinks into the tip: {} mm",
+    say(format!(
+        "still creeping over the second half of the settling, by damping and friction: {} N mm; {} of {} poses chatter; the wire sinks into the tip: {} mm",
         worst(&|l| l.creep_nmm),
         poses.iter().filter(|p| p.label.chatters).count(),
         poses.len(),
         worst(&|l| l.overlap_mm)
-    );
+    ));
     // Only on our branch: elsewhere a difference is no error of the twin's.
     let sure: Vec<&Pose<'_>> =
         poses.iter().filter(|p| p.label.others.is_empty() && p.label.arclength_mm.is_some()).collect();
-    type Moment<'a> = &'a dyn Fn(&Pose<'_>) -> Option<Vector3<f64>>;
-    let state = |what: &str, from: Moment<'_>, to: Moment<'_>| {
-        let differences = sure.iter().filter_map(|p| {
-            let (a, b, ideal) = (from(p)?, to(p)?, p.ideal_nmm?);
-            Some(((b - a).norm() / ideal.norm() * 100.0, p.point))
-        });
-        let differences: Vec<(f64, i64)> = differences.collect();
-        let count = differences.len();
-        match spread(differences) {
-            Some((middle, most, at)) => eprintln!(
-                "twin: {what}: {middle:.2} % of the moment (median of {count} poses), {most:.2} % at most (point {at})"
-            ),
-            None => eprintln!("twin: {what}: not known, no pose is held"),
+    let all: Vec<TipPose> = sure
+        .iter()
+        .filter_map(|p| {
+            Some(TipPose { point: p.point, ideal: p.ideal_nmm?, own: p.label.moment_nmm?, tip: p.tip })
+        })
+        .collect();
+    if let Some(row) = effect("all together", &all, |p| Some(p.own - p.ideal)) {
+        say(format!(
+            "all together, against the rod in an ideal groove, over {} poses: {:+.2} % of the moment along it, RMS {:.2} %, {:.2} % at most (point {})",
+            all.len(),
+            row.along_percent,
+            row.rms_percent,
+            row.largest_percent,
+            row.at_point
+        ));
+    }
+    let (tip, poses) = tip_effects(&all);
+    if !tip.is_empty() {
+        say(format!(
+            "what the groove's tip does to the moment, over {poses} poses that are held in every way, % of the ideal groove's:"
+        ));
+        say(format!(
+            "  {:<38} {:>12} {:>8} {:>8}  point",
+            "each added to those above", "along it", "RMS", "largest"
+        ));
+        for row in &tip {
+            say(format!(
+                "  {:<38} {:>+12.2} {:>8.2} {:>8.2}  {}",
+                row.name, row.along_percent, row.rms_percent, row.largest_percent, row.at_point
+            ));
         }
-    };
-    let ideal: Moment<'_> = &|p| p.ideal_nmm;
-    let own: Moment<'_> = &|p| p.label.moment_nmm;
-    let smooth: Moment<'_> = &|p| p.tip?.hard_smooth_nmm;
-    let soft: Moment<'_> = &|p| p.tip?.soft_smooth_nmm;
-    state("all together, against the rod in an ideal groove", ideal, own);
-    if poses.iter().any(|p| p.tip.is_some()) {
-        state("the tip's shape alone (play: where a hard, smooth groove holds the wire)", ideal, smooth);
-        state("the contact's softness, added to that", smooth, soft);
-        state("the tip's friction, added to both", soft, own);
+    }
+    Findings { lines, tip, poses }
+}
+
+/// A pose at which the moment is known in the ideal groove and at the real tip.
+struct TipPose {
+    point: i64,
+    ideal: Vector3<f64>,
+    own: Vector3<f64>,
+    tip: Option<Tip>,
+}
+
+/// Changes of the moment over poses, % of the ideal groove's; none without a pose.
+fn effect(
+    name: &str,
+    poses: &[TipPose],
+    change: impl Fn(&TipPose) -> Option<Vector3<f64>>,
+) -> Option<TipEffect> {
+    let changes: Vec<(f64, f64, i64)> = poses
+        .iter()
+        .filter_map(|p| {
+            let (change, size) = (change(p)?, p.ideal.norm());
+            Some((100.0 * change.dot(&p.ideal) / (size * size), 100.0 * change.norm() / size, p.point))
+        })
+        .collect();
+    let most = changes.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let count = changes.len() as f64;
+    Some(TipEffect {
+        name: name.to_owned(),
+        along_percent: changes.iter().map(|c| c.0).sum::<f64>() / count,
+        rms_percent: (changes.iter().map(|c| c.1 * c.1).sum::<f64>() / count).sqrt(),
+        largest_percent: most.1,
+        at_point: most.2,
+    })
+}
+
+/// Shape, softness and friction one after the other, and all of them, over the same poses; and how many these are.
+fn tip_effects(all: &[TipPose]) -> (Vec<TipEffect>, usize) {
+    let held =
+        |p: &&TipPose| p.tip.is_some_and(|t| t.hard_smooth_nmm.is_some() && t.soft_smooth_nmm.is_some());
+    let poses: Vec<TipPose> = all.iter().filter(held).map(|p| TipPose { ..*p }).collect();
+    let (hard, soft) = (|p: &TipPose| p.tip?.hard_smooth_nmm, |p: &TipPose| p.tip?.soft_smooth_nmm);
+    let rows = [
+        effect("shape (play; hard, smooth tip)", &poses, |p| Some(hard(p)? - p.ideal)),
+        effect("softness of the contact", &poses, |p| Some(soft(p)? - hard(p)?)),
+        effect("friction", &poses, |p| Some(p.own - soft(p)?)),
+        effect("all together", &poses, |p| Some(p.own - p.ideal)),
+    ];
+    (rows.into_iter().flatten().collect(), poses.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn effects_along_the_moment_add_up_and_poses_not_held_are_left_out() {
+        let pose = |point: i64, soft: Option<Vector3<f64>>| TipPose {
+            point,
+            ideal: Vector3::new(0.0, 2.0, 0.0),
+            own: Vector3::new(0.0, 2.4, 0.3),
+            tip: Some(Tip { hard_smooth_nmm: Some(Vector3::new(0.0, 2.1, 0.0)), soft_smooth_nmm: soft }),
+        };
+        let soft = Some(Vector3::new(0.1, 1.9, 0.0));
+        let (rows, poses) = tip_effects(&[pose(1, soft), pose(2, soft), pose(3, None)]);
+        assert_eq!(poses, 2, "the third is not held by the soft tip");
+        let along: Vec<f64> = rows.iter().map(|r| r.along_percent).collect();
+        for (found, known) in along.iter().zip([5.0, -10.0, 25.0, 20.0]) {
+            assert!((found - known).abs() < 1e-9, "{along:?}");
+        }
+        // The sizes do not add up: the changes point elsewhere.
+        assert!(rows[..3].iter().map(|r| r.rms_percent).sum::<f64>() > rows[3].rms_percent + 5.0, "{rows:?}");
+        assert!(tip_effects(&[pose(3, None)]).0.is_empty(), "negative control");
     }
 }

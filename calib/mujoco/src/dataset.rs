@@ -7,9 +7,11 @@ use crate::mjcf::MjcfOptions;
 use crate::rod_engine::{LINKS, RodEngine, Run};
 use crate::shard::{self, Beside, Manifest, Outcome};
 use crate::{Mesh, Sweep, SweepPlan, TwinError};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::sha256_hex;
 
@@ -27,6 +29,11 @@ pub enum SweepEngine {
     /// MuJoCo: inertia, damping, soft contacts with convex parts.
     Mujoco(Box<MjcfOptions>),
 }
+
+/// Corners of an object's parts, mm.
+type Corners = Arc<Vec<Vec<Vector3<f64>>>>;
+/// What is known of them; an object that cannot be taken apart has the reason instead.
+type Parts = Mutex<Option<Result<Corners, String>>>;
 
 /// What is to be made.
 #[derive(Debug, Clone)]
@@ -193,6 +200,7 @@ impl Dataset {
         std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
         let engine = RodEngine::new(&self.whisker, LINKS)?;
         let made_from: Vec<String> = self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect();
+        let parts: Vec<Parts> = self.objects.iter().map(|_| Parts::default()).collect();
         let blocks = self.blocks();
         let all: u64 = blocks.iter().map(|(_, first)| self.size(*first)).sum();
         let done = std::sync::atomic::AtomicU64::new(0);
@@ -210,8 +218,8 @@ impl Dataset {
                         let (outcomes, beside, engine_s) = match &self.engine {
                             SweepEngine::Rod => (self.block(&engine, mesh, first, size), None, 0.0),
                             SweepEngine::Mujoco(options) => {
-                                let convex = folder.join(CONVEX);
-                                self.block_by_mujoco(options, &engine, &convex, mesh, first, size)?
+                                let parts = self.parts(mesh, &folder.join(CONVEX), &parts[object])?;
+                                self.block_by_mujoco(options, &engine, &parts, mesh, first, size)?
                             }
                         };
                         let core_s = thread_s() - begin_s + engine_s;
@@ -276,34 +284,43 @@ impl Dataset {
 }
 
 impl Dataset {
+    /// An object's parts: looked for once a run, whichever shard asks first, also where CoACD dies or hangs over them.
+    fn parts(&self, mesh: &Mesh, folder: &Path, known: &Parts) -> Result<Result<Corners, String>, TwinError> {
+        let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = &*known {
+            return Ok(known.clone());
+        }
+        let found = match Convex::of(mesh, folder) {
+            // An object that cannot be taken apart: its sweeps are rejected, the others' go on.
+            Err(e @ (TwinError::Mesh { .. } | TwinError::EngineDied(_))) => {
+                Err(format!("no convex parts: {e}"))
+            }
+            other => Ok(Arc::new(other?.corners())),
+        };
+        Ok(known.insert(found).clone())
+    }
+
     /// Outcomes, the rod's on the same sweeps, and the processor time of the engine's own process, s.
     fn block_by_mujoco(
         &self,
         options: &MjcfOptions,
         rod: &RodEngine,
-        convex: &Path,
+        parts: &Result<Corners, String>,
         mesh: &Mesh,
         first: u64,
         count: u64,
     ) -> Result<(Vec<Outcome>, Option<Beside>, f64), TwinError> {
         let mut beside = Beside::default();
-        let parts = match Convex::of(mesh, convex) {
-            // An object that cannot be taken apart: its sweeps are rejected, the others' go on.
-            Err(e @ (TwinError::Mesh { .. } | TwinError::EngineDied(_))) => {
-                beside.notes.push(format!("no convex parts: {e}"));
-                None
-            }
-            other => Some(other?.corners()),
-        };
+        beside.notes.extend(parts.as_ref().err().cloned());
         let mut engine = CableEngine::start(&self.whisker, options)?;
         let mut outcomes: Vec<Outcome> = Vec::new();
         for index in first..first + count {
             let sweep = Sweep::draw(mesh, &self.plan, self.seed, index, engine.reach_mm());
             beside.quasi.push((index, sweep.as_ref().map(|sweep| rod.run(mesh, sweep, &self.plan))));
-            let outcome = match (sweep, &parts) {
+            let outcome = match (sweep, parts) {
                 (None, _) => None,
-                (Some(sweep), None) => Some((sweep, Run::rejected("no-convex-parts"))),
-                (Some(sweep), Some(parts)) => {
+                (Some(sweep), Err(_)) => Some((sweep, Run::rejected("no-convex-parts"))),
+                (Some(sweep), Ok(parts)) => {
                     let run = engine.run(mesh, parts, &sweep, &self.plan)?;
                     Some((sweep, run))
                 }

@@ -8,6 +8,7 @@ mod bench;
 use crate::TwinError;
 use crate::mjcf::MjcfOptions;
 use bench::Bench;
+use nalgebra::Matrix4;
 use nlopt::{Algorithm, Nlopt, Target};
 use serde::Serialize;
 use std::cell::RefCell;
@@ -86,7 +87,7 @@ pub struct DynamicsFit {
     pub options: MjcfOptions,
 }
 
-/// Change of all demands together over a step of the paper's grid.
+/// Change of all demands together over a step of the paper's grid, each parameter alone; and how well they are known together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Sensitivity {
     /// Over 0.005 N m s/rad.
@@ -97,15 +98,41 @@ pub struct Sensitivity {
     pub d0: f64,
     /// Over 0.05.
     pub dmax: f64,
+    /// Standard deviation of each, in steps, with the others free and every demand met to its unit: contact parameters that trade with
+    /// each other are not determined, however strongly each acts alone. At most [`UNKNOWN_STEPS`].
+    pub together_steps: [f64; 4],
 }
 
+/// Steps that stand for "not determined at all".
+const UNKNOWN_STEPS: f64 = 1e3;
+
 impl Sensitivity {
-    /// Names of the parameters that the data do not determine to a step of the grid.
+    /// Names of the parameters that the data do not determine to a step of the grid while the others are free.
     #[must_use]
     pub fn undetermined(&self) -> Vec<&'static str> {
-        let all = [("damping", self.damping), ("width", self.width), ("d0", self.d0), ("dmax", self.dmax)];
-        all.iter().filter(|(_, s)| !(*s >= 1.0)).map(|(name, _)| *name).collect()
+        let names = ["damping", "width", "d0", "dmax"];
+        names
+            .into_iter()
+            .zip(self.together_steps)
+            .filter(|(_, sd)| !(*sd <= 1.0))
+            .map(|(name, _)| name)
+            .collect()
     }
+}
+
+/// Standard deviations with all free, from the demands' changes over a step of each.
+fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
+    let normal = Matrix4::from_fn(|i, j| {
+        let pairs = changes[i].iter().zip(&changes[j]);
+        pairs.map(|(a, b)| a * b).filter(|p| p.is_finite()).sum::<f64>()
+    });
+    let axes = normal.symmetric_eigen();
+    let sd = |k: usize| {
+        let along =
+            |n: usize| axes.eigenvectors[(k, n)].powi(2) / axes.eigenvalues[n].max(UNKNOWN_STEPS.powi(-2));
+        (0..4).map(along).sum::<f64>().sqrt().min(UNKNOWN_STEPS)
+    };
+    [0, 1, 2, 3].map(sd)
 }
 
 /// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s. The end's mean is taken off.
@@ -217,19 +244,23 @@ fn sensitivity(bench: &mut Bench, at: &Parameters) -> Result<Sensitivity, TwinEr
     let here = bench.score(at, true)?;
     // Inward where the grid ends.
     let step = |x: f64, by: f64, most: f64| if x + by <= most { x + by } else { x - by };
-    let mut over = |there: Parameters| -> Result<f64, TwinError> {
+    let mut over = |there: Parameters| -> Result<Vec<f64>, TwinError> {
         let there = bench.score(&there, true)?;
-        let pairs = bench.demands(&here).into_iter().zip(bench.demands(&there));
-        Ok(pairs.map(|(a, b)| (b - a).powi(2)).filter(|d| d.is_finite()).sum::<f64>().sqrt())
+        Ok(bench.demands(&here).into_iter().zip(bench.demands(&there)).map(|(a, b)| b - a).collect())
     };
     let dmax =
         if at.dmax + IMPEDANCE_STEP <= 1.0 { at.dmax + IMPEDANCE_STEP } else { at.dmax - IMPEDANCE_STEP };
-    Ok(Sensitivity {
-        damping: over(Parameters { damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03), ..*at })?,
-        width: over(Parameters { width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]), ..*at })?,
-        d0: over(Parameters { d0: step(at.d0, IMPEDANCE_STEP, at.dmax), ..*at })?,
-        dmax: over(Parameters { dmax, d0: at.d0.min(dmax), ..*at })?,
-    })
+    let mut changes = [
+        over(Parameters { damping_nms_rad: step(at.damping_nms_rad, 0.005, 0.03), ..*at })?,
+        over(Parameters { width_mm: step(at.width_mm, 1.0, WIDTHS_MM[1]), ..*at })?,
+        over(Parameters { d0: step(at.d0, IMPEDANCE_STEP, at.dmax), ..*at })?,
+        over(Parameters { dmax, d0: at.d0.min(dmax), ..*at })?,
+    ];
+    // A demand that a step breaks tells nothing of its size.
+    changes.iter_mut().flatten().filter(|d| !d.is_finite()).for_each(|d| *d = 0.0);
+    let [damping, width, d0, dmax] =
+        [0, 1, 2, 3].map(|k| changes[k].iter().map(|d| d * d).sum::<f64>().sqrt());
+    Ok(Sensitivity { damping, width, d0, dmax, together_steps: together_steps(&changes) })
 }
 
 /// Best of the trials that were judged in full.
@@ -299,6 +330,20 @@ fn search(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parameters_that_trade_are_not_determined_together() {
+        let changes = |d0: Vec<f64>| [vec![5.0, 0.0, 0.0], vec![0.0, 4.0, 0.0], d0, vec![0.0, 0.0, 0.0]];
+        // Width and d0 do the same to the demands; dmax does nothing.
+        let traded = together_steps(&changes(vec![0.0, 8.0, 0.0]));
+        assert!((traded[0] - 0.2).abs() < 1e-9 && traded[1..].iter().all(|sd| *sd > 100.0), "{traded:?}");
+        let sensitivity =
+            Sensitivity { damping: 5.0, width: 4.0, d0: 8.0, dmax: 0.0, together_steps: traded };
+        assert_eq!(sensitivity.undetermined(), ["width", "d0", "dmax"]);
+        // Negative control: apart, each is as well known as it acts.
+        let apart = together_steps(&changes(vec![0.0, 0.0, 8.0]));
+        assert!((apart[1] - 0.25).abs() < 1e-9 && (apart[2] - 0.125).abs() < 1e-9, "{apart:?}");
+    }
 
     #[test]
     fn the_time_constant_of_a_known_ring_down_is_found() {

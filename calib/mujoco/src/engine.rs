@@ -9,19 +9,32 @@ use crate::TwinError;
 use protocol::{Frame, Loaded, Reply, Request};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::PathBuf;
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::Duration;
 
 /// Name of the program.
 pub const PROGRAM: &str = "wcal-mujoco";
 /// Variable that names the program where it lies elsewhere.
 pub const VARIABLE: &str = "WCAL_MUJOCO";
 
+/// Variable that says how long an answer is waited for, s.
+pub const WAIT_VARIABLE: &str = "WCAL_MUJOCO_WAIT_S";
+/// Longest wait for an answer, s: the longest request is 20,000 steps, some ten seconds on a free core; CoACD takes minutes.
+const WAIT_S: f64 = 300.0;
+const COACD_WAIT_S: f64 = 1800.0;
+/// Tenths of a second that a program may take to end.
+const ENDING_TENTHS: u32 = 50;
+
 /// A running engine with at most one model in it.
 #[derive(Debug)]
 pub struct MujocoEngine {
     child: Child,
     to: ChildStdin,
-    from: BufReader<ChildStdout>,
+    /// Lines of the program, read by a thread of its own: a program that hangs must not hang its reader.
+    from: Receiver<String>,
+    /// Longest wait for an answer, as [`WAIT_VARIABLE`] says.
+    wait_s: Option<f64>,
     /// Version of libmujoco.
     pub version: String,
     /// Processor time of the program at its last frame, s.
@@ -57,6 +70,7 @@ impl MujocoEngine {
     /// Where the program or its library is missing.
     pub fn start() -> Result<Self, TwinError> {
         let path = program()?;
+        let wait_s = wait_s()?;
         let lost = |e: std::io::Error| TwinError::Engine(format!("starting {}: {e}", path.display()));
         let mut child = Command::new(&path)
             .stdin(Stdio::piped())
@@ -67,7 +81,13 @@ impl MujocoEngine {
         let (Some(to), Some(from)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(TwinError::Engine(format!("starting {}: no pipe", path.display())));
         };
-        let mut engine = Self { child, to, from: BufReader::new(from), version: String::new(), core_s: 0.0 };
+        let (send, from_program) = channel();
+        std::thread::spawn(move || {
+            // Ends with the program, or with whoever listened.
+            let lines = BufReader::new(from).lines().map_while(Result::ok);
+            lines.map(|line| send.send(line)).take_while(Result::is_ok).for_each(drop);
+        });
+        let mut engine = Self { child, to, from: from_program, wait_s, version: String::new(), core_s: 0.0 };
         match engine.ask(&Request::Hello)? {
             Reply::Hello { mujoco } => engine.version = mujoco,
             other => return Err(unexpected("a greeting", &other)),
@@ -128,9 +148,10 @@ impl MujocoEngine {
         if self.to.write_all(line.as_bytes()).and_then(|()| self.to.flush()).is_err() {
             return Err(self.dead());
         }
-        let mut answer = String::new();
-        match self.from.read_line(&mut answer) {
-            Ok(n) if n > 0 => match serde_json::from_str(&answer) {
+        let usual_s = if let Request::Decompose(_) = request { COACD_WAIT_S } else { WAIT_S };
+        let wait_s = self.wait_s.unwrap_or(usual_s);
+        match self.from.recv_timeout(Duration::from_secs_f64(wait_s)) {
+            Ok(answer) => match serde_json::from_str(&answer) {
                 Ok(Reply::Refused { why }) => Err(TwinError::Engine(why)),
                 Ok(reply) => Ok(reply),
                 Err(e) => Err(TwinError::Engine(format!(
@@ -138,12 +159,28 @@ impl MujocoEngine {
                     answer.trim()
                 ))),
             },
-            _ => Err(self.dead()),
+            Err(RecvTimeoutError::Timeout) => {
+                // Nothing that it says later would be an answer.
+                let _ = self.child.kill();
+                let _ = self.child.wait();
+                Err(TwinError::EngineDied(format!(
+                    "{PROGRAM}: expected an answer within {wait_s} s ({WAIT_VARIABLE}), found none: it hung and was ended"
+                )))
+            }
+            Err(RecvTimeoutError::Disconnected) => Err(self.dead()),
         }
     }
 
     /// What is known of an engine that answers no more.
     fn dead(&mut self) -> TwinError {
+        // It ends on its own, or has closed its output and goes on for ever.
+        for _ in 0..ENDING_TENTHS {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        let _ = self.child.kill();
         let status = self.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
         let mut said = String::new();
         if let Some(mut errors) = self.child.stderr.take() {
@@ -161,6 +198,18 @@ impl Drop for MujocoEngine {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Seconds of [`WAIT_VARIABLE`], where it is set.
+fn wait_s() -> Result<Option<f64>, TwinError> {
+    let Ok(text) = std::env::var(WAIT_VARIABLE) else { return Ok(None) };
+    let seconds = text.parse().ok().filter(|s| (1e-3..1e7).contains(s));
+    let refuse = || TwinError::Value {
+        what: WAIT_VARIABLE,
+        expected: "seconds above 0.001 and below 10,000,000".to_owned(),
+        found: format!("{text:?}"),
+    };
+    seconds.map(Some).ok_or_else(refuse)
 }
 
 fn unexpected(expected: &str, found: &Reply) -> TwinError {

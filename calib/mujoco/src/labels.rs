@@ -19,9 +19,13 @@ const RETREAT_MM: f64 = 60.0;
 /// A pose counts as reached when the tip moves less than this in ten steps, mm.
 const REACHED_MM: f64 = 1e-3;
 const MOST_STEPS: u64 = 20_000;
-/// Steps that settle a pose, and those that settle it on another way.
-const SETTLE_STEPS: u64 = 4000;
-const AGAIN_STEPS: u64 = 2500;
+/// Most steps that settle a pose, and the fastest joint (rad/s) below which nothing moves any more.
+const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 1e-5 };
+/// The same on another way, where other equilibria are told from this one, and at the smooth tip, whose moments are compared.
+const AGAIN: Settle = Settle { steps: 2500, rest_rad_s: 3e-3 };
+const SMOOTH: Settle = Settle { steps: 2500, rest_rad_s: 3e-4 };
+/// Steps after which it is looked whether the wire rests.
+const LOOK_STEPS: u64 = 250;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
 const REST_RAD_S: f64 = 1e-3;
 /// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
@@ -30,6 +34,13 @@ const ELSEWHERE: [f64; 2] = [0.05, 0.02];
 const LESS_DAMPING: [f64; 2] = [0.7, 0.5];
 /// Share of steps with a change between touching and free past which a settled wire chatters.
 const CHATTER: f64 = 0.02;
+
+/// When a pose has settled.
+#[derive(Debug, Clone, Copy)]
+struct Settle {
+    steps: u64,
+    rest_rad_s: f64,
+}
 
 /// How a pose was come to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,7 +111,7 @@ pub fn labels(
     trajectories: &[Vec<Vector3<f64>>],
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     let touch = Touch::RELEASED;
-    let mut labels = run(whisker, preset, touch, 1.0, trajectories, SETTLE_STEPS, false)?;
+    let mut labels = run(whisker, preset, touch, 1.0, trajectories, SETTLE, false)?;
     let mut compare = |way: Way, found: Vec<Vec<PoseLabel>>| {
         for (label, other) in labels.iter_mut().flatten().zip(found.into_iter().flatten()) {
             if let (Some(here), Some(there)) = (label.moment_nmm, other.moment_nmm)
@@ -110,9 +121,9 @@ pub fn labels(
             }
         }
     };
-    compare(Way::Straight, run(whisker, preset, touch, 1.0, trajectories, AGAIN_STEPS, true)?);
+    compare(Way::Straight, run(whisker, preset, touch, 1.0, trajectories, AGAIN, true)?);
     for share in LESS_DAMPING {
-        let found = run(whisker, preset, touch, share, trajectories, AGAIN_STEPS, false)?;
+        let found = run(whisker, preset, touch, share, trajectories, AGAIN, false)?;
         compare(Way::LessDamping(share), found);
     }
     Ok(labels)
@@ -129,7 +140,7 @@ pub fn tip(
 ) -> Result<Vec<Vec<Tip>>, TwinError> {
     let with = |touch: Touch| {
         let touch = Touch { friction: 0.0, ..touch };
-        run(whisker, preset, touch, 1.0, trajectories, AGAIN_STEPS, false)
+        run(whisker, preset, touch, 1.0, trajectories, SMOOTH, false)
     };
     let (hard, soft) = (with(Touch::default())?, with(Touch::RELEASED)?);
     let held = |label: &PoseLabel| label.moment_nmm.filter(|_| label.arclength_mm.is_some());
@@ -144,7 +155,7 @@ fn run(
     touch: Touch,
     damping: f64,
     trajectories: &[Vec<Vector3<f64>>],
-    steps: u64,
+    settle: Settle,
     straight: bool,
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     let xml = bench(whisker, preset, touch, damping)?;
@@ -164,7 +175,7 @@ fn run(
                 if straight && k > 0 {
                     bench.begin()?;
                 }
-                labels.push(bench.label(&(turn * place), steps)?);
+                labels.push(bench.label(&(turn * place), settle)?);
             }
             Ok(labels)
         })
@@ -197,18 +208,33 @@ impl Bench {
         self.go(&Vector3::from(START_MM)).map(drop)
     }
 
-    fn label(&mut self, place_mm: &Vector3<f64>, steps: u64) -> Result<PoseLabel, TwinError> {
+    fn label(&mut self, place_mm: &Vector3<f64>, settle: Settle) -> Result<PoseLabel, TwinError> {
         self.go(place_mm)?;
-        let half = self.engine.frame(&Request::Run { steps: steps / 2 })?;
-        let frame = self.engine.frame(&Request::Run { steps: steps - steps / 2 })?;
-        let (before, moment) = (self.moment(&half)?, self.moment(&frame)?);
+        let mut frames: Vec<Frame> = Vec::new();
+        let looks = settle.steps / LOOK_STEPS;
+        while (frames.len() as u64) < looks {
+            let frame = self.engine.frame(&Request::Run { steps: LOOK_STEPS })?;
+            let ended = frame.bad || frame.fastest < settle.rest_rad_s;
+            frames.push(frame);
+            // One look alone may meet a turning point.
+            if ended && frames.len() > 1 {
+                break;
+            }
+        }
+        let (early, late) = frames.split_at(frames.len() / 2);
+        let (Some(half), Some(frame)) = (early.last(), late.last()) else {
+            return Err(TwinError::Engine("expected two looks at a pose or more, found fewer".to_owned()));
+        };
+        let (before, moment) = (self.moment(half)?, self.moment(frame)?);
+        let [toggles, steps] =
+            [|f: &Frame| f.toggles, |f: &Frame| f.steps].map(|of| late.iter().map(of).sum::<u64>() as f64);
         Ok(PoseLabel {
             moment_nmm: moment,
-            arclength_mm: arclength_mm(&frame),
-            overlap_mm: half.deepest_m.max(frame.deepest_m) * 1e3,
+            arclength_mm: arclength_mm(frame),
+            overlap_mm: frames.iter().map(|f| f.deepest_m).fold(0.0, f64::max) * 1e3,
             fastest_rad_s: frame.fastest,
             creep_nmm: before.zip(moment).map_or(f64::NAN, |(a, b)| (b - a).norm()),
-            chatters: frame.toggles as f64 > CHATTER * frame.steps as f64,
+            chatters: toggles > CHATTER * steps,
             settled: frame.fastest < REST_RAD_S && !frame.bad,
             others: Vec::new(),
         })

@@ -265,7 +265,8 @@ impl Way<'_> {
             let moved = Vector3::new(0.0, 0.0, -step_mm);
             self.load();
             let mut next = self.press(next_mm, &moved, false);
-            if !next.converged && halvings == HALVINGS {
+            let softly = !next.converged && halvings == HALVINGS;
+            if softly {
                 next = self.press(next_mm, &moved, true);
             }
             self.solves += 1;
@@ -291,7 +292,10 @@ impl Way<'_> {
             if lost {
                 return false;
             }
-            halvings = halvings.saturating_sub(1);
+            // Where a hard contact hops it mostly hops on: a longer step would be tried in vain.
+            if !softly {
+                halvings = halvings.saturating_sub(1);
+            }
         }
         true
     }

@@ -6,6 +6,7 @@
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_many`]: several sessions on one page, an overview table at the top.
 //! - [`render_index`]: an overview page that links to reports beside it.
+//! - [`render_twin`]: the page of a twin's labels, from a [`TwinInput`].
 //! - [`render_dynamics`]: the page of a fit of damping and contact, from a [`DynamicsInput`].
 //! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
@@ -28,6 +29,7 @@ mod page;
 mod plot;
 mod sections;
 mod sweeps;
+mod twin;
 
 pub use dynamics::{DynamicsInput, DynamicsTrial, render_dynamics};
 pub use input::{
@@ -39,3 +41,4 @@ pub use page::{render, render_index, render_many};
 pub use sweeps::{
     EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
 };
+pub use twin::{TipEffect, TwinInput, render_twin};

@@ -28,7 +28,7 @@ pub use near::Anchor;
 pub use path::{Line, Outcome, Touch, Tracker};
 pub use pressed::{Contact, Near, Pressed, Rubbing, Surface};
 pub use pushed::Push;
-pub use rest_fit::{MeasuredShape, RestFit, fit_rest};
+pub use rest_fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
 pub use shape::Shape;
 pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
 pub use stability::{Hold, Loss, LossKind, StabilityScan};

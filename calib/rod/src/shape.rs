@@ -68,6 +68,23 @@ impl Shape {
         }
     }
 
+    /// Both transverse curvatures (1/mm) linear between places that are spread evenly from root to tip; the root's tangent is x.
+    ///
+    /// # Errors
+    /// For fewer than two places, or a length or step that is not positive.
+    pub fn from_curvature(length_mm: f64, bends: &[[f64; 2]], step_mm: f64) -> Result<Self, RodError> {
+        if !(length_mm > 0.0 && step_mm > 0.0) || bends.len() < 2 {
+            return Err(RodError::Shape {
+                expected: "two curvatures or more, length and mesh step above 0 mm",
+                found: format!("{}, {length_mm} and {step_mm} mm", bends.len()),
+            });
+        }
+        let cell_mm = length_mm / (bends.len() - 1) as f64;
+        let pieces: Vec<_> =
+            bends.windows(2).map(|w| (cell_mm, [0.0, w[0][0], w[0][1]], [0.0, w[1][0], w[1][1]])).collect();
+        Ok(Self::from_pieces(Matrix3::identity(), &pieces, step_mm))
+    }
+
     /// Curvature at an inner vertex = turning angle over the mean length of its two edges, in a frame carried without twist.
     fn from_polyline(points: &[Vector3<f64>], step_mm: f64) -> Result<Self, RodError> {
         let edges: Vec<Vector3<f64>> = points.windows(2).map(|w| w[1] - w[0]).collect();

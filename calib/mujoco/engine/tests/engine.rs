@@ -160,24 +160,27 @@ fn ring_down_and_speed_bias_grow_with_the_damping() {
     assert_eq!(of(0.005), slack);
 }
 
-/// A known damping is found again from its own record; the contact is the one that the search starts from, so it may only be kept.
+/// A known wire is fitted to its own record, its contact far from the one that the search starts from: what the fit says is determined
+/// comes back to a step of the grid, the rest is named.
 #[test]
 #[ignore = "minutes of trials"]
-fn the_fit_of_damping_finds_the_known_one() {
+fn the_fit_of_damping_and_contact_finds_what_it_says_it_can() {
     if !ready() {
         return;
     }
-    let known = Parameters { damping_nms_rad: 0.01, width_mm: 1.0, d0: 0.95, dmax: 1.0 };
-    let fit = fit_dynamics(&whisker(), record(&whisker(), &known).unwrap(), 1, |_| {}).unwrap();
-    let p = &fit.trials[fit.best].parameters;
-    assert!((p.damping_nms_rad - 0.01).abs() < 0.005, "{p:?} {:?}", fit.sensitivity);
-    let loose = fit.sensitivity.undetermined();
-    for (name, off, step) in [
-        ("width", p.width_mm - known.width_mm, 1.0),
-        ("d0", p.d0 - known.d0, 0.05),
-        ("dmax", p.dmax - known.dmax, 0.05),
+    let known = Parameters { damping_nms_rad: 0.005, width_mm: 4.0, d0: 0.93, dmax: 0.99 };
+    let fit = fit_dynamics(&whisker(), record(&whisker(), &known).unwrap(), 10, |_| {}).unwrap();
+    let (p, loose) = (&fit.trials[fit.best].parameters, fit.sensitivity.undetermined());
+    eprintln!("{p:?} {:?}; not determined: {loose:?}", fit.sensitivity);
+    for (name, off, step, sd) in [
+        ("damping", p.damping_nms_rad - known.damping_nms_rad, 0.005, 0),
+        ("width", p.width_mm - known.width_mm, 1.0, 1),
+        ("d0", p.d0 - known.d0, 0.05, 2),
+        ("dmax", p.dmax - known.dmax, 0.05, 3),
     ] {
-        assert!(loose.contains(&name) || off.abs() < 1.01 * step, "{name}: {p:?} {:?}", fit.sensitivity);
+        // Two standard deviations, and no less than the step to which it is said to be determined.
+        let within = step * (2.0 * fit.sensitivity.together_steps[sd]).max(1.0);
+        assert!(off.abs() < within, "{name}: {p:?} {:?}", fit.sensitivity);
     }
     assert!(!loose.contains(&"damping") && loose.len() < 4, "negative control: {loose:?}");
 }

@@ -27,7 +27,7 @@ exam:
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
-# Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal and the stage maker's client in one run each; prints tables and writes
+# Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal, PyTorch and the stage maker's client in one run each; prints tables and writes
 # peers-*.json. YCB=FOLDER of STL files: also the paper's whole sweep set.
 peers: setup
 	for p in python3-venv mrcal; do dpkg -s $$p >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends $$p >/dev/null; done
@@ -43,5 +43,7 @@ peers: setup
 	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
 	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
 	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal
+	cargo build --release --locked -p wcal-track --example network_time
+	python3 tests/peers/network_peers.py target/release/examples/network_time --json peers-network.json
 	if [ -n "$(YCB)" ]; then tests/peers/.venv/bin/python tests/peers/ycb_sweeps.py target/release/wcal "$(YCB)" --json peers-sweeps.json; fi
 	cargo test --locked -p wcal-drivers --test vendor_client -- --ignored --nocapture

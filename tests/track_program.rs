@@ -30,6 +30,8 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let card = good(&train);
     assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
     assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
+    let page = std::fs::read_to_string(path("model/report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
     let again = good(&train);
     assert_eq!(again["weights_sha256"], card["weights_sha256"], "the training was finished");
     let scores = good(&["evaluate", &sweeps, "--model", &model, "--out", &path("evaluation"), "--json"]);
@@ -44,7 +46,37 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert_eq!(scores["sim2real"].as_array().unwrap().len(), 2);
     let named = |name: &str| scores["ablations"].as_array().unwrap().iter().any(|a| a["name"] == name);
     assert!(["effects-accepted", "effects-not-accepted", "horizon-1", "damping-bias"].into_iter().all(named));
+    assert!(["map-affine", "map-quadratic", "map-thin-plate", "map-matern52"].into_iter().all(named));
     assert!(Path::new(&path("evaluation/evaluation.json")).exists());
+    // Every error of several sweeps has its interval, and the page shows it.
+    let within = |row: &serde_json::Value, key: &str| {
+        let interval = &row["interval95"][key];
+        let [low, value, high] = [&interval[0], &row[key], &interval[1]].map(|v| v.as_f64().unwrap());
+        assert!(low <= value && value <= high, "{key}: {low} {value} {high}");
+    };
+    within(&scores["virtual_real"], "worst_mm");
+    within(&scores["virtual_real"], "unseen_mean_mm");
+    within(&scores["ablations"][0], "rmse_mm");
+    within(&scores["speed"][0], "random_mm");
+    let page = std::fs::read_to_string(path("evaluation/report.html")).unwrap();
+    assert!(page.contains("map-affine") && page.contains("VIRTUAL"), "{page}");
+    let two = &scores["two_contacts"];
+    assert!(two.is_null() || two["detection"]["f1"].as_f64().unwrap() <= 1.0, "{two}");
+
+    // The paper's random split says what it hides; another split's baseline is refused.
+    let random = path("random");
+    let split = [
+        "train", &sweeps, "--epochs", "1", "--preset", "baseline", "--split", "sweeps", "--out", &random,
+        "--json",
+    ];
+    let card = good(&split);
+    assert_eq!((&card["split"], &card["objects"]["held_out"]), (&"sweeps".into(), &serde_json::json!([])));
+    let quick = ["--simulation-only", "--json", "--out", &path("quick")];
+    let scores = good(&[&["evaluate", &sweeps, "--model", &random][..], &quick].concat());
+    assert!(scores["leak"]["unseen_objects_mm"].as_f64().unwrap() > 0.0, "{scores}");
+    let run = wcal(&[&["evaluate", &sweeps, "--model", &model, "--baseline", &random][..], &quick].concat());
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("expected the split of the model"), "{}", text(&run.stderr));
 
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
     good(&["fit-gpr", session, "--out", &path("fit")]);
@@ -62,6 +94,17 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let rows: Vec<Vec<&str>> = lines.map(|l| l.split(',').collect()).collect();
     assert_eq!(rows.len(), std::fs::read_to_string(&table).unwrap().lines().count() - 1);
     assert!(rows.iter().all(|r| r.len() == names.len() && r[doubtful] == "1"), "every row says so");
+
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path("track.json")).unwrap()).unwrap();
+    let of_segments: u64 =
+        summary["segments"].as_array().unwrap().iter().map(|s| s["rows"].as_u64().unwrap()).sum();
+    let segment = names.iter().position(|n| *n == "segment").unwrap();
+    assert_eq!(rows.iter().filter(|r| !r[segment].is_empty()).count() as u64, of_segments);
+    // A surface needs to know where the base was.
+    let run = wcal(&[&track[..], &["--force", "--surface"]].concat());
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("--surface"), "{}", text(&run.stderr));
 
     // The first reading as the zero: every row moves by the same moments.
     let tared = path("tared.csv");

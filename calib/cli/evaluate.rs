@@ -1,5 +1,6 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
+mod report;
 mod tables;
 mod virtual_bench;
 
@@ -9,13 +10,15 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::BayesSettings;
+use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
-use wcal_track::model_file::load;
+use wcal_track::model_file::{Card, SplitBy, load};
+use wcal_track::several::{two_contacts, weighed};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 /// Arguments of `wcal evaluate`.
@@ -24,13 +27,17 @@ use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
   wcal evaluate sweeps --model model --meshes ycb/meshes --out evaluation
 
 Scores the objects that the model's card calls unseen, and the sweeps over the other objects that were kept back. Everything here is
-SIMULATED. Writes evaluation.json.")]
+SIMULATED. Intervals are 95 %, by bootstrap over whole objects (means) or over whole sweeps (one object). Writes evaluation.json and
+report.html.")]
 pub struct EvaluateArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
     /// Folder of `wcal train`
     #[arg(long, value_name = "DIR")]
     pub model: PathBuf,
+    /// Folder of `wcal train --preset baseline` on the same split: a small transformer, printed beside
+    #[arg(long, value_name = "DIR")]
+    pub baseline: Option<PathBuf>,
     /// Folder of the objects' STL files; built-in objects need none
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
@@ -40,7 +47,7 @@ pub struct EvaluateArgs {
     /// Sweeps over each object at most
     #[arg(long, default_value_t = 10)]
     pub sweeps_each: usize,
-    /// Folder for evaluation.json
+    /// Folder for evaluation.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot
@@ -60,29 +67,28 @@ pub struct EvaluateArgs {
 /// Where model, sweeps or meshes cannot be used.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let (tracker, card) = load(&args.model, &burn_device())?;
-    let pick = |names: &[String], from: u64| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
+    let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
         let names: Vec<String> = names.iter().take(args.objects).cloned().collect();
         if names.is_empty() {
             return Ok(BTreeMap::new());
         }
         let mut courses = course::read_courses(&args.sweeps, &names)?;
         for of_object in courses.values_mut() {
-            of_object.retain(|c| c.sweep >= from);
+            of_object.retain(|c| !kept_back || card.kept_back(&c.object, c.sweep));
             of_object.truncate(args.sweeps_each);
         }
         courses.retain(|_, c| !c.is_empty());
         Ok(courses)
     };
-    let sets = [
-        ("seen", pick(&card.objects.training, card.sweeps_trained)?),
-        ("unseen", pick(&card.objects.unseen, 0)?),
-    ];
+    let sets =
+        [("seen", pick(&card.objects.training, true)?), ("unseen", pick(&card.objects.unseen, false)?)];
     ensure!(sets.iter().any(|s| !s.1.is_empty()), "{}: no sweep that was kept back", args.sweeps.display());
     let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
     // Two thirds out: the middle of what sweeps touch.
     let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
     let settings = BayesSettings::default();
-    let methods = [
+    let baseline = args.baseline.as_ref().map(|folder| baseline(folder, &card)).transpose()?;
+    let mut methods = vec![
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),
         ("bayes, speed known", Method::Bayes(&fine, true, settings)),
@@ -90,15 +96,25 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         ("static inverse", Method::Static(&fine, middle)),
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];
+    methods.extend(baseline.iter().map(|b| ("small transformer", Method::Network(b, true))));
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
     for (set, courses) in &sets {
         let meshes = meshes(courses.keys(), args)?;
-        for (name, method) in methods {
+        for (name, method) in &methods {
             rows.push((set, name, over_objects(&|c: &Course| method.run(c), courses, &meshes)?));
         }
     }
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
+    let [seen, unseen] = [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings));
+    // The limit is chosen on other objects than it is judged on.
+    document["two_contacts"] = json!(two_contacts(&seen, &unseen));
+    if card.split == SplitBy::Sweeps {
+        document["leak"] = json!({"split": "sweeps at random", "random_split_mm": document["simulation"]["seen_mean_mm"],
+            "unseen_objects_mm": document["simulation"]["unseen_mean_mm"], "interval95": {
+                "random_split_mm": document["simulation"]["interval95"]["seen_mean_mm"],
+                "unseen_objects_mm": document["simulation"]["interval95"]["unseen_mean_mm"]}});
+    }
     if !args.simulation_only {
         let folder = tempfile::tempdir().context("making a folder for what is in between")?;
         let maker = tables::Maker { tracker: &tracker, card: &card, args, folder: folder.path() };
@@ -111,14 +127,28 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         "evaluation.json",
         format!("{}\n", serde_json::to_string_pretty(&document)?).as_bytes(),
     )?;
+    write(&args.out, "report.html", report::page(&document).as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
+        print_told(&document);
         print_tables(&document);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The small transformer, trained on no object or sweep that the model was not.
+fn baseline(folder: &Path, card: &Card) -> anyhow::Result<Tracker> {
+    let (tracker, own) = load(folder, &burn_device())?;
+    let split = |c: &Card| (c.objects.clone(), c.split, c.sweeps_trained);
+    ensure!(
+        split(&own) == split(card),
+        "{}: objects: expected the split of the model (same sweeps, --seed, --split), found another",
+        folder.display()
+    );
+    Ok(tracker)
 }
 
 fn meshes<'a>(
@@ -168,6 +198,19 @@ fn mean(rows: &[ObjectScores], value: impl Fn(&ObjectScores) -> f64) -> f64 {
     rows.iter().map(value).sum::<f64>() / rows.len().max(1) as f64
 }
 
+/// Errors of a row that are means over objects.
+const MEANS: [(&str, Of); 4] = [
+    ("rmse_mm", |s| s.surface),
+    ("true_contact_rmse_mm", |s| s.contact),
+    ("followed_rmse_mm", |s| s.followed_surface),
+    ("followed_true_contact_rmse_mm", |s| s.followed_contact),
+];
+
+/// 95 % intervals of the means over objects.
+fn intervals(rows: &[ObjectScores]) -> Value {
+    MEANS.iter().map(|(name, of)| (*name, json!(mean_interval95(rows, *of)))).collect()
+}
+
 fn document(
     rows: &[(&str, &str, Vec<ObjectScores>)],
     streaming: &Value,
@@ -179,30 +222,68 @@ fn document(
     let best = "network, speed known";
     let objects: Vec<Value> =
         ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
-    let methods: Vec<Value> = rows
-        .iter()
-        .map(|(set, name, r)| {
-            json!({"set": set, "method": name, "rmse_mm": mean(r, |o| o.all.rmse_mm),
-                "true_contact_rmse_mm": mean(r, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(r, |o| o.all.p95_mm),
-                "followed_rmse_mm": mean(r, |o| o.followed.rmse_mm),
-                "followed_true_contact_rmse_mm": mean(r, |o| o.followed.true_contact_rmse_mm),
-                "detection_f1": mean(r, |o| o.detection.f1)})
-        })
-        .collect();
+    let methods: Vec<Value> = rows.iter().map(|(set, name, r)| method(set, name, r)).collect();
     json!({
         "format": "wcal-evaluation/1", "simulated": true, "model": model, "calibration": null,
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
-            "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "objects": objects},
+            "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "interval95": both_means(of("seen", best), of("unseen", best)),
+            "objects": objects},
+        "bootstrap": {"level": 0.95, "means": "whole objects are drawn again", "object": "whole sweeps are drawn again"},
         "methods": methods, "streaming": streaming,
         "provenance": provenance([args.model.join("model.json").as_path()]),
     })
+}
+
+/// A method's row in evaluation.json.
+fn method(set: &str, name: &str, r: &[ObjectScores]) -> Value {
+    json!({"set": set, "method": name, "rmse_mm": mean(r, |o| o.all.rmse_mm),
+        "true_contact_rmse_mm": mean(r, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(r, |o| o.all.p95_mm),
+        "followed_rmse_mm": mean(r, |o| o.followed.rmse_mm),
+        "followed_true_contact_rmse_mm": mean(r, |o| o.followed.true_contact_rmse_mm),
+        "detection_f1": mean(r, |o| o.detection.f1), "interval95": intervals(r)})
+}
+
+/// 95 % intervals of the two means.
+fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Value {
+    let of: Of = |s| s.surface;
+    json!({"seen_mean_mm": mean_interval95(seen, of), "unseen_mean_mm": mean_interval95(unseen, of)})
 }
 
 /// An object's row in evaluation.json.
 fn object(o: &ObjectScores, set: &str) -> Value {
     json!({"name": o.name, "set": set, "rmse_mm": o.all.rmse_mm, "true_contact_rmse_mm": o.all.true_contact_rmse_mm,
         "along_track_mm": o.all.along_track_mm, "p95_mm": o.all.p95_mm, "coverage90": o.all.coverage90,
-        "followed": o.followed, "detection": o.detection})
+        "followed": o.followed, "detection": o.detection, "sweeps": o.sweeps.len(),
+        "interval95": {"rmse_mm": object_interval95(&o.sweeps, |s| s.surface),
+            "true_contact_rmse_mm": object_interval95(&o.sweeps, |s| s.contact),
+            "along_track_mm": object_interval95(&o.sweeps, |s| s.along)}})
+}
+
+/// `0.22 [0.18, 0.27]` out of a row.
+fn stated(row: &Value, key: &str) -> String {
+    let value = row[key].as_f64().unwrap_or(f64::NAN);
+    let interval: Vec<f64> =
+        row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
+    match interval[..] {
+        [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
+        _ => format!("{value:.2}"),
+    }
+}
+
+/// Two contacts, and what a random split hides.
+fn print_told(document: &Value) {
+    let two = &document["two_contacts"];
+    if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
+        println!("two contacts: F1 {f1:.2}; one contact explains {:.0} % of them as well", 100.0 * share);
+    }
+    let leak = &document["leak"];
+    if !leak.is_null() {
+        println!(
+            "random split: test {} mm; objects never seen {} mm: the difference is what the split hides",
+            stated(leak, "random_split_mm"),
+            stated(leak, "unseen_objects_mm")
+        );
+    }
 }
 
 fn print_tables(document: &Value) {
@@ -212,30 +293,30 @@ fn print_tables(document: &Value) {
         return;
     }
     println!(
-        "VIRTUAL real bench: seen {:.2}, unseen {:.2}, worst {:.2} mm (verify: {}, accepted {})",
-        number(&real["seen_mean_mm"]),
-        number(&real["unseen_mean_mm"]),
-        number(&real["worst_mm"]),
+        "VIRTUAL real bench: seen {}, unseen {}, worst {} mm (verify: {}, accepted {})",
+        stated(real, "seen_mean_mm"),
+        stated(real, "unseen_mean_mm"),
+        stated(real, "worst_mm"),
         real["verdict"],
         real["accepted"]
     );
     let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
     for r in rows("ablations") {
         println!(
-            "  {:24} {:8.2} {:9.2}",
+            "  {:28} {:>20} {:>20}",
             r["name"].as_str().unwrap_or(""),
-            number(&r["rmse_mm"]),
-            number(&r["followed_rmse_mm"])
+            stated(&r, "rmse_mm"),
+            stated(&r, "followed_rmse_mm")
         );
     }
     let speeds = rows("speed");
     println!("speed mm/s: constant, random (mm)");
     for r in &speeds {
         println!(
-            "  {:4.0} {:8.2} {:8.2}",
+            "  {:4.0} {:>20} {:>20}",
             number(&r["mm_s"]),
-            number(&r["constant_mm"]),
-            number(&r["random_mm"])
+            stated(r, "constant_mm"),
+            stated(r, "random_mm")
         );
     }
     println!(
@@ -245,8 +326,8 @@ fn print_tables(document: &Value) {
     );
     println!("simulation, virtual air, virtual water (mm)");
     for r in rows("sim2real") {
-        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| number(&r[k]));
-        println!("  {:18} {s:8.2} {a:8.2} {w:8.2}", r["name"].as_str().unwrap_or(""));
+        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| stated(&r, k));
+        println!("  {:18} {s:>20} {a:>20} {w:>20}", r["name"].as_str().unwrap_or(""));
     }
 }
 
@@ -255,7 +336,7 @@ fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
         "SIMULATED; mean over objects of the RMSE in mm; followed: 2 mm of the base's way after an onset, jump or slip"
     );
     println!(
-        "{:7} {:21} {:>8} {:>9} {:>8} {:>9} {:>8} {:>6}",
+        "{:7} {:21} {:>19} {:>19} {:>19} {:>19} {:>7} {:>6}",
         "objects", "method", "surface", "followed", "contact", "followed", "cover90", "F1"
     );
     for (set, name, r) in rows.iter().filter(|r| !r.2.is_empty()) {
@@ -265,12 +346,12 @@ fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
         } else {
             format!("{:.3}", cover.iter().sum::<f64>() / cover.len() as f64)
         };
+        let row = method(set, name, r);
+        let [a, b, c, d] =
+            ["rmse_mm", "followed_rmse_mm", "true_contact_rmse_mm", "followed_true_contact_rmse_mm"]
+                .map(|k| stated(&row, k));
         println!(
-            "{set:7} {name:21} {:8.2} {:9.2} {:8.2} {:9.2} {cover:>8} {:6.3}",
-            mean(r, |o| o.all.rmse_mm),
-            mean(r, |o| o.followed.rmse_mm),
-            mean(r, |o| o.all.true_contact_rmse_mm),
-            mean(r, |o| o.followed.true_contact_rmse_mm),
+            "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
             mean(r, |o| o.detection.f1)
         );
     }

@@ -2,6 +2,7 @@
 
 mod checks;
 mod feed;
+mod found;
 mod live;
 mod output;
 mod table;
@@ -34,7 +35,7 @@ SOURCE: a table as for `wcal predict`, with t_s in every row; a recording (.mcap
 interrogator, until Ctrl-C or --seconds. A stream goes through the rig's channel map, temperature compensation, a linear-phase low-pass
 of --lag-s and the map; t_s of a row is the time that it is true of, the lag before the scan that completed it. Events (onset, release,
 slip, snap, jump) are told from every scan; the first --prefix-s must be without contact. Beside track.csv come track.json (filters, noise,
-limits, counts) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
+limits, counts, contact intervals) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
 Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
 
 Exit code 3: tracked, with readings lost, dropped or unusable (flagged). 4: readings outside the valid region (marked), or a calibration or
@@ -94,6 +95,10 @@ pub struct TrackArgs {
     /// Track although calibration or model do not vouch for it; every row says so
     #[arg(long)]
     pub force: bool,
+    /// Write the contacts as a cloud (-cloud.ply) and the surface through them (-surface.ply) beside the table; the base's pose or speed must
+    /// be known
+    #[arg(long)]
+    pub surface: bool,
     /// Print the summary (track.json) on stdout
     #[arg(long)]
     pub json: bool,

@@ -2,10 +2,12 @@
 
 use crate::simulate::whisker;
 use anyhow::{Context, ensure};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_track::make::{Making, make_model};
+use wcal_track::model_file::{Card, SplitBy};
 use wcal_track::train::{Pass, TrainSettings, best};
 
 /// Arguments of `wcal train`.
@@ -15,12 +17,12 @@ use wcal_track::train::{Pass, TrainSettings, best};
   wcal train sweeps --epochs 8 --out model
 
 Objects are split: some are held out for the early stop and the stated spread, some are never looked at (`wcal evaluate` scores them as
-unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card) and checkpoint/,
-from which the same command goes on where it stopped. Everything here is SIMULATED.")]
+unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card), report.html (learning
+curves) and checkpoint/, from which the same command goes on where it stopped. Everything here is SIMULATED.")]
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
-    /// Network: default (weights over the rod's inverse curve) or paper
+    /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
@@ -32,6 +34,9 @@ pub struct TrainArgs {
     /// Objects never looked at; an eighth of all without it
     #[arg(long)]
     pub unseen: Option<usize>,
+    /// What is split: whole objects, or sweeps at random as in the paper (`wcal evaluate` then shows what that hides)
+    #[arg(long, value_enum, default_value_t = SplitKind::Objects)]
+    pub split: SplitKind,
     /// Whisker of the sweeps (whisker.toml); the nominal one without it
     #[arg(long, value_name = "TOML")]
     pub whisker: Option<PathBuf>,
@@ -44,6 +49,15 @@ pub struct TrainArgs {
     /// Print the card as JSON on stdout
     #[arg(long)]
     pub json: bool,
+}
+
+/// What is split into training, early stop and test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SplitKind {
+    /// Whole objects
+    Objects,
+    /// Sweeps at random: 70 % trained on, 10 % held out, 20 % for the test, but for the objects kept unseen
+    Sweeps,
 }
 
 /// Runs the command.
@@ -61,10 +75,15 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         settings,
         held_out: args.held_out,
         unseen: args.unseen,
+        split: match args.split {
+            SplitKind::Objects => SplitBy::Objects,
+            SplitKind::Sweeps => SplitBy::Sweeps,
+        },
         out: &args.out,
     };
     eprintln!("train: on SIMULATED sweeps");
     let card = make_model(&making, &burn_device(), heard)?;
+    crate::picture_output::write(&args.out, "report.html", page(&card).as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&card)?);
     } else if let Some(best) = best(&card.passes) {
@@ -88,6 +107,55 @@ fn heard(pass: &Pass) {
         "pass {:3}: loss {:.3}, held-out {:.3}, RMSE of the contact {:.2} mm, {:.0} s",
         pass.epoch, pass.loss, pass.held_out_loss, pass.held_out_mm, pass.seconds
     );
+}
+
+/// Learning curves and what was learned from.
+fn page(card: &Card) -> String {
+    let line = |value: fn(&Pass) -> f64| card.passes.iter().map(|p| [p.epoch as f64, value(p)]).collect();
+    let mark = best(&card.passes).map(|b| (b.epoch as f64, "kept".to_owned()));
+    let x = "pass".to_owned();
+    let loss = Curves {
+        title: "Loss".into(),
+        x: x.clone(),
+        y: "loss".into(),
+        lines: vec![("training".into(), line(|p| p.loss)), ("held out".into(), line(|p| p.held_out_loss))],
+        mark: mark.clone(),
+    };
+    let off = Curves {
+        title: "RMSE of the true contact, held out".into(),
+        x,
+        y: "RMSE, mm".into(),
+        lines: vec![("held out".into(), line(|p| p.held_out_mm))],
+        mark,
+    };
+    let fact = |name: &str, value: String| Fact::new(name, value);
+    let [training, held_out, unseen] =
+        [&card.objects.training, &card.objects.held_out, &card.objects.unseen].map(Vec::len);
+    let n = card.network;
+    let row = |p: &Pass| {
+        let numbers = [p.loss, p.held_out_loss, p.held_out_mm].map(|v| format!("{v:.3}"));
+        std::iter::once(p.epoch.to_string()).chain(numbers).chain([format!("{:.0}", p.seconds)]).collect()
+    };
+    render_tracking(&TrackingInput {
+        over: "Contact tracker".into(),
+        title: "Training".into(),
+        facts: vec![
+            fact("weights, SHA-256", card.weights_sha256.clone()),
+            fact("objects", format!("{training} trained on, {held_out} held out, {unseen} unseen")),
+            fact(
+                "network",
+                format!("{} layers, {} heads, width {}, {} inputs", n.layers, n.heads, n.width, n.inputs),
+            ),
+            fact("seed", card.training.seed.to_string()),
+        ],
+        notes: Vec::new(),
+        curves: if card.passes.is_empty() { Vec::new() } else { vec![loss, off] },
+        tables: vec![NumberTable {
+            caption: "Passes".into(),
+            columns: ["pass", "loss", "held-out loss", "held-out RMSE, mm", "s"].map(str::to_owned).into(),
+            rows: card.passes.iter().map(row).collect(),
+        }],
+    })
 }
 
 /// Whether the sweeps were made with this whisker, where the folder says so.

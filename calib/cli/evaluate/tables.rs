@@ -1,7 +1,7 @@
 //! The paper's tables II and III, the virtual real bench, and ablations. All of it is SIMULATED.
 
 use super::virtual_bench::VirtualBench;
-use super::{EvaluateArgs, mean, meshes};
+use super::{EvaluateArgs, both_means, intervals, mean, meshes};
 use crate::artefact::CalibrationModel;
 use crate::track::told;
 use anyhow::Context;
@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_mujoco::physics::Medium;
 use wcal_mujoco::{Mesh, SweepPlan};
+use wcal_track::bootstrap::{mean_interval95, worst_interval95};
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
 use wcal_track::model_file::Card;
@@ -117,7 +118,10 @@ impl Maker<'_> {
         let rows_seen = score(seen, &self.through(bench, by, &true_seen)?, true)?;
         let felt = self.through(bench, by, &true_unseen)?;
         let rows_unseen = score(unseen, &felt, true)?;
-        let worst = rows_seen.iter().chain(&rows_unseen).map(|o| o.all.rmse_mm).fold(0.0, f64::max);
+        let every: Vec<&ObjectScores> = rows_seen.iter().chain(&rows_unseen).collect();
+        let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
+        let mut interval95 = both_means(&rows_seen, &rows_unseen);
+        interval95["worst_mm"] = json!(worst_interval95(&every, |s| s.surface));
         let with_set = |set: &'static str| move |o: &ObjectScores| super::object(o, set);
         let objects: Vec<Value> = rows_seen
             .iter()
@@ -127,7 +131,7 @@ impl Maker<'_> {
         let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
         let real = json!({
             "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
-            "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
+            "interval95": interval95, "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
             "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
             "objects": objects,
         });
@@ -141,9 +145,10 @@ impl Maker<'_> {
         };
         let row = |name: &str, rows: Vec<ObjectScores>| {
             json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
-                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm)})
+                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm),
+                "interval95": intervals(&rows)})
         };
-        let ablations = vec![
+        let mut ablations = vec![
             row("effects-accepted", rows_unseen),
             row(
                 "effects-not-accepted",
@@ -162,13 +167,17 @@ impl Maker<'_> {
                 )?,
             ),
         ];
+        for (name, map) in &bench.maps {
+            let rows = score(unseen, &self.through(bench, map, &true_unseen)?, true)?;
+            ablations.push(row(&format!("map-{name}"), rows));
+        }
         Ok((real, Value::Array(ablations)))
     }
 
     fn speeds(&self, meshes: &Meshes) -> anyhow::Result<Value> {
         let mut rows = Vec::new();
         for speed in SPEEDS_MM_S {
-            let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<f64> {
+            let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<Mean> {
                 let plan =
                     SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
                 let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
@@ -176,11 +185,12 @@ impl Maker<'_> {
                 let courses = self.courses(meshes, &order)?;
                 let rows =
                     over_objects(&|c: &Course| Method::Network(self.tracker, true).run(c), &courses, meshes)?;
-                Ok(mean(&rows, |o| o.all.rmse_mm))
+                Ok(mean_with_interval(&rows))
             };
             let constant = run([speed, speed], 0.0)?;
             let random = run(RANDOM.map(|r| r * speed), RANDOM_MM_S2)?;
-            rows.push(json!({"mm_s": speed, "constant_mm": constant, "random_mm": random}));
+            rows.push(json!({"mm_s": speed, "constant_mm": constant.0, "random_mm": random.0,
+                "interval95": {"constant_mm": constant.1, "random_mm": random.1}}));
         }
         Ok(Value::Array(rows))
     }
@@ -198,9 +208,9 @@ impl Maker<'_> {
             let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
             let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
             let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
-            let score = |courses: &Courses, tracker: &Tracker| -> anyhow::Result<f64> {
+            let score = |courses: &Courses, tracker: &Tracker| -> anyhow::Result<Mean> {
                 let rows = over_objects(&|c: &Course| Method::Network(tracker, true).run(c), courses, &mesh)?;
-                Ok(mean(&rows, |o| o.all.rmse_mm))
+                Ok(mean_with_interval(&rows))
             };
             let simulation = score(&self.courses(&mesh, &order)?, self.tracker)?;
             let mut media = Vec::new();
@@ -209,10 +219,18 @@ impl Maker<'_> {
                 media.push(score(&self.through(bench, by, &courses)?, &told)?);
             }
             rows.push(json!({"name": name, "seen": self.card.objects.training.contains(&name),
-                "simulation_mm": simulation, "air_mm": media[0], "water_mm": media[1]}));
+                "simulation_mm": simulation.0, "air_mm": media[0].0, "water_mm": media[1].0,
+                "interval95": {"simulation_mm": simulation.1, "air_mm": media[0].1, "water_mm": media[1].1}}));
         }
         Ok(Value::Array(rows))
     }
+}
+
+/// Mean over objects of the RMSE with its 95 % interval, mm.
+type Mean = (f64, Option<[f64; 2]>);
+
+fn mean_with_interval(rows: &[ObjectScores]) -> Mean {
+    (mean(rows, |o| o.all.rmse_mm), mean_interval95(rows, |s| s.surface))
 }
 
 /// The moments that a cable with damped joints would have: damping and stiffness of all its joints have one ratio.

@@ -16,7 +16,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
-use wcal_map::{FitOptions, fit_map};
+use wcal_map::{Candidate, FitOptions, fit_map};
 use wcal_mujoco::SweepPlan;
 use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
@@ -41,6 +41,8 @@ pub struct VirtualBench {
     pub acting: Vec<String>,
     /// The map of `fit-gpr`, as if no effect had been found.
     pub map: CalibrationModel,
+    /// The maps of each kind that `fit-gpr` can choose from, by name.
+    pub maps: Vec<(&'static str, CalibrationModel)>,
     /// The sensitivity with the effects that `verify` accepted, where it vouches for one.
     pub verified: Option<CalibrationModel>,
 }
@@ -94,7 +96,13 @@ impl VirtualBench {
         let labels = moment_labels(data, LabelSource::Rod)?;
         let options =
             FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
-        let map = fit_map(&training_set(data, &labels).0, &options)?.artefact;
+        let training = training_set(data, &labels).0;
+        let map = fit_map(&training, &options)?.artefact;
+        let one_kind = |kind: Candidate| {
+            let options = FitOptions { candidates: vec![kind], ..options.clone() };
+            Ok((kind.name(), CalibrationModel::Map(fit_map(&training, &options)?.artefact)))
+        };
+        let maps = Candidate::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
         let report = verify_session(&session, &folder.join("verify"), seed, &[])?;
         let calibration = folder.join("verify/calibration.json");
         let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
@@ -116,6 +124,7 @@ impl VirtualBench {
             accepted: report.verify.effects.iter().map(|e| e.id.clone()).collect(),
             acting: case.truth.names.clone(),
             map: CalibrationModel::Map(map),
+            maps,
             verified,
         })
     }

@@ -317,6 +317,9 @@ fn conclude(
     if let Some(said) = &said {
         eprintln!("warning: {said}");
     }
+    if args.surface {
+        summary["surface"] = whiskers.surface(&args.out)?;
+    }
     files.finish(&summary, args.json)?;
     sinks.finish()?;
     Ok(exit_code(args, outside, said.is_some() || cut_off))

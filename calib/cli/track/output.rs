@@ -17,7 +17,7 @@ pub const FORMAT: &str = "wcal-track/2";
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
-     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching";
+     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment";
 
 const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
      ring_hz,ring_q,ring_amplitude_nmm,doubts";
@@ -44,6 +44,8 @@ pub struct TrackRow<'a> {
     pub base: Option<BasePose>,
     /// Whether the event detector sees contact.
     pub touching: Option<bool>,
+    /// Contact interval that the row belongs to.
+    pub segment: Option<u64>,
 }
 
 /// Appends numbers, or as many empty cells.
@@ -85,7 +87,8 @@ impl TrackRow<'_> {
         cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
         cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
         let touching = self.touching.map_or_else(String::new, |t| u8::from(t).to_string());
-        let _ = writeln!(out, ",{touching}");
+        let segment = self.segment.map_or_else(String::new, |n| n.to_string());
+        let _ = writeln!(out, ",{touching},{segment}");
         out
     }
 
@@ -216,7 +219,7 @@ impl TrackFiles {
 }
 
 /// `track.csv` -> `track` + ending.
-fn beside(out: &Path, ending: &str) -> PathBuf {
+pub fn beside(out: &Path, ending: &str) -> PathBuf {
     let stem = out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     out.with_file_name(format!("{stem}{ending}"))
 }

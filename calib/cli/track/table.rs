@@ -1,6 +1,7 @@
 //! Tracks of a table of readings.
 
 use super::checks::Loaded;
+use super::found::{Found, write_surface};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::{TrackArgs, exit_code};
 use crate::artefact::CalibrationModel;
@@ -61,6 +62,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
     let mut tare = Tare::new(args.tare_s);
+    let mut found = Found::new("");
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -86,6 +88,10 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
             valid: m.valid,
         });
         let answer = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
+        if flags.has(Flags::GAP) {
+            found.gap();
+        }
+        let segment = found.row(t_s, answer.as_ref(), base, base_mm_s);
         outside += u64::from(usable && !m.valid);
         flagged += u64::from(!flags.none());
         unusable += u64::from(!usable);
@@ -100,14 +106,19 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
             base_mm_s,
             base,
             touching: None,
+            segment,
         })?;
     }
-    let summary = json!({
+    let mut summary = json!({
         "format": FORMAT, "source": path, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
         "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
+        "segments": found.segments(),
     });
+    if args.surface {
+        summary["surface"] = write_surface(&args.out, &[&found])?;
+    }
     files.finish(&summary, args.json)?;
     if outside > 0 {
         eprintln!(

@@ -2,12 +2,14 @@
 
 use super::TrackArgs;
 use super::checks::Loaded;
+use super::found::{Found, write_surface};
 use super::output::{TrackFiles, TrackRow, event_message};
 use crate::artefact::CalibrationModel;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::{Duration, Instant};
 use wcal_core::device::FbgReading;
 use wcal_core::stream::{MomentStream, StreamMoments};
@@ -29,6 +31,7 @@ struct Whisker<'a> {
     chain: Chain,
     stream: Stream<'a>,
     tare: Tare,
+    found: Found,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -95,6 +98,7 @@ impl<'a> Whiskers<'a> {
                 chain: Chain::new(&settings, map)?,
                 stream: l.stream(),
                 tare: Tare::new(args.tare_s),
+                found: Found::new(&l.name),
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -205,6 +209,14 @@ impl<'a> Whiskers<'a> {
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
+    /// Writes cloud and surface beside the table.
+    ///
+    /// # Errors
+    /// Where no contact has a place in the world, or the disk does not take it.
+    pub fn surface(&self, out: &Path) -> Result<Value> {
+        write_surface(out, &self.all.iter().map(|w| &w.found).collect::<Vec<_>>())
+    }
+
     /// Facts for track.json.
     pub fn summary(&self) -> Value {
         let filter = self.all.first().map(|w| w.chain.filter());
@@ -249,6 +261,7 @@ impl Whisker<'_> {
                 None
             }
         };
+        let segment = self.found.row(row.t_s, answer.as_ref(), base, base_mm_s);
         self.rows += 1;
         self.flagged += u64::from(!row.flags.none());
         self.outside += u64::from(row.moments.is_some_and(|m| !m.valid));
@@ -263,6 +276,7 @@ impl Whisker<'_> {
             base_mm_s,
             base,
             touching: row.touching,
+            segment,
         };
         files.row(&row)?;
         Ok(row.message())
@@ -279,7 +293,7 @@ impl Whisker<'_> {
         });
         json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
-            "unusable_scans": self.unusable, "events": self.events, "noise": noise, "doubts": l.doubts.said(),
+            "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.said(),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
         })

@@ -8,6 +8,7 @@
 //! - [`render_index`]: an overview page that links to reports beside it.
 //! - [`render_twin`]: the page of a twin's labels, from a [`TwinInput`].
 //! - [`render_dynamics`]: the page of a fit of damping and contact, from a [`DynamicsInput`].
+//! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
 //! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
 //! ```
@@ -29,6 +30,7 @@ mod page;
 mod plot;
 mod sections;
 mod sweeps;
+mod tracking;
 mod twin;
 
 pub use dynamics::{DynamicsInput, DynamicsTrial, render_dynamics};
@@ -41,4 +43,5 @@ pub use page::{render, render_index, render_many};
 pub use sweeps::{
     EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
 };
+pub use tracking::{Curves, NumberTable, TrackingInput, render_tracking};
 pub use twin::{TipEffect, TwinInput, render_twin};

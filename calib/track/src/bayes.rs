@@ -112,13 +112,22 @@ pub struct BayesFilter<'a> {
     weights: Vec<Vec<f64>>,
     before: Vec<Candidate>,
     now: Vec<Candidate>,
+    /// Logarithm of the density that the filter gave the last sample, 1/(N mm)^2; 0 where it foretold none.
+    log_evidence: f64,
 }
 
 impl<'a> BayesFilter<'a> {
     /// Without contact so far.
     #[must_use]
     pub fn new(inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
-        Self { inverse, settings, weights: Vec::new(), before: Vec::new(), now: Vec::new() }
+        Self {
+            inverse,
+            settings,
+            weights: Vec::new(),
+            before: Vec::new(),
+            now: Vec::new(),
+            log_evidence: 0.0,
+        }
     }
 
     /// Candidates of the last sample.
@@ -138,6 +147,13 @@ impl<'a> BayesFilter<'a> {
         sum
     }
 
+    /// Logarithm of the density that the filter gave the last sample out of those before, 1/(N mm)^2: low where one contact on a rigid
+    /// body explains the way of the moments badly. 0 without contact and at a first touch.
+    #[must_use]
+    pub fn log_evidence(&self) -> f64 {
+        self.log_evidence
+    }
+
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
@@ -145,9 +161,11 @@ impl<'a> BayesFilter<'a> {
         let size = moment_nmm[0].hypot(moment_nmm[1]);
         if size < self.settings.onset_nmm {
             self.weights.clear();
+            self.log_evidence = 0.0;
             return None;
         }
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
+        self.log_evidence = 0.0;
         let followed = self.weights.len() == speeds.len() && self.follow(dt_s, &speeds);
         if !followed {
             let felt_before = !self.weights.is_empty() || self.before.is_empty();
@@ -181,6 +199,8 @@ impl<'a> BayesFilter<'a> {
             .collect();
         spread(&mut next, (self.settings.speed_change_per_s * dt_s).min(0.25));
         self.weights = next;
+        let total: f64 = self.weights.iter().flatten().sum();
+        self.log_evidence = total.max(f64::MIN_POSITIVE).ln();
         self.normalise()
     }
 

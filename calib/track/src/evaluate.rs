@@ -1,6 +1,7 @@
 //! Trackers over courses: the network and the baselines beside it, object by object. All of it is SIMULATED.
 
 use crate::bayes::{BayesFilter, BayesSettings};
+use crate::bootstrap::SweepSums;
 use crate::score::{Compared, Detection, Scores, calibrating_factor, detection, scores};
 use crate::{Course, Sample, StaticInverse, TrackError, Tracker};
 use nalgebra::{Matrix3, Vector3};
@@ -119,6 +120,9 @@ pub struct ObjectScores {
     pub followed: Scores,
     /// Contact or not.
     pub detection: Detection,
+    /// Errors sweep by sweep, for intervals.
+    #[serde(skip)]
+    pub sweeps: Vec<SweepSums>,
 }
 
 /// Way of the base after which a new contact can have been told by its motion, mm.
@@ -193,6 +197,7 @@ pub fn over_objects(
                 all: scores(&all),
                 followed: scores(&followed),
                 detection: detection(&calls),
+                sweeps: parts.iter().map(|p| SweepSums::of(&p.0)).filter(|s| s.surface.count > 0.0).collect(),
             })
         })
         .collect()

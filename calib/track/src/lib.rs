@@ -3,6 +3,7 @@
 //! Base frame throughout: lengths in mm, moments in N mm, time in s.
 
 pub mod bayes;
+pub mod bootstrap;
 pub mod course;
 pub mod drawn;
 mod error;
@@ -13,7 +14,10 @@ pub mod make;
 pub mod model_file;
 pub mod network;
 pub mod score;
+pub mod segments;
+pub mod several;
 pub mod stream;
+pub mod surface;
 mod tare;
 pub mod train;
 

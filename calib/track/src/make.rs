@@ -1,7 +1,7 @@
 //! From a folder of sweeps to a trained model with its card.
 
 use crate::bayes::BayesSettings;
-use crate::model_file::{Card, FORMAT, Split, network_grid, preset, save};
+use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, save};
 use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ pub struct Making<'a> {
     pub sweeps: &'a Path,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// default or paper.
+    /// default, paper or baseline.
     pub preset: &'a str,
     /// How it is trained.
     pub settings: TrainSettings,
@@ -24,6 +24,8 @@ pub struct Making<'a> {
     pub held_out: Option<usize>,
     /// See `held_out`.
     pub unseen: Option<usize>,
+    /// What is split.
+    pub split: SplitBy,
     /// Folder for model and checkpoint.
     pub out: &'a Path,
 }
@@ -43,15 +45,24 @@ pub fn make_model(
     let mut all = course::read_courses(making.sweeps, &[])?;
     let eighth = (all.len() / 8).max(1);
     let apart = [making.held_out.unwrap_or(eighth), making.unseen.unwrap_or(eighth)];
-    let objects = Split::draw(all.keys().cloned().collect(), apart, making.settings.seed)?;
+    let mut objects = Split::draw(all.keys().cloned().collect(), apart, making.settings.seed)?;
     let most = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
     let sweeps_trained = (most as f64 * TRAINED) as u64;
     let mut of = |names: &[String]| -> Vec<Course> {
         names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
     };
-    let mut courses = of(&objects.training);
-    courses.retain(|c| c.sweep < sweeps_trained);
-    let held_out = of(&objects.held_out);
+    let (mut courses, mut held_out) = (of(&objects.training), of(&objects.held_out));
+    match making.split {
+        SplitBy::Objects => courses.retain(|c| c.sweep < sweeps_trained),
+        SplitBy::Sweeps => {
+            objects.training.append(&mut objects.held_out);
+            objects.training.sort_unstable();
+            courses.append(&mut held_out);
+            let used = |c: &Course| Use::draw(&c.object, c.sweep, making.settings.seed);
+            held_out = courses.iter().filter(|c| used(c) == Use::HeldOut).cloned().collect();
+            courses.retain(|c| used(c) == Use::Training);
+        }
+    }
     let inverse = StaticInverse::new(&making.whisker, network_grid())?;
     let network = preset(making.preset, &inverse)?;
     let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
@@ -81,6 +92,7 @@ pub fn make_model(
         objects,
         data,
         sweeps_trained,
+        split: making.split,
     };
     save(making.out, &tracker.net, &mut card)?;
     Ok(card)

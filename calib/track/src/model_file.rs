@@ -45,6 +45,60 @@ pub struct Card {
     pub data: BTreeMap<String, String>,
     /// Sweeps over an object that were trained on: those from here on are kept for the evaluation of seen objects.
     pub sweeps_trained: u64,
+    /// What was split.
+    #[serde(default)]
+    pub split: SplitBy,
+}
+
+/// What is split into training, early stop and test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SplitBy {
+    /// Whole objects: the test's are never seen.
+    #[default]
+    Objects,
+    /// Sweeps at random, as in the paper: other sweeps over the test's objects are trained on. Objects that are kept unseen show what that hides.
+    Sweeps,
+}
+
+/// Use of a sweep in a random split.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Use {
+    /// Trained on.
+    Training,
+    /// Early stop and spread.
+    HeldOut,
+    /// Scored as seen.
+    Test,
+}
+
+/// Shares of a random split (the paper: 20 % for the test).
+const TEST: f64 = 0.2;
+const HELD_OUT: f64 = 0.1;
+
+impl Use {
+    /// Draws it for a sweep over an object.
+    #[must_use]
+    pub fn draw(object: &str, sweep: u64, seed: u64) -> Self {
+        let digest = sha256_hex(format!("{object}/{sweep}/{seed}").as_bytes());
+        let lot = u32::from_str_radix(&digest[..8], 16).map_or(0.0, |n| f64::from(n) / f64::from(u32::MAX));
+        match lot {
+            lot if lot < TEST => Self::Test,
+            lot if lot < TEST + HELD_OUT => Self::HeldOut,
+            _ => Self::Training,
+        }
+    }
+}
+
+impl Card {
+    /// Whether a sweep over an object that was trained on was kept back for the evaluation.
+    #[must_use]
+    pub fn kept_back(&self, object: &str, sweep: u64) -> bool {
+        match self.split {
+            SplitBy::Objects => sweep >= self.sweeps_trained,
+            SplitBy::Sweeps => Use::draw(object, sweep, self.training.seed) == Use::Test,
+        }
+    }
 }
 
 /// Objects by their use.
@@ -171,6 +225,7 @@ pub fn preset(name: &str, inverse: &StaticInverse) -> Result<NetworkConfig, Trac
     match name {
         "default" => Ok(NetworkConfig::small(inputs, knots(nodes).len())),
         "paper" => Ok(NetworkConfig::paper(inputs)),
-        _ => Err(TrackError::value("preset", "default or paper", name)),
+        "baseline" => Ok(NetworkConfig::baseline()),
+        _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
     }
 }

@@ -3,7 +3,7 @@
 use crate::bayes::BayesSettings;
 use crate::network::model::attention_bias;
 use crate::network::{
-    Attended, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
+    Attended, COMMON, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
 };
 use crate::{StaticInverse, TrackError};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -42,7 +42,8 @@ impl Tracker {
     pub fn check(&self) -> Result<(), TrackError> {
         let (nodes, width) =
             (knots(self.inverse.nodes.len()).len(), FeatureMaker::width(self.inverse.nodes.len()));
-        if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
+        let plain = self.config.inputs == COMMON && self.config.nodes == 0;
+        if !plain && (self.config.inputs != width || ![0, nodes].contains(&self.config.nodes)) {
             let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
             return Err(TrackError::value("network", format!("{width} inputs, {nodes} knots"), found));
         }
@@ -75,7 +76,8 @@ impl Tracker {
         if tokens.is_empty() {
             return Vec::new();
         }
-        let inputs: Vec<f32> = tokens.iter().flat_map(|t| t.inputs.iter().copied()).collect();
+        let inputs: Vec<f32> =
+            tokens.iter().flat_map(|t| t.inputs[..self.config.inputs].iter().copied()).collect();
         let shape = [1, tokens.len(), self.config.inputs];
         let inputs = Tensor::<3>::from_data(TensorData::new(inputs, shape), &self.device);
         let times = vec![samples.iter().map(|s| s.t_s).collect()];
@@ -92,7 +94,13 @@ impl Tracker {
         if k == 0 {
             // The paper's head states no spread.
             let point_mm = [0, 1, 2].map(|i| off[i] * crate::train::PLACE_MM as f32);
-            return Prediction { contact, point_mm, covariance_mm2: [[0.0; 3]; 3], weights: Vec::new() };
+            return Prediction {
+                contact,
+                point_mm,
+                covariance_mm2: [[0.0; 3]; 3],
+                weights: Vec::new(),
+                normal: [0.0; 3],
+            };
         }
         let doubt = (out[k + 4] + DOUBT).exp() / token.believed.len() as f32;
         let factors =
@@ -109,6 +117,12 @@ impl Tracker {
         for (w, p) in weights.iter().zip(&token.points_mm) {
             (0..3).for_each(|i| mean[i] += w * p[i]);
         }
+        let mut normal = [0.0_f32; 3];
+        for (w, n) in weights.iter().zip(&token.normals) {
+            (0..3).for_each(|i| normal[i] += w * n[i]);
+        }
+        let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
+        let normal = normal.map(|x| x / size);
         let mut covariance = [[0.0; 3]; 3];
         for (w, p) in weights.iter().zip(&token.points_mm) {
             for i in 0..3 {
@@ -123,7 +137,7 @@ impl Tracker {
             row.iter_mut().for_each(|x| *x *= factor);
         }
         let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
-        Prediction { contact, point_mm, covariance_mm2: covariance, weights }
+        Prediction { contact, point_mm, covariance_mm2: covariance, weights, normal }
     }
 }
 
@@ -144,7 +158,7 @@ impl Stream<'_> {
     pub fn push(&mut self, sample: &Sample) -> Prediction {
         let token = token(&mut self.features, &mut self.last_s, sample);
         let config = &self.tracker.config;
-        let data = TensorData::new(token.inputs.clone(), [1, 1, config.inputs]);
+        let data = TensorData::new(token.inputs[..config.inputs].to_vec(), [1, 1, config.inputs]);
         let inputs = Tensor::<3>::from_data(data, &self.tracker.device);
         let out = self.tracker.net.step(inputs, sample.t_s, config.context, &mut self.memory);
         self.tracker.answer(&token, &numbers(out), sample.base_mm_s.is_some())

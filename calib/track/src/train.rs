@@ -213,7 +213,9 @@ fn loss(
     let flat = |values: fn(&Window) -> &Vec<f32>| gather(values, [n, 1, 1]).reshape([n]);
     let times: Vec<Vec<f64>> = windows.iter().map(|w| w.times_s.clone()).collect();
     let bias = attention_bias(&times, config.heads, config.context, device);
-    let out = net.forward(gather(|w| &w.inputs, [batch, time, config.inputs]), bias);
+    // The baseline sees the first inputs only.
+    let inputs = gather(|w| &w.inputs, [batch, time, windows[0].inputs.len() / time]);
+    let out = net.forward(inputs.narrow(2, 0, config.inputs), bias);
     let out = out.reshape([n, config.outputs()]);
     let (touching, counted) = (flat(|w| &w.touching), flat(|w| &w.counted));
     let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);

@@ -2,7 +2,7 @@
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::{Device, Tensor, TensorData};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::OnceLock;
@@ -14,6 +14,7 @@ use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
 use wcal_track::network::model::attention_bias;
 use wcal_track::network::{NetworkConfig, WhiskerNet};
+use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
 use wcal_track::train::{Material, TrainSettings, train};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
@@ -257,6 +258,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         objects: Split::default(),
         data: BTreeMap::new(),
         sweeps_trained: 0,
+        split: wcal_track::model_file::SplitBy::Objects,
     };
     save(folder.path(), &before.net, &mut card).unwrap();
     let (after, read) = load(folder.path(), &Device::flex()).unwrap();
@@ -327,4 +329,51 @@ fn the_shipped_model_beats_the_static_inverse_by_far() {
     let still = contact_mm(Method::Static(&tracker.inverse, 40.0));
     println!("network, speed known {known:.2} mm, not known {blind:.2} mm, static inverse {still:.2} mm");
     assert!(known < 0.4 * still && blind < 0.6 * still, "{known} {blind} {still}");
+}
+
+/// Five sweeps over each object, put together in the object's frame; the base's speed is known.
+#[test]
+fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/tracker");
+    let tracker = load(&folder, &Device::flex()).unwrap().0;
+    for (name, courses) in courses() {
+        let mesh = objects::built_in(name).unwrap();
+        let mut cloud = Vec::new();
+        for course in courses {
+            let answers = tracker.course(&samples(course));
+            for (i, p) in course.instants.iter().zip(answers).filter(|(_, p)| p.contact > 0.9) {
+                let turn = course.base_from_object.rotation.inverse();
+                let at_start = Vector3::from(p.point_mm.map(f64::from)) + Vector3::z() * i.travel_mm;
+                let covariance = Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]));
+                let matrix = turn.to_rotation_matrix();
+                cloud.push(CloudPoint {
+                    point_mm: course.base_from_object.inverse_transform_point(&at_start.into()).coords,
+                    covariance_mm2: matrix * covariance * matrix.inverse(),
+                    normal: turn * Vector3::from(p.normal.map(f64::from)),
+                });
+            }
+        }
+        // Coarser than the default: a test has to be quick.
+        let settings = SurfaceSettings { most: 120, cell_mm: 2.0, ..SurfaceSettings::default() };
+        let surface = ImplicitSurface::new(&cloud, settings).unwrap();
+        let made = surface.mesh();
+        let off = |p: &Vector3<f64>| mesh.near(p, 100.0).unwrap().distance_mm.abs();
+        let rmse = |all: &mut dyn Iterator<Item = f64>| {
+            let all: Vec<f64> = all.collect();
+            (all.iter().map(|x| x * x).sum::<f64>() / all.len() as f64).sqrt()
+        };
+        let points = rmse(&mut cloud.iter().map(|c| off(&c.point_mm)));
+        let kept = rmse(&mut surface.contacts().iter().map(|c| off(&c.point_mm)));
+        let corners = rmse(&mut made.corners_mm.iter().map(off));
+        println!(
+            "{name}: {} contacts, off the true surface by {points:.2} mm (RMSE); {} kept: {kept:.2} mm; {} triangles: {corners:.2} mm",
+            cloud.len(),
+            surface.contacts().len(),
+            made.triangles.len()
+        );
+        assert!(made.triangles.len() > 500 && corners < 1.5, "{name}: {corners}");
+        // Negative control: the same cloud a few millimetres off its object.
+        let moved = rmse(&mut made.corners_mm.iter().map(|p| off(&(p + Vector3::new(3.0, 3.0, 3.0)))));
+        assert!(moved > 2.0 * corners, "{name}: {moved} {corners}");
+    }
 }

@@ -1,6 +1,7 @@
 //! Events on SIMULATED streams whose truth is known: a modal wire behind a quasi-static course, noise and drift.
 
 use super::*;
+use crate::live::event::EventKind;
 use crate::live::noise::{chi2_4, hotelling};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -12,8 +12,8 @@ const SPEED_MM_S: f64 = 5.0;
 /// Time step that counts as none special, s.
 const STEP_S: f64 = 0.1;
 
-/// Inputs that do not belong to a node.
-const COMMON: usize = 9;
+/// Inputs that do not belong to a node; they come first.
+pub const COMMON: usize = 9;
 /// Inputs a knot.
 const PER_KNOT: usize = 6;
 /// Nodes of the curve from one knot, of which the network sees and says something, to the next.
@@ -51,6 +51,8 @@ pub struct Token {
     pub dt_s: f32,
     /// Where the contact would be, a node of the static inverse, mm.
     pub points_mm: Vec<[f32; 3]>,
+    /// Direction of the force at each node.
+    pub normals: Vec<[f32; 3]>,
     /// What the Bayes filter believes of each node: the network mends its physics and its springs.
     pub believed: Vec<f32>,
 }
@@ -122,6 +124,7 @@ impl<'a> FeatureMaker<'a> {
                 .iter()
                 .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32))
                 .collect(),
+            normals: all.iter().map(|c| [c.normal.x, c.normal.y, c.normal.z].map(|x| x as f32)).collect(),
             believed: posterior.iter().map(|w| *w as f32).collect(),
         };
         self.before = Some((moment_nmm, now));

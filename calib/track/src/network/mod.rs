@@ -4,7 +4,9 @@
 //! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on what the Bayes filter believes.
 
 pub mod features;
+mod fused;
+mod kernels;
 pub mod model;
 
-pub use features::{DOUBT, FeatureMaker, Token, between, knots};
+pub use features::{COMMON, DOUBT, FeatureMaker, Token, between, knots};
 pub use model::{Attended, NetworkConfig, Output, Prediction, WhiskerNet};

@@ -1,9 +1,10 @@
 //! The network's layers, for whole courses and for streams.
 
+use super::fused;
 use crate::TrackError;
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
-use burn::tensor::activation::{gelu, softmax};
+use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
@@ -59,6 +60,22 @@ impl NetworkConfig {
             heads: 4,
             width: 64,
             feed_forward: 192,
+            dropout: 0.0,
+            context: 128,
+        }
+    }
+
+    /// A transformer of 40 thousand parameters that sees moments, their rates, time step and the base's speed, and nothing of the rod.
+    #[must_use]
+    pub fn baseline() -> Self {
+        Self {
+            inputs: super::features::COMMON,
+            nodes: 0,
+            encoder: 32,
+            layers: 2,
+            heads: 4,
+            width: 48,
+            feed_forward: 96,
             dropout: 0.0,
             context: 128,
         }
@@ -130,6 +147,8 @@ pub struct Prediction {
     pub covariance_mm2: [[f32; 3]; 3],
     /// Weights of the nodes.
     pub weights: Vec<f32>,
+    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not tell.
+    pub normal: [f32; 3],
 }
 
 impl WhiskerNet {
@@ -167,14 +186,23 @@ impl WhiskerNet {
     /// A batch of courses: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
     #[must_use]
     pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
-        let mut x = self.encode_out.forward(gelu(self.encode.forward(inputs)));
+        let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
         for block in &self.blocks {
-            let (q, k, v) =
-                self.split(block.query_key_value.forward(block.before_attention.forward(x.clone())));
-            x = x + self.dropout.forward(block.out.forward(attend(q, k, v, bias.clone())));
+            let qkv = block.query_key_value.forward(fused::norm(&block.before_attention, x.clone()));
+            let attended = if fused::fits(self.width(), self.heads) {
+                fused::attend(qkv, bias.clone(), self.heads)
+            } else {
+                let (q, k, v) = self.split(qkv);
+                attend(q, k, v, bias.clone())
+            };
+            x = x + self.dropout.forward(block.out.forward(attended));
             x = x.clone() + self.dropout.forward(block.feed(x));
         }
-        self.head.forward(self.norm.forward(x))
+        self.head.forward(fused::norm(&self.norm, x))
+    }
+
+    fn width(&self) -> usize {
+        self.encode_out.weight.dims()[1]
     }
 
     /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
@@ -189,10 +217,10 @@ impl WhiskerNet {
             bias.extend(memory.times_s.iter().map(|t| slope(head, self.heads) * (t - t_s) as f32));
         }
         let bias = Tensor::<4>::from_data(TensorData::new(bias, [1, self.heads, 1, n]), &device);
-        let mut x = self.encode_out.forward(gelu(self.encode.forward(inputs)));
+        let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
-            let (q, k, v) =
-                self.split(block.query_key_value.forward(block.before_attention.forward(x.clone())));
+            let normed = fused::norm(&block.before_attention, x.clone());
+            let (q, k, v) = self.split(block.query_key_value.forward(normed));
             let (k, v) = match memory.kept.get(layer) {
                 Some((keys, values)) => {
                     let join = |old: &Tensor<4>, new| {
@@ -212,7 +240,7 @@ impl WhiskerNet {
             x = x + block.out.forward(attend(q, k, v, bias.clone()));
             x = x.clone() + block.feed(x);
         }
-        self.head.forward(self.norm.forward(x))
+        self.head.forward(fused::norm(&self.norm, x))
     }
 
     /// Queries, keys and values by head: `[batch, heads, time, width / heads]`.
@@ -229,7 +257,7 @@ impl WhiskerNet {
 
 impl Block {
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        self.narrow.forward(gelu(self.widen.forward(self.before_feed.forward(x))))
+        self.narrow.forward(fused::gelu(self.widen.forward(fused::norm(&self.before_feed, x))))
     }
 }
 
@@ -253,10 +281,11 @@ pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device
     let mut bias = Vec::with_capacity(batch * heads * n * n);
     for times in times_s {
         for head in 0..heads {
+            let slope = slope(head, heads);
             for (i, now) in times.iter().enumerate() {
                 bias.extend(times.iter().enumerate().map(|(j, then)| {
                     let seen = j <= i && i - j < context;
-                    if seen { slope(head, heads) * (then - now) as f32 } else { HIDDEN }
+                    if seen { slope * (then - now) as f32 } else { HIDDEN }
                 }));
             }
         }

@@ -1,0 +1,101 @@
+//! `report.html` of an evaluation, out of its document.
+
+use super::stated;
+use serde_json::Value;
+use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
+
+/// A table out of rows: the names' key, then keys of errors in mm with their headings.
+fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -> Option<NumberTable> {
+    let rows = rows.as_array().filter(|r| !r.is_empty())?;
+    let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
+    let one = |r: &Value| {
+        let first = name.iter().map(|k| text(&r[*k])).collect::<Vec<_>>().join(", ");
+        std::iter::once(first).chain(columns.iter().map(|(key, _)| stated(r, key))).collect()
+    };
+    Some(NumberTable {
+        caption: caption.to_owned(),
+        columns: std::iter::once(name.join(", ")).chain(columns.iter().map(|c| c.1.to_owned())).collect(),
+        rows: rows.iter().map(one).collect(),
+    })
+}
+
+/// The page.
+pub fn page(document: &Value) -> String {
+    let real = &document["virtual_real"];
+    let surface = ("rmse_mm", "surface, mm");
+    let [true_contact, followed] =
+        [("true_contact_rmse_mm", "true contact, mm"), ("followed_rmse_mm", "followed, mm")];
+    let tables = [
+        table(
+            &document["methods"],
+            "Methods: mean over objects of the RMSE",
+            &["set", "method"],
+            &[surface, followed, true_contact],
+        ),
+        table(
+            &document["simulation"]["objects"],
+            "Simulation, object by object",
+            &["set", "name"],
+            &[surface, true_contact, ("along_track_mm", "along the way, mm")],
+        ),
+        table(
+            &real["objects"],
+            "VIRTUAL real bench, object by object",
+            &["set", "name"],
+            &[surface, true_contact],
+        ),
+        table(
+            &document["ablations"],
+            "Ablations on the VIRTUAL real bench, unseen objects",
+            &["name"],
+            &[surface, followed, true_contact],
+        ),
+        table(
+            &document["speed"],
+            "Speed",
+            &["mm_s"],
+            &[("constant_mm", "constant, mm"), ("random_mm", "random, mm")],
+        ),
+        table(
+            &document["sim2real"],
+            "Simulation, VIRTUAL air and water",
+            &["name"],
+            &[("simulation_mm", "simulation, mm"), ("air_mm", "air, mm"), ("water_mm", "water, mm")],
+        ),
+    ];
+    let mut facts = vec![
+        Fact::new("model, SHA-256", document["model"].as_str().unwrap_or("")),
+        Fact::new("streaming", format!("{} samples/s", document["streaming"]["samples_per_s"])),
+    ];
+    if !real.is_null() {
+        for (name, key) in [("seen", "seen_mean_mm"), ("unseen", "unseen_mean_mm"), ("worst", "worst_mm")] {
+            facts.push(Fact::new(format!("virtual bench, {name}"), format!("{} mm", stated(real, key))));
+        }
+    }
+    let speed = document["speed"].as_array().cloned().unwrap_or_default();
+    let line = |key: &str| {
+        speed.iter().filter_map(|r| Some([r["mm_s"].as_f64()?, r[key].as_f64()?])).collect::<Vec<[f64; 2]>>()
+    };
+    let curves = if speed.is_empty() {
+        Vec::new()
+    } else {
+        vec![Curves {
+            title: "Error over speed".into(),
+            x: "speed, mm/s".into(),
+            y: "RMSE, mm".into(),
+            lines: vec![("constant".into(), line("constant_mm")), ("random".into(), line("random_mm"))],
+            mark: None,
+        }]
+    };
+    render_tracking(&TrackingInput {
+        over: "Contact tracker".into(),
+        title: "Evaluation".into(),
+        facts,
+        notes: vec![
+            "In brackets: 95 % intervals by bootstrap, over whole objects for means and over whole sweeps for one object.".into(),
+            "The virtual real bench is a simulation with other physics; nothing of it was used in training.".into(),
+        ],
+        curves,
+        tables: tables.into_iter().flatten().collect(),
+    })
+}

@@ -1,0 +1,249 @@
+//! The touched surface out of tracks: a cloud of contacts with covariance, and a Gaussian process implicit surface through it.
+//!
+//! The process is the signed distance to the surface (O. Williams, A. Fitzgibbon, "Gaussian Process Implicit Surfaces", 2006): zero at
+//! the contacts, with each contact's variance along its normal, and told a little in front of them and behind. Its mesh is cut where
+//! nothing was touched nearby.
+
+mod mesh;
+
+pub use mesh::SurfaceMesh;
+
+use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Vector3};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// A contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CloudPoint {
+    /// Place, mm, in any one frame.
+    pub point_mm: Vector3<f64>,
+    /// Covariance, mm^2.
+    pub covariance_mm2: Matrix3<f64>,
+    /// Outward normal of the object: the direction of the force on the wire.
+    pub normal: Vector3<f64>,
+}
+
+/// How the surface is made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceSettings {
+    /// Contacts whose largest standard deviation is above this are left out, mm.
+    pub most_sd_mm: f64,
+    /// One contact is kept in each cube of this size, mm: the one known best.
+    pub thin_mm: f64,
+    /// Contacts at most.
+    pub most: usize,
+    /// Length over which the surface bends, mm.
+    pub length_mm: f64,
+    /// Distance in front of a contact and behind it at which the process is told its value, mm.
+    pub beside_mm: f64,
+    /// Size of the mesh's cells, mm, and how far from a contact it goes, mm.
+    pub cell_mm: f64,
+    /// See `cell_mm`.
+    pub reach_mm: f64,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self {
+            most_sd_mm: 2.0,
+            thin_mm: 1.0,
+            most: 300,
+            length_mm: 20.0,
+            beside_mm: 2.0,
+            cell_mm: 1.0,
+            reach_mm: 3.0,
+        }
+    }
+}
+
+/// Standard deviation that every contact has at least, mm.
+const LEAST_SD_MM: f64 = 0.05;
+/// Standard deviation of what is told beside a contact, mm: the surface turns and bends.
+const BESIDE_SD_MM: f64 = 0.3;
+/// Standard deviation of the signed distance where nothing is known, mm.
+const PRIOR_SD_MM: f64 = 20.0;
+
+/// The signed distance to a surface, mm, positive outside.
+#[derive(Debug, Clone)]
+pub struct ImplicitSurface {
+    settings: SurfaceSettings,
+    contacts: Vec<CloudPoint>,
+    places: Vec<Vector3<f64>>,
+    weights: DVector<f64>,
+    factor: nalgebra::Cholesky<f64, Dyn>,
+}
+
+impl ImplicitSurface {
+    /// Through contacts; none without a usable one.
+    #[must_use]
+    pub fn new(cloud: &[CloudPoint], settings: SurfaceSettings) -> Option<Self> {
+        let contacts = thinned(cloud, &settings);
+        let told = [(0.0, 0.0), (settings.beside_mm, BESIDE_SD_MM), (-settings.beside_mm, BESIDE_SD_MM)];
+        let mut places = Vec::new();
+        let (mut values, mut variances) = (Vec::new(), Vec::new());
+        for c in &contacts {
+            for (off_mm, sd_mm) in told {
+                places.push(c.point_mm + c.normal * off_mm);
+                values.push(off_mm - PRIOR_SD_MM);
+                let along = c.normal.dot(&(c.covariance_mm2 * c.normal));
+                variances.push(along + LEAST_SD_MM.powi(2) + f64::powi(sd_mm, 2));
+            }
+        }
+        let n = places.len();
+        if n == 0 {
+            return None;
+        }
+        let gram = DMatrix::from_fn(n, n, |i, j| {
+            let noise = if i == j { variances[i] } else { 0.0 };
+            kernel(&settings, (places[i] - places[j]).norm()) + noise
+        });
+        let factor = gram.cholesky()?;
+        let weights = factor.solve(&DVector::from_vec(values));
+        Some(Self { settings, contacts, places, weights, factor })
+    }
+
+    /// Contacts that it goes through.
+    #[must_use]
+    pub fn contacts(&self) -> &[CloudPoint] {
+        &self.contacts
+    }
+
+    /// Signed distance at a place, mm. Far from all contacts it is outside.
+    #[must_use]
+    pub fn at(&self, place_mm: &Vector3<f64>) -> f64 {
+        let sum = self.places.iter().zip(self.weights.iter());
+        PRIOR_SD_MM + sum.map(|(p, w)| w * kernel(&self.settings, (place_mm - p).norm())).sum::<f64>()
+    }
+
+    /// Standard deviation of the signed distance at a place, mm.
+    #[must_use]
+    pub fn sd_mm(&self, place_mm: &Vector3<f64>) -> f64 {
+        let near = self.places.iter().map(|p| kernel(&self.settings, (place_mm - p).norm()));
+        let mut k = DVector::from_iterator(self.places.len(), near);
+        // Half of the solution is enough for its square.
+        if !self.factor.l_dirty().solve_lower_triangular_mut(&mut k) {
+            return PRIOR_SD_MM;
+        }
+        (PRIOR_SD_MM.powi(2) - k.norm_squared()).max(0.0).sqrt()
+    }
+
+    /// Its mesh near the contacts, with a standard deviation at every corner.
+    #[must_use]
+    pub fn mesh(&self) -> SurfaceMesh {
+        mesh::mesh(self, &self.settings)
+    }
+}
+
+/// Matern 5/2.
+fn kernel(settings: &SurfaceSettings, distance_mm: f64) -> f64 {
+    let u = 5.0_f64.sqrt() * distance_mm / settings.length_mm;
+    PRIOR_SD_MM.powi(2) * (1.0 + u + u * u / 3.0) * (-u).exp()
+}
+
+fn sd_mm(c: &CloudPoint) -> f64 {
+    c.covariance_mm2.symmetric_eigenvalues().max().max(0.0).sqrt()
+}
+
+/// The best known contact of every small cube, the best of them where there are too many.
+fn thinned(cloud: &[CloudPoint], settings: &SurfaceSettings) -> Vec<CloudPoint> {
+    let mut best: BTreeMap<[i64; 3], (f64, CloudPoint)> = BTreeMap::new();
+    for c in cloud {
+        let finite =
+            [c.point_mm, c.normal].iter().flatten().chain(&c.covariance_mm2).all(|x: &f64| x.is_finite());
+        let Some(normal) = c.normal.try_normalize(0.1).filter(|_| finite) else { continue };
+        let sd = sd_mm(c);
+        if sd > settings.most_sd_mm {
+            continue;
+        }
+        let cube = [0, 1, 2].map(|k| (c.point_mm[k] / settings.thin_mm).floor() as i64);
+        let kept = best.entry(cube).or_insert((f64::INFINITY, *c));
+        if sd < kept.0 {
+            *kept = (sd, CloudPoint { normal, ..*c });
+        }
+    }
+    let mut all: Vec<(f64, CloudPoint)> = best.into_values().collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    all.truncate(settings.most);
+    all.into_iter().map(|(_, c)| c).collect()
+}
+
+/// The cloud as a PLY file: places, normals and covariances, in mm.
+#[must_use]
+pub fn cloud_ply(cloud: &[CloudPoint], frame: &str) -> String {
+    let names = ["x", "y", "z", "nx", "ny", "nz", "cov_xx", "cov_yy", "cov_zz", "cov_xy", "cov_xz", "cov_yz"];
+    let mut out = format!(
+        "ply\nformat ascii 1.0\ncomment contacts, mm, frame: {frame}; covariance in mm^2\nelement vertex {}\n",
+        cloud.len()
+    );
+    names.iter().for_each(|n| out += &format!("property double {n}\n"));
+    out += "end_header\n";
+    for c in cloud {
+        let v = &c.covariance_mm2;
+        let spread = [v[(0, 0)], v[(1, 1)], v[(2, 2)], v[(0, 1)], v[(0, 2)], v[(1, 2)]];
+        let all = c.point_mm.iter().chain(c.normal.iter()).chain(&spread);
+        let line: Vec<String> = all.map(|x| format!("{x:.5}")).collect();
+        let _ = writeln!(out, "{}", line.join(" "));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const RADIUS_MM: f64 = 25.0;
+
+    /// Contacts on a cap of a ball, off along the normal by `off_mm`.
+    fn cap(sd_mm: f64, off_mm: f64) -> Vec<CloudPoint> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        (0..120)
+            .map(|_| {
+                let way = Vector3::new(normal() * 0.2, normal() * 0.2, 1.0).normalize();
+                let scatter = Vector3::new(normal(), normal(), normal()) * sd_mm;
+                CloudPoint {
+                    point_mm: way * (RADIUS_MM + off_mm) + scatter,
+                    covariance_mm2: Matrix3::identity() * sd_mm * sd_mm,
+                    normal: way,
+                }
+            })
+            .collect()
+    }
+
+    fn rmse_mm(mesh: &SurfaceMesh) -> f64 {
+        let n = mesh.corners_mm.len().max(1) as f64;
+        (mesh.corners_mm.iter().map(|p| (p.norm() - RADIUS_MM).powi(2)).sum::<f64>() / n).sqrt()
+    }
+
+    #[test]
+    fn a_ball_comes_back_from_noisy_contacts_and_a_shifted_one_does_not() {
+        let surface = ImplicitSurface::new(&cap(0.2, 0.0), SurfaceSettings::default()).unwrap();
+        let mesh = surface.mesh();
+        assert!(mesh.triangles.len() > 500, "{}", mesh.triangles.len());
+        assert!(rmse_mm(&mesh) < 0.25, "{}", rmse_mm(&mesh));
+        // Triangles face outward.
+        let outward = mesh.triangles.iter().filter(|t| {
+            let [a, b, c] = t.map(|k| mesh.corners_mm[k]);
+            (b - a).cross(&(c - a)).dot(&a) >= 0.0
+        });
+        assert!(outward.count() as f64 > 0.99 * mesh.triangles.len() as f64);
+        // What it states is what it does, about; far away it knows nothing.
+        let stated = (mesh.sd_mm.iter().map(|s| s * s).sum::<f64>() / mesh.sd_mm.len() as f64).sqrt();
+        assert!((0.2..3.0).contains(&(rmse_mm(&mesh) / stated)), "{} {stated}", rmse_mm(&mesh));
+        assert!(surface.sd_mm(&Vector3::new(0.0, 0.0, -60.0)) > 0.9 * PRIOR_SD_MM);
+        // Negative control: contacts a millimetre off make a surface a millimetre off.
+        let shifted = ImplicitSurface::new(&cap(0.2, 1.0), SurfaceSettings::default()).unwrap().mesh();
+        assert!(rmse_mm(&shifted) > 0.8, "{}", rmse_mm(&shifted));
+    }
+
+    #[test]
+    fn what_is_not_known_makes_no_surface() {
+        let settings = SurfaceSettings::default();
+        assert!(ImplicitSurface::new(&[], settings).is_none());
+        assert!(ImplicitSurface::new(&cap(5.0, 0.0), settings).is_none(), "too uncertain");
+        let ply = cloud_ply(&cap(0.1, 0.0)[..2], "world");
+        assert!(ply.contains("element vertex 2\n") && ply.lines().count() == 19, "{ply}");
+    }
+}

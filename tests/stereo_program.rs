@@ -72,6 +72,8 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     let report = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
     assert!(report.contains("<canvas") && report.contains("zero bytes") && !report.contains("://"));
 
+    other_tools_cameras(&place, &calibration, &shapes);
+
     // The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and 61.
     let nominal = std::fs::read_to_string(&rig).unwrap();
     let table: toml::Table = nominal.parse().unwrap();
@@ -118,6 +120,69 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     let (code, _, text) = wcal(&[&shape[..], &["--rig", &at("other.toml")]].concat());
     assert_eq!(code, 1, "{text}");
     assert!(text.contains("base tag"), "{text}");
+}
+
+/// The exported cameras give the same shapes, with a warning that their errors are not known; a reference tells other pixel centres.
+fn other_tools_cameras(place: &tempfile::TempDir, calibration: &str, shapes: &Value) {
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let one = |shapes: &Value| -> Vec<f64> {
+        let pair = shapes["pairs"].as_array().unwrap().iter().find(|p| p["name"] == "t1").unwrap();
+        pair["centreline_mm"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .flat_map(|p| p.as_array().unwrap())
+            .map(|v| v.as_f64().unwrap())
+            .collect()
+    };
+    for side in ["left", "right"] {
+        copy_folder(&fixture("board").join(side), &place.path().join("whole").join(side));
+    }
+    let rig = fixture("rig.toml").display().to_string();
+    let export = |name: &str| format!("{calibration}/{name}");
+    for cameras in [vec![export("opencv.yml")], vec![export("ros-left.yaml"), export("ros-right.yaml")]] {
+        let out = at("imported");
+        let mut shape =
+            vec!["stereo-shape".to_owned(), at("scene/left"), at("scene/right"), "--rig".into(), rig.clone()];
+        shape.extend(["--out".into(), out.clone(), "--cameras".into()]);
+        shape.extend(cameras.clone());
+        let (code, _, text) = wcal(&shape.iter().map(String::as_str).collect::<Vec<_>>());
+        assert!(code == 3 && text.contains("no errors of the cameras"), "{text}");
+        let found: Value =
+            serde_json::from_slice(&std::fs::read(Path::new(&out).join("shapes.json")).unwrap()).unwrap();
+        let (found, expected) = (one(&found), one(shapes));
+        let off = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(found.len() == expected.len() && off < 0.01, "{cameras:?}: {off} mm");
+    }
+    let text = std::fs::read_to_string(export("opencv.yml")).unwrap();
+    let document: Value = serde_json::from_slice(&std::fs::read(export("stereo.json")).unwrap()).unwrap();
+    let mut shifted = text.clone();
+    for camera in document["cameras"].as_array().unwrap() {
+        for row in 0..2 {
+            let c = camera["K"][row][2].as_f64().unwrap();
+            shifted = shifted.replacen(&format!("{c:e}"), &format!("{:e}", c + 0.5), 1);
+        }
+    }
+    assert_ne!(text, shifted);
+    std::fs::write(at("shifted.yml"), shifted).unwrap();
+    let (left, right, again) = (at("whole/left"), at("whole/right"), at("again"));
+    let calibrate = [
+        "stereo-calibrate",
+        &left,
+        &right,
+        "--board",
+        "9x6",
+        "--square-mm",
+        "6",
+        "--out",
+        &again,
+        "--reference",
+    ];
+    // Control: the same cameras.
+    let (code, _, text) = wcal(&[&calibrate[..], &[&export("opencv.yml")]].concat());
+    assert_eq!(code, 0, "{text}");
+    let (code, _, text) = wcal(&[&calibrate[..], &[&at("shifted.yml")]].concat());
+    assert!(code == 3 && text.matches("pixel centres at +0.5").count() == 2, "{text}");
 }
 
 /// Moments that a wire of 68 GPa has at nine poses (SIMULATED by the rod), one of them wrong: the modulus comes back, the wrong one is named.

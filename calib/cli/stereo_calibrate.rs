@@ -7,7 +7,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
 use wcal_vision::chessboard::BoardSize;
+use wcal_vision::imports::read_cameras;
 use wcal_vision::pairs::list_pictures;
+use wcal_vision::reference::differences;
 
 /// What is on the board.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -47,6 +49,10 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
+    /// An earlier calibration of these cameras, or another tool's (stereo.json, OpenCV, Kalibr, both ROS files): warns where they
+    /// differ in scale, sides, focal lengths or the convention for pixel centres, which no picture shows by itself
+    #[arg(long, num_args = 1..=2, value_name = "FILE")]
+    pub reference: Vec<PathBuf>,
     /// Folder for stereo.json and its exports
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -90,12 +96,16 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
         },
     };
+    let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = calibrate_folders(&args.left, &args.right, &board, &|message| {
         eprintln!("stereo-calibrate: {message}")
     })?;
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
-    document.provenance = provenance(pictures.iter().map(PathBuf::as_path));
+    document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));
+    if let Some(reference) = &reference {
+        document.warnings.extend(differences(&document, reference));
+    }
     let text = serde_json::to_string_pretty(&document)?;
     // The exports first: where stereo.json lies, all of them do.
     for (name, content) in wcal_vision::exchange::exports(&document)? {

@@ -4,7 +4,7 @@ use crate::picture_output::{provenance, write};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_vision::document::StereoDocument;
+use wcal_vision::imports::read_cameras;
 use wcal_vision::overlay::overlay_png;
 use wcal_vision::page::{page, pair_section};
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
@@ -23,9 +23,10 @@ pub struct StereoShapeArgs {
     pub left: String,
     /// Right pictures
     pub right: String,
-    /// Calibration of the cameras
-    #[arg(long, value_name = "stereo.json")]
-    pub cameras: PathBuf,
+    /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr; both ROS files), whose errors are
+    /// not known
+    #[arg(long, num_args = 1..=2, required = true, value_name = "FILE")]
+    pub cameras: Vec<PathBuf>,
     /// Rig: whisker, tags, groove
     #[arg(long, value_name = "rig.toml")]
     pub rig: PathBuf,
@@ -52,9 +53,7 @@ pub struct StereoShapeArgs {
 /// # Errors
 /// Where the files cannot be read or no pair can be used.
 pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
-    let stereo = StereoDocument::read(&args.cameras)?
-        .stereo_cameras()
-        .map_err(|why| anyhow::anyhow!("{}: {why}", args.cameras.display()))?;
+    let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
     let rig = Rig::read(&args.rig)?;
     let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
     let mut backgrounds = Vec::new();
@@ -67,8 +66,14 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     };
     let told = |name: &str| eprintln!("stereo-shape: {name}");
     let mut result = shapes_of_pairs(&stereo, &rig, &files, background.as_ref(), &told);
+    if stereo.covariance.is_none() {
+        result.document.warnings.push(format!(
+            "{} states no errors of the cameras: the standard deviations hold without them",
+            args.cameras[0].display()
+        ));
+    }
     let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
-    let read = [&args.cameras, &args.rig].into_iter().chain(pictures).chain(&backgrounds);
+    let read = args.cameras.iter().chain([&args.rig]).chain(pictures).chain(&backgrounds);
     result.document.provenance = provenance(read.map(PathBuf::as_path));
     let text = serde_json::to_string_pretty(&result.document)?;
     let path = write(&args.out, "shapes.json", text.as_bytes())?;

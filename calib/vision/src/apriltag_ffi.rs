@@ -82,12 +82,55 @@ impl Handles {
     }
 }
 
-/// Detects the tags of one family. `decimate` >= 1 searches for quads in a picture smaller by that factor (above 1 the edges are
-/// refined at full size all the same; at 1 the corners are those of the quad).
+/// A part of a picture: the first column and row in it and the first beyond, px; and how coarsely it is searched.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// First column and row.
+    pub low: [usize; 2],
+    /// Column and row after the last.
+    pub high: [usize; 2],
+    /// Quads are sought in a picture smaller by this factor, 1 or more (above 1 their edges are fitted at full size).
+    pub decimate: f32,
+}
+
+impl Region {
+    /// All of a picture.
+    #[must_use]
+    pub fn whole(picture: &Picture) -> Self {
+        Self { low: [0, 0], high: [picture.width, picture.height], decimate: 1.0 }
+    }
+
+    /// The smallest region that holds both, searched as the finer one.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        Self {
+            low: [0, 1].map(|k| self.low[k].min(other.low[k])),
+            high: [0, 1].map(|k| self.high[k].max(other.high[k])),
+            decimate: self.decimate.min(other.decimate),
+        }
+    }
+
+    /// Pixels.
+    #[must_use]
+    pub fn area(&self) -> usize {
+        [0, 1].map(|k| self.high[k].saturating_sub(self.low[k])).iter().product()
+    }
+}
+
+/// Contrast of a border below which the library does not look, DN: its own value.
+pub const LEAST_CONTRAST: u8 = 5;
+
+/// Detects the tags of one family in regions of a picture, with borders of at least this contrast (DN). The corners are those of the quad.
+/// A tag in two regions is listed twice.
 ///
 /// # Errors
 /// Where the family is unknown or the library gives no detector.
-pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec<RawTag>, VisionError> {
+pub fn detect(
+    picture: &Picture,
+    family_name: &str,
+    regions: &[Region],
+    least_contrast: u8,
+) -> Result<Vec<RawTag>, VisionError> {
     let known = FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
     let (name, (create, destroy_family)) = known.ok_or_else(|| {
         VisionError::result(
@@ -98,7 +141,8 @@ pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec
     })?;
     // Rows are copied to a stride of a multiple of 96: the library reads past the row otherwise for some widths.
     let stride = picture.width.div_ceil(96) * 96;
-    let mut buffer = vec![0u8; stride * picture.height];
+    // A row more, since a region's last row may begin anywhere in its own.
+    let mut buffer = vec![0u8; stride * (picture.height + 1)];
     for (row, source) in buffer.chunks_exact_mut(stride).zip(picture.data.chunks_exact(picture.width)) {
         row[..picture.width].copy_from_slice(source);
     }
@@ -111,25 +155,39 @@ pub fn detect(picture: &Picture, family_name: &str, decimate: f32) -> Result<Vec
                 })?)
             }
         };
-        let mut image = sys::image_u8_t {
-            width: picture.width as i32,
-            height: picture.height as i32,
-            stride: stride as i32,
-            buf: buffer.as_mut_ptr(),
-        };
-        Ok(handles.detect(name, &mut image, decimate))
+        let size = [picture.width, picture.height];
+        let inside = |r: &&Region| (0..2).all(|k| r.low[k] < r.high[k] && r.high[k] <= size[k]);
+        let found = regions.iter().filter(inside).flat_map(|r| {
+            let mut image = sys::image_u8_t {
+                width: (r.high[0] - r.low[0]) as i32,
+                height: (r.high[1] - r.low[1]) as i32,
+                stride: stride as i32,
+                buf: buffer[r.low[1] * stride + r.low[0]..].as_mut_ptr(),
+            };
+            handles.detect(name, &mut image, r, least_contrast)
+        });
+        Ok(found.collect())
     })
 }
 
 impl Handles {
-    /// Tags of a picture whose header points into a buffer of `stride * height` bytes.
-    fn detect(&mut self, family_name: &str, image: &mut sys::image_u8_t, decimate: f32) -> Vec<RawTag> {
+    /// Tags of a region whose header points to its first pixel in a buffer of at least `stride * height` bytes from there.
+    fn detect(
+        &mut self,
+        family_name: &str,
+        image: &mut sys::image_u8_t,
+        region: &Region,
+        least_contrast: u8,
+    ) -> Vec<RawTag> {
         // SAFETY: the detector lives as long as `self`; the picture's buffer outlives the call, which keeps no pointer to it;
         // every detection is read before the array is destroyed.
         unsafe {
-            (*self.detector).quad_decimate = decimate.max(1.0);
+            (*self.detector).quad_decimate = region.decimate.max(1.0);
             // At full size this loses small tags, and `tags` fits the edges better.
-            (*self.detector).refine_edges = decimate > 1.0;
+            (*self.detector).refine_edges = region.decimate > 1.0;
+            (*self.detector).qtp.min_white_black_diff = i32::from(least_contrast);
+            // The library makes no quad of fewer points, but sorts them first.
+            (*self.detector).qtp.min_cluster_pixels = 24;
             let found = sys::apriltag_detector_detect(self.detector, image);
             if found.is_null() {
                 return Vec::new();
@@ -144,7 +202,9 @@ impl Handles {
                     id: detection.id.max(0) as u32,
                     hamming: detection.hamming.max(0) as u32,
                     decision_margin: f64::from(detection.decision_margin),
-                    corners_px: detection.p.map(|p| [p[0] - CENTRE_OFFSET, p[1] - CENTRE_OFFSET]),
+                    corners_px: detection
+                        .p
+                        .map(|p| [0, 1].map(|k| region.low[k] as f64 + p[k] - CENTRE_OFFSET)),
                 });
             }
             sys::apriltag_detections_destroy(found);

@@ -6,7 +6,6 @@ use crate::rigid::pose_from_rows;
 use nalgebra::{DMatrix, Isometry3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// Format tag of `stereo.json`.
 pub const STEREO_FORMAT: &str = "wcal-stereo/1";
@@ -137,19 +136,13 @@ pub struct StereoCameras {
 pub const STEREO_PARAMETERS: usize = 2 * INTRINSICS + 6;
 
 impl StereoDocument {
-    /// Reads and checks a file.
+    /// Checks the text of a file of this name.
     ///
     /// # Errors
-    /// Where the file is missing, no such document, or not physical.
-    pub fn read(path: &Path) -> Result<Self, VisionError> {
-        let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|source| VisionError::Io {
-            action: "read",
-            path: name.clone(),
-            source,
-        })?;
-        let document: Self = serde_json::from_str(&text)
-            .map_err(|e| VisionError::content(&name, "a stereo.json document", e.to_string()))?;
+    /// Where it is no such document, or not physical.
+    pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
+        let document: Self = serde_json::from_str(text)
+            .map_err(|e| VisionError::content(name, "a stereo.json document", e.to_string()))?;
         if document.format != STEREO_FORMAT {
             return Err(VisionError::content(name, format!("format \"{STEREO_FORMAT}\""), document.format));
         }

@@ -1,9 +1,11 @@
-//! Exchange with OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML).
+//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `imports` reads them.
 
-use crate::document::{
-    BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
-};
-use crate::error::VisionError;
+use crate::document::StereoDocument;
+use crate::error::{OpenCvContext, VisionError};
+use nalgebra::{Isometry3, Matrix3};
+use opencv::calib3d;
+use opencv::core::{Mat, Size};
+use opencv::prelude::*;
 use std::fmt::Write as _;
 
 fn numbers(values: impl IntoIterator<Item = f64>) -> String {
@@ -22,7 +24,7 @@ fn matrix(name: &str, rows: usize, columns: usize, values: impl IntoIterator<Ite
 /// # Errors
 /// Where the document is no calibration of two cameras.
 pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, VisionError> {
-    document
+    let stereo = document
         .stereo_cameras()
         .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
     let t = &document.right_from_left;
@@ -64,161 +66,42 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let _ = writeln!(kalibr, "  rostopic: /{}/image_raw", camera.name);
     }
     let mut files = vec![("opencv.yml".to_string(), opencv), ("kalibr-camchain.yaml".to_string(), kalibr)];
-    for camera in &document.cameras {
-        let k = &camera.k;
+    let rectified = rectify(document, &stereo.right_from_left)?;
+    for (camera, (rotation, projection)) in document.cameras.iter().zip(rectified) {
         let ros_matrix = |name: &str, rows: usize, columns: usize, values: Vec<f64>| {
             format!("{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n", numbers(values))
         };
         let mut text = format!("image_width: {w}\nimage_height: {h}\ncamera_name: {}\n", camera.name);
-        text += &ros_matrix("camera_matrix", 3, 3, k.iter().flatten().copied().collect());
+        text += &ros_matrix("camera_matrix", 3, 3, camera.k.iter().flatten().copied().collect());
         text += "distortion_model: plumb_bob\n";
         text += &ros_matrix("distortion_coefficients", 1, 5, camera.distortion.coefficients.clone());
-        text += &ros_matrix("rectification_matrix", 3, 3, vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-        let p = vec![k[0][0], 0.0, k[0][2], 0.0, 0.0, k[1][1], k[1][2], 0.0, 0.0, 0.0, 1.0, 0.0];
-        text += &ros_matrix("projection_matrix", 3, 4, p);
+        text += &ros_matrix("rectification_matrix", 3, 3, rotation);
+        text += &ros_matrix("projection_matrix", 3, 4, projection);
         files.push((format!("ros-{}.yaml", camera.name), text));
     }
     Ok(files)
 }
 
-/// Numbers between the brackets that follow `key:` (OpenCV and ROS write matrices so).
-fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>, VisionError> {
-    let missing = |found: &str| {
-        VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
-    };
-    let start = text
-        .lines()
-        .scan(0, |at, line| {
-            let here = *at;
-            *at += line.len() + 1;
-            Some((here, line))
-        })
-        .find(|(_, line)| line.trim_start().trim_start_matches("- ").starts_with(&format!("{key}:")))
-        .map(|(at, _)| at)
-        .ok_or_else(|| missing("no such key"))?;
-    let rest = &text[start..];
-    let open = rest.find('[').ok_or_else(|| missing("no bracket"))?;
-    let close = rest[open..].find(']').ok_or_else(|| missing("no closing bracket"))? + open;
-    let values: Result<Vec<f64>, _> =
-        rest[open + 1..close].split(',').map(|t| t.trim().parse::<f64>()).collect();
-    let values = values.map_err(|e| missing(&e.to_string()))?;
-    if values.len() != count || values.iter().any(|v| !v.is_finite()) {
-        return Err(missing(&format!("{} numbers", values.len())));
-    }
-    Ok(values)
-}
-
-fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
-    text.lines()
-        .find_map(|l| l.trim().strip_prefix(&format!("{key}:")).map(|v| v.trim().to_string()))
-        .and_then(|v| v.parse().ok())
-        .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
-}
-
-/// A document from imported numbers (`fx, fy, cx, cy` and five distortion coefficients a camera); nothing is known of its errors.
-///
-/// # Errors
-/// Where the pose is not rigid.
-pub fn imported(
-    name: &str,
-    image_size_px: [usize; 2],
-    cameras: [([f64; 4], [f64; 5]); 2],
-    right_from_left: [[f64; 4]; 4],
-) -> Result<StereoDocument, VisionError> {
-    let camera = |which: &str, ([fx, fy, cx, cy], distortion): ([f64; 4], [f64; 5])| CameraDocument {
-        name: which.into(),
-        k: [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-        distortion: DistortionDocument { model: "opencv5".into(), coefficients: distortion.to_vec() },
-        sd: std::collections::BTreeMap::new(),
-    };
-    let [left, right] = cameras;
-    let document = StereoDocument {
-        format: STEREO_FORMAT.into(),
-        image_size_px,
-        cameras: vec![camera("left", left), camera("right", right)],
-        right_from_left,
-        right_from_left_sd: Vec::new(),
-        rms_px: 0.0,
-        per_view_rms_px: Vec::new(),
-        views: Vec::new(),
-        rejected_views: Vec::new(),
-        held_out: HeldOut::default(),
-        board: BoardDocument::default(),
-        refinement: std::collections::BTreeMap::new(),
-        refinement_chosen: String::new(),
-        projection_sd_px: Vec::new(),
-        covariance: Vec::new(),
-        warnings: vec![format!("imported from {name}: no residuals, no uncertainty")],
-        provenance: wcal_core::Provenance::default(),
-    };
-    document.stereo_cameras().map_err(|found| VisionError::content(name, "two physical cameras", found))?;
-    Ok(document)
-}
-
-/// Reads an OpenCV file with K1, D1, K2, D2, R, T (mm) and the image size.
-///
-/// # Errors
-/// Where a key is missing or malformed, or the cameras are not physical.
-pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
-    let camera = |k: usize| -> Result<([f64; 4], [f64; 5]), VisionError> {
-        let m = bracketed(name, text, &format!("K{k}"), 9)?;
-        let d = bracketed(name, text, &format!("D{k}"), 5)?;
-        Ok(([m[0], m[4], m[2], m[5]], std::array::from_fn(|i| d[i])))
-    };
-    let (r, t) = (bracketed(name, text, "R", 9)?, bracketed(name, text, "T", 3)?);
-    let pose = std::array::from_fn(|i| {
-        std::array::from_fn(|j| match (i, j) {
-            (3, j) => f64::from(u8::from(j == 3)),
-            (i, 3) => t[i],
-            (i, j) => r[3 * i + j],
-        })
-    });
-    let size = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
-    imported(name, size, [camera(1)?, camera(2)?], pose)
-}
-
-/// Reads a Kalibr camchain with two pinhole-radtan cameras (metres).
-///
-/// # Errors
-/// As [`import_opencv`]; other camera or distortion models are refused by name.
-pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
-    let (first, second) =
-        text.split_once("cam1:").ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
-    let camera = |part: &str| -> Result<([f64; 4], [f64; 5]), VisionError> {
-        for (key, wanted) in [("camera_model", "pinhole"), ("distortion_model", "radtan")] {
-            let found =
-                part.lines().find_map(|l| l.trim().strip_prefix(&format!("{key}:"))).unwrap_or("none");
-            if found.trim() != wanted {
-                return Err(VisionError::content(name, format!("{key}: {wanted}"), found.trim()));
-            }
-        }
-        let i = bracketed(name, part, "intrinsics", 4)?;
-        let d = bracketed(name, part, "distortion_coeffs", 4)?;
-        let k3 = part.lines().find_map(|l| l.trim().strip_prefix("k3:")?.trim().parse().ok()).unwrap_or(0.0);
-        Ok(([i[0], i[1], i[2], i[3]], [d[0], d[1], d[2], d[3], k3]))
-    };
-    let size = bracketed(name, first, "resolution", 2)?;
-    let after = second
-        .split_once("T_cn_cnm1:")
-        .ok_or_else(|| VisionError::content(name, "T_cn_cnm1 of cam1", "none"))?
-        .1;
-    let mut pose = [[0.0; 4]; 4];
-    let mut lines = after.lines().filter(|l| l.trim_start().starts_with('-'));
-    for row in &mut pose {
-        let line = lines.next().unwrap_or_default();
-        let values: Vec<f64> = line
-            .trim()
-            .trim_start_matches("- [")
-            .trim_end_matches(']')
-            .split(',')
-            .filter_map(|v| v.trim().parse().ok())
-            .collect();
-        *row = values.try_into().map_err(|v: Vec<f64>| {
-            VisionError::content(name, "4 rows of 4 numbers under T_cn_cnm1", format!("{} numbers", v.len()))
-        })?;
-    }
-    for row in pose.iter_mut().take(3) {
-        row[3] *= 1e3;
-    }
-    imported(name, [size[0] as usize, size[1] as usize], [camera(first)?, camera(second)?], pose)
+/// Rotation and projection (metres) of both rectified cameras, row by row, as OpenCV makes them (Bouguet).
+fn rectify(
+    document: &StereoDocument,
+    right_from_left: &Isometry3<f64>,
+) -> Result<[(Vec<f64>, Vec<f64>); 2], VisionError> {
+    let doing = "rectify the cameras";
+    let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
+    let [d1, d2] = [0, 1].map(|c| &document.cameras[c].distortion.coefficients);
+    let (d1, d2) = (Mat::from_slice(d1).doing(doing)?, Mat::from_slice(d2).doing(doing)?);
+    let turn: Matrix3<f64> = right_from_left.rotation.to_rotation_matrix().into_inner();
+    let r = Mat::from_slice_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| turn[(i, j)]))).doing(doing)?;
+    let t: [f64; 3] = (right_from_left.translation.vector * 1e-3).into();
+    let t = Mat::from_slice_2d(&t.map(|v| [v])).doing(doing)?;
+    let [w, h] = document.image_size_px.map(|n| n as i32);
+    let mut out: [Mat; 5] = std::array::from_fn(|_| Mat::default());
+    let [r1, r2, p1, p2, q] = &mut out;
+    let (k1, k2) = (k1.doing(doing)?, k2.doing(doing)?);
+    calib3d::stereo_rectify_def(&k1, &d1, &k2, &d2, Size::new(w, h), &r, &t, r1, r2, p1, p2, q)
+        .doing(doing)?;
+    let values = |m: &Mat| Ok(m.data_typed::<f64>().doing(doing)?.to_vec());
+    let [r1, r2, p1, p2, _] = &out;
+    Ok([(values(r1)?, values(p1)?), (values(r2)?, values(p2)?)])
 }

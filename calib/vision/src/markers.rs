@@ -6,7 +6,7 @@ use crate::corner::fit_corner;
 use crate::error::{OpenCvContext, VisionError};
 use crate::initial::Corners;
 use crate::picture::Picture;
-use crate::tags::{find_tags, tag_corners};
+use crate::tags::{Search, find_tags, tag_corners};
 use nalgebra::{Vector2, Vector3};
 use opencv::aruco::{
     CharucoBoard, Dictionary, detect_markers_def, get_predefined_dictionary_i32,
@@ -151,7 +151,7 @@ fn charuco(board: &MarkerBoard, picture: &Picture, marker_mm: f64) -> Result<Cor
 
 fn april_grid(board: &MarkerBoard, picture: &Picture, family: &str) -> Result<Corners, VisionError> {
     let mut out = vec![None; board.points.len()];
-    for tag in find_tags(picture, family, None, 1.0)? {
+    for tag in find_tags(picture, family, None, Search::Whole)? {
         let first = 4 * tag.id as usize;
         if tag.refined && first + 4 <= out.len() {
             for (slot, corner) in out[first..first + 4].iter_mut().zip(tag.corners_px) {

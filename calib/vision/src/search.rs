@@ -18,7 +18,7 @@ const RIVAL_SHARE: f64 = 0.15;
 /// Share of the evidence a millimetre that makes a line worth a second look.
 const SUSPECT_SHARE: f64 = 0.05;
 /// Curves kept in the search for it: it need only be found, not followed well.
-const RIVAL_BEAM: usize = 80;
+const RIVAL_BEAM: usize = 120;
 /// Distance from the first wire, in its widths, within which nothing counts.
 const COVERED_WIDTHS: f64 = 3.0;
 /// Share of the nominal length at which a line is the whole wire.

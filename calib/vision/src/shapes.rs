@@ -14,7 +14,7 @@ use crate::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 use crate::shared_errors::{camera_errors, shared_errors};
 use crate::stages::{Stage, StageClock};
 use crate::tag_pose;
-use crate::tags::{Tag, find_tags};
+use crate::tags::{Search, Tag, find_tags};
 use nalgebra::Vector6;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -222,23 +222,18 @@ fn load(
     let mut tags = Vec::new();
     for (camera, picture) in pictures.iter().enumerate() {
         for family in &families {
-            let search = |decimate| {
-                let found = times.time(Stage::Tags, || {
-                    find_tags(picture, family, Some(&stereo.cameras[camera]), decimate)
-                });
+            let search = |search| {
+                let found = times
+                    .time(Stage::Tags, || find_tags(picture, family, Some(&stereo.cameras[camera]), search));
                 found.map_err(|e| e.to_string())
             };
-            // A quarter of the size finds all but small tags in a fraction of the time; where one is missing, finer searches decide.
-            let mut found = search(4.0)?;
-            for decimate in [2.0, 1.0] {
-                let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
-                let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
-                // Where the tags that are seen are large, one that is not seen is not there: no need for full size.
-                let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
-                if all || (decimate < 2.0 && found.iter().any(large)) {
-                    break;
-                }
-                found = search(decimate)?;
+            let mut found = search(Search::StrongContrast)?;
+            let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
+            let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
+            // Where the tags that are seen are large, one that is not seen is not there.
+            let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
+            if !all && !found.iter().any(large) {
+                found = search(Search::Whole)?;
             }
             tags.extend(found.into_iter().map(|t| (camera, t)));
         }

@@ -47,9 +47,9 @@ pub(crate) fn refine_by_cells(
         return None;
     }
     let mut found = Corners { corners: *start, covariances: [Matrix2::zeros(); 4] };
-    // The second round takes its pixels about the edges of the first.
-    for _ in 0..2 {
-        let edges = cell_edges(picture, camera, &found.corners, cells)?;
+    // The second round takes its pixels about the edges of the first, which only balances bright against dark.
+    for method in [balance as Method, fit] {
+        let edges = cell_edges(picture, camera, &found.corners, cells, method)?;
         found = solve(&found.corners, &edges)?;
     }
     let near = found.corners.iter().zip(start).all(|(a, b)| (a - b).norm() < 3.0);
@@ -82,6 +82,7 @@ fn cell_edges(
     camera: Option<&Camera>,
     corners: &[Vector2<f64>; 4],
     cells: usize,
+    method: Method,
 ) -> Option<Vec<CellEdge>> {
     let h = homography(corners)?;
     let side = 2.0 / cells as f64;
@@ -117,7 +118,7 @@ fn cell_edges(
                 let (Some(one), Some(two)) = (one, two) else { continue };
                 if one != two {
                     let half = along * (0.5 * ALONG * side);
-                    edges.extend(measure(picture, camera, &h, &middle, &half));
+                    edges.extend(measure(picture, camera, &h, [&middle, &half], method));
                 }
             }
         }
@@ -125,13 +126,42 @@ fn cell_edges(
     (edges.len() >= LEAST_EDGES).then_some(edges)
 }
 
-/// Fits `level + step S((u - d) / s)` to the pixels beside one cell's edge.
+/// An edge across its pixels: where it lies and the variance of that, px and px^2, and its step, DN.
+struct Profile {
+    offset_px: f64,
+    variance_px2: f64,
+    step: f64,
+}
+
+/// Measures an edge from (place across it in px, grey value) of its pixels, which reach so far to both sides.
+type Method = fn(&[(f64, f64)], f64) -> Option<Profile>;
+
+/// Levels far from the edge on its two sides.
+fn levels(pixels: &[(f64, f64)], from_px: f64) -> [f64; 2] {
+    [-1.0, 1.0].map(|sign| {
+        let (n, sum) =
+            pixels.iter().filter(|p| sign * p.0 > from_px).fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.1));
+        sum / f64::max(n, 1.0)
+    })
+}
+
+/// Where an edge lies whose mean grey value is what the pixels have: within a tenth of a pixel, in one pass.
+fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
+    let [low, high] = levels(pixels, 0.5 * reach);
+    let step = high - low;
+    // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1 px changes.
+    let lack: f64 = pixels.iter().map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 }).sum();
+    let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
+    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, step })
+}
+
+/// Measures one cell's edge.
 fn measure(
     picture: &Picture,
     camera: Option<&Camera>,
     h: &[f64; 8],
-    middle: &Vector2<f64>,
-    half: &Vector2<f64>,
+    [middle, half]: [&Vector2<f64>; 2],
+    method: Method,
 ) -> Option<CellEdge> {
     let straight = [map(h, &(middle - half)), map(h, &(middle + half))];
     let [a, b] = straight.map(|p| bend(camera, &p));
@@ -156,17 +186,25 @@ fn measure(
     if pixels.len() < 12 {
         return None;
     }
-    let level = |positive: bool| {
-        let (n, sum) = pixels
-            .iter()
-            .filter(|p| (p.0 > 0.0) == positive)
-            .fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.1));
-        sum / f64::max(n, 1.0)
-    };
+    let profile = method(&pixels, reach)?;
+    let observed = straighten(camera, &(origin + normal * profile.offset_px));
+    // The normal in straightened pixels, at right angles to the edge there.
+    let run = (straight[1] - straight[0]).normalize();
+    Some(CellEdge {
+        middle: *middle,
+        normal: Vector2::new(-run.y, run.x),
+        observed,
+        polarity: profile.step.signum(),
+        variance: profile.variance_px2,
+    })
+}
+
+/// Fits `level + step S((u - d) / s)`.
+fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let linearise = |p: &Vector4<f64>| {
         let (mut cost, mut m, mut g) = (0.0, Matrix4::zeros(), Vector4::zeros());
         let blur = p[1].exp();
-        for &(u, value) in &pixels {
+        for &(u, value) in pixels {
             let e = u - p[0];
             let (f, slope) = blurred_step(e, blur);
             let r = value - p[2] - p[3] * f;
@@ -177,7 +215,8 @@ fn measure(
         }
         (cost, m, g)
     };
-    let mut p = Vector4::new(0.0, 0.9f64.ln(), level(false), level(true) - level(false));
+    let [low, high] = levels(pixels, 0.0);
+    let mut p = Vector4::new(0.0, 0.9f64.ln(), low, high - low);
     let (mut cost, mut m, mut g) = linearise(&p);
     let mut lambda = 1e-3;
     for _ in 0..20 {
@@ -191,7 +230,7 @@ fn measure(
             p += step;
             (cost, m, g) = next;
             lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() < 1e-3 {
+            if step[0].abs() < 0.01 {
                 break;
             }
         } else {
@@ -204,17 +243,8 @@ fn measure(
     if p[0].abs() > 0.5 * reach || p[1].exp() > reach || !cost.is_finite() {
         return None;
     }
-    let variance = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
-    let observed = straighten(camera, &(origin + normal * p[0]));
-    // The normal in straightened pixels, at right angles to the edge there.
-    let run = (straight[1] - straight[0]).normalize();
-    Some(CellEdge {
-        middle: *middle,
-        normal: Vector2::new(-run.y, run.x),
-        observed,
-        polarity: p[3].signum(),
-        variance,
-    })
+    let variance_px2 = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
+    Some(Profile { offset_px: p[0], variance_px2, step: p[3] })
 }
 
 /// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges' own scatter.

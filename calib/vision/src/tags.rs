@@ -1,11 +1,12 @@
 //! Tags: detection by AprilTag, corners by lines fitted to the pixels along the four edges.
 
-use crate::apriltag_ffi::{RawTag, detect};
+use crate::apriltag_ffi::{LEAST_CONTRAST, RawTag, Region, detect};
 use crate::camera::Camera;
 use crate::error::VisionError;
 use crate::picture::Picture;
 use crate::profile::blurred_step;
 use crate::tag_edges::refine_by_cells;
+use crate::tag_regions::tag_regions;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// A tag in one picture.
@@ -37,6 +38,28 @@ fn cells_along_side(family: &str) -> f64 {
     }
 }
 
+/// Where tags are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Search {
+    /// Where the picture shows dark pieces of strong contrast, like a tag's border: a third of the time. A tag in the shade may be missed.
+    StrongContrast,
+    /// All of the picture.
+    Whole,
+}
+
+/// Detects the tags of a family, with the corners of AprilTag's quads.
+///
+/// # Errors
+/// Where the family is unknown.
+pub fn detect_tags(picture: &Picture, family: &str, search: Search) -> Result<Vec<RawTag>, VisionError> {
+    // The other families' borders are bright.
+    if search == Search::Whole || !DARK_BORDERS.contains(&family) {
+        return detect(picture, family, &[Region::whole(picture)], LEAST_CONTRAST);
+    }
+    let (regions, contrast) = tag_regions(picture);
+    detect(picture, family, &regions, contrast).map(once_each)
+}
+
 /// Detects and refines the tags of a family. With a camera, edges are straight in the undistorted picture; without, in the picture itself.
 ///
 /// # Errors
@@ -45,12 +68,30 @@ pub fn find_tags(
     picture: &Picture,
     family: &str,
     camera: Option<&Camera>,
-    decimate: f32,
+    search: Search,
 ) -> Result<Vec<Tag>, VisionError> {
-    let mut tags: Vec<Tag> =
-        detect(picture, family, decimate)?.into_iter().map(|raw| refine(picture, raw, camera)).collect();
+    let found = detect_tags(picture, family, search)?;
+    let mut tags: Vec<Tag> = found.into_iter().map(|raw| refine(picture, raw, camera)).collect();
     tags.sort_by_key(|t| t.id);
     Ok(tags)
+}
+
+/// Families with a black border about their cells.
+const DARK_BORDERS: [&str; 3] = ["tag36h11", "tag25h9", "tag16h5"];
+
+/// Of the same tag found in two regions the more certain one stays.
+fn once_each(mut tags: Vec<RawTag>) -> Vec<RawTag> {
+    tags.sort_by(|a, b| b.decision_margin.total_cmp(&a.decision_margin));
+    let corner = |t: &RawTag, k: usize| Vector2::from(t.corners_px[k]);
+    let middle = |t: &RawTag| (0..4).map(|k| corner(t, k)).sum::<Vector2<f64>>() / 4.0;
+    let mut kept: Vec<RawTag> = Vec::with_capacity(tags.len());
+    for tag in tags {
+        let near = 0.5 * (corner(&tag, 1) - corner(&tag, 0)).norm();
+        if !kept.iter().any(|k| k.id == tag.id && (middle(k) - middle(&tag)).norm() < near) {
+            kept.push(tag);
+        }
+    }
+    kept
 }
 
 /// Straightens pixels where a camera is known: undistorted, with the camera's own focal length and centre.
@@ -76,6 +117,8 @@ struct Edge {
     origin: Vector2<f64>,
     direction: Vector2<f64>,
     covariance: Matrix2<f64>,
+    /// Parameters of the fit.
+    profile: SVector<f64, 7>,
 }
 
 fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
@@ -114,10 +157,14 @@ fn refine_outline(
 ) -> Option<CornersWithSpread> {
     let mut corners = *start;
     let mut covariances = [Matrix2::zeros(); 4];
+    let mut edges: Vec<Edge> = Vec::new();
     // Two rounds: the second takes its pixels about the lines of the first.
-    for _ in 0..2 {
-        let edges: Vec<Edge> = (0..4)
-            .map(|k| fit_edge(picture, camera, &corners[k], &corners[(k + 1) % 4], cells))
+    for tolerance_px in [COARSE_PX, 0.01] {
+        edges = (0..4)
+            .map(|k| {
+                let ends = [&corners[k], &corners[(k + 1) % 4]];
+                fit_edge(picture, camera, ends, cells, edges.get(k), tolerance_px)
+            })
             .collect::<Option<_>>()?;
         let mut next = corners;
         for k in 0..4 {
@@ -131,6 +178,9 @@ fn refine_outline(
     }
     Some((corners, covariances))
 }
+
+/// Movement at which a fit ends that only says where to look more closely, px.
+const COARSE_PX: f64 = 0.05;
 
 /// Where two edges cross, with its covariance.
 fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
@@ -148,13 +198,14 @@ fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
 }
 
 /// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
-/// (u across, t along), by Levenberg-Marquardt. None where the pixels are too few or the fit fails.
+/// (u across, t along), by Levenberg-Marquardt from an earlier fit where there is one. None where the pixels are too few or the fit fails.
 fn fit_edge(
     picture: &Picture,
     camera: Option<&Camera>,
-    a: &Vector2<f64>,
-    b: &Vector2<f64>,
+    [a, b]: [&Vector2<f64>; 2],
     cells: f64,
+    earlier: Option<&Edge>,
+    tolerance_px: f64,
 ) -> Option<Edge> {
     let length = (b - a).norm();
     let cell = length / cells;
@@ -198,15 +249,15 @@ fn fit_edge(
             .fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.2));
         sum / f64::max(n, 1.0)
     };
-    let mut p = SVector::<f64, 7>::from_row_slice(&[
-        0.0,
-        0.0,
-        0.9f64.ln(),
-        side(false),
-        0.0,
-        side(true) - side(false),
-        0.0,
-    ]);
+    let mut p = earlier.map_or_else(
+        || {
+            let levels = [side(false), side(true)];
+            SVector::<f64, 7>::from([0.0, 0.0, 0.9f64.ln(), levels[0], 0.0, levels[1] - levels[0], 0.0])
+        },
+        |e| e.profile,
+    );
+    // The ends already lie on the earlier line.
+    (p[0], p[1]) = (0.0, 0.0);
     let linearise = |p: &SVector<f64, 7>| {
         let (mut cost, mut normal, mut gradient) =
             (0.0, SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
@@ -244,7 +295,7 @@ fn fit_edge(
             p += step;
             (cost, hessian, gradient) = next;
             lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() + step[1].abs() < 1e-4 {
+            if step[0].abs() + step[1].abs() < tolerance_px {
                 break;
             }
         } else {
@@ -261,7 +312,7 @@ fn fit_edge(
     let scale = Matrix2::new(1.0, 0.0, 0.0, 1.0 / half);
     let covariance = scale * inverse.fixed_view::<2, 2>(0, 0) * scale;
     let turned = (direction + normal * (p[1] / half)).normalize();
-    Some(Edge { origin: origin + normal * p[0], direction: turned, covariance })
+    Some(Edge { origin: origin + normal * p[0], direction: turned, covariance, profile: p })
 }
 
 /// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].

@@ -4,6 +4,7 @@ use crate::common;
 use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
 use wcal_vision::chessboard::BoardSize;
 use wcal_vision::document::StereoDocument;
+use wcal_vision::imports::read_cameras;
 use wcal_vision::picture::Picture;
 
 fn board() -> Board {
@@ -127,9 +128,10 @@ fn black_white_and_coloured_pictures_are_told_apart() {
 fn a_broken_stereo_json_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stereo.json");
-    for (text, word) in [("", "EOF"), ("{}", "missing field"), ("{\"format\": 3}", "invalid type")] {
+    for (text, word) in [("", "none of these"), ("{}", "missing field"), ("{\"format\": 3}", "invalid type")]
+    {
         std::fs::write(&path, text).unwrap();
-        let error = StereoDocument::read(&path).unwrap_err().to_string();
+        let error = read_cameras(std::slice::from_ref(&path)).unwrap_err().to_string();
         assert!(error.contains(word) && error.contains("stereo.json"), "{error}");
     }
 }

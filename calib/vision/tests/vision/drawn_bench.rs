@@ -271,8 +271,13 @@ fn survey_of_styles() {
                     .map(|w| judged(&one, std::slice::from_ref(w), 1.0))
                     .map(|j| j.1)
                     .fold(9e9, f64::min);
+                let far = two
+                    .iter()
+                    .map(|w| judged(&one, std::slice::from_ref(w), 1.0))
+                    .map(|j| j.1)
+                    .fold(0.0, f64::max);
                 println!(
-                    "  two wires {}: taken for one, {near:.4} mm from the nearer, {:?}",
+                    "  two wires {}: taken for one, {near:.4} mm from the nearer, {far:.3} from the other, {:?}",
                     pair.name, pair.warnings
                 );
             } else {

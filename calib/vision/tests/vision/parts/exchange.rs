@@ -1,7 +1,9 @@
 //! Exports come back; malformed files are refused.
 
 use wcal_vision::document::StereoDocument;
-use wcal_vision::exchange::{exports, import_kalibr, import_opencv, imported};
+use wcal_vision::exchange::exports;
+use wcal_vision::imports::{import_kalibr, import_opencv, import_ros, imported, read_cameras};
+use wcal_vision::reference::differences;
 
 fn document() -> StereoDocument {
     let pose =
@@ -29,7 +31,71 @@ fn what_is_exported_is_imported_again() {
     let files = exports(&document()).unwrap();
     assert!(same(&import_opencv("opencv.yml", &files[0].1).unwrap(), &document()));
     assert!(same(&import_kalibr("camchain.yaml", &files[1].1).unwrap(), &document()));
-    assert!(files[2].1.contains("plumb_bob"));
+    assert!(same(&import_ros("ros", [&files[2].1, &files[3].1]).unwrap(), &document()));
+    // The stereo sample of OpenCV writes two files and calls the cameras M.
+    let (first, second) = files[0].1.split_once("R: ").unwrap();
+    let text = format!("{}R: {second}", first.replace("K1", "M1").replace("K2", "M2"));
+    assert!(same(&import_opencv("sample", &text).unwrap(), &document()));
+}
+
+#[test]
+fn the_kind_of_a_file_is_seen_in_it() {
+    let place = tempfile::tempdir().unwrap();
+    let files = exports(&document()).unwrap();
+    let write = |name: &str, text: &str| {
+        let path = place.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let json = write("stereo.json", &serde_json::to_string(&document()).unwrap());
+    let [opencv, kalibr, left, right] = [0, 1, 2, 3].map(|k: usize| write(&files[k].0, &files[k].1));
+    for paths in [vec![json], vec![opencv.clone()], vec![kalibr], vec![left.clone(), right.clone()]] {
+        assert!(same(&read_cameras(&paths).unwrap(), &document()), "{paths:?}");
+    }
+    let text = write("notes.txt", "cameras of Tuesday");
+    for paths in [vec![text.clone()], vec![left.clone()], vec![opencv, left.clone()], vec![]] {
+        assert!(read_cameras(&paths).unwrap_err().to_string().contains("none of these"), "{paths:?}");
+    }
+    // Left twice: no baseline.
+    let error = read_cameras(&[left.clone(), left]).unwrap_err().to_string();
+    assert!(error.contains("baseline"), "{error}");
+    assert!(read_cameras(&[place.path().join("no.json")]).unwrap_err().to_string().contains("no.json"));
+}
+
+#[test]
+fn what_differs_from_a_reference_is_said_once_each() {
+    let shifted = |by: f64| {
+        let mut other = document();
+        for camera in &mut other.cameras {
+            camera.k[0][2] += by;
+            camera.k[1][2] += by;
+        }
+        other
+    };
+    let told = |other: &StereoDocument| differences(&document(), other);
+    // Controls: the same cameras, and a small shift that is no convention.
+    assert_eq!(told(&document()), Vec::<String>::new());
+    assert_eq!(told(&shifted(0.2)), Vec::<String>::new());
+    for (by, word) in [(0.5, "+0.5"), (-0.5, "-0.5")] {
+        let found = told(&shifted(by));
+        assert!(found.len() == 2 && found.iter().all(|f| f.contains(word)), "{found:?}");
+    }
+    let mut larger = document();
+    for row in larger.right_from_left.iter_mut().take(3) {
+        row[3] *= 1.02;
+    }
+    assert!(matches!(told(&larger).as_slice(), [one] if one.contains("size of the squares")));
+    let mut other = document();
+    other.cameras.swap(0, 1);
+    let inverse = document().stereo_cameras().unwrap().right_from_left.inverse().to_homogeneous();
+    other.right_from_left = [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| inverse[(i, j)]));
+    assert!(matches!(told(&other).as_slice(), [one] if one.contains("swapped")));
+    let mut long = document();
+    long.cameras[1].k[0][0] *= 1.03;
+    assert!(matches!(told(&long).as_slice(), [one] if one.contains("right camera: fx")));
+    let mut small = document();
+    small.image_size_px = [640, 480];
+    assert!(matches!(told(&small).as_slice(), [one] if one.contains("640x480")));
 }
 
 #[test]
@@ -39,6 +105,14 @@ fn malformed_files_are_refused_with_the_key() {
         [("K2:", "X2:", "K2"), ("e3, ", "e3; ", "K1"), ("image_width", "w", "image_width")]
     {
         let error = import_opencv("o.yml", &files[0].1.replace(from, to)).unwrap_err().to_string();
+        assert!(error.contains(word), "{error}");
+    }
+    for (from, to, word) in [
+        ("plumb_bob", "equidistant", "plumb_bob"),
+        ("projection_matrix", "p", "projection_matrix"),
+        ("image_height: 960", "image_height: 480", "one size"),
+    ] {
+        let error = import_ros("r", [&files[2].1, &files[3].1.replace(from, to)]).unwrap_err().to_string();
         assert!(error.contains(word), "{error}");
     }
     for (from, to, word) in

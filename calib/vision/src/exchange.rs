@@ -82,11 +82,14 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     Ok(files)
 }
 
-/// Rotation and projection (metres) of both rectified cameras, row by row, as OpenCV makes them (Bouguet).
+/// Rotation (3x3) and projection (3x4, metres) of a rectified camera, row by row.
+type Rectified = (Vec<f64>, Vec<f64>);
+
+/// Both rectified cameras as OpenCV makes them (Bouguet).
 fn rectify(
     document: &StereoDocument,
     right_from_left: &Isometry3<f64>,
-) -> Result<[(Vec<f64>, Vec<f64>); 2], VisionError> {
+) -> Result<[Rectified; 2], VisionError> {
     let doing = "rectify the cameras";
     let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
     let [d1, d2] = [0, 1].map(|c| &document.cameras[c].distortion.coefficients);

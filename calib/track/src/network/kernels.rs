@@ -289,13 +289,16 @@ pub(super) fn attend(sizes: Sizes, qkv: &[f32], bias: &[f32]) -> Vec<f32> {
     out
 }
 
+/// A sequence's share of the gradient, its queries, keys and values, its bias and the gradient of its answer.
+type Share<'a> = (((&'a mut [f32], &'a [f32]), &'a [f32]), &'a [f32]);
+
 /// Gradient of `attend` by queries, keys and values. The weights are made again: that is cheaper than to keep them.
 pub(super) fn attend_back(sizes: Sizes, qkv: &[f32], bias: &[f32], grad: &[f32]) -> Vec<f32> {
     let Sizes { heads, time, width } = sizes;
     let d = sizes.head();
     let scale = 1.0 / (d as f32).sqrt();
     let mut out = vec![0.0; qkv.len()];
-    let task = |(((out, qkv), bias), grad): (((&mut [f32], &[f32]), &[f32]), &[f32])| {
+    let task = |(((out, qkv), bias), grad): Share<'_>| {
         let mut h = Head::new(time);
         let mut back = [0; 3].map(|_| vec![[0.0_f32; MOST]; time]);
         pulp::Arch::new().dispatch(
@@ -312,10 +315,9 @@ pub(super) fn attend_back(sizes: Sizes, qkv: &[f32], bias: &[f32], grad: &[f32])
                         pull[..d].copy_from_slice(&grad[from..from + d]);
                         let slopes = &mut h.slopes[..n];
                         slopes.fill(0.0);
-                        for k in 0..d {
-                            let values = &h.turned_values[k * time..k * time + n];
+                        for (pulled, values) in pull[..d].iter().zip(h.turned_values.chunks_exact(time)) {
                             for (s, value) in slopes.iter_mut().zip(values) {
-                                *s = pull[k].times_plus(*value, *s);
+                                *s = pulled.times_plus(*value, *s);
                             }
                         }
                         let weights = &mut h.weights[..n];

@@ -371,6 +371,7 @@ fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
             surface.contacts().len(),
             made.triangles.len()
         );
+        // As measured here (ball 0.16 mm, can 1.18 mm) and a margin: no goal of its own; the control says what it is worth.
         assert!(made.triangles.len() > 500 && corners < 1.5, "{name}: {corners}");
         // Negative control: the same cloud a few millimetres off its object.
         let moved = rmse(&mut made.corners_mm.iter().map(|p| off(&(p + Vector3::new(3.0, 3.0, 3.0)))));

@@ -108,32 +108,39 @@ fn root(parents: &mut [usize], mut k: usize) -> usize {
     k
 }
 
+/// Where the next 0 or 1 of a row of them lies, or its end; eight at a time.
+fn next(row: &[u8], mut from: usize, wanted: u8) -> usize {
+    let other = u64::from_le_bytes([1 - wanted; 8]);
+    while let Some((eight, _)) = row[from..].split_first_chunk::<8>() {
+        let differs = u64::from_le_bytes(*eight) ^ other;
+        if differs != 0 {
+            return from + differs.trailing_zeros() as usize / 8;
+        }
+        from += 8;
+    }
+    row[from..].iter().position(|&v| v == wanted).map_or(row.len(), |k| from + k)
+}
+
 /// Connected dark pieces (8 neighbours), from runs of pixels below the thresholds of the tiles.
 fn dark_pieces(picture: &Picture, columns: usize, thresholds: &[u8]) -> Vec<Piece> {
     let (mut parents, mut pieces): (Vec<usize>, Vec<Piece>) = (Vec::new(), Vec::new());
     let (mut above, mut here): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
+    let mut limits = vec![0u8; picture.width];
+    let mut dark = vec![0u8; picture.width];
     for (y, row) in picture.data.chunks_exact(picture.width).enumerate() {
-        let limits = &thresholds[y / TILE * columns..(y / TILE + 1) * columns];
-        let mut open: Option<usize> = None;
-        let mut close = |open: &mut Option<usize>, to: usize| {
-            if let Some(from) = open.take() {
-                here.push(Run { from, to, piece: usize::MAX });
-            }
-        };
-        for (tile, (pixels, &limit)) in row.chunks(TILE).zip(limits).enumerate() {
-            if limit == 0 {
-                close(&mut open, tile * TILE);
-                continue;
-            }
-            for (k, &p) in pixels.iter().enumerate() {
-                if p >= limit {
-                    close(&mut open, tile * TILE + k);
-                } else if open.is_none() {
-                    open = Some(tile * TILE + k);
-                }
-            }
+        if y % TILE == 0 {
+            let tiles = &thresholds[y / TILE * columns..(y / TILE + 1) * columns];
+            limits.chunks_mut(TILE).zip(tiles).for_each(|(pixels, &limit)| pixels.fill(limit));
         }
-        close(&mut open, picture.width);
+        for ((d, &p), &limit) in dark.iter_mut().zip(row).zip(&limits) {
+            *d = u8::from(p < limit);
+        }
+        let mut from = next(&dark, 0, 1);
+        while from < dark.len() {
+            let to = next(&dark, from, 0);
+            here.push(Run { from, to, piece: usize::MAX });
+            from = next(&dark, to, 1);
+        }
         let mut first = 0;
         for run in &mut here {
             while first < above.len() && above[first].to < run.from {

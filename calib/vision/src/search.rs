@@ -13,7 +13,7 @@ use nalgebra::Isometry3;
 const LEAST_EVIDENCE: f64 = 1.2;
 /// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
 /// is covered up by the first one it has none.
-const RIVAL_LENGTH_SHARE: f64 = 0.55;
+const RIVAL_LENGTH_SHARE: f64 = 0.4;
 const RIVAL_SHARE: f64 = 0.15;
 /// Share of the evidence a millimetre that makes a line worth a second look.
 const SUSPECT_SHARE: f64 = 0.05;

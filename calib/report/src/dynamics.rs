@@ -1,12 +1,11 @@
 //! The page of a fit of damping and contact: every trial, the trade between the demands, and the choice. The trials are simulated.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, escape, paragraph};
+use crate::markup::{Cell, Table, paragraph};
 use crate::number::number;
-use crate::page::{document, facts};
+use crate::page::simulated;
 use crate::plot::{Axis, Layer, Marker, Plot};
 use crate::sections::{legend, series};
-use std::fmt::Write;
 
 /// What the page shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -48,11 +47,6 @@ const SHOWN: usize = 12;
 /// The page.
 #[must_use]
 pub fn render_dynamics(input: &DynamicsInput) -> String {
-    let mut body = format!(
-        "<header><p class=\"over\">Damping and contact <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated trials, not a measurement.</p>\n{}</header>\n",
-        escape(&input.title),
-        facts(&input.facts)
-    );
     let mut stages: Vec<String> = Vec::new();
     for trial in &input.trials {
         if !stages.contains(&trial.stage) {
@@ -74,13 +68,8 @@ pub fn render_dynamics(input: &DynamicsInput) -> String {
         [t.overlap_mm, t.ripple_nmm]
     });
     let choice: String = input.choice.iter().map(|line| paragraph(line)).collect();
-    let _ = write!(
-        body,
-        "<section id=\"choice\" aria-labelledby=\"choice-h\"><h2 id=\"choice-h\">Choice</h2>\n{choice}{}</section>\n\
-         <section id=\"trade\" aria-labelledby=\"trade-h\"><h2 id=\"trade-h\">Trade</h2>\n{plots}</section>\n",
-        table(input)
-    );
-    document(&input.title, true, &body)
+    let parts = [("choice", "Choice", choice + &table(input)), ("trade", "Trade", plots)];
+    simulated("Damping and contact", &input.title, &input.facts, &parts)
 }
 
 fn plot(

@@ -101,6 +101,23 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
+/// A page of simulated results: line above the heading, heading, facts, and sections (anchor, heading, content) of which empty ones are left out.
+pub(crate) fn simulated(over: &str, title: &str, input: &[Fact], parts: &[(&str, &str, String)]) -> String {
+    let mut body = format!(
+        "<header><p class=\"over\">{} <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated data, not a measurement.</p>\n{}</header>\n",
+        escape(over),
+        escape(title),
+        facts(input)
+    );
+    for (id, heading, inner) in parts.iter().filter(|p| !p.2.is_empty()) {
+        let _ = write!(
+            body,
+            "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{heading}</h2>\n{inner}</section>\n"
+        );
+    }
+    document(title, true, &body)
+}
+
 pub(crate) fn facts(facts: &[Fact]) -> String {
     if facts.is_empty() {
         return String::new();

@@ -3,7 +3,7 @@
 use crate::input::Fact;
 use crate::markup::{Cell, Table, escape, list, paragraph};
 use crate::number::{number, percent};
-use crate::page::{document, facts};
+use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
 use std::fmt::Write;
@@ -103,27 +103,19 @@ pub struct ExampleSample {
 /// The page.
 #[must_use]
 pub fn render_sweeps(input: &SweepsInput) -> String {
-    let mut body = format!(
-        "<header><p class=\"over\">Sweep dataset <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated data, not a measurement.</p>\n{}</header>\n",
-        escape(&input.title),
-        facts(&input.facts)
-    );
-    let mut section = |id: &str, title: &str, inner: String| {
-        let _ = write!(
-            body,
-            "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{title}</h2>\n{inner}</section>\n"
-        );
-    };
-    if !input.warnings.is_empty() {
-        section("warnings", "Warnings", list(&input.warnings));
-    }
-    section("counts", "Verdicts and events", counts(input));
-    section("objects", "Objects", objects(&input.objects));
-    if let Some(compared) = &input.engines {
-        section("engines", "MuJoCo against the rod", engines(compared));
-    }
-    section("examples", "Sweeps", examples(&input.examples));
-    document(&input.title, true, &body)
+    let warnings = if input.warnings.is_empty() { String::new() } else { list(&input.warnings) };
+    simulated(
+        "Sweep dataset",
+        &input.title,
+        &input.facts,
+        &[
+            ("warnings", "Warnings", warnings),
+            ("counts", "Verdicts and events", counts(input)),
+            ("objects", "Objects", objects(&input.objects)),
+            ("engines", "MuJoCo against the rod", input.engines.as_ref().map_or_else(String::new, engines)),
+            ("examples", "Sweeps", examples(&input.examples)),
+        ],
+    )
 }
 
 /// What the words of verdicts and events mean.

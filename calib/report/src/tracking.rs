@@ -1,11 +1,10 @@
 //! The pages of a tracker: its training and its evaluation. Both are simulated.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, escape, list};
-use crate::page::{document, facts};
+use crate::markup::{Cell, Table, list};
+use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
-use std::fmt::Write;
 
 /// What a page shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -53,25 +52,17 @@ pub struct NumberTable {
 /// The page.
 #[must_use]
 pub fn render_tracking(input: &TrackingInput) -> String {
-    let mut body = format!(
-        "<header><p class=\"over\">{} <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated data, not a measurement.</p>\n{}</header>\n",
-        escape(&input.over),
-        escape(&input.title),
-        facts(&input.facts)
-    );
-    let mut section = |id: &str, title: &str, inner: String| {
-        if !inner.is_empty() {
-            let _ = write!(
-                body,
-                "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{title}</h2>\n{inner}</section>\n"
-            );
-        }
-    };
     let notes = if input.notes.is_empty() { String::new() } else { list(&input.notes) };
-    section("notes", "Notes", notes);
-    section("curves", "Curves", input.curves.iter().map(curves).collect());
-    section("tables", "Tables", input.tables.iter().map(table).collect());
-    document(&input.title, true, &body)
+    simulated(
+        &input.over,
+        &input.title,
+        &input.facts,
+        &[
+            ("notes", "Notes", notes),
+            ("curves", "Curves", input.curves.iter().map(curves).collect()),
+            ("tables", "Tables", input.tables.iter().map(table).collect()),
+        ],
+    )
 }
 
 fn curves(input: &Curves) -> String {
@@ -140,7 +131,7 @@ mod tests {
             ..TrackingInput::default()
         };
         let page = render_tracking(&input);
-        assert!(page.contains("<svg") && page.contains("<polyline") || page.contains("<path"), "{page}");
+        assert!(page.contains("<svg") && page.contains("held out"), "{page}");
         assert!(
             page.contains("SIMULATED") && page.contains("A &lt;model&gt;") && page.contains("[0.10, 0.30]")
         );

@@ -1,10 +1,9 @@
 //! The page of a twin's labels: its own error, and what the groove's tip does to the moments. All of it is simulated.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, escape, list, paragraph};
+use crate::markup::{Cell, Table, list, paragraph};
 use crate::number::significant;
-use crate::page::{document, facts};
-use std::fmt::Write;
+use crate::page::simulated;
 
 /// What a twin's report shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -39,20 +38,15 @@ pub struct TipEffect {
 /// The page.
 #[must_use]
 pub fn render_twin(input: &TwinInput) -> String {
-    let mut body = format!(
-        "<header><p class=\"over\">Twin <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated data, not a measurement.</p>\n{}</header>\n",
-        escape(&input.title),
-        facts(&input.facts)
-    );
-    let mut section = |id: &str, title: &str, inner: String| {
-        let _ = write!(
-            body,
-            "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{title}</h2>\n{inner}</section>\n"
-        );
-    };
-    section("tip", "What the groove's tip does to the moment", tip(input));
-    section("findings", "The twin's own error", list(&input.findings));
-    document(&input.title, true, &body)
+    simulated(
+        "Twin",
+        &input.title,
+        &input.facts,
+        &[
+            ("tip", "What the groove's tip does to the moment", tip(input)),
+            ("findings", "The twin's own error", list(&input.findings)),
+        ],
+    )
 }
 
 fn tip(input: &TwinInput) -> String {

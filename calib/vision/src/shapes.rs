@@ -228,12 +228,15 @@ fn load(
                 found.map_err(|e| e.to_string())
             };
             let mut found = search(Search::StrongContrast)?;
-            let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
-            let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
-            // Where the tags that are seen are large, one that is not seen is not there.
-            let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
-            if !all && !found.iter().any(large) {
-                found = search(Search::Whole)?;
+            for wider in [Search::Halved, Search::Whole] {
+                let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
+                let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
+                // Where the tags that are seen are large, one that is not seen at half size is not there.
+                let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
+                if all || (wider == Search::Whole && found.iter().any(large)) {
+                    break;
+                }
+                found = search(wider)?;
             }
             tags.extend(found.into_iter().map(|t| (camera, t)));
         }

@@ -17,7 +17,8 @@ const SLANT: usize = 4;
 const FILL: f64 = 0.12;
 /// Sides from which a tag is found at half and at a quarter of the size as well, px: its cells are 4 px wide there and more.
 const COARSE_SIDES: [usize; 2] = [64, 128];
-/// Half a cell of the white margin is read for its grey value, a share of a tag's side; px beyond.
+/// Grown by this share of its side and by px beyond: the library reads half a cell of the white margin, and a dark piece may be only part of
+/// a border.
 const MARGIN: (f64, usize) = (0.15, 6);
 
 /// A run of dark pixels in a row.

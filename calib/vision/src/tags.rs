@@ -43,6 +43,8 @@ fn cells_along_side(family: &str) -> f64 {
 pub enum Search {
     /// Where the picture shows dark pieces of strong contrast, like a tag's border: a third of the time. A tag in the shade may be missed.
     StrongContrast,
+    /// All of the picture at half its size: whatever the contrast, but no small tags.
+    Halved,
     /// All of the picture.
     Whole,
 }
@@ -52,12 +54,16 @@ pub enum Search {
 /// # Errors
 /// Where the family is unknown.
 pub fn detect_tags(picture: &Picture, family: &str, search: Search) -> Result<Vec<RawTag>, VisionError> {
-    // The other families' borders are bright.
-    if search == Search::Whole || !DARK_BORDERS.contains(&family) {
-        return detect(picture, family, &[Region::whole(picture)], LEAST_CONTRAST);
+    let whole = Region::whole(picture);
+    match search {
+        Search::Halved => detect(picture, family, &[Region { decimate: 2.0, ..whole }], LEAST_CONTRAST),
+        Search::StrongContrast if DARK_BORDERS.contains(&family) => {
+            let (regions, contrast) = tag_regions(picture);
+            detect(picture, family, &regions, contrast).map(once_each)
+        }
+        // The other families' borders are bright.
+        Search::StrongContrast | Search::Whole => detect(picture, family, &[whole], LEAST_CONTRAST),
     }
-    let (regions, contrast) = tag_regions(picture);
-    detect(picture, family, &regions, contrast).map(once_each)
 }
 
 /// Detects and refines the tags of a family. With a camera, edges are straight in the undistorted picture; without, in the picture itself.

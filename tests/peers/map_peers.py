@@ -11,27 +11,14 @@ import json
 import os
 import pathlib
 import subprocess
-import sys
 import time
+
+import peer_env
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-VENV = HERE / ".venv"
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[name] = "1"
-
-
-def enter_venv():
-    """Runs this script again inside its own virtual environment."""
-    python = VENV / "bin" / "python"
-    if pathlib.Path(sys.prefix) == VENV:
-        return
-    if not python.exists():
-        subprocess.run([sys.executable, "-m", "venv", str(VENV)], check=True)
-    probe = subprocess.run([str(python), "-c", "import numpy, scipy, sklearn"], capture_output=True)
-    if probe.returncode:
-        subprocess.run([str(python), "-m", "pip", "install", "--quiet", "numpy", "scipy", "scikit-learn"], check=True)
-    os.execv(str(python), [str(python), *sys.argv])
 
 
 def load():
@@ -156,7 +143,7 @@ def main():
     parser.add_argument("--fit-gpr", type=pathlib.Path, help="fit-gpr.json of fixtures/whiskerfbg with --labels twin")
     parser.add_argument("--out", type=pathlib.Path, help="file for the JSON rows")
     args = parser.parse_args()
-    enter_venv()
+    peer_env.enter(["numpy", "scipy", "sklearn"], ["numpy", "scipy", "scikit-learn"])
     import sklearn
 
     peer = f"scikit-learn {sklearn.__version__}"

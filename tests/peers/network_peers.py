@@ -19,22 +19,10 @@ import sys
 import tempfile
 import time
 
-HERE = pathlib.Path(__file__).resolve().parent
-VENV = HERE / ".venv-torch"
+import peer_env
+
 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ[name] = "1"
-
-
-def enter_venv():
-    """Runs this script again inside its own virtual environment."""
-    python = VENV / "bin" / "python"
-    if pathlib.Path(sys.prefix) == VENV:
-        return
-    if not python.exists():
-        subprocess.run([sys.executable, "-m", "venv", str(VENV)], check=True)
-    if subprocess.run([str(python), "-c", "import torch, safetensors, numpy"], capture_output=True).returncode:
-        subprocess.run([str(python), "-m", "pip", "install", "--quiet", "torch", "safetensors", "numpy"], check=True)
-    os.execv(str(python), [str(python), *sys.argv])
 
 
 HEADS, CONTEXT, BATCH, TIME = 8, 128, 64, 100
@@ -185,7 +173,7 @@ def main():
     parser.add_argument("--tokens", type=int, default=2000)
     parser.add_argument("--json", help="file for the rows of peers.json")
     arguments = parser.parse_args()
-    enter_venv()
+    peer_env.enter(["torch", "safetensors", "numpy"], ["torch", "safetensors", "numpy"], ".venv-torch")
     ours, peer = [], []
     with tempfile.TemporaryDirectory() as place:
         folder = pathlib.Path(place)

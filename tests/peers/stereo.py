@@ -15,22 +15,9 @@ import sys
 import tempfile
 import time
 
+import peer_env
+
 HERE = pathlib.Path(__file__).resolve().parent
-VENV = HERE / ".venv"
-
-
-def with_peers():
-    try:
-        import cv2  # noqa: F401
-        import numpy  # noqa: F401
-    except ImportError:
-        python = VENV / "bin" / "python"
-        if pathlib.Path(sys.executable) == python:
-            raise
-        if not python.exists():
-            subprocess.run([sys.executable, "-m", "venv", str(VENV)], check=True)
-        subprocess.run([str(python), "-m", "pip", "-q", "install", "opencv-python-headless", "numpy"], check=True)
-        os.execv(str(python), [str(python), *sys.argv])
 
 
 def cv2_corners(cv2, np, pictures):
@@ -86,7 +73,7 @@ def mrcal(views, pictures, skip_warp):
 
 
 def main():
-    with_peers()
+    peer_env.enter(["cv2", "numpy"], ["opencv-python-headless", "numpy"])
     import cv2
     import numpy as np
 

@@ -163,7 +163,7 @@ fn ring_down_and_speed_bias_grow_with_the_damping() {
 /// A known wire is fitted to its own record, its contact far from the one that the search starts from: what the fit says is determined
 /// comes back to a step of the grid, the rest is named.
 #[test]
-#[ignore = "minutes of trials"]
+#[ignore = "minutes of trials; not yet seen to its end"]
 fn the_fit_of_damping_and_contact_finds_what_it_says_it_can() {
     if !ready() {
         return;

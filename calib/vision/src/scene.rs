@@ -88,6 +88,19 @@ impl<'a> Scene<'a> {
         Some((px, Vector2::new(-along.y, along.x)))
     }
 
+    /// Where one camera sees a place, in mm at its depth, and the direction of the image's normal there, rad.
+    pub(crate) fn seen_from(
+        &self,
+        camera: usize,
+        p: &Vector3<f64>,
+        t: &Vector3<f64>,
+    ) -> Option<(Vector2<f64>, f64)> {
+        let (px, normal) = self.image(camera, p, t)?;
+        let (turn, shift) = &self.camera_from_base[camera];
+        let mm_per_px = (turn * p + shift).z / self.stereo.cameras[camera].focal_px[0];
+        Some((px * mm_per_px, normal.y.atan2(normal.x)))
+    }
+
     /// How strongly a place answers, where it is likelier a wire than not.
     pub(crate) fn wire_response(&self, camera: usize, p: &Vector3<f64>, t: &Vector3<f64>) -> Option<f64> {
         let (px, normal) = self.image(camera, p, t)?;

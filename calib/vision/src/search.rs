@@ -6,7 +6,7 @@ use crate::picture::Picture;
 use crate::ridge::{Evidence, RidgeMap};
 use crate::rig::Rig;
 use crate::scene::{Scene, expected_strength};
-use crate::trace::{BEAM, Trace, WIDE_BEAM, trace};
+use crate::trace::{BEAM, Manner, Trace, WIDE_BEAM, trace};
 use nalgebra::Isometry3;
 
 /// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
@@ -71,7 +71,8 @@ impl Search<'_> {
         for (polarity, mut strength) in order.map(|k| strengths[k]) {
             // The second search knows how strong the wire of the first one answers.
             for _ in 0..2 {
-                let Some(trace) = trace(&self.scene(strength, polarity), whisker, self.beam, aside_mm) else {
+                let manner = Manner { beam: self.beam, aside_mm, any_bend: false };
+                let Some(trace) = trace(&self.scene(strength, polarity), whisker, manner) else {
                     break;
                 };
                 let settled = (0..2).all(|k| (trace.strength[k] / strength[k] - 1.0).abs() < 0.2);
@@ -97,8 +98,11 @@ impl Search<'_> {
         if self.beam < WIDE_BEAM
             && let Some(found) = &mut best
             && poor(&found.trace)
-            && let Some(wider) =
-                trace(&self.scene(found.strength, found.polarity), whisker, WIDE_BEAM, aside_mm)
+            && let Some(wider) = trace(
+                &self.scene(found.strength, found.polarity),
+                whisker,
+                Manner { beam: WIDE_BEAM, aside_mm, any_bend: false },
+            )
             && wider.score > found.trace.score
         {
             found.trace = wider;
@@ -155,11 +159,11 @@ pub(crate) fn find_wire(
     }
     let scene = search.scene(strength, polarity).without(&found.path, COVERED_WIDTHS * width);
     let density = |t: &Trace| t.score / t.length_mm;
+    let second = |beam| trace(&scene, &rig.whisker, Manner { beam, aside_mm: 0.0, any_bend: true });
     // A narrow beam first: hardly anything passes it where there is one wire.
-    let suspect = trace(&scene, &rig.whisker, RIVAL_BEAM, 0.0)
-        .is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
+    let suspect = second(RIVAL_BEAM).is_some_and(|t| density(&t) > SUSPECT_SHARE * density(&found));
     if suspect
-        && let Some(rival) = trace(&scene, &rig.whisker, WIDE_BEAM, 0.0)
+        && let Some(rival) = second(WIDE_BEAM)
         && density(&rival) > RIVAL_SHARE * density(&found)
         && rival.length_mm > RIVAL_LENGTH_SHARE * found.length_mm
     {

@@ -93,8 +93,13 @@ pub fn shapes_of_pairs(
     };
     let mut root_sd = ROOT_CLAMPED;
     let mut fits = attempt(root_sd, &[]);
-    // A root that stands elsewhere than the tags say is not seen at all: look for it where the rest of the wire points.
-    let free = root_misplaced(&fits, rig.whisker.diameter_mm).then(|| attempt(ROOT_FREE, &[]));
+    // A root that stands elsewhere than the tags say is not seen at all, or most wires are lost from it: look for it where the rest of
+    // the wire points.
+    let sound = |fits: &[Result<PairFit, String>]| fits.iter().flatten().count();
+    let most_lost = 2 * sound(&fits) < loaded.iter().flatten().count();
+    let free = (most_lost || root_misplaced(&fits, rig.whisker.diameter_mm))
+        .then(|| attempt(ROOT_FREE, &[]))
+        .filter(|free| !most_lost || sound(free) > sound(&fits));
     let mut joint = base.as_ref().map(|b| Joint::new(b, free.as_ref().unwrap_or(&fits), ROOT_CLAMPED));
     if let Some(j) = &joint
         && j.disagreement > DISAGREEMENT

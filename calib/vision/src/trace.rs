@@ -18,8 +18,12 @@ pub const BEAM: usize = 160;
 const HIDDEN_BEAM: usize = 600;
 /// Curves kept where the first search found too little.
 pub const WIDE_BEAM: usize = 4 * BEAM;
-/// Factor of the curves that a wide search keeps while the likeliest crosses a gap.
+/// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how many blocks after it: by then both
+/// pictures have told which of them is the wire.
 const GAP_BEAM: usize = 4;
+const GAP_AFTER: usize = 2;
+/// Evidence that the likeliest curve gains a block, below which it is in a gap: a fifth of what a wire in sight gives.
+const GAP_GAIN: f64 = 15.0;
 /// Share of the length after which none of them is kept: what shares more of its way with a first wire is none of its own.
 const HIDDEN_SHARE: f64 = 0.4;
 /// Distance of the roots tried beside the stated one, mm.
@@ -33,9 +37,25 @@ const CURVATURE_STEP: f64 = 0.006;
 const CHANGE_COST: f64 = 1.0;
 /// Blocks between branchings that are not branched, from the root.
 const UNBRANCHED: usize = 1;
-/// Cells of place (mm) and direction (rad) of which one curve is kept, of those that are seen and of those that lie hidden.
+/// Deviation from the nominal curvature that costs half a unit a block, 1/mm: where a wire runs along the epipolar lines every curve in
+/// depth looks alike, and the one with the least strain energy is the likeliest.
+const BEND_SD: f64 = 0.01;
+/// Cells of place (mm) and direction (rad) in both pictures of which one curve is kept: of those that are seen, of those that cross a
+/// gap, and of those that lie hidden from the root on.
 const SEEN_CELL: (f64, f64) = (0.06, 0.01);
-const HIDDEN_CELL: (f64, f64) = (0.15, 0.03);
+const GAP_CELL: (f64, f64) = (0.2, 0.04);
+const HIDDEN_CELL: (f64, f64) = (0.1, 0.02);
+
+/// How a search goes about.
+#[derive(Debug, Clone, Copy)]
+pub struct Manner {
+    /// Curves kept.
+    pub beam: usize,
+    /// How far beside the stated root the wire may start, mm.
+    pub aside_mm: f64,
+    /// The wire may be bent anyhow: a second one need not be near this one's rest shape.
+    pub any_bend: bool,
+}
 
 /// What the search found.
 #[derive(Debug, Clone)]
@@ -104,15 +124,16 @@ fn starts(aside_mm: f64) -> Vec<Candidate> {
         .collect()
 }
 
-/// Grows curves from the root, keeping the best `beam` of them, and returns the best; none where no curve has any evidence.
-/// `aside_mm`: how far beside the stated root the wire may start.
+/// Grows curves from the root, keeping the best of them, and returns the best; none where no curve has any evidence.
 #[must_use]
-pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize, aside_mm: f64) -> Option<Trace> {
+pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, manner: Manner) -> Option<Trace> {
+    let Manner { beam, aside_mm, any_bend } = manner;
     let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;
     // Parent and curvature of every curve kept at the end of every block.
     let mut history: Vec<Vec<(usize, [f64; 2])>> = Vec::with_capacity(blocks);
     let started = starts(aside_mm);
     let mut now = started.clone();
+    let (mut leading, mut since_gap) = (0.0, usize::MAX / 2);
     for block in 0..blocks {
         let first = block * BRANCH_STEPS;
         for c in &mut now {
@@ -126,11 +147,28 @@ pub fn trace(scene: &Scene<'_>, whisker: &RigWhisker, beam: usize, aside_mm: f64
                     (c.best, c.best_step) = (c.score, step + 1);
                 }
             }
+            if !any_bend {
+                let strain = 0.5 * (c.bend[0].powi(2) + c.bend[1].powi(2)) / BEND_SD.powi(2);
+                c.score -= strain;
+                if c.best_step > first {
+                    c.best -= strain;
+                }
+            }
         }
         // While the started curves still lie side by side there is nothing to branch.
         if block >= UNBRANCHED {
+            let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
+            let (score, hidden) = leader.map_or((0.0, true), |c| (c.score, c.hidden));
+            since_gap = if !hidden && score - leading < GAP_GAIN { 0 } else { since_gap + 1 };
+            leading = score;
+            // Nothing tells curves in a gap apart: more of them, farther apart, cross it.
+            let seen = if beam >= WIDE_BEAM && since_gap <= GAP_AFTER {
+                (GAP_BEAM * beam, GAP_CELL)
+            } else {
+                (beam, SEEN_CELL)
+            };
             let keep_hidden = (first as f64) * STEP_MM < HIDDEN_SHARE * whisker.length_mm;
-            now = branched(&now, beam, first, if keep_hidden { HIDDEN_BEAM } else { 0 });
+            now = branched(scene, &now, first, seen, if keep_hidden { HIDDEN_BEAM } else { 0 });
         }
         history.push(now.iter().map(|c| (c.parent, c.bend)).collect());
     }
@@ -207,23 +245,21 @@ fn small_turn(w: &Vector3<f64>) -> Matrix3<f64> {
 type Branch = (f64, usize, i32, i32);
 
 /// The best branches of all curves, one a place and direction, so that the beam does not fill with copies of one. `first`: the step
-/// at which the block began; `hidden_beam`: curves kept besides that lie hidden.
-fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) -> Vec<Candidate> {
+/// at which the block began; `beam`, `cell`: curves kept of those that are seen and the cells of one; `hidden_beam`: curves kept
+/// besides that lie hidden.
+fn branched(
+    scene: &Scene<'_>,
+    now: &[Candidate],
+    first: usize,
+    (beam, cell): (usize, (f64, f64)),
+    hidden_beam: usize,
+) -> Vec<Candidate> {
     let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
     let all = now.iter().enumerate().flat_map(|(k, c)| {
         changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
     });
     let (mut hidden, mut order): (Vec<Branch>, Vec<Branch>) = all.partition(|b| now[b.1].hidden);
     let best_first = |x: &Branch, y: &Branch| y.0.total_cmp(&x.0).then((x.1, x.2, x.3).cmp(&(y.1, y.2, y.3)));
-    // Where the leader has seen nothing through the block a gap has begun: nothing tells its curves apart, and more of them, farther
-    // apart, cross it.
-    let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
-    let (beam, cell, bend) = if beam >= WIDE_BEAM && leader.is_some_and(|c| !c.hidden && c.best_step <= first)
-    {
-        (GAP_BEAM * beam, HIDDEN_CELL, 2.0 * CURVATURE_STEP)
-    } else {
-        (beam, SEEN_CELL, CURVATURE_STEP)
-    };
     // Far fewer are kept than there are: the rest need no order.
     let enough = 6 * beam;
     if order.len() > enough {
@@ -233,14 +269,14 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
     order.sort_unstable_by(best_first);
     // Nothing recovers from being this much worse than the best.
     let floor = order.first().map_or(0.0, |o| o.0) - 80.0 + 4.0 * HIDDEN;
-    let mut cells: HashSet<[i32; 7]> = HashSet::new();
+    let mut cells: HashSet<[i32; 6]> = HashSet::new();
     let mut kept = Vec::with_capacity(beam + hidden_beam);
     for branch in order {
         if kept.len() >= beam || branch.0 < floor {
             break;
         }
         let child = grown(now, branch, first);
-        if cells.insert(cell_of(&child, cell, bend)) {
+        if cells.insert(cell_of(scene, &child, cell)) {
             kept.push(child);
         }
     }
@@ -250,8 +286,7 @@ fn branched(now: &[Candidate], beam: usize, first: usize, hidden_beam: usize) ->
     cells.clear();
     hidden.sort_unstable_by(best_first);
     let children = hidden.into_iter().map(|b| grown(now, b, first));
-    let hidden: Vec<_> =
-        children.filter(|c| cells.insert(cell_of(c, HIDDEN_CELL, 2.0 * CURVATURE_STEP))).collect();
+    let hidden: Vec<_> = children.filter(|c| cells.insert(cell_of(scene, c, HIDDEN_CELL))).collect();
     // Spread evenly over what lies hidden: the first of them would all bend to one side.
     let every = hidden.len().div_ceil(hidden_beam).max(1);
     kept.extend(hidden.into_iter().step_by(every));
@@ -267,17 +302,15 @@ fn grown(now: &[Candidate], (score, k, a, b): Branch, first: usize) -> Candidate
     child
 }
 
-/// Cell of a curve's end: place (mm), direction (rad) and curvature (1/mm) in steps of these sizes.
-fn cell_of(c: &Candidate, (place, turn): (f64, f64), bend: f64) -> [i32; 7] {
-    let cell = |v: f64, size: f64| (v / size).round() as i32;
-    let (p, t) = (&c.position, c.frame.column(0));
-    [
-        cell(p.x, place),
-        cell(p.y, place),
-        cell(p.z, place),
-        cell(t.y, turn),
-        cell(t.z, turn),
-        cell(c.bend[0], bend),
-        cell(c.bend[1], bend),
-    ]
+/// Cell of a curve's end as both pictures see it, place (mm) and direction (rad) in steps of these sizes: what looks alike in both needs
+/// to be kept once, and depth is as coarse as they see it.
+fn cell_of(scene: &Scene<'_>, c: &Candidate, (place, turn): (f64, f64)) -> [i32; 6] {
+    let mut cell = [0; 6];
+    let step = |v: f64, size: f64| (v / size).round() as i32;
+    for (camera, three) in cell.chunks_exact_mut(3).enumerate() {
+        if let Some((at_mm, angle)) = scene.seen_from(camera, &c.position, &c.frame.column(0).into_owned()) {
+            three.copy_from_slice(&[step(at_mm.x, place), step(at_mm.y, place), step(angle, turn)]);
+        }
+    }
+    cell
 }

@@ -183,6 +183,24 @@ fn a_line_that_ends_far_from_the_known_length_is_rejected() {
     assert!(pair.why.contains("the wire is 60.0 mm long"), "{}", pair.why);
 }
 
+/// A card hides 8 mm from both cameras. These two were once lost there: one runs along the epipolar lines before the card, the other
+/// bends behind it as it does not before. A wire that ends behind the card is none of this rig.
+#[test]
+fn a_wire_is_taken_up_again_behind_a_card_and_not_made_up() {
+    for (seed, covered_mm) in [(3104, [20.0, 28.0]), (3105, [38.0, 46.0])] {
+        let style = Style { covered_mm, ..Style::default() };
+        let wire = bench::wire(seed);
+        let shapes = run(&calibrated(3), &[vec![wire.clone()]], None, seed, &style);
+        let (inside, rms) = judged(&shapes, &[wire.clone()], 1.0);
+        assert!(rms <= 0.05, "{seed}: {rms} mm");
+        assert!(inside >= 0.8, "{seed}: {inside}");
+        assert!((shapes.pairs[0].length_mm - bench::LENGTH_MM).abs() < 0.05, "{seed}");
+        let ends = wire[..=(20.0 * (covered_mm[1] - 1.0)) as usize].to_vec();
+        let shapes = run(&calibrated(3), &[vec![ends]], None, seed, &style);
+        assert_eq!(shapes.pairs[0].status, "rejected", "{seed}");
+    }
+}
+
 /// A cable beside the whisker makes two wires; a picture of the bench without the whisker says which one to follow.
 #[test]
 fn what_a_background_picture_shows_is_not_the_wire() {

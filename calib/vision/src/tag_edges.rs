@@ -5,7 +5,7 @@
 use crate::camera::Camera;
 use crate::picture::Picture;
 use crate::profile::blurred_step;
-use crate::tags::{bend, straighten};
+use crate::tags::{FINE_PX, bend, straighten};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 /// Cells smaller than this show too little of the levels beside an edge, px.
@@ -230,7 +230,7 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
             p += step;
             (cost, m, g) = next;
             lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() < 0.01 {
+            if step[0].abs() < FINE_PX {
                 break;
             }
         } else {

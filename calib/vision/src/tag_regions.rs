@@ -64,10 +64,13 @@ fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
                 (*l, *h) = ((*l).min(p), (*h).max(p));
             }
         }
-        let across = low.chunks(TILE).zip(high.chunks(TILE));
-        tiles.extend(
-            across.map(|(l, h)| [l.iter().fold(255, |a, &p| a.min(p)), h.iter().fold(0, |a, &p| a.max(p))]),
-        );
+        let ((lows, low_rest), (highs, high_rest)) = (low.as_chunks::<TILE>(), high.as_chunks::<TILE>());
+        let both =
+            |l: &[u8], h: &[u8]| [l.iter().fold(255, |a, &p| a.min(p)), h.iter().fold(0, |a, &p| a.max(p))];
+        tiles.extend(lows.iter().zip(highs).map(|(l, h)| both(l, h)));
+        if !low_rest.is_empty() {
+            tiles.push(both(low_rest, high_rest));
+        }
     }
     (columns, tiles)
 }
@@ -91,13 +94,13 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
         .collect()
 }
 
-/// What the tiles span from the darkest hundredth to the brightest, DN.
+/// What the tiles span from the darkest hundredth to the brightest, DN; one tile in seven says it.
 fn span(tiles: &[[u8; 2]]) -> f64 {
     let hundredth = |mut values: Vec<u8>, brightest: bool| {
         let k = if brightest { values.len() - 1 - values.len() / 100 } else { values.len() / 100 };
         *values.select_nth_unstable(k).1
     };
-    let side = |k: usize| tiles.iter().map(|t| t[k]).collect();
+    let side = |k: usize| tiles.iter().step_by(7).map(|t| t[k]).collect();
     f64::from(hundredth(side(1), true).saturating_sub(hundredth(side(0), false)))
 }
 

@@ -6,16 +6,9 @@ use wcal_core::WhiskerData;
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::groove::{Preset, paper_options};
-use wcal_mujoco::labels::{Other, PoseLabel, Tip, labels, tip};
+use wcal_mujoco::labels::{PoseLabel, Tip, labels, tip};
 use wcal_report::TipEffect;
 use wcal_rod::{Line, Rod, WORKING_STEP_MM};
-
-/// Labels of an outside twin farther than this share of their full scale are on another equilibrium; nearer than twice it to one of
-/// ours they are that one's.
-const OTHER_BRANCH: f64 = 0.01;
-
-/// Contacts nearer than this along the wire are at the same place, mm.
-const SAME_PLACE_MM: f64 = 0.5;
 
 /// A pose with what is known of it.
 struct Pose<'a> {
@@ -94,13 +87,13 @@ pub fn by_mujoco(
 fn line(data: &WhiskerData, pose: &Pose<'_>) -> (String, bool) {
     let label = pose.label;
     let Some(moment) = label.moment_nmm else { return (",,,unstable,false".to_owned(), false) };
-    let branch = match (label.arclength_mm, label.others.is_empty()) {
-        (_, false) => "several",
-        (Some(_), true) => "held",
-        (None, true) => "free",
+    let branch = match (label.arclength_mm, &label.elsewhere) {
+        (_, Some(_)) => "several",
+        (Some(_), None) => "held",
+        (None, None) => "free",
     };
     let text = row(data, &moment, label.arclength_mm, branch, label.settled);
-    (text, label.settled && label.others.is_empty())
+    (text, label.certain())
 }
 
 /// Full scale of the session's own labels, N mm.
@@ -145,43 +138,22 @@ fn say(data: &WhiskerData, pose: &Pose<'_>, full: f64) {
         text += &format!("; sinks {:.2} mm into the tip, past the wire's radius", label.overlap_mm);
     }
     eprintln!("{text}");
-    for other in &label.others {
+    if let Some(other) = &label.elsewhere {
         let place = other.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
-        eprintln!("twin: point {point}: {} it is {place}, {}", other.way, show(&other.moment_nmm));
+        eprintln!(
+            "twin: point {point}: come to straight from the start it is {place}, {}",
+            show(&other.moment_nmm)
+        );
     }
-    if label.others.is_empty() {
-        return;
-    }
-    let near = |o: &&Other| {
-        o.arclength_mm.zip(label.arclength_mm).is_some_and(|(a, b)| (a - b).abs() < SAME_PLACE_MM)
-    };
-    let stuck = label.others.iter().filter(near).count();
-    eprintln!(
-        "twin: point {point}: several places of rest, though a frictionless groove has {} here: on its quick way the groove swings the wire, and {}; history, step and MuJoCo's version decide on the moment",
-        match pose.stable {
+    if !label.certain() {
+        let stable = match pose.stable {
             1 => "one stable equilibrium".to_owned(),
             n => format!("{n} stable equilibria"),
-        },
-        match (stuck, stuck < label.others.len()) {
-            (0, _) => "it is thrown out",
-            (_, false) => "friction holds it sideways at the same contact",
-            (_, true) => "friction holds it sideways at the same contact, or it is thrown out",
-        }
-    );
-    let Some(theirs) = &pose.outside else { return };
-    if off(data, &moment, theirs, full) < OTHER_BRANCH {
-        return;
+        };
+        eprintln!(
+            "twin: point {point}: no certain moment, though a frictionless groove has {stable} here: on its quick way the groove swings the wire, and the tip's friction holds it or lets it slide; history, step and MuJoCo's version decide on the moment"
+        );
     }
-    let same = label.others.iter().find(|o| off(data, &o.moment_nmm, theirs, full) < 2.0 * OTHER_BRANCH);
-    eprintln!(
-        "twin: point {point}: the session's label ({:.4}, {:.4}) N mm is {}",
-        theirs[0],
-        theirs[1],
-        same.map_or("none of these: friction holds a continuum of them".to_owned(), |o| format!(
-            "that {}",
-            o.way
-        ))
-    );
 }
 
 /// Median and largest, and where that is.
@@ -208,29 +180,25 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
         eprintln!("twin: {line}");
         lines.push(line);
     };
-    let several: Vec<&Pose<'_>> = poses.iter().filter(|p| !p.label.others.is_empty()).collect();
-    let points = |of: &[&Pose<'_>]| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
-    say(format!(
-        "{} of {} poses have several places of rest: {}",
-        several.len(),
-        poses.len(),
-        points(&several)
-    ));
-    let labelled: Vec<(&Pose<'_>, f64)> = poses
-        .iter()
-        .filter_map(|p| Some((p, off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full))))
-        .collect();
-    if !labelled.is_empty() {
-        let (near, far): (Vec<(&Pose<'_>, f64)>, Vec<_>) =
-            labelled.iter().copied().partition(|(_, off)| *off < OTHER_BRANCH);
-        let largest = near.iter().map(|n| n.1).fold(0.0, f64::max);
-        let told = far.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
-        let false_alarms = near.iter().filter(|(p, _)| !p.label.others.is_empty()).count();
+    let points = |of: Vec<&Pose<'_>>| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
+    let (sure, unsure): (Vec<&Pose<'_>>, Vec<&Pose<'_>>) = poses.iter().partition(|p| p.label.certain());
+    say(match unsure.len() {
+        0 => format!("the wire rests in one place at each of {} poses", poses.len()),
+        n => format!("{n} of {} poses have no certain moment: {}", poses.len(), points(unsure.clone())),
+    });
+    // Largest difference of these poses from the session's labels, and how many there are.
+    let agreement = |of: &[&Pose<'_>]| {
+        let offs = of.iter().filter_map(|p| Some(off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full)));
+        offs.fold((0, 0.0_f64), |(n, most), off| (n + 1, most.max(off)))
+    };
+    let [(labels, most), (others, beyond)] = [agreement(&sure), agreement(&unsure)];
+    if labels + others > 0 {
+        let rest = match others {
+            0 => String::new(),
+            n => format!("; those of the {n} without a certain moment, within {beyond:.1e}"),
+        };
         say(format!(
-            "{} of {} labels of the session agree, within {largest:.1e} of full scale; of the {} others {told} were told without the labels to have several places of rest, and {false_alarms} of those that agree",
-            near.len(),
-            labelled.len(),
-            far.len()
+            "{labels} labels of the session, at poses with a certain moment: within {most:.1e} of full scale{rest}"
         ));
     }
     let worst = |of: &dyn Fn(&PoseLabel) -> f64| {
@@ -247,10 +215,9 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
         worst(&|l| l.overlap_mm)
     ));
     // Only on our branch: elsewhere a difference is no error of the twin's.
-    let sure: Vec<&Pose<'_>> =
-        poses.iter().filter(|p| p.label.others.is_empty() && p.label.arclength_mm.is_some()).collect();
     let all: Vec<TipPose> = sure
         .iter()
+        .filter(|p| p.label.arclength_mm.is_some())
         .filter_map(|p| {
             Some(TipPose { point: p.point, ideal: p.ideal_nmm?, own: p.label.moment_nmm?, tip: p.tip })
         })

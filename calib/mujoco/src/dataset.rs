@@ -127,8 +127,8 @@ impl Total {
     }
 }
 
-/// The rod's centre line between its links: tables made with another one are not the same.
-const CENTRE_LINE: &str = "spline of third order";
+/// How the rod is solved: its centre line between the links, and its contacts. Tables made otherwise are not the same.
+const SOLVED: &str = "spline of third order, facets kept";
 
 impl Dataset {
     /// Names of this share's shards, with object and first sweep, in a fixed order.
@@ -142,8 +142,8 @@ impl Dataset {
     /// SHA-256 of what an object's tables follow from.
     fn made_from(&self, mesh: &Mesh) -> String {
         let engine = match &self.engine {
-            SweepEngine::Rod => format!("rod {LINKS} {CENTRE_LINE}"),
-            SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS} {CENTRE_LINE}"),
+            SweepEngine::Rod => format!("rod {LINKS} {SOLVED}"),
+            SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS} {SOLVED}"),
         };
         let mut bytes = format!("{engine} {:?} {:?} {}", self.whisker, self.plan, self.seed).into_bytes();
         for p in mesh.points() {

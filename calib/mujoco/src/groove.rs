@@ -24,6 +24,9 @@ pub(crate) const START_MM: [f64; 3] = [0.0, 7.855, 0.0];
 /// Tip's body and the root in the world, mm.
 const TIP_MM: [f64; 3] = [0.0, 65.383, 25.85];
 const ROOT_MM: [f64; 3] = [0.0, 0.0, 50.0];
+/// Mass of the tip, kg: the released model counts its parts and its picture. It only slides; how it swings in decides where friction holds
+/// the wire.
+const TIP_KG: f64 = 0.037_658_68;
 /// Vertices of the cable that stands for an arc.
 const VERTICES: usize = 40;
 /// Joint damping (N m s/rad) and armature (kg m^2) as released.
@@ -63,16 +66,17 @@ pub(crate) fn released_from(whisker: &WhiskerSpec) -> Matrix3<f64> {
     }
 }
 
-/// The bench as a model; `touch` of wire and groove, and damping over the released one.
+/// The bench as a model; `touch` of wire and groove.
 ///
 /// # Errors
 /// Where the wire cannot be.
-pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch, damping: f64) -> Result<String, TwinError> {
+pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<String, TwinError> {
     let [assets, geoms] = convex_parts("tip", &tip_parts()?, &touch);
     let place = |p: [f64; 3]| format!("{} {} {}", p[0] * 1e-3, p[1] * 1e-3, p[2] * 1e-3);
     let mut around = Surroundings {
         bodies: format!(
-            "<body name=\"tip\" pos=\"{}\" quat=\"0.7071 0.7071 0 0\">\
+            "<body name=\"tip\" pos=\"{}\" quat=\"0.7071068 0.7071068 0 0\">\
+             <inertial pos=\"0 0 0\" mass=\"{TIP_KG}\" diaginertia=\"1e-5 1e-5 1e-5\"/>\
              <joint name=\"tipx\" type=\"slide\" axis=\"1 0 0\" damping=\"100\"/>\
              <joint name=\"tipz\" type=\"slide\" axis=\"0 0 1\" damping=\"100\"/>\
              <joint name=\"tipy\" type=\"slide\" axis=\"0 1 0\" damping=\"100\"/>{geoms}</body>",
@@ -91,10 +95,10 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch, damping: f64) 
             )));
             around.base[0] = format!("pos=\"{}\" quat=\"{} {} {} {}\"", place(ROOT_MM), q.w, q.i, q.j, q.k);
             let usual = paper_options(whisker);
-            let options = MjcfOptions { damping_s: damping * usual.damping_s, touch, ..usual };
+            let options = MjcfOptions { touch, ..usual };
             mjcf_among(whisker, &options, &around)
         }
-        Preset::Released => released(whisker, around, &place(ROOT_MM), &touch, damping * RELEASED_DAMPING),
+        Preset::Released => released(whisker, around, &place(ROOT_MM), &touch),
     }
 }
 
@@ -118,7 +122,6 @@ fn released(
     around: Surroundings,
     root: &str,
     touch: &Touch,
-    damping: f64,
 ) -> Result<String, TwinError> {
     let turn = released_from(whisker);
     let vertices: Vec<Vector3<f64>> = match &whisker.rest_shape {
@@ -144,7 +147,7 @@ fn released(
          <composite prefix=\"w\" type=\"cable\" vertex=\"{text}\" initial=\"none\">\
          <plugin plugin=\"mujoco.elasticity.cable\"><config key=\"twist\" value=\"{}\"/><config key=\"bend\" value=\"{}\"/>\
          <config key=\"flat\" value=\"false\"/></plugin>\
-         <joint kind=\"main\" damping=\"{damping}\" armature=\"{RELEASED_ARMATURE}\"/>\
+         <joint kind=\"main\" damping=\"{RELEASED_DAMPING}\" armature=\"{RELEASED_ARMATURE}\"/>\
          <geom type=\"capsule\" size=\"{}\" density=\"{density}\" contype=\"1\" conaffinity=\"2\" {}/></composite></body>{bodies}</worldbody>\
          {tail}<sensor><torque name=\"torque\" site=\"wS_first\"/></sensor></mujoco>",
         whisker.shear_gpa * 1e9,

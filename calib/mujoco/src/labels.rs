@@ -1,9 +1,8 @@
 //! Base moments at the poses of a calibration by MuJoCo's groove bench, and what they hang on.
 //!
-//! The groove runs from pose to pose in a tenth of a second; what the wire does on the way depends on its damping. Where it swings
-//! sideways, the tip's friction holds it there, at the same place of the wire but with another moment; where it is thrown out, it is
-//! free. MuJoCo's version, its step and its history decide: such poses are found, without any label, by running the same trajectories
-//! with less damping and by coming to each pose straight from the start.
+//! The poses are run as released. The groove goes from pose to pose in a quarter of a second, and where the wire is held near its tip it
+//! swings sideways: it still slides over the tip when the moment is read, and MuJoCo's version and step decide how far it has come. Such
+//! poses are told without any label: the wire is not at rest, or it rests elsewhere when the groove comes straight from the start.
 
 use crate::engine::protocol::{Frame, Request};
 use crate::groove::{Preset, START_MM, bench, released_from};
@@ -11,7 +10,6 @@ use crate::mjcf::Touch;
 use crate::{MujocoEngine, TwinError};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
-use std::fmt::{Display, Formatter};
 use wcal_core::observation::WhiskerSpec;
 
 /// Retreat before each trajectory, along y, mm.
@@ -19,8 +17,10 @@ const RETREAT_MM: f64 = 60.0;
 /// A pose counts as reached when the tip moves less than this in ten steps, mm.
 const REACHED_MM: f64 = 1e-3;
 const MOST_STEPS: u64 = 20_000;
-/// Most steps that settle a pose, and the fastest joint (rad/s) below which nothing moves any more.
-const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 1e-5 };
+/// Way beyond the last pose to which the released program retreats between trajectories, m.
+const RELEASED_RETREAT_M: f64 = 0.06;
+/// Steps that settle a pose in the released program: all of them, at rest or not.
+const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 0.0 };
 /// The same on another way, where other equilibria are told from this one, and at the smooth tip, whose moments are compared.
 const AGAIN: Settle = Settle { steps: 2500, rest_rad_s: 3e-3 };
 const SMOOTH: Settle = Settle { steps: 2500, rest_rad_s: 3e-4 };
@@ -30,8 +30,6 @@ const LOOK_STEPS: u64 = 250;
 const REST_RAD_S: f64 = 1e-3;
 /// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
 const ELSEWHERE: [f64; 2] = [0.05, 0.02];
-/// Damping with which the trajectories are run again, over the stated one.
-const LESS_DAMPING: [f64; 2] = [0.7, 0.5];
 /// Share of steps with a change between touching and free past which a settled wire chatters.
 const CHATTER: f64 = 0.02;
 
@@ -42,29 +40,9 @@ struct Settle {
     rest_rad_s: f64,
 }
 
-/// How a pose was come to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Way {
-    /// Straight from the start, past the places between.
-    Straight,
-    /// Along the trajectory with this share of the damping.
-    LessDamping(f64),
-}
-
-impl Display for Way {
-    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Straight => write!(f, "come to straight from the start"),
-            Self::LessDamping(share) => write!(f, "with {share} of the damping"),
-        }
-    }
-}
-
-/// Where the wire came to rest on another way.
+/// Where the wire came to rest when the groove came straight from the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Other {
-    /// The way.
-    pub way: Way,
     /// r x F, N mm, session's base frame.
     pub moment_nmm: Vector3<f64>,
     /// Arc length of the contact, mm; none: the wire came free.
@@ -88,8 +66,16 @@ pub struct PoseLabel {
     pub chatters: bool,
     /// Whether the wire came to rest.
     pub settled: bool,
-    /// Other places at which it rests at this pose, by the way there.
-    pub others: Vec<Other>,
+    /// Another place at which it rests at this pose.
+    pub elsewhere: Option<Other>,
+}
+
+impl PoseLabel {
+    /// Whether the moment hangs on neither history nor version.
+    #[must_use]
+    pub fn certain(&self) -> bool {
+        self.settled && self.moment_nmm.is_some() && self.elsewhere.is_none()
+    }
 }
 
 /// Moments at a pose as the tip's ways of being real are added to the ideal contact, N mm; none where the wire is not held.
@@ -111,20 +97,17 @@ pub fn labels(
     trajectories: &[Vec<Vector3<f64>>],
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     let touch = Touch::RELEASED;
-    let mut labels = run(whisker, preset, touch, 1.0, trajectories, SETTLE, false)?;
-    let mut compare = |way: Way, found: Vec<Vec<PoseLabel>>| {
-        for (label, other) in labels.iter_mut().flatten().zip(found.into_iter().flatten()) {
-            if let (Some(here), Some(there)) = (label.moment_nmm, other.moment_nmm)
-                && (there - here).norm() > ELSEWHERE[0] * here.norm() + ELSEWHERE[1]
-            {
-                label.others.push(Other { way, moment_nmm: there, arclength_mm: other.arclength_mm });
-            }
+    let (labels, straight) = rayon::join(
+        || released(whisker, preset, trajectories),
+        || run(whisker, preset, touch, trajectories, AGAIN, true),
+    );
+    let mut labels = labels?;
+    for (label, other) in labels.iter_mut().flatten().zip(straight?.into_iter().flatten()) {
+        if let (Some(here), Some(there)) = (label.moment_nmm, other.moment_nmm)
+            && (there - here).norm() > ELSEWHERE[0] * here.norm() + ELSEWHERE[1]
+        {
+            label.elsewhere = Some(Other { moment_nmm: there, arclength_mm: other.arclength_mm });
         }
-    };
-    compare(Way::Straight, run(whisker, preset, touch, 1.0, trajectories, AGAIN, true)?);
-    for share in LESS_DAMPING {
-        let found = run(whisker, preset, touch, share, trajectories, AGAIN, false)?;
-        compare(Way::LessDamping(share), found);
     }
     Ok(labels)
 }
@@ -140,7 +123,7 @@ pub fn tip(
 ) -> Result<Vec<Vec<Tip>>, TwinError> {
     let with = |touch: Touch| {
         let touch = Touch { friction: 0.0, ..touch };
-        run(whisker, preset, touch, 1.0, trajectories, SMOOTH, false)
+        run(whisker, preset, touch, trajectories, SMOOTH, false)
     };
     let (hard, soft) = (with(Touch::default())?, with(Touch::RELEASED)?);
     let held = |label: &PoseLabel| label.moment_nmm.filter(|_| label.arclength_mm.is_some());
@@ -148,34 +131,60 @@ pub fn tip(
     Ok(hard.iter().zip(&soft).map(|(a, b)| a.iter().zip(b).map(pose).collect()).collect())
 }
 
+/// The trajectories as the released program ran them: one after the other, the wire's motion carried on, which decides where friction
+/// holds it. Between them the groove goes ten steps out for every step back, until that stands still, then to its start.
+fn released(
+    whisker: &WhiskerSpec,
+    preset: Preset,
+    trajectories: &[Vec<Vector3<f64>>],
+) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
+    let mut bench = Bench::start(whisker, preset, Touch::RELEASED)?;
+    let mut last = Vector3::<f64>::zeros();
+    let mut labels = Vec::with_capacity(trajectories.len());
+    for (t, places) in trajectories.iter().enumerate() {
+        let retreat = if t == 0 { Vec::new() } else { vec![0.0, -last.y - RELEASED_RETREAT_M, 0.0] };
+        bench.control(vec![0.0; 3], retreat, true)?;
+        bench.engine.frame(&Request::Run { steps: SETTLE.steps })?;
+        let mut found = Vec::with_capacity(places.len());
+        for place in places {
+            let place = bench.turn * place;
+            last = way_m(&place);
+            found.push(bench.label(&place, SETTLE, true)?);
+        }
+        labels.push(found);
+    }
+    Ok(labels)
+}
+
+/// Way of the groove from its start, m.
+fn way_m(place_mm: &Vector3<f64>) -> Vector3<f64> {
+    (place_mm - Vector3::from(START_MM)) * 1e-3
+}
+
 /// Runs the trajectories; `straight`: from the start to each place, without those between.
 fn run(
     whisker: &WhiskerSpec,
     preset: Preset,
     touch: Touch,
-    damping: f64,
     trajectories: &[Vec<Vector3<f64>>],
     settle: Settle,
     straight: bool,
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
-    let xml = bench(whisker, preset, touch, damping)?;
-    let turn = released_from(whisker);
     trajectories
         .par_iter()
         .map(|places| {
             if places.is_empty() {
                 return Ok(Vec::new());
             }
-            let mut engine = MujocoEngine::start()?;
-            engine.load(&xml, preset == Preset::Released)?;
-            let mut bench = Bench { engine, turn };
+            let mut bench = Bench::start(whisker, preset, touch)?;
             bench.begin()?;
             let mut labels = Vec::with_capacity(places.len());
             for (k, place) in places.iter().enumerate() {
                 if straight && k > 0 {
                     bench.begin()?;
                 }
-                labels.push(bench.label(&(turn * place), settle)?);
+                let place = bench.turn * place;
+                labels.push(bench.label(&place, settle, false)?);
             }
             Ok(labels)
         })
@@ -189,27 +198,42 @@ struct Bench {
 }
 
 impl Bench {
-    fn go(&mut self, place_mm: &Vector3<f64>) -> Result<Frame, TwinError> {
-        let way = (place_mm - Vector3::from(START_MM)) * 1e-3;
-        let control = vec![way.x, -way.y, way.z];
-        let reached = Request::Control {
+    fn start(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Self, TwinError> {
+        let mut engine = MujocoEngine::start()?;
+        engine.load(&bench(whisker, preset, touch)?, preset == Preset::Released)?;
+        Ok(Self { engine, turn: released_from(whisker) })
+    }
+
+    fn control(&mut self, control: Vec<f64>, retreat: Vec<f64>, goes_on: bool) -> Result<Frame, TwinError> {
+        self.engine.frame(&Request::Control {
             control,
+            retreat,
+            goes_on,
             body: "tip".to_owned(),
             moved_m: REACHED_MM * 1e-3,
             steps: MOST_STEPS,
-        };
-        self.engine.frame(&reached)
+        })
+    }
+
+    fn go(&mut self, place_mm: &Vector3<f64>, goes_on: bool) -> Result<Frame, TwinError> {
+        let way = way_m(place_mm);
+        self.control(vec![way.x, -way.y, way.z], Vec::new(), goes_on)
     }
 
     /// From the free wire: the groove retreats, then comes to the trajectories' start.
     fn begin(&mut self) -> Result<(), TwinError> {
         self.engine.frame(&Request::Reset)?;
-        self.go(&(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM))?;
-        self.go(&Vector3::from(START_MM)).map(drop)
+        self.go(&(Vector3::from(START_MM) + Vector3::y() * RETREAT_MM), false)?;
+        self.go(&Vector3::from(START_MM), false).map(drop)
     }
 
-    fn label(&mut self, place_mm: &Vector3<f64>, settle: Settle) -> Result<PoseLabel, TwinError> {
-        self.go(place_mm)?;
+    fn label(
+        &mut self,
+        place_mm: &Vector3<f64>,
+        settle: Settle,
+        goes_on: bool,
+    ) -> Result<PoseLabel, TwinError> {
+        self.go(place_mm, goes_on)?;
         let mut frames: Vec<Frame> = Vec::new();
         let looks = settle.steps / LOOK_STEPS;
         while (frames.len() as u64) < looks {
@@ -236,7 +260,7 @@ impl Bench {
             creep_nmm: before.zip(moment).map_or(f64::NAN, |(a, b)| (b - a).norm()),
             chatters: toggles > CHATTER * steps,
             settled: frame.fastest < REST_RAD_S && !frame.bad,
-            others: Vec::new(),
+            elsewhere: None,
         })
     }
 

@@ -4,9 +4,9 @@ use crate::TwinError;
 use crate::grid::Grid;
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
-use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::query::{PointProjection, PointQueryWithLocation};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use wcal_rod::Near;
 
@@ -33,6 +33,8 @@ pub struct Mesh {
     /// What is remarkable, in words: open edges, another unit.
     pub notes: Vec<String>,
     surface: TriMesh,
+    /// Its closed bodies one by one, where there are several: where they overlap, the nearest face may be one that lies within another.
+    bodies: Vec<TriMesh>,
     grid: Grid,
 }
 
@@ -67,11 +69,28 @@ impl Mesh {
             triangles.iter_mut().for_each(|t| t.swap(1, 2));
             notes.push("normals pointed inward: turned round".to_owned());
         }
-        let places = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
-        let surface = TriMesh::with_flags(places, triangles, TriMeshFlags::ORIENTED)
-            .map_err(|e| refuse("a mesh that can be searched", e.to_string()))?;
+        let places: Vec<Place> = points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect();
+        let searchable = |triangles: Vec<[u32; 3]>| {
+            TriMesh::with_flags(places.clone(), triangles, TriMeshFlags::ORIENTED)
+                .map_err(|e| refuse("a mesh that can be searched", e.to_string()))
+        };
+        let pieces = if notes.is_empty() { pieces(points.len(), &triangles) } else { Vec::new() };
+        let mut bodies = Vec::new();
+        if pieces.len() > 1 {
+            // A piece turned inside out is a cavity.
+            let solid = pieces.iter().filter(|piece| volume_mm3(&points, piece) > 0.0).count();
+            if solid == pieces.len() {
+                bodies = pieces.into_iter().map(searchable).collect::<Result<_, _>>()?;
+            } else if solid > 1 {
+                notes.push(format!(
+                    "{solid} closed bodies and {} cavities: where they overlap, inside and outside may be mistaken",
+                    pieces.len() - solid
+                ));
+            }
+        }
+        let surface = searchable(triangles)?;
         let grid = Grid::new(&low_mm, &high_mm);
-        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, grid })
+        Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, bodies, grid })
     }
 
     /// From an STL file. Metres taken for millimetres are told by the size and said in `notes`.
@@ -128,10 +147,30 @@ impl Mesh {
 
     /// Distance wherever the point is.
     fn signed_distance_mm(&self, p: &Vector3<f64>) -> Option<f64> {
-        let (found, _) =
-            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, f64::MAX)?;
+        let (found, _, _) = self.nearest(p, f64::MAX)?;
         let size = (p - vector(found.point)).norm();
         Some(if found.is_inside { -size } else { size })
+    }
+
+    /// Nearest place of the surface, or of the body in which the point is deepest, with the mesh that it is on.
+    fn nearest(
+        &self,
+        p: &Vector3<f64>,
+        search_mm: f64,
+    ) -> Option<(PointProjection, (u32, TrianglePointLocation), &TriMesh)> {
+        let within = |mesh: &TriMesh, search_mm: f64| {
+            mesh.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)
+        };
+        let (found, at) = within(&self.surface, search_mm)?;
+        if found.is_inside || self.bodies.is_empty() {
+            return Some((found, at, &self.surface));
+        }
+        let deep = |(found, ..): &(PointProjection, _, _)| (p - vector(found.point)).norm();
+        let around = self.bodies.iter().filter(|body| body.local_aabb().contains_local_point(place(p)));
+        let inside = around
+            .filter_map(|body| within(body, f64::MAX).map(|(found, at)| (found, at, body)))
+            .filter(|(found, ..)| found.is_inside);
+        inside.max_by(|a, b| deep(a).total_cmp(&deep(b))).or(Some((found, at, &self.surface)))
     }
 
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
@@ -167,8 +206,7 @@ impl Mesh {
             }
             search_mm = search_mm.min(most);
         }
-        let (found, (triangle, feature)) =
-            self.surface.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)?;
+        let (found, (triangle, feature), surface) = self.nearest(p, search_mm)?;
         let point_mm = vector(found.point);
         let off = p - point_mm;
         let size = off.norm();
@@ -177,7 +215,7 @@ impl Mesh {
             return None;
         }
         if size < ON_SURFACE_MM {
-            let normal = self.surface.triangle(triangle).normal().map_or_else(Vector3::x, vector);
+            let normal = surface.triangle(triangle).normal().map_or_else(Vector3::x, vector);
             return Some(Near { distance_mm, normal, point_mm, second_per_mm: Matrix3::zeros() });
         }
         let normal = off / distance_mm;
@@ -186,7 +224,7 @@ impl Mesh {
             TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => Matrix3::zeros(),
             TrianglePointLocation::OnVertex(_) => Matrix3::identity() - normal * normal.transpose(),
             TrianglePointLocation::OnEdge(k, _) => {
-                let corners = self.surface.triangle(triangle).vertices().map(vector);
+                let corners = surface.triangle(triangle).vertices().map(vector);
                 let edge = (corners[(k as usize + 1) % 3] - corners[k as usize]).normalize();
                 let side = edge.cross(&normal);
                 side * side.transpose()
@@ -225,6 +263,31 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
     let triangles: Vec<[u32; 3]> =
         triangles.iter().map(|t| t.map(|k| place[k as usize])).filter(|t| area(t) > 0.0).collect();
     (kept, triangles)
+}
+
+/// Triangles that hang together by their corners.
+fn pieces(points: usize, triangles: &[[u32; 3]]) -> Vec<Vec<[u32; 3]>> {
+    // Each corner's way to the one that stands for its piece.
+    let mut parent: Vec<u32> = (0..points as u32).collect();
+    fn root(parent: &mut [u32], mut k: u32) -> u32 {
+        while parent[k as usize] != k {
+            parent[k as usize] = parent[parent[k as usize] as usize];
+            k = parent[k as usize];
+        }
+        k
+    }
+    for t in triangles {
+        let a = root(&mut parent, t[0]);
+        for k in &t[1..] {
+            let b = root(&mut parent, *k);
+            parent[b as usize] = a;
+        }
+    }
+    let mut pieces: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for t in triangles {
+        pieces.entry(root(&mut parent, t[0])).or_default().push(*t);
+    }
+    pieces.into_values().collect()
 }
 
 /// Volume that a closed surface encloses, mm^3; negative where its normals point inward.

@@ -38,6 +38,8 @@ pub struct MjcfOptions {
 pub struct Touch {
     /// Coefficient of friction; 0: none.
     pub friction: f64,
+    /// Friction against turning about the normal and against rolling, m.
+    pub turning_m: [f64; 2],
     /// Time constant of the contact's spring, s.
     pub time_s: f64,
     /// Impedance at touch and at `width_mm`.
@@ -51,22 +53,36 @@ pub struct Touch {
 impl Default for Touch {
     /// Hard: what a metal wire on a solid does.
     fn default() -> Self {
-        Self { friction: 0.2, time_s: 2e-3, impedance: [0.95, 0.99], width_mm: 0.1, bend: [0.5, 2.0] }
+        Self {
+            friction: 0.2,
+            turning_m: [5e-3, 1e-4],
+            time_s: 2e-3,
+            impedance: [0.95, 0.99],
+            width_mm: 0.1,
+            bend: [0.5, 2.0],
+        }
     }
 }
 
 impl Touch {
     /// As released with the paper (SYSTEM, Twin: Cable).
-    pub const RELEASED: Self =
-        Self { friction: 0.2, time_s: 2e-3, impedance: [0.15, 0.4], width_mm: 4.0, bend: [0.9, 6.0] };
+    pub const RELEASED: Self = Self {
+        friction: 0.2,
+        turning_m: [1e-4; 2],
+        time_s: 2e-3,
+        impedance: [0.15, 0.4],
+        width_mm: 4.0,
+        bend: [0.9, 6.0],
+    };
 
     /// Attributes of a geom.
     #[must_use]
     pub fn attributes(&self) -> String {
-        let Self { friction, time_s, impedance: [d0, most], width_mm, bend: [middle, power] } = self;
+        let Self { friction, turning_m: [turn, roll], time_s, impedance: [d0, most], width_mm, bend } = self;
+        let [middle, power] = bend;
         let kind = if *friction > 0.0 { 6 } else { 1 };
         format!(
-            "condim=\"{kind}\" friction=\"{friction}\" solref=\"{time_s} 1\" solimp=\"{d0} {most} {} {middle} {power}\"",
+            "condim=\"{kind}\" friction=\"{friction} {turn} {roll}\" solref=\"{time_s} 1\" solimp=\"{d0} {most} {} {middle} {power}\"",
             width_mm * 1e-3
         )
     }

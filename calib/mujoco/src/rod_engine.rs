@@ -17,7 +17,7 @@ pub const LINKS: usize = 40;
 const STEP_MM: f64 = 1.0;
 const HALVINGS: u32 = 2;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
-const NEWTON_STEPS: usize = 25;
+const NEWTON_STEPS: usize = 60;
 const SOFT_STEPS: usize = 400;
 /// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled, and the share of such samples
 /// with which a sweep is kept.
@@ -258,14 +258,15 @@ impl Way<'_> {
     /// Follows the equilibrium; false where it is lost for good.
     fn go_to(&mut self, travel_mm: f64) -> bool {
         (self.sprung, self.settled) = (false, true);
-        let mut halvings = 0;
+        let mut halvings = 0_u32;
         while travel_mm - self.travel_mm > 1e-12 {
             let step_mm = (STEP_MM / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
             let next_mm = self.travel_mm + step_mm;
             let moved = Vector3::new(0.0, 0.0, -step_mm);
             self.load();
             let mut next = self.press(next_mm, &moved, false);
-            let softly = !next.converged && halvings == HALVINGS;
+            let halvable = step_mm > STEP_MM / f64::from(1 << HALVINGS);
+            let softly = !next.converged && !halvable;
             if softly {
                 next = self.press(next_mm, &moved, true);
             }
@@ -274,8 +275,11 @@ impl Way<'_> {
             let largest = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let springs = largest > SPRING_MM + 3.0 * step_mm;
             // Smaller steps tell a spring from a step that was too long.
-            if (!next.converged || springs) && halvings < HALVINGS {
-                halvings += 1;
+            if (!next.converged || springs) && halvable {
+                // What is left of the way may be shorter than a halved step: the same again would fail again.
+                while STEP_MM / f64::from(1 << halvings) >= step_mm {
+                    halvings += 1;
+                }
                 continue;
             }
             self.sprung |= springs;

@@ -218,6 +218,10 @@ impl<'a> Passing<'a> {
 }
 
 impl Surface for Passing<'_> {
+    fn faceted(&self) -> bool {
+        true
+    }
+
     fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
         let place = self.sweep.turn.tr_mul(&(p - shift));

@@ -3,6 +3,7 @@
 use crate::native::{self, PLUGIN};
 use mujoco_rs::prelude::*;
 use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
 use std::sync::Once;
 use wcal_mujoco::engine::protocol::{Frame, Loaded, Reply, Request, Series, Touching};
 use wcal_mujoco::physics::Surroundings;
@@ -27,10 +28,15 @@ struct Model {
     sensor_site: Option<usize>,
     tip: Option<usize>,
     since: Since,
+    /// Last places of the body that [`Request::Control`] watches, m.
+    recent: VecDeque<Vector3<f64>>,
     bad: bool,
     /// What surrounds the wire, and the middles of its links at the step before, m.
     medium: Option<(Surroundings, Vec<Vector3<f64>>)>,
 }
+
+/// Places of a watched body that are kept.
+const RECENT: usize = 10;
 
 /// Extremes since the last frame.
 #[derive(Default)]
@@ -100,6 +106,7 @@ impl Model {
             sensor_site,
             tip,
             since: Since::default(),
+            recent: VecDeque::new(),
             bad: false,
             medium: None,
         })
@@ -122,20 +129,24 @@ impl Model {
                 self.data.qpos_mut()[position] = start + (speed_m_s + 0.5 * acceleration_m_s2 * t) * t;
                 self.data.qvel_mut()[speed] = speed_m_s + acceleration_m_s2 * t;
             }
-            Request::Control { control, body, moved_m, steps } => {
-                let at = self.data.ctrl_mut();
-                if at.len() != control.len() {
-                    return Err(format!("expected {} control values, found {}", at.len(), control.len()));
-                }
-                at.copy_from_slice(control);
+            Request::Control { control, retreat, goes_on, body, moved_m, steps } => {
                 let body = self.body(body)?;
-                let mut left = *steps;
-                while left > 0 {
-                    let before = Vector3::from(self.data.xpos()[body]);
-                    let some = left.min(10);
-                    (0..some).for_each(|_| self.step());
-                    left -= some;
-                    if (Vector3::from(self.data.xpos()[body]) - before).norm() < *moved_m {
+                if !*goes_on {
+                    self.recent.clear();
+                }
+                for _ in 0..*steps {
+                    self.step();
+                    if !retreat.is_empty() {
+                        self.control(retreat)?;
+                        (0..RECENT).for_each(|_| self.step());
+                    }
+                    self.control(control)?;
+                    self.recent.push_back(Vector3::from(self.data.xpos()[body]));
+                    if self.recent.len() > RECENT {
+                        self.recent.pop_front();
+                    }
+                    let way = self.recent.front().zip(self.recent.back()).map(|(a, b)| (b - a).norm());
+                    if self.recent.len() == RECENT && way.is_some_and(|way| way < *moved_m) {
                         break;
                     }
                 }
@@ -172,6 +183,7 @@ impl Model {
                 self.data.reset();
                 self.data.forward();
                 self.since = Since::default();
+                self.recent.clear();
                 let middles = self.middles();
                 if let Some((_, before)) = &mut self.medium {
                     *before = middles;
@@ -182,6 +194,15 @@ impl Model {
             }
         }
         Ok(Reply::Frame(self.frame()))
+    }
+
+    fn control(&mut self, values: &[f64]) -> Result<(), String> {
+        let at = self.data.ctrl_mut();
+        if at.len() != values.len() {
+            return Err(format!("expected {} control values, found {}", at.len(), values.len()));
+        }
+        at.copy_from_slice(values);
+        Ok(())
     }
 
     fn body(&self, name: &str) -> Result<usize, String> {

@@ -9,7 +9,7 @@ use wcal_mujoco::convex::Convex;
 use wcal_mujoco::dynamics::{Parameters, Targets, fit_dynamics, record};
 use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::Preset;
-use wcal_mujoco::labels::{Way, labels};
+use wcal_mujoco::labels::labels;
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_mujoco::rod_engine::LINKS;
@@ -57,7 +57,7 @@ fn statics_tend_to_the_rods_with_second_order() {
 }
 
 #[test]
-fn a_released_label_is_reproduced_and_one_on_another_equilibrium_is_not() {
+fn a_released_label_is_reproduced_and_one_whose_wire_still_swings_is_told() {
     if !ready() {
         return;
     }
@@ -82,14 +82,15 @@ fn a_released_label_is_reproduced_and_one_on_another_equilibrium_is_not() {
     let known = rows("twin.csv");
     let [sure, unsure] = &found[0][..] else { panic!("{found:?}") };
     let [sure_nmm, unsure_nmm] = [sure, unsure].map(|l| l.moment_nmm.unwrap());
-    // Full scale of the released labels: 7 N mm. The twin reports minus (position x force).
+    // 1e-3 of the labels' own span. The twin reports minus (position x force).
     for (axis, column) in [(0, 1), (2, 2)] {
-        assert!((-sure_nmm[axis] - known[9][column]).abs() < 7e-3, "{sure:?}");
+        assert!((-sure_nmm[axis] - known[9][column]).abs() < 3e-3, "{sure:?}");
     }
-    assert!(sure.settled && !sure.chatters && sure.others.is_empty(), "{sure:?}");
-    // Without the labels: with half of the damping the groove's travel throws the wire out of its vertex.
-    assert!(unsure.others.iter().any(|o| o.way == Way::LessDamping(0.5)), "{unsure:?}");
-    assert!((-unsure_nmm.x - known[11][1]).abs() > 0.1, "{unsure:?}");
+    assert!(sure.certain() && !sure.chatters, "{sure:?}");
+    // Without the labels: the wire swings, and straight from the start it comes free.
+    assert!(!unsure.certain() && unsure.elsewhere.is_some(), "{unsure:?}");
+    // Negative control: its label is missed.
+    assert!((-unsure_nmm.x - known[11][1]).abs() > 3e-3, "{unsure:?}");
 }
 
 #[test]
@@ -160,15 +161,14 @@ fn ring_down_and_speed_bias_grow_with_the_damping() {
     assert_eq!(of(0.005), slack);
 }
 
-/// A known wire is fitted to its own record, its contact far from the one that the search starts from: what the fit says is determined
-/// comes back to a step of the grid, the rest is named.
+/// A known wire is fitted to its own record, its damping between two of the grid's steps and its contact far from the one that the search
+/// starts from: what the fit says is determined comes back to a step of the grid, the rest is named.
 #[test]
-#[ignore = "minutes of trials; not yet seen to its end"]
 fn the_fit_of_damping_and_contact_finds_what_it_says_it_can() {
     if !ready() {
         return;
     }
-    let known = Parameters { damping_nms_rad: 0.005, width_mm: 4.0, d0: 0.93, dmax: 0.99 };
+    let known = Parameters { damping_nms_rad: 0.0035, width_mm: 4.0, d0: 0.93, dmax: 0.99 };
     let fit = fit_dynamics(&whisker(), record(&whisker(), &known).unwrap(), 10, |_| {}).unwrap();
     let (p, loose) = (&fit.trials[fit.best].parameters, fit.sensitivity.undetermined());
     eprintln!("{p:?} {:?}; not determined: {loose:?}", fit.sensitivity);
@@ -182,6 +182,8 @@ fn the_fit_of_damping_and_contact_finds_what_it_says_it_can() {
         let within = step * (2.0 * fit.sensitivity.together_steps[sd]).max(1.0);
         assert!(off.abs() < within, "{name}: {p:?} {:?}", fit.sensitivity);
     }
+    // Nearer than the grid alone comes, which is off by 0.0015.
+    assert!((p.damping_nms_rad - known.damping_nms_rad).abs() < 0.0014, "{p:?}");
     assert!(!loose.contains(&"damping") && loose.len() < 4, "negative control: {loose:?}");
 }
 

@@ -25,15 +25,19 @@ pub enum Request {
         /// Steps.
         steps: u64,
     },
-    /// Steps under new control values until the body moves less than `moved_m` in ten steps.
+    /// Steps under new control values until the body has moved by less than `moved_m` over the last ten of them.
     Control {
         /// One an actuator.
         control: Vec<f64>,
+        /// Control values of ten more steps after each; empty: none. The body then ends near there.
+        retreat: Vec<f64>,
+        /// Whether the places before the request count among the ten.
+        goes_on: bool,
         /// Body that is watched.
         body: String,
         /// Least movement, m.
         moved_m: f64,
-        /// Most steps.
+        /// Most steps, without those of the retreat.
         steps: u64,
     },
     /// Steps.

@@ -27,7 +27,7 @@ pub(super) struct Candidate {
     pub force_n: f64,
     /// Whether it is the lowest of the places around it: it then moves along the wire as the wire moves.
     pub slides: bool,
-    /// Whether it is a plane that a refused step ran into.
+    /// Whether it is a plane: one that a refused step ran into, or a facet that is touched and not the nearest.
     pub met: bool,
 }
 
@@ -73,9 +73,7 @@ impl Chain {
                 found.extend(lowest.map(|(spot, near)| (spot, near, true)));
             }
         }
-        let mut all = self.apart(links, found);
-        inherit(&mut all, before);
-        all
+        self.apart(links, found)
     }
 
     /// The lowest gap between two places, in links, by regula falsi and halving on its slope.
@@ -131,17 +129,5 @@ impl Chain {
             }
         }
         all
-    }
-}
-
-/// A force goes to the nearest place of the new ones.
-fn inherit(all: &mut [Candidate], before: &[Candidate]) {
-    for old in before.iter().filter(|c| c.force_n > 0.0 && !c.met) {
-        let off = |c: &Candidate| (c.spot.at - old.spot.at).abs();
-        if let Some(heir) = all.iter_mut().min_by(|a, b| off(a).total_cmp(&off(b)))
-            && off(heir) < 3.0
-        {
-            heir.force_n += old.force_n;
-        }
     }
 }

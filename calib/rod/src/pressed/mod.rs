@@ -34,6 +34,11 @@ pub struct Near {
 pub trait Surface {
     /// The surface near a point; `None` where it is farther than `within_mm`.
     fn near(&self, point_mm: &Vector3<f64>, within_mm: f64) -> Option<Near>;
+
+    /// Whether it is made of flat facets.
+    fn faceted(&self) -> bool {
+        false
+    }
 }
 
 /// A contact.
@@ -90,6 +95,11 @@ const MOST_DAMPING: f64 = 1e4;
 /// Most places that are looked at together, and the gap (mm) up to which a plane that was met counts as touched.
 const MOST_CANDIDATES: usize = 40;
 const PLANE_MM: f64 = 0.02;
+/// Places closer than this (links) whose normals differ by less are one: two facets, and others.
+const SAME_FACET: [f64; 2] = [0.05, 0.01];
+const SAME_PLACE: [f64; 2] = [0.1, 0.1];
+/// A loaded place that comes back no farther away (links) has turned to another facet; farther, it has slid.
+const TURNED_LINKS: f64 = 0.1;
 /// Gap at which the augmented Lagrangian's square is as large as its linear part, mm.
 const GAP_SCALE_MM: f64 = 0.01;
 
@@ -181,9 +191,8 @@ impl Chain {
             let links = self.turned(&state.links, &turns);
             let mut carriers = state.candidates.clone();
             carriers.iter_mut().zip(&step.forces_n).for_each(|(c, f)| c.force_n = *f);
-            let mut candidates = self.candidates(surface, &links, &carriers);
-            let met = self.still_met(&links, &carriers, &candidates);
-            candidates.extend(met);
+            let seen = self.candidates(surface, &links, &carriers);
+            let candidates = self.carried_on(surface.faceted(), &links, &carriers, seen);
             let next = State { links, candidates };
             let next_balance = self.rubbed_balance(&next.links, rubs);
             weight = step.forces_n.iter().fold(weight, |w, f| w.max(1.5 * f));
@@ -227,7 +236,8 @@ impl Chain {
         let mut learned = false;
         for c in refused.candidates.iter().filter(|c| c.gap_mm < -OVERLAP_MM && !c.met) {
             let known = |k: &Candidate| {
-                (k.spot.at - c.spot.at).abs() < 0.05 && (k.near.normal - c.near.normal).norm() < 0.01
+                (k.spot.at - c.spot.at).abs() < SAME_FACET[0]
+                    && (k.near.normal - c.near.normal).norm() < SAME_FACET[1]
             };
             if state.candidates.len() < MOST_CANDIDATES && !state.candidates.iter().any(known) {
                 let plane = Candidate { met: true, slides: false, force_n: 0.0, ..c.clone() };
@@ -247,14 +257,39 @@ impl Chain {
         plane
     }
 
-    /// Planes that carry a force and are still touched.
-    fn still_met(&self, links: &Links, carriers: &[Candidate], seen: &[Candidate]) -> Vec<Candidate> {
-        let same = |c: &Candidate| {
-            seen.iter()
-                .any(|s| (s.spot.at - c.spot.at).abs() < 0.1 && (s.near.normal - c.near.normal).norm() < 0.1)
-        };
-        let planes = carriers.iter().filter(|c| c.met && c.force_n > 0.0 && !same(c));
-        planes.map(|c| self.against_plane(links, c.clone())).filter(|c| c.gap_mm.abs() < PLANE_MM).collect()
+    /// Gives the forces of `carriers` to the places `seen` now, with the planes that are still touched and seen no more.
+    ///
+    /// Between two facets a wire's end is held by both, and the surface shows but the nearer: the other one would be lost, and the
+    /// wire hop between them for ever.
+    fn carried_on(
+        &self,
+        faceted: bool,
+        links: &Links,
+        carriers: &[Candidate],
+        mut seen: Vec<Candidate>,
+    ) -> Vec<Candidate> {
+        let places = seen.len();
+        // Facets next to each other differ by little and are two all the same; on a smooth body what is seen is where it is.
+        let close = if faceted { SAME_FACET } else { SAME_PLACE };
+        for c in carriers.iter().filter(|c| c.force_n > 0.0) {
+            let off = |s: &Candidate| (s.spot.at - c.spot.at).abs();
+            let same = |s: &Candidate| off(s) < close[0] && (s.near.normal - c.near.normal).norm() < close[1];
+            let plane = self.against_plane(links, Candidate { met: true, slides: false, ..c.clone() });
+            let touched = plane.gap_mm.abs() < PLANE_MM;
+            let known = seen[..places].iter().position(same);
+            let heir = (0..places).min_by(|&a, &b| off(&seen[a]).total_cmp(&off(&seen[b])));
+            let facet = faceted && c.near.second_per_mm == Matrix3::zeros();
+            let turned = facet && heir.is_none_or(|h| off(&seen[h]) < TURNED_LINKS);
+            if known.is_none() && touched && (c.met || turned) {
+                seen.push(plane);
+                continue;
+            }
+            let heir = heir.filter(|&h| !c.met && off(&seen[h]) < 3.0);
+            if let Some(heir) = known.filter(|_| faceted).or(heir) {
+                seen[heir].force_n += c.force_n;
+            }
+        }
+        seen
     }
 
     /// Whether the surface is where the loaded planes are.

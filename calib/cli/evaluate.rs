@@ -18,7 +18,7 @@ use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::{Card, SplitBy, load};
-use wcal_track::several::{two_contacts, weighed};
+use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_one_told};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 /// Arguments of `wcal evaluate`.
@@ -91,8 +91,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let mut methods = vec![
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),
-        ("bayes, speed known", Method::Bayes(&fine, true, settings)),
-        ("bayes", Method::Bayes(&fine, false, settings)),
+        ("bayes, speed known", Method::Bayes(&fine, true, &settings)),
+        ("bayes", Method::Bayes(&fine, false, &settings)),
         ("static inverse", Method::Static(&fine, middle)),
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];
@@ -109,6 +109,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let [seen, unseen] = [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings));
     // The limit is chosen on other objects than it is judged on.
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
+    let [seen, unseen] = [0, 1].map(|k| weighed_by_one_told(&fine, sets[k].1.values().flatten(), settings));
+    document["two_contacts_told_before"] = json!(told_before(&seen, &unseen));
     if card.split == SplitBy::Sweeps {
         document["leak"] = json!({"split": "sweeps at random", "random_split_mm": document["simulation"]["seen_mean_mm"],
             "unseen_objects_mm": document["simulation"]["unseen_mean_mm"], "interval95": {
@@ -275,6 +277,12 @@ fn print_told(document: &Value) {
     let two = &document["two_contacts"];
     if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
         println!("two contacts: F1 {f1:.2}; one contact explains {:.0} % of them as well", 100.0 * share);
+    }
+    let told = &document["two_contacts_told_before"];
+    if let (Some(before), Some(f1)) = (told["f1_as_before"].as_f64(), told["f1"].as_f64()) {
+        println!(
+            "two contacts by one who is told the truth one sample before: F1 {before:.2} as before, {f1:.2} with the moments"
+        );
     }
     let leak = &document["leak"];
     if !leak.is_null() {

@@ -108,7 +108,8 @@ def theirs(folder, steps, tokens):
     from safetensors.torch import load_file
 
     torch.set_num_threads(1)
-    torch.set_num_interop_threads(1)
+    if torch.get_num_interop_threads() != 1:
+        torch.set_num_interop_threads(1)
     weights = load_file(folder / "net.safetensors")
     read = lambda name, last: torch.from_numpy(
         numpy.fromfile(folder / name, dtype="<f4").reshape(BATCH, TIME, last)

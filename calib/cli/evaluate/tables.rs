@@ -161,7 +161,7 @@ impl Maker<'_> {
             row(
                 "bayes-filter",
                 over_objects(
-                    &|c: &Course| Method::Bayes(&told.inverse, true, told.filter).run(c),
+                    &|c: &Course| Method::Bayes(&told.inverse, true, &told.filter).run(c),
                     &felt,
                     unseen,
                 )?,

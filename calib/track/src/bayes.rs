@@ -154,6 +154,14 @@ impl<'a> BayesFilter<'a> {
         self.log_evidence
     }
 
+    /// Puts all belief on one node of the last sample: what would follow if the contact were known there.
+    pub fn know(&mut self, node: usize) {
+        for (k, weight) in self.weights.iter_mut().flat_map(|row| row.iter_mut().enumerate()) {
+            *weight = f64::from(u8::from(k == node));
+        }
+        self.normalise();
+    }
+
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);

@@ -27,7 +27,7 @@ pub enum Method<'a> {
     /// The network; `true`: the base's speed is known to it.
     Network(&'a Tracker, bool),
     /// The Bayes filter; `true`: the base's speed is known to it.
-    Bayes(&'a StaticInverse, bool, BayesSettings),
+    Bayes(&'a StaticInverse, bool, &'a BayesSettings),
     /// The static inverse at one arc length, mm.
     Static(&'a StaticInverse, f64),
     /// One place, mm.
@@ -64,7 +64,7 @@ impl Method<'_> {
                 tracker.course(&samples).into_iter().map(answer).collect()
             }
             Self::Bayes(inverse, known, settings) => {
-                let mut filter = BayesFilter::new(inverse, *settings);
+                let mut filter = BayesFilter::new(inverse, **settings);
                 let mut last_s = 0.0;
                 let mut last = middle(inverse, [0.0; 2], 40.0);
                 let step = |i: &crate::Instant| {

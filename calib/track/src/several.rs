@@ -36,6 +36,80 @@ pub fn weighed<'a>(
     courses.par_iter().flat_map_iter(one).collect()
 }
 
+/// Instant with contact, for one who is told the truth of the sample before: evidence, whether there were two before, and now.
+pub type Told = (f64, bool, bool);
+
+/// Evidence at all instants with contact for a filter that is told, before each step, where the contact was: no detector has more to go
+/// by than that, the base's speed and the moments.
+#[must_use]
+pub fn weighed_by_one_told<'a>(
+    inverse: &StaticInverse,
+    courses: impl Iterator<Item = &'a Course>,
+    settings: BayesSettings,
+) -> Vec<Told> {
+    let courses: Vec<&Course> = courses.collect();
+    let one = |course: &&Course| {
+        let mut filter = BayesFilter::new(inverse, settings);
+        let (mut last_s, mut two_before) = (0.0, false);
+        let mut found = Vec::new();
+        for i in &course.instants {
+            let dt_s = i.t_s - std::mem::replace(&mut last_s, i.t_s);
+            filter.step(dt_s, i.moment_nmm, Some(i.speed_mm_s));
+            if let Some(truth) = i.contact {
+                found.push((filter.log_evidence(), two_before, i.contacts >= 2));
+                let off = |k: &usize| (filter.candidates()[*k].point_mm - truth.point_mm).norm();
+                let nearest =
+                    (0..filter.candidates().len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
+                filter.know(nearest);
+            }
+            two_before = i.contacts >= 2;
+        }
+        found
+    };
+    courses.par_iter().flat_map_iter(one).collect()
+}
+
+/// How well two contacts are told by one who knows the truth of the sample before.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ToldBefore {
+    /// By the count before alone: as many as before.
+    pub f1_as_before: f64,
+    /// By that and by how well one contact explains the way from the true place before.
+    pub f1: f64,
+}
+
+/// Parts of the evidence's range, each with as many instants.
+const PARTS: usize = 20;
+
+/// Shares of two by count before and evidence are learned on `chosen_on`, judged on `judged_on`; none without an instant in either.
+#[must_use]
+pub fn told_before(chosen_on: &[Told], judged_on: &[Told]) -> Option<ToldBefore> {
+    if chosen_on.is_empty() || judged_on.is_empty() {
+        return None;
+    }
+    let limits = [false, true].map(|before| {
+        let mut own: Vec<f64> = chosen_on.iter().filter(|t| t.1 == before).map(|t| t.0).collect();
+        own.sort_by(f64::total_cmp);
+        (1..PARTS).filter_map(|k| own.get(own.len() * k / PARTS).copied()).collect::<Vec<f64>>()
+    });
+    let part = |t: &Told| {
+        let before = usize::from(t.1);
+        before * PARTS + limits[before].partition_point(|limit| *limit <= t.0)
+    };
+    let mut counts = vec![[0.0_f64; 2]; 2 * PARTS];
+    chosen_on.iter().for_each(|t| counts[part(t)][usize::from(t.2)] += 1.0);
+    let share = |t: &Told| {
+        let [one, two] = counts[part(t)];
+        two / (one + two).max(1.0)
+    };
+    // The parts are called two from the one with the largest share on, down to where F1 is best.
+    let shared: Vec<Weighed> = chosen_on.iter().map(|t| (-share(t), t.2)).collect();
+    let limit = best_limit(&shared)?;
+    let pairs: Vec<(bool, bool)> = judged_on.iter().map(|t| (-share(t) < limit, t.2)).collect();
+    let before: Vec<(bool, bool)> = judged_on.iter().map(|t| (t.1, t.2)).collect();
+    Some(ToldBefore { f1_as_before: detection(&before).f1, f1: detection(&pairs).f1 })
+}
+
 /// How well two contacts are told.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TwoContacts {
@@ -106,5 +180,24 @@ mod tests {
         assert!(told.detection.f1 < 0.7 && told.explained_by_one > 0.9, "{told:?}");
         assert!((told.f1_always - 2.0 / 3.0).abs() < 1e-9);
         assert_eq!(two_contacts(&[], &alike), None);
+    }
+
+    #[test]
+    fn one_who_is_told_the_count_before_needs_the_evidence_only_where_it_changes() {
+        // Two last four instants; evidence is low where they begin and high where they end, or says nothing.
+        let course = |says: bool| -> Vec<Told> {
+            (0..800)
+                .map(|k| {
+                    let (two, before) = (k % 8 >= 4, k > 0 && (k - 1) % 8 >= 4);
+                    let evidence = if says { if two { -5.0 } else { 5.0 } } else { (k * 37 % 101) as f64 };
+                    (evidence, before, two)
+                })
+                .collect()
+        };
+        let clear = told_before(&course(true), &course(true)).unwrap();
+        assert!((clear.f1_as_before - 0.75).abs() < 0.01 && clear.f1 > 0.99, "{clear:?}");
+        let dumb = told_before(&course(false), &course(false)).unwrap();
+        assert!(dumb.f1 < 0.85, "{dumb:?}");
+        assert_eq!(told_before(&[], &course(true)), None);
     }
 }

@@ -154,7 +154,8 @@ fn drawn_courses_are_those_of_a_dataset() {
 fn the_bayes_filter_follows_with_the_right_speed_only() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
     let median = |courses: &BTreeMap<String, Vec<Course>>| {
-        let method = Method::Bayes(fine(), true, BayesSettings::default());
+        let settings = BayesSettings::default();
+        let method = Method::Bayes(fine(), true, &settings);
         let rows = over_objects(&|c: &Course| method.run(c), courses, &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
     };

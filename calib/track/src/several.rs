@@ -39,8 +39,8 @@ pub fn weighed<'a>(
 /// Instant with contact, for one who is told the truth of the sample before: evidence, whether there were two before, and now.
 pub type Told = (f64, bool, bool);
 
-/// Evidence at all instants with contact for a filter that is told, before each step, where the contact was: no detector has more to go
-/// by than that, the base's speed and the moments.
+/// Evidence of one contact at all instants with contact, for a filter that is told before each step where the contact was. It bounds what this
+/// evidence can tell; a model of two contacts might tell more.
 #[must_use]
 pub fn weighed_by_one_told<'a>(
     inverse: &StaticInverse,

@@ -165,11 +165,11 @@ fn refine_outline(
     let mut covariances = [Matrix2::zeros(); 4];
     let mut edges: Vec<Edge> = Vec::new();
     // Two rounds: the second takes its pixels about the lines of the first.
-    for tolerance_px in [COARSE_PX, FINE_PX] {
+    for _ in 0..2 {
         edges = (0..4)
             .map(|k| {
                 let ends = [&corners[k], &corners[(k + 1) % 4]];
-                fit_edge(picture, camera, ends, cells, edges.get(k), tolerance_px)
+                fit_edge(picture, camera, ends, cells, edges.get(k))
             })
             .collect::<Option<_>>()?;
         let mut next = corners;
@@ -185,8 +185,6 @@ fn refine_outline(
     Some((corners, covariances))
 }
 
-/// Movement at which a fit ends that only says where to look more closely, px.
-const COARSE_PX: f64 = 0.05;
 /// Movement at which a fit ends, px.
 pub(crate) const FINE_PX: f64 = 0.01;
 /// Pixels beside an edge above which half of them do for that.
@@ -208,14 +206,14 @@ fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
 }
 
 /// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
-/// (u across, t along), by Levenberg-Marquardt from an earlier fit where there is one. None where the pixels are too few or the fit fails.
+/// (u across, t along), by Levenberg-Marquardt from an earlier edge; without one only says where to look, see [`balanced`]. None where the
+/// pixels are too few or the fit fails.
 fn fit_edge(
     picture: &Picture,
     camera: Option<&Camera>,
     [a, b]: [&Vector2<f64>; 2],
     cells: f64,
     earlier: Option<&Edge>,
-    tolerance_px: f64,
 ) -> Option<Edge> {
     let length = (b - a).norm();
     let cell = length / cells;
@@ -234,18 +232,21 @@ fn fit_edge(
     if !picture.contains(lo.x - pad, lo.y - pad, 0.0) || !picture.contains(hi.x + pad, hi.y + pad, 0.0) {
         return None;
     }
-    // Every second pixel shows a long edge well enough to know where to look more closely.
-    let sparse = tolerance_px >= COARSE_PX && 2.0 * reach * (length - 2.0 * clear) > SPARSE_FROM_PX2;
+    // Row by row within the strip beside the edge. Every second pixel shows a long edge well enough to know where to look more closely.
+    let middle = 0.5 * (bent_a + bent_b);
+    let sparse = earlier.is_none() && 2.0 * reach * (length - 2.0 * clear) > SPARSE_FROM_PX2;
     let stride = if sparse { 2 } else { 1 };
     let mut pixels: Vec<(f64, f64, f64)> = Vec::with_capacity((2.0 * reach * length) as usize);
     for y in (lo.y - pad) as i64..=(hi.y + pad) as i64 {
-        let first = (lo.x - pad) as i64;
-        for x in (first + y.rem_euclid(stride)..=(hi.x + pad) as i64).step_by(stride as usize) {
+        let (mut first, mut last) = ((lo.x - pad) as i64, (hi.x + pad) as i64);
+        if normal.x.abs() > 1e-6 {
+            let aside = normal.y * (y as f64 - middle.y);
+            let ends = [-1.0, 1.0].map(|side| middle.x + (side * (reach + 2.0) - aside) / normal.x);
+            first = first.max(ends[0].min(ends[1]).ceil() as i64);
+            last = last.min(ends[0].max(ends[1]).floor() as i64);
+        }
+        for x in (first + (first + y).rem_euclid(stride)..=last).step_by(stride as usize) {
             let raw = Vector2::new(x as f64, y as f64);
-            let coarse = raw - 0.5 * (bent_a + bent_b);
-            if normal.dot(&coarse).abs() > reach + 2.0 {
-                continue;
-            }
             let p = straighten(camera, &raw) - origin;
             let (u, t) = (normal.dot(&p), direction.dot(&p));
             if u.abs() <= reach && t.abs() <= half - clear {
@@ -256,20 +257,10 @@ fn fit_edge(
     if pixels.len() < 24 {
         return None;
     }
-    let side = |positive: bool| {
-        let (n, sum) = pixels
-            .iter()
-            .filter(|p| (p.0 > 0.0) == positive)
-            .fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.2));
-        sum / f64::max(n, 1.0)
+    let Some(earlier) = earlier else {
+        return balanced(&pixels, reach, half, [&origin, &direction, &normal]);
     };
-    let mut p = earlier.map_or_else(
-        || {
-            let levels = [side(false), side(true)];
-            SVector::<f64, 7>::from([0.0, 0.0, 0.9f64.ln(), levels[0], 0.0, levels[1] - levels[0], 0.0])
-        },
-        |e| e.profile,
-    );
+    let mut p = earlier.profile;
     // The ends already lie on the earlier line.
     (p[0], p[1]) = (0.0, 0.0);
     let linearise = |p: &SVector<f64, 7>| {
@@ -307,7 +298,7 @@ fn fit_edge(
             p += step;
             (cost, hessian, gradient) = next;
             lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() + step[1].abs() < tolerance_px {
+            if step[0].abs() + step[1].abs() < FINE_PX {
                 break;
             }
         } else {
@@ -325,6 +316,38 @@ fn fit_edge(
     let covariance = scale * inverse.fixed_view::<2, 2>(0, 0) * scale;
     let turned = (direction + normal * (p[1] / half)).normalize();
     Some(Edge { origin: origin + normal * p[0], direction: turned, covariance, profile: p })
+}
+
+/// Where an edge lies for whose pixels (across, along over `half`, grey value) the mean grey value is right in both halves of its length: within
+/// a tenth of a pixel, in one pass.
+fn balanced(
+    pixels: &[(f64, f64, f64)],
+    reach: f64,
+    half: f64,
+    [origin, direction, normal]: [&Vector2<f64>; 3],
+) -> Option<Edge> {
+    let mean = |keep: &dyn Fn(f64) -> bool| {
+        let (n, sum) = pixels.iter().filter(|p| keep(p.0)).fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.2));
+        sum / f64::max(n, 1.0)
+    };
+    let (low, high) = (mean(&|u| u < -0.5 * reach), mean(&|u| u > 0.5 * reach));
+    let [first, second] = [false, true].map(|later| {
+        let part = pixels.iter().filter(|p| (p.1 > 0.0) == later);
+        let (n, along, lack) = part.fold((0.0, 0.0, 0.0), |(n, along, lack), p| {
+            (n + 1.0, along + p.1, lack + if p.0 > 0.0 { high - p.2 } else { low - p.2 })
+        });
+        // What each pixel lacks to an edge at 0, over the pixels that a shift by 1 px changes.
+        (along / f64::max(n, 1.0), lack / (high - low) * 2.0 * reach / f64::max(n, 1.0))
+    });
+    let slope = (second.1 - first.1) / (second.0 - first.0);
+    let offset = first.1 - slope * first.0;
+    if !(offset.abs() < reach && slope.abs() < reach) {
+        return None;
+    }
+    let profile = SVector::<f64, 7>::from([0.0, 0.0, 0.9f64.ln(), low, 0.0, high - low, 0.0]);
+    let turned = (direction + normal * (slope / half)).normalize();
+    let covariance = Matrix2::from_diagonal_element(0.01);
+    Some(Edge { origin: origin + normal * offset, direction: turned, covariance, profile })
 }
 
 /// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].

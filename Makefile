@@ -37,6 +37,9 @@ peers: setup
 	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
 	cargo build --release --locked -p wcal-mujoco --example write_mjcf
 	tests/peers/.venv/bin/python tests/peers/mujoco_statics.py target/release/examples/write_mjcf --json peers-mujoco.json
+	test -x tests/peers/.venv-released/bin/python || python3 -m venv tests/peers/.venv-released
+	tests/peers/.venv-released/bin/pip install -q numpy mujoco==3.1.6
+	for p in .venv-released .venv; do tests/peers/$$p/bin/python tests/peers/released_labels.py; done
 	cargo build --release --locked -p wcal-mujoco -p wcal-mujoco-engine --bin wcal-mujoco --example write_world --example compare_engines
 	tests/peers/.venv/bin/python tests/peers/mujoco_rate.py target/release/examples/write_world target/release/wcal-mujoco --json peers-mujoco-rate.json
 	target/release/examples/compare_engines target/convex 4

@@ -18,7 +18,7 @@ use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::{Card, SplitBy, load};
-use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_one_told};
+use wcal_track::several::{told_before, two_contacts, weighed};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 /// Arguments of `wcal evaluate`.
@@ -106,10 +106,11 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     }
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
-    let [seen, unseen] = [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings));
+    let of = |told: bool| [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings, told));
+    let [seen, unseen] = of(false);
     // The limit is chosen on other objects than it is judged on.
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = [0, 1].map(|k| weighed_by_one_told(&fine, sets[k].1.values().flatten(), settings));
+    let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(told_before(&seen, &unseen));
     if card.split == SplitBy::Sweeps {
         document["leak"] = json!({"split": "sweeps at random", "random_split_mm": document["simulation"]["seen_mean_mm"],
@@ -159,16 +160,9 @@ fn meshes<'a>(
 ) -> anyhow::Result<BTreeMap<String, Mesh>> {
     names
         .map(|name| {
-            let mesh = match objects::built_in(name) {
-                Ok(mesh) => mesh,
-                Err(_) => {
-                    let folder = args
-                        .meshes
-                        .as_ref()
-                        .with_context(|| format!("object {name}: expected --meshes DIR"))?;
-                    Mesh::read(&folder.join(format!("{name}.stl")))?
-                }
-            };
+            let mesh = objects::named(name, args.meshes.as_deref()).with_context(|| {
+                format!("object {name}: expected it built in, or its mesh in --meshes DIR")
+            })?;
             Ok((name.clone(), mesh))
         })
         .collect()

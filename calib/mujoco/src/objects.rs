@@ -3,6 +3,7 @@
 use crate::{Mesh, TwinError};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
+use std::path::Path;
 
 /// Names of the built-in objects.
 pub const NAMES: [&str; 12] = [
@@ -22,6 +23,17 @@ pub const NAMES: [&str; 12] = [
 
 /// Corners around an axis.
 const AROUND: usize = 96;
+
+/// An object by its name: built in, or from `NAME.stl` in the folder of meshes.
+///
+/// # Errors
+/// Where there is neither, or the mesh cannot be used.
+pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, TwinError> {
+    match (built_in(name), meshes) {
+        (Err(_), Some(folder)) => Mesh::read(&folder.join(format!("{name}.stl"))),
+        (found, _) => found,
+    }
+}
 
 /// A built-in object by its name.
 ///

@@ -8,7 +8,7 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::{BayesFilter, BayesSettings};
 use wcal_track::evaluate::Method;
@@ -66,10 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (mut n, mut squares, mut off_squares, mut object_rmse) = (0, 0.0, 0.0, Vec::new());
         let mut believed = 0.0;
         for (object, of) in &courses {
-            let mesh = match objects::built_in(object) {
-                Ok(mesh) => mesh,
-                Err(_) => Mesh::read(&PathBuf::from(meshes).join(format!("{object}.stl")))?,
-            };
+            let mesh = objects::named(object, Some(Path::new(meshes)))?;
             let all: Vec<_> =
                 of.par_iter().map(|c| (c, rows(c, &mesh, &inverse, method, known, settings))).collect();
             let (mut object_squares, mut object_n) = (0.0, 0);

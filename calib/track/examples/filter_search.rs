@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 use std::io::{BufRead, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::{BayesFilter, BayesSettings};
 use wcal_track::{Course, InverseGrid, StaticInverse, course};
@@ -20,10 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for of in courses.values_mut() {
         of.retain(|c| c.sweep >= first && c.sweep < first + each);
     }
-    let mesh = |object: &String| match objects::built_in(object) {
-        Ok(mesh) => Ok(mesh),
-        Err(_) => Mesh::read(&PathBuf::from(meshes).join(format!("{object}.stl"))),
-    };
+    let mesh = |object: &String| objects::named(object, Some(Path::new(meshes)));
     let all: Vec<(Mesh, &Vec<Course>)> =
         courses.iter().map(|(o, c)| Ok((mesh(o)?, c))).collect::<Result<_, wcal_mujoco::TwinError>>()?;
     let grid = InverseGrid { refine: 2, leans: 8, ..InverseGrid::default() };

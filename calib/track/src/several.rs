@@ -9,44 +9,26 @@ use crate::{Course, StaticInverse};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Instant with contact: logarithm of the filter's evidence for one contact, and whether there were two or more.
-pub type Weighed = (f64, bool);
+/// An instant with contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weighed {
+    /// Logarithm of the filter's evidence for one contact; 0 where it had foretold nothing.
+    pub log_evidence: f64,
+    /// Whether there were two contacts or more one sample before.
+    pub two_before: bool,
+    /// Whether there are two or more.
+    pub two: bool,
+}
 
-/// Evidence at all instants with contact that the filter had foretold; the base's speed is known.
+/// All instants with contact; the base's speed is known. `told`: before each step the filter is told where the contact was. That bounds
+/// what this evidence can tell; a model of two contacts might tell more.
 #[must_use]
 pub fn weighed<'a>(
     inverse: &StaticInverse,
     courses: impl Iterator<Item = &'a Course>,
     settings: BayesSettings,
+    told: bool,
 ) -> Vec<Weighed> {
-    let courses: Vec<&Course> = courses.collect();
-    let one = |course: &&Course| {
-        let mut filter = BayesFilter::new(inverse, settings);
-        let mut last_s = 0.0;
-        let mut found = Vec::new();
-        for i in &course.instants {
-            let dt_s = i.t_s - std::mem::replace(&mut last_s, i.t_s);
-            filter.step(dt_s, i.moment_nmm, Some(i.speed_mm_s));
-            if i.contact.is_some() && filter.log_evidence() != 0.0 {
-                found.push((filter.log_evidence(), i.contacts >= 2));
-            }
-        }
-        found
-    };
-    courses.par_iter().flat_map_iter(one).collect()
-}
-
-/// Instant with contact, for one who is told the truth of the sample before: evidence, whether there were two before, and now.
-pub type Told = (f64, bool, bool);
-
-/// Evidence of one contact at all instants with contact, for a filter that is told before each step where the contact was. It bounds what this
-/// evidence can tell; a model of two contacts might tell more.
-#[must_use]
-pub fn weighed_by_one_told<'a>(
-    inverse: &StaticInverse,
-    courses: impl Iterator<Item = &'a Course>,
-    settings: BayesSettings,
-) -> Vec<Told> {
     let courses: Vec<&Course> = courses.collect();
     let one = |course: &&Course| {
         let mut filter = BayesFilter::new(inverse, settings);
@@ -55,14 +37,16 @@ pub fn weighed_by_one_told<'a>(
         for i in &course.instants {
             let dt_s = i.t_s - std::mem::replace(&mut last_s, i.t_s);
             filter.step(dt_s, i.moment_nmm, Some(i.speed_mm_s));
+            let two = i.contacts >= 2;
             if let Some(truth) = i.contact {
-                found.push((filter.log_evidence(), two_before, i.contacts >= 2));
+                found.push(Weighed { log_evidence: filter.log_evidence(), two_before, two });
                 let off = |k: &usize| (filter.candidates()[*k].point_mm - truth.point_mm).norm();
-                let nearest =
-                    (0..filter.candidates().len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
-                filter.know(nearest);
+                let nearest = (0..filter.candidates().len()).min_by(|a, b| off(a).total_cmp(&off(b)));
+                if let Some(nearest) = nearest.filter(|_| told) {
+                    filter.know(nearest);
+                }
             }
-            two_before = i.contacts >= 2;
+            two_before = two;
         }
         found
     };
@@ -83,30 +67,30 @@ const PARTS: usize = 20;
 
 /// Shares of two by count before and evidence are learned on `chosen_on`, judged on `judged_on`; none without an instant in either.
 #[must_use]
-pub fn told_before(chosen_on: &[Told], judged_on: &[Told]) -> Option<ToldBefore> {
+pub fn told_before(chosen_on: &[Weighed], judged_on: &[Weighed]) -> Option<ToldBefore> {
     if chosen_on.is_empty() || judged_on.is_empty() {
         return None;
     }
     let limits = [false, true].map(|before| {
-        let mut own: Vec<f64> = chosen_on.iter().filter(|t| t.1 == before).map(|t| t.0).collect();
+        let own = chosen_on.iter().filter(|w| w.two_before == before);
+        let mut own: Vec<f64> = own.map(|w| w.log_evidence).collect();
         own.sort_by(f64::total_cmp);
         (1..PARTS).filter_map(|k| own.get(own.len() * k / PARTS).copied()).collect::<Vec<f64>>()
     });
-    let part = |t: &Told| {
-        let before = usize::from(t.1);
-        before * PARTS + limits[before].partition_point(|limit| *limit <= t.0)
+    let part = |w: &Weighed| {
+        let before = usize::from(w.two_before);
+        before * PARTS + limits[before].partition_point(|limit| *limit <= w.log_evidence)
     };
     let mut counts = vec![[0.0_f64; 2]; 2 * PARTS];
-    chosen_on.iter().for_each(|t| counts[part(t)][usize::from(t.2)] += 1.0);
-    let share = |t: &Told| {
-        let [one, two] = counts[part(t)];
+    chosen_on.iter().for_each(|w| counts[part(w)][usize::from(w.two)] += 1.0);
+    let share = |w: &Weighed| {
+        let [one, two] = counts[part(w)];
         two / (one + two).max(1.0)
     };
     // The parts are called two from the one with the largest share on, down to where F1 is best.
-    let shared: Vec<Weighed> = chosen_on.iter().map(|t| (-share(t), t.2)).collect();
-    let limit = best_limit(&shared)?;
-    let pairs: Vec<(bool, bool)> = judged_on.iter().map(|t| (-share(t) < limit, t.2)).collect();
-    let before: Vec<(bool, bool)> = judged_on.iter().map(|t| (t.1, t.2)).collect();
+    let limit = best_limit(chosen_on.iter().map(|w| (-share(w), w.two)).collect())?;
+    let pairs: Vec<(bool, bool)> = judged_on.iter().map(|w| (-share(w) < limit, w.two)).collect();
+    let before: Vec<(bool, bool)> = judged_on.iter().map(|w| (w.two_before, w.two)).collect();
     Some(ToldBefore { f1_as_before: detection(&before).f1, f1: detection(&pairs).f1 })
 }
 
@@ -128,10 +112,14 @@ pub struct TwoContacts {
     pub explained_by_one: f64,
 }
 
-/// The limit with the best F1 on `chosen_on`, judged on `judged_on`; none without an instant in either.
+/// The limit with the best F1 on `chosen_on`, judged on `judged_on`, where the filter had foretold something; none without an instant in
+/// either.
 #[must_use]
 pub fn two_contacts(chosen_on: &[Weighed], judged_on: &[Weighed]) -> Option<TwoContacts> {
-    let limit = best_limit(chosen_on)?;
+    let foretold = |of: &[Weighed]| -> Vec<(f64, bool)> {
+        of.iter().filter(|w| w.log_evidence != 0.0).map(|w| (w.log_evidence, w.two)).collect()
+    };
+    let (limit, judged_on) = (best_limit(foretold(chosen_on))?, foretold(judged_on));
     let pairs: Vec<(bool, bool)> = judged_on.iter().map(|(e, two)| (*e < limit, *two)).collect();
     let two = judged_on.iter().filter(|w| w.1).count();
     let mut of_one: Vec<f64> = judged_on.iter().filter(|w| !w.1).map(|w| w.0).collect();
@@ -149,8 +137,8 @@ pub fn two_contacts(chosen_on: &[Weighed], judged_on: &[Weighed]) -> Option<TwoC
     })
 }
 
-fn best_limit(weighed: &[Weighed]) -> Option<f64> {
-    let mut sorted = weighed.to_vec();
+/// Evidence below which to call two, from evidence and whether there are two, so that F1 is best.
+fn best_limit(mut sorted: Vec<(f64, bool)>) -> Option<f64> {
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let all = sorted.iter().filter(|w| w.1).count() as f64;
     let (mut hits, mut best) = (0.0, None);
@@ -171,11 +159,12 @@ mod tests {
     #[test]
     fn evidence_that_tells_scores_and_evidence_that_does_not_is_called_so() {
         // One contact: evidence 0 to 1; two: -1 to 0.
-        let apart: Vec<Weighed> = (0..200).map(|k| (f64::from(k) / 100.0 - 1.0, k < 100)).collect();
+        let of = |log_evidence, two| Weighed { log_evidence, two_before: false, two };
+        let apart: Vec<Weighed> = (0..200).map(|k| of(f64::from(k) / 100.0 - 0.995, k < 100)).collect();
         let told = two_contacts(&apart, &apart).unwrap();
         assert!(told.detection.f1 > 0.98 && told.explained_by_one < 0.05, "{told:?}");
         // Negative control: the same evidence for both.
-        let alike: Vec<Weighed> = (0..400).map(|k| (f64::from(k / 2), k % 2 == 0)).collect();
+        let alike: Vec<Weighed> = (0..400).map(|k| of(f64::from(k / 2 + 1), k % 2 == 0)).collect();
         let told = two_contacts(&alike, &alike).unwrap();
         assert!(told.detection.f1 < 0.7 && told.explained_by_one > 0.9, "{told:?}");
         assert!((told.f1_always - 2.0 / 3.0).abs() < 1e-9);
@@ -185,12 +174,13 @@ mod tests {
     #[test]
     fn one_who_is_told_the_count_before_needs_the_evidence_only_where_it_changes() {
         // Two last four instants; evidence is low where they begin and high where they end, or says nothing.
-        let course = |says: bool| -> Vec<Told> {
+        let course = |says: bool| -> Vec<Weighed> {
             (0..800)
                 .map(|k| {
-                    let (two, before) = (k % 8 >= 4, k > 0 && (k - 1) % 8 >= 4);
-                    let evidence = if says { if two { -5.0 } else { 5.0 } } else { (k * 37 % 101) as f64 };
-                    (evidence, before, two)
+                    let (two, two_before) = (k % 8 >= 4, k > 0 && (k - 1) % 8 >= 4);
+                    let log_evidence =
+                        if says { if two { -5.0 } else { 5.0 } } else { (k * 37 % 101) as f64 };
+                    Weighed { log_evidence, two_before, two }
                 })
                 .collect()
         };

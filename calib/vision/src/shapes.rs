@@ -84,7 +84,8 @@ pub fn shapes_of_pairs(
                     Some(Err(why)) => return Err(why.clone()),
                 };
                 let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, &times);
-                if start.is_none() {
+                // Once a pair, though it may be looked at again.
+                if start.is_none() && root_sd == ROOT_CLAMPED {
                     progress(&l.name);
                 }
                 fit

@@ -126,11 +126,12 @@ fn cell_edges(
     (edges.len() >= LEAST_EDGES).then_some(edges)
 }
 
-/// An edge across its pixels: where it lies and the variance of that, px and px^2, and its step, DN.
-struct Profile {
-    offset_px: f64,
+/// An edge across its pixels: where it lies and the variance of that, px and px^2, its lower side's level and its step, DN.
+pub(crate) struct Profile {
+    pub offset_px: f64,
     variance_px2: f64,
-    step: f64,
+    pub level: f64,
+    pub step: f64,
 }
 
 /// Measures an edge from (place across it in px, grey value) of its pixels, which reach so far to both sides.
@@ -146,13 +147,13 @@ fn levels(pixels: &[(f64, f64)], from_px: f64) -> [f64; 2] {
 }
 
 /// Where an edge lies whose mean grey value is what the pixels have: within a tenth of a pixel, in one pass.
-fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
+pub(crate) fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let [low, high] = levels(pixels, 0.5 * reach);
     let step = high - low;
     // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1 px changes.
     let lack: f64 = pixels.iter().map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 }).sum();
     let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
-    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, step })
+    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, level: low, step })
 }
 
 /// Measures one cell's edge.
@@ -244,7 +245,7 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
         return None;
     }
     let variance_px2 = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
-    Some(Profile { offset_px: p[0], variance_px2, step: p[3] })
+    Some(Profile { offset_px: p[0], variance_px2, level: p[2], step: p[3] })
 }
 
 /// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges' own scatter.

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::error::VisionError;
 use crate::picture::Picture;
 use crate::profile::blurred_step;
-use crate::tag_edges::refine_by_cells;
+use crate::tag_edges::{balance, refine_by_cells};
 use crate::tag_regions::tag_regions;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -318,36 +318,31 @@ fn fit_edge(
     Some(Edge { origin: origin + normal * p[0], direction: turned, covariance, profile: p })
 }
 
-/// Where an edge lies for whose pixels (across, along over `half`, grey value) the mean grey value is right in both halves of its length: within
-/// a tenth of a pixel, in one pass.
+/// Where an edge lies, from both halves of its length: within a tenth of a pixel, in one pass over its pixels (across, along over `half`,
+/// grey value).
 fn balanced(
     pixels: &[(f64, f64, f64)],
     reach: f64,
     half: f64,
     [origin, direction, normal]: [&Vector2<f64>; 3],
 ) -> Option<Edge> {
-    let mean = |keep: &dyn Fn(f64) -> bool| {
-        let (n, sum) = pixels.iter().filter(|p| keep(p.0)).fold((0.0, 0.0), |(n, s), p| (n + 1.0, s + p.2));
-        sum / f64::max(n, 1.0)
+    let one = |later: bool| {
+        let own = pixels.iter().filter(|p| (p.1 > 0.0) == later);
+        let along = own.clone().map(|p| p.1).sum::<f64>() / own.clone().count().max(1) as f64;
+        let across: Vec<(f64, f64)> = own.map(|p| (p.0, p.2)).collect();
+        Some((along, balance(&across, reach)?))
     };
-    let (low, high) = (mean(&|u| u < -0.5 * reach), mean(&|u| u > 0.5 * reach));
-    let [first, second] = [false, true].map(|later| {
-        let part = pixels.iter().filter(|p| (p.1 > 0.0) == later);
-        let (n, along, lack) = part.fold((0.0, 0.0, 0.0), |(n, along, lack), p| {
-            (n + 1.0, along + p.1, lack + if p.0 > 0.0 { high - p.2 } else { low - p.2 })
-        });
-        // What each pixel lacks to an edge at 0, over the pixels that a shift by 1 px changes.
-        (along / f64::max(n, 1.0), lack / (high - low) * 2.0 * reach / f64::max(n, 1.0))
-    });
-    let slope = (second.1 - first.1) / (second.0 - first.0);
-    let offset = first.1 - slope * first.0;
-    if !(offset.abs() < reach && slope.abs() < reach) {
-        return None;
-    }
-    let profile = SVector::<f64, 7>::from([0.0, 0.0, 0.9f64.ln(), low, 0.0, high - low, 0.0]);
-    let turned = (direction + normal * (slope / half)).normalize();
-    let covariance = Matrix2::from_diagonal_element(0.01);
-    Some(Edge { origin: origin + normal * offset, direction: turned, covariance, profile })
+    let ((t0, first), (t1, second)) = (one(false)?, one(true)?);
+    let slope = (second.offset_px - first.offset_px) / (t1 - t0);
+    let offset = first.offset_px - slope * t0;
+    let mean = |a: f64, b: f64| 0.5 * (a + b);
+    let (level, step) = (mean(first.level, second.level), mean(first.step, second.step));
+    Some(Edge {
+        origin: origin + normal * offset,
+        direction: (direction + normal * (slope / half)).normalize(),
+        covariance: Matrix2::from_diagonal_element(0.01),
+        profile: SVector::<f64, 7>::from([0.0, 0.0, 0.9f64.ln(), level, 0.0, step, 0.0]),
+    })
 }
 
 /// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].

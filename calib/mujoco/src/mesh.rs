@@ -158,17 +158,14 @@ impl Mesh {
         p: &Vector3<f64>,
         search_mm: f64,
     ) -> Option<(PointProjection, (u32, TrianglePointLocation), &TriMesh)> {
-        let within = |mesh: &TriMesh, search_mm: f64| {
-            mesh.project_local_point_and_get_location_with_max_dist(place(p), false, search_mm)
-        };
-        let (found, at) = within(&self.surface, search_mm)?;
+        let (found, at) = nearest_of(&self.surface, place(p), search_mm)?;
         if found.is_inside || self.bodies.is_empty() {
             return Some((found, at, &self.surface));
         }
         let deep = |(found, ..): &(PointProjection, _, _)| (p - vector(found.point)).norm();
         let around = self.bodies.iter().filter(|body| body.local_aabb().contains_local_point(place(p)));
         let inside = around
-            .filter_map(|body| within(body, f64::MAX).map(|(found, at)| (found, at, body)))
+            .filter_map(|body| nearest_of(body, place(p), f64::MAX).map(|(found, at)| (found, at, body)))
             .filter(|(found, ..)| found.is_inside);
         inside.max_by(|a, b| deep(a).total_cmp(&deep(b))).or(Some((found, at, &self.surface)))
     }
@@ -232,6 +229,38 @@ impl Mesh {
         };
         Some(Near { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
     }
+}
+
+/// The library's search for the nearest place by squared distances: its own takes a root at every box, a tenth of the time.
+fn nearest_of(
+    mesh: &TriMesh,
+    p: Place,
+    search_mm: f64,
+) -> Option<(PointProjection, (u32, TrianglePointLocation))> {
+    let best = mesh.bvh().find_best(
+        search_mm * search_mm,
+        |node, _| (node.mins() - p).max(p - node.maxs()).max(Place::ZERO).length_squared(),
+        |k, _| {
+            let found = mesh.triangle(k).project_local_point_and_get_location(p, false);
+            Some(((found.0.point - p).length_squared(), found))
+        },
+    );
+    let (triangle, (_, (mut found, at))) = best?;
+    // Inside or outside by the pseudo-normal of the feature.
+    if let Some(normals) = mesh.pseudo_normals_if_oriented() {
+        let k = triangle as usize;
+        let normal = match at {
+            TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
+                mesh.triangle(triangle).scaled_normal()
+            }
+            TrianglePointLocation::OnEdge(i, _) => normals.edges_pseudo_normal[k][i as usize],
+            TrianglePointLocation::OnVertex(i) => {
+                normals.vertices_pseudo_normal[mesh.indices()[k][i as usize] as usize]
+            }
+        };
+        found.is_inside = (p - found.point).dot(normal) <= 0.0;
+    }
+    Some((found, (triangle, at)))
 }
 
 fn place(p: &Vector3<f64>) -> Place {

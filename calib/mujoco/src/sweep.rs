@@ -233,7 +233,11 @@ impl Surface for Passing<'_> {
             distance_mm: found.distance_mm,
             normal: self.sweep.turn * found.normal,
             point_mm: self.sweep.turn * found.point_mm + shift,
-            second_per_mm: self.sweep.turn * found.second_per_mm * self.sweep.turn.transpose(),
+            second_per_mm: if found.second_per_mm == Matrix3::zeros() {
+                found.second_per_mm
+            } else {
+                self.sweep.turn * found.second_per_mm * self.sweep.turn.transpose()
+            },
         })
     }
 }

@@ -5,7 +5,8 @@ use nalgebra::{Matrix3, Vector3};
 /// Factors of a symmetric block tridiagonal matrix.
 pub(crate) struct Factors {
     inverse: Vec<Matrix3<f64>>,
-    before: Vec<Matrix3<f64>>,
+    /// Block to the one before times that one's inverse pivot; by its transpose the way back goes, as pivots are symmetric.
+    carry: Vec<Matrix3<f64>>,
     /// Negative eigenvalues of the matrix (Sylvester's law on the pivots).
     pub(crate) negative: usize,
 }
@@ -14,33 +15,49 @@ impl Factors {
     /// Block LDL^T; `None` where a pivot is singular.
     pub(crate) fn new(diagonal: &[Matrix3<f64>], before: &[Matrix3<f64>]) -> Option<Self> {
         let mut inverse: Vec<Matrix3<f64>> = Vec::with_capacity(diagonal.len());
+        let mut carry: Vec<Matrix3<f64>> = Vec::with_capacity(diagonal.len());
         let mut negative = 0;
         for (j, block) in diagonal.iter().enumerate() {
             let mut pivot = *block;
-            if j > 0 {
-                pivot -= before[j] * inverse[j - 1] * before[j].transpose();
-            }
+            carry.push(match inverse.last() {
+                Some(last) => {
+                    let carry = product(&before[j], last);
+                    pivot -= product_transposed(&carry, &before[j]);
+                    carry
+                }
+                None => Matrix3::zeros(),
+            });
             let pivot = (pivot + pivot.transpose()) * 0.5;
             negative += negative_eigenvalues(&pivot);
             inverse.push(pivot.try_inverse()?);
         }
-        Some(Self { inverse, before: before.to_vec(), negative })
+        Some(Self { inverse, carry, negative })
     }
 
     /// Solves in place.
     pub(crate) fn solve(&self, x: &mut [Vector3<f64>]) {
         for j in 1..x.len() {
-            let carried = times(&self.before[j], &times(&self.inverse[j - 1], &x[j - 1]));
+            let carried = times(&self.carry[j], &x[j - 1]);
             x[j] -= carried;
         }
+        let mut beyond = Vector3::zeros();
         for j in (0..x.len()).rev() {
-            let mut value = x[j];
-            if j + 1 < x.len() {
-                value -= transposed_times(&self.before[j + 1], &x[j + 1]);
-            }
-            x[j] = times(&self.inverse[j], &value);
+            x[j] = times(&self.inverse[j], &x[j]) - beyond;
+            beyond = transposed_times(&self.carry[j], &x[j]);
         }
     }
+}
+
+/// Columns of `a b`.
+#[inline(always)]
+fn product(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix3<f64> {
+    Matrix3::from_columns(&[0, 1, 2].map(|k| times(a, &b.column(k).into())))
+}
+
+/// `a b^T`.
+#[inline(always)]
+fn product_transposed(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix3<f64> {
+    Matrix3::from_columns(&[0, 1, 2].map(|k| times(a, &b.row(k).transpose())))
 }
 
 /// Matrix times vector, written out: the library's general product is not inlined and took a quarter of a sweep's time.

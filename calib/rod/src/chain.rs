@@ -4,6 +4,7 @@
 //! rotation increments of each link the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links).
 //! Formulation: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
 
+use crate::pressed::curve::{self, Spot};
 use crate::{RodError, Section, Shape, Softening};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -28,6 +29,8 @@ pub struct Chain {
     pub softening: Option<Softening>,
     joints: Vec<Joint>,
     clamp: Matrix3<f64>,
+    /// Places at which the surface is looked for in every step.
+    pub(crate) middles: Vec<Spot>,
 }
 
 /// Where the links are.
@@ -84,6 +87,7 @@ impl Chain {
             softening: section.softening,
             joints,
             clamp: shape.root,
+            middles: curve::middles(links),
         })
     }
 

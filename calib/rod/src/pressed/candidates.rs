@@ -42,33 +42,35 @@ impl Chain {
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
         let at = |spot: &Spot, within_mm: f64| surface.near(&spot.point_mm(self, links), within_mm);
         // Middles of the links, the tip, and closely around what is known to touch.
-        let mut places: Vec<(f64, bool)> =
-            (0..n).map(|j| (j as f64 + 0.5, true)).chain([(n as f64, true)]).collect();
-        for c in before.iter().filter(|c| c.force_n > 0.0 || c.met) {
-            let around = AROUND.iter().flat_map(|d| [c.spot.at - d, c.spot.at + d]);
-            places.extend(around.filter(|x| (0.5..n as f64).contains(x)).map(|x| (x, false)));
-        }
-        places.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let spots: Vec<Spot> = places.iter().map(|(x, _)| Spot::new(*x, n)).collect();
-        let near: Vec<Option<Near>> = spots.iter().map(|spot| at(spot, within_mm)).collect();
+        let around: Vec<Spot> = before
+            .iter()
+            .filter(|c| c.force_n > 0.0 || c.met)
+            .flat_map(|c| AROUND.iter().flat_map(|d| [c.spot.at - d, c.spot.at + d]))
+            .filter(|x| (0.5..n as f64).contains(x))
+            .map(|x| Spot::new(x, n))
+            .collect();
+        let fixed = self.middles.iter().map(|spot| (spot, true));
+        let mut spots: Vec<(&Spot, bool)> = fixed.chain(around.iter().map(|spot| (spot, false))).collect();
+        spots.sort_by(|a, b| a.0.at.total_cmp(&b.0.at));
+        let near: Vec<Option<Near>> = spots.iter().map(|(spot, _)| at(spot, within_mm)).collect();
         let slopes: Vec<Option<f64>> = spots
             .iter()
             .zip(&near)
-            .map(|(spot, near)| near.map(|x| x.normal.dot(&spot.tangent(self, links))))
+            .map(|((spot, _), near)| near.map(|x| x.normal.dot(&spot.tangent(self, links))))
             .collect();
         let mut found: Vec<(Spot, Near, bool)> = Vec::new();
-        for (k, spot) in spots.iter().enumerate() {
+        for (k, &(spot, middle)) in spots.iter().enumerate() {
             let (Some(here), Some(slope)) = (near[k], slopes[k]) else { continue };
-            let along = places[k].1 && slope.abs() < ALONG && here.distance_mm < 1.5 * self.radius_mm;
+            let along = middle && slope.abs() < ALONG && here.distance_mm < 1.5 * self.radius_mm;
             if along || (k + 1 == spots.len() && slope <= 0.0) {
                 found.push((*spot, here, false));
             }
             if let Some(Some(beyond)) = slopes.get(k + 1)
                 && slope < 0.0
                 && *beyond > 0.0
-                && !(places[k].1 && places[k + 1].1 && (beyond - slope) * self.link_mm < 8.0 * FLAT_MM)
+                && !(middle && spots[k + 1].1 && (beyond - slope) * self.link_mm < 8.0 * FLAT_MM)
             {
-                let bracket = [spot.at, spots[k + 1].at];
+                let bracket = [spot.at, spots[k + 1].0.at];
                 let lowest = self.lowest(links, bracket, [slope, *beyond], |s| at(s, 2.0 * within_mm));
                 found.extend(lowest.map(|(spot, near)| (spot, near, true)));
             }

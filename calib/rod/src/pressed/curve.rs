@@ -22,7 +22,7 @@ struct Shares {
 
 /// A place on the centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Spot {
+pub(crate) struct Spot {
     /// From the root in links, 0 to their number.
     pub at: f64,
     /// First link of the window, and how many are in it.
@@ -94,6 +94,11 @@ fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 
         }
     }
     found
+}
+
+/// The links' middles, and the tip.
+pub(crate) fn middles(links: usize) -> Vec<Spot> {
+    (0..links).map(|j| j as f64 + 0.5).chain([links as f64]).map(|at| Spot::new(at, links)).collect()
 }
 
 impl Spot {

@@ -5,7 +5,7 @@
 //! how a contact slides enters the stiffness (the minimum of the distance along the wire moves with the wire).
 
 mod candidates;
-mod curve;
+pub(crate) mod curve;
 mod newton;
 mod rub;
 mod soft;

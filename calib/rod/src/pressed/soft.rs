@@ -93,7 +93,7 @@ impl Chain {
         let share_mm = self.link_mm / PLACES as f64;
         let mut touches = Vec::new();
         for j in 0..n {
-            let middle = Spot::new(j as f64 + 0.5, n).point_mm(self, &links);
+            let middle = self.middles[j].point_mm(self, &links);
             if surface.near(&middle, near_mm).is_none() {
                 continue;
             }

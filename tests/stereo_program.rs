@@ -112,7 +112,19 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     stiffness_from_moments(&place, &shapes, &rig);
     std::fs::write(place.path().join("none.json"), "{}").unwrap();
     let none = ["fit-whisker", &at("none.json"), "--out", &whisker, "--rig", &rig];
-    assert_eq!(wcal(&none).0, 1);
+    let (code, _, text) = wcal(&none);
+    assert!(code == 1 && text.contains("none.json: expected shapes.json of `wcal stereo-shape`"), "{text}");
+    // Targets that no wire can have, before anything is written.
+    for (target, words) in [
+        (["--ripple-nmm", "nan"], "--ripple-nmm: expected 0 or more, found NaN"),
+        (["--speed-bias", "-3"], "--speed-bias: expected a share between -1 and 1"),
+        (["--bounce-ratio", "5"], "--bounce-ratio: expected above 0 and at most 1, found 5"),
+    ] {
+        let refused = ["fit-whisker", &shapes, "--rig", &rig, "--out", &at("refused"), "--dynamics"];
+        let (code, _, text) = wcal(&[&refused[..], &target].concat());
+        assert!(code == 1 && text.contains(words), "{text}");
+        assert!(!place.path().join("refused").exists(), "{target:?} left something behind");
+    }
 
     // No base tag in any pair: an error, and the reasons are on file.
     let text = std::fs::read_to_string(&rig).unwrap().replace("id = 0", "id = 17");

@@ -89,8 +89,12 @@ pub enum RestChoice {
 pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let text = std::fs::read_to_string(&args.shapes)
         .with_context(|| format!("reading {}", args.shapes.display()))?;
-    let document: ShapesDocument =
-        serde_json::from_str(&text).with_context(|| format!("reading {}", args.shapes.display()))?;
+    let document: ShapesDocument = serde_json::from_str(&text).with_context(|| {
+        format!(
+            "{}: expected shapes.json of `wcal stereo-shape`, found something else",
+            args.shapes.display()
+        )
+    })?;
     anyhow::ensure!(
         document.format == SHAPES_FORMAT,
         "{}: expected format {SHAPES_FORMAT}, found {:?}",

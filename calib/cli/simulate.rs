@@ -33,7 +33,7 @@ pub struct SimulateArgs {
     /// Model of the wire: the quasi-static rod, or MuJoCo (inertia, damping, convex parts of the object; some 100 times slower)
     #[arg(long, value_enum, default_value = "rod")]
     pub engine: Engine,
-    /// Built-in object (may be repeated); \"all\" takes every one
+    /// Built-in object (may be repeated); "all" takes every one
     #[arg(long, value_name = "NAME")]
     pub object: Vec<String>,
     /// STL file, or folder of them (may be repeated)

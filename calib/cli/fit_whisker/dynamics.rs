@@ -39,7 +39,12 @@ pub struct DynamicsArgs {
     )]
     pub speed_bias: f64,
     /// Evaluations of each of NLopt's searches (BOBYQA, then CRS2)
-    #[arg(long, default_value_t = 60, requires = "dynamics")]
+    #[arg(
+        long,
+        default_value_t = 60,
+        requires = "dynamics",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
     pub evaluations: u32,
 }
 
@@ -72,6 +77,16 @@ pub fn dynamics(
         args.bounce_ratio > 0.0 && args.bounce_ratio <= 1.0,
         "--bounce-ratio: expected above 0 and at most 1, found {}",
         args.bounce_ratio
+    );
+    ensure!(
+        args.ripple_nmm >= 0.0 && args.ripple_nmm.is_finite(),
+        "--ripple-nmm: expected 0 or more, found {}",
+        args.ripple_nmm
+    );
+    ensure!(
+        args.speed_bias.abs() < 1.0,
+        "--speed-bias: expected a share between -1 and 1 (0.05 is 5 %), found {}",
+        args.speed_bias
     );
     let recorded = args.ring_down.as_deref().map(read_ring_down).transpose()?;
     let targets = Targets {

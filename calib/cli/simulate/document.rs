@@ -164,9 +164,10 @@ pub fn document(
         sweeps_per_core_s: rate,
         core_h_per_15600_sweeps: rate.map(|rate| PAPER_SWEEPS / rate / 3600.0),
         twin,
-        provenance: provenance(
-            args.whisker.iter().chain(&args.plan).chain(&args.meshes).map(PathBuf::as_path),
-        ),
+        provenance: Provenance {
+            seed: dataset.seed,
+            ..provenance(args.whisker.iter().chain(&args.plan).chain(&args.meshes).map(PathBuf::as_path))
+        },
     }
 }
 

@@ -40,7 +40,7 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         Fact::new("seed", document.seed.to_string()),
         Fact::new("share", document.share.clone()),
         Fact::new("medium", document.plan.physics.medium.name()),
-        Fact::new("friction", format!("{:?}", document.plan.physics.friction)),
+        Fact::new("friction", range(document.plan.physics.friction)),
     ];
     if let Some(rate) = document.sweeps_per_core_s {
         facts.push(Fact::new("sweeps a second and core", format!("{rate:.1}")));
@@ -180,4 +180,9 @@ fn real<'a>(table: &'a Table, name: &str) -> anyhow::Result<&'a [Option<f64>]> {
         None => Ok(&[]),
         _ => bail!("column {name}: expected numbers"),
     }
+}
+
+/// What a drawn value ranges over.
+fn range([low, high]: [f64; 2]) -> String {
+    if low == high { format!("{low}") } else { format!("{low} to {high}") }
 }

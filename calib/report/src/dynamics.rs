@@ -41,8 +41,8 @@ pub struct DynamicsTrial {
     pub total: f64,
 }
 
-/// Rows of the table.
-const SHOWN: usize = 12;
+/// Rows of the table for each stage.
+const SHOWN: usize = 3;
 
 /// The page.
 #[must_use]
@@ -68,7 +68,7 @@ pub fn render_dynamics(input: &DynamicsInput) -> String {
         [t.overlap_mm, t.ripple_nmm]
     });
     let choice: String = input.choice.iter().map(|line| paragraph(line)).collect();
-    let parts = [("choice", "Choice", choice + &table(input)), ("trade", "Trade", plots)];
+    let parts = [("choice", "Choice", choice + &table(input, &stages)), ("trade", "Trade", plots)];
     simulated("Damping and contact", &input.title, &input.facts, &parts)
 }
 
@@ -113,14 +113,20 @@ fn plot(
     format!("<figure>{}</figure>\n", plot.svg())
 }
 
-fn table(input: &DynamicsInput) -> String {
-    let mut order: Vec<&DynamicsTrial> = input.trials.iter().collect();
+/// The last stages crowd around the best: every stage is shown.
+fn table(input: &DynamicsInput, stages: &[String]) -> String {
+    let mut order: Vec<&DynamicsTrial> = Vec::new();
+    for stage in stages {
+        let mut own: Vec<&DynamicsTrial> = input.trials.iter().filter(|t| t.stage == *stage).collect();
+        own.sort_by(|a, b| a.total.total_cmp(&b.total));
+        order.extend(own.into_iter().take(SHOWN));
+    }
     order.sort_by(|a, b| a.total.total_cmp(&b.total));
     let mut table = Table::new(
-        "Best trials",
+        "Best trials of each stage",
         &["stage", "parameters", "#bounce", "#bias, %", "#ripple, N mm", "#overlap, mm", "#sum of squares"],
     );
-    for t in order.into_iter().take(SHOWN) {
+    for t in order {
         let mut row = vec![Cell::Text(t.stage.clone()), Cell::Text(t.label.clone())];
         row.extend(
             [t.bounce_ratio, t.bias_percent, t.ripple_nmm, t.overlap_mm, t.total]

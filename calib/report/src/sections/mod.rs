@@ -81,10 +81,10 @@ fn absent(what: &str) -> String {
     format!("<p class=\"quiet\">{}</p>", escape(what))
 }
 
-/// Class, text and marker of the n-th channel.
+/// Class and marker of the n-th channel; past the fourth, colours come back with another shape.
 pub(crate) fn series(n: usize) -> (&'static str, crate::plot::Marker) {
     use crate::plot::Marker::{Circle, Diamond, Square, Triangle};
-    [("s1", Circle), ("s2", Square), ("s3", Diamond), ("s4", Triangle)][n % 4]
+    (["s1", "s2", "s3", "s4"][n % 4], [Circle, Square, Diamond, Triangle][(n + n / 4) % 4])
 }
 
 /// Key of colours and shapes.
@@ -95,7 +95,11 @@ pub(crate) fn legend(names: &[String]) -> String {
         .enumerate()
         .map(|(k, name)| {
             let (class, _) = series(k);
-            format!("<li><span class=\"key {class}\">{}</span> {}</li>", SHAPES[k % 4], escape(name))
+            format!(
+                "<li><span class=\"key {class}\">{}</span> {}</li>",
+                SHAPES[(k + k / 4) % 4],
+                escape(name)
+            )
         })
         .collect();
     format!("<ul class=\"legend\">{items}</ul>")

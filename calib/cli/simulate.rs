@@ -145,6 +145,13 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
             bar.set_position(done);
         })?;
         bar.finish_and_clear();
+        let again: Vec<&String> = totals.values().flat_map(|t| &t.again).collect();
+        for line in again.iter().take(MOST_AGAIN) {
+            eprintln!("simulate: made again: {line}");
+        }
+        if again.len() > MOST_AGAIN {
+            eprintln!("simulate: made again: {} more", again.len() - MOST_AGAIN);
+        }
         (totals, Vec::new())
     };
     let known = notes.len();
@@ -199,6 +206,9 @@ fn share(text: &str) -> anyhow::Result<[usize; 2]> {
         _ => bail!("--shard: expected i/n with 1 <= i <= n, found {text:?}"),
     }
 }
+
+/// Shards made again that are named one by one.
+const MOST_AGAIN: usize = 5;
 
 fn bar() -> ProgressBar {
     let bar = ProgressBar::new(0);

@@ -71,6 +71,8 @@ pub struct Total {
     pub made: u64,
     /// What went wrong with the object or the engine, in words.
     pub notes: Vec<String>,
+    /// Shards that were there, could not be used and were made again, with the reason.
+    pub again: Vec<String>,
 }
 
 /// A shard that is not there or cannot be used.
@@ -204,16 +206,19 @@ impl Dataset {
         let blocks = self.blocks();
         let all: u64 = blocks.iter().map(|(_, first)| self.size(*first)).sum();
         let done = std::sync::atomic::AtomicU64::new(0);
-        let shards: Vec<(usize, Manifest, bool)> = blocks
+        let shards: Vec<(usize, Manifest, bool, Option<String>)> = blocks
             .par_iter()
             .map(|&(object, first)| {
                 let mesh = &self.objects[object];
                 let (name, size) = (self.name((object, first)), self.size(first));
-                let there = shard::done(folder, &name, &made_from[object], [first, size]).ok();
-                let made = there.is_none();
+                let there = shard::done(folder, &name, &made_from[object], [first, size]);
+                // A shard that is there and cannot be used is told; one that was never made is no news.
+                let was_there = folder.join(format!("{name}.json")).exists();
+                let again = there.as_ref().err().filter(|_| was_there).map(|why| format!("{name}: {why}"));
+                let made = there.is_err();
                 let manifest = match there {
-                    Some(manifest) => manifest,
-                    None => {
+                    Ok(manifest) => manifest,
+                    Err(_) => {
                         let begin_s = thread_s();
                         let (outcomes, beside, engine_s) = match &self.engine {
                             SweepEngine::Rod => (self.block(&engine, mesh, first, size), None, 0.0),
@@ -237,12 +242,14 @@ impl Dataset {
                 };
                 let before = done.fetch_add(size, std::sync::atomic::Ordering::SeqCst);
                 progress(before + size, all);
-                Ok((object, manifest, made))
+                Ok((object, manifest, made, again))
             })
             .collect::<Result<_, TwinError>>()?;
         let mut totals: BTreeMap<String, Total> = BTreeMap::new();
-        for (object, manifest, made) in &shards {
-            totals.entry(self.objects[*object].name.clone()).or_default().add(manifest, *made);
+        for (object, manifest, made, again) in shards {
+            let total = totals.entry(self.objects[object].name.clone()).or_default();
+            total.add(&manifest, made);
+            total.again.extend(again);
         }
         Ok(totals)
     }

@@ -53,7 +53,11 @@ fn shards_do_not_depend_on_threads_or_shares_and_go_on_where_they_stopped() {
 #[test]
 fn a_wrong_byte_is_told_by_the_checksum() {
     let folder = tempfile::tempdir().unwrap();
-    Dataset { sweeps: 2, ..dataset(1) }.make(folder.path(), |_, _| {}).unwrap();
+    let make = |seed| {
+        let totals = Dataset { sweeps: 2, ..dataset(seed) }.make(folder.path(), |_, _| {}).unwrap();
+        totals.into_values().flat_map(|t| t.again).collect::<Vec<_>>().join("; ")
+    };
+    assert_eq!(make(1), "", "the first run makes nothing again");
     let manifest = shard::read_manifest(&folder.path().join("can-000000.json")).unwrap();
     assert!(manifest.simulated && shard::check(folder.path(), &manifest).is_ok());
     let table = folder.path().join("can-000000.samples.parquet");
@@ -62,6 +66,11 @@ fn a_wrong_byte_is_told_by_the_checksum() {
     std::fs::write(&table, bytes).unwrap();
     let error = shard::check(folder.path(), &manifest).unwrap_err().to_string();
     assert!(error.contains("can-000000.samples.parquet") && error.contains("SHA-256"), "{error}");
+    // It is made again, and that is said; so is a shard of another seed that goes.
+    let said = make(1);
+    assert!(said.starts_with("can-000000: ") && said.contains("SHA-256"), "{said}");
+    assert!(shard::check(folder.path(), &manifest).is_ok() && make(1).is_empty());
+    assert!(make(2).contains("made from another wire, plan, mesh or seed"));
 }
 
 fn stl(path: &Path, corners: &[[f32; 3]], triangles: &[[usize; 3]]) {

@@ -22,6 +22,10 @@ impl Display for AgainstRod {
         for r in &self.by_speed {
             let [from, to] = r.speed_mm_s;
             let speeds = if from == to { format!("{from:.1}") } else { format!("{from:.1}-{to:.1}") };
+            if r.samples == 0 {
+                writeln!(f, "{speeds:>11} {:>8}   (no sample that both engines kept)", 0)?;
+                continue;
+            }
             writeln!(
                 f,
                 "{speeds:>11} {:>8} {:>8.1}% {:>15.4} {:>8.4} {:>11.4} {:>8.4} {:>6.2}% {:>7.3} {:>8.3} {:>10.4} {:>11.3} {:>7.2}%",

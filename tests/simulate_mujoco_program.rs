@@ -135,6 +135,7 @@ fn softening_is_refused_by_mujoco_with_the_reason() {
             && error.contains("softening_onset_per_m: expected none with the mujoco engine"),
         "{error}"
     );
+    assert!(!std::path::Path::new(&at("out")).exists(), "nothing is left behind");
 }
 
 /// Damping and contact of `wcal fit-whisker --dynamics` are what MuJoCo's wire then has.

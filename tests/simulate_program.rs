@@ -212,6 +212,7 @@ fn a_missing_mujoco_engine_is_named_and_nothing_else_needs_it() {
         assert_eq!(found.status.code(), Some(1), "{error}");
         assert!(error.contains("MuJoCo engine: WCAL_MUJOCO: expected a program"), "{error}");
         assert!(error.contains("/nonexistent/wcal-mujoco"), "{error}");
+        assert!(!out.exists() || args[0] == "twin", "nothing is left behind");
         assert_eq!(run(&[args, &["--engine", "rod"]].concat()).status.code(), Some(0));
     }
 }

@@ -166,7 +166,7 @@ fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
 
 /// What is said of all poses together.
 pub struct Findings {
-    /// In sentences, as printed.
+    /// In sentences, as printed; the tip's table is apart.
     pub lines: Vec<String>,
     /// The tip's effects.
     pub tip: Vec<TipEffect>,
@@ -234,18 +234,19 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
     }
     let (tip, poses) = tip_effects(&all);
     if !tip.is_empty() {
-        say(format!(
-            "what the groove's tip does to the moment, over {poses} poses that are held in every way, % of the ideal groove's:"
-        ));
-        say(format!(
-            "  {:<38} {:>12} {:>8} {:>8}  point",
+        // The page has this as a table of its own.
+        eprintln!(
+            "twin: what the groove's tip does to the moment, over {poses} poses that are held in every way, % of the ideal groove's:"
+        );
+        eprintln!(
+            "twin:   {:<38} {:>12} {:>8} {:>8}  point",
             "each added to those above", "along it", "RMS", "largest"
-        ));
+        );
         for row in &tip {
-            say(format!(
-                "  {:<38} {:>+12.2} {:>8.2} {:>8.2}  {}",
+            eprintln!(
+                "twin:   {:<38} {:>+12.2} {:>8.2} {:>8.2}  {}",
                 row.name, row.along_percent, row.rms_percent, row.largest_percent, row.at_point
-            ));
+            );
         }
     }
     Findings { lines, tip, poses }

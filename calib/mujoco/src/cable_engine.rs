@@ -42,6 +42,15 @@ pub struct CableEngine {
     pub refused: Option<String>,
 }
 
+/// Why a plan with softening is refused.
+pub(crate) fn no_softening(found: &str) -> TwinError {
+    TwinError::Value {
+        what: "softening_onset_per_m",
+        expected: "none with the mujoco engine, whose joints are linear (the rod engine softens)".to_owned(),
+        found: found.to_owned(),
+    }
+}
+
 impl CableEngine {
     /// Starts an engine for a whisker.
     ///
@@ -84,12 +93,7 @@ impl CableEngine {
         plan: &SweepPlan,
     ) -> Result<Run, TwinError> {
         if let Some(onset) = sweep.physics.onset_per_m() {
-            return Err(TwinError::Value {
-                what: "softening_onset_per_m",
-                expected: "none with the mujoco engine, whose joints are linear (the rod engine softens)"
-                    .to_owned(),
-                found: format!("{onset:.1}"),
-            });
+            return Err(no_softening(&format!("{onset:.1}")));
         }
         let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
         match self.follow(mesh, parts, sweep, plan, &mut run) {

@@ -1,12 +1,12 @@
 //! The sweep dataset: blocks of sweeps over objects on all cores, written shard by shard, taken up again where it stopped.
 
 use crate::against::{self, AgainstRod};
-use crate::cable_engine::CableEngine;
+use crate::cable_engine::{self, CableEngine};
 use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
 use crate::rod_engine::{LINKS, RodEngine, Run};
 use crate::shard::{self, Beside, Manifest, Outcome};
-use crate::{Mesh, Sweep, SweepPlan, TwinError};
+use crate::{Mesh, MujocoEngine, Sweep, SweepPlan, TwinError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -199,6 +199,13 @@ impl Dataset {
         progress: impl Fn(u64, u64) + Sync,
     ) -> Result<BTreeMap<String, Total>, TwinError> {
         self.plan.check()?;
+        // Before anything is written.
+        if let SweepEngine::Mujoco(_) = self.engine {
+            if let Some(onset) = self.plan.physics.softening_onset_per_m {
+                return Err(cable_engine::no_softening(&format!("{onset:?}")));
+            }
+            MujocoEngine::start()?;
+        }
         std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
         let engine = RodEngine::new(&self.whisker, LINKS)?;
         let made_from: Vec<String> = self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect();

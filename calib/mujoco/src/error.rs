@@ -4,14 +4,14 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum TwinError {
     /// A file could not be read or written.
-    #[error("{action} {}: {source}", path.display())]
+    #[error("{action} {}: {cause}", path.display())]
     Io {
         /// What was tried.
         action: &'static str,
         /// Where.
         path: PathBuf,
-        /// Why not.
-        source: std::io::Error,
+        /// Why not; part of the message, so no source of its own.
+        cause: std::io::Error,
     },
     /// A mesh that no sweep can use.
     #[error("object {object}: expected {expected}, found {found}")]
@@ -53,6 +53,6 @@ impl TwinError {
     /// For `map_err` on file operations.
     pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |source| Self::Io { action, path, source }
+        move |cause| Self::Io { action, path, cause }
     }
 }

@@ -190,7 +190,7 @@ pub(crate) fn write(
 /// Under a name of its own first: a reader never sees half a file, and two writers do not meet.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
     let folder = path.parent().unwrap_or(Path::new("."));
-    let fail = |source| TwinError::Io { action: "writing", path: path.to_owned(), source };
+    let fail = |cause| TwinError::Io { action: "writing", path: path.to_owned(), cause };
     let mut builder = tempfile::Builder::new();
     builder.prefix(".wcal-").suffix(".tmp");
     #[cfg(unix)]

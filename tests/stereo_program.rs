@@ -109,6 +109,9 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     assert!(model.starts_with("<mujoco") && model.matches("<body ").count() == 41);
     let written: toml::Table = written.parse().unwrap();
     assert_eq!(written["format"].as_str(), Some("wcal-whisker/1"));
+    // The model says what it was made from.
+    let inputs = written["provenance"]["inputs"].as_array().unwrap();
+    assert!(inputs.len() == 2 && inputs.iter().all(|i| model.contains(i["sha256"].as_str().unwrap())));
     stiffness_from_moments(&place, &shapes, &rig);
     std::fs::write(place.path().join("none.json"), "{}").unwrap();
     let none = ["fit-whisker", &at("none.json"), "--out", &whisker, "--rig", &rig];

@@ -27,6 +27,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use stiffness::stiffness;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::{InputFile, Provenance};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::{MeasuredShape, fit_rest};
 use wcal_vision::rig::Rig;
@@ -191,7 +192,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let options = MjcfOptions {
         root_turn_rad: Vector3::from(result.root.turn_rad),
         root_offset_mm: Vector3::from(result.root.offset_mm),
-        provenance: format!("{}: {}", result.provenance.program, result.provenance.command.join(" ")),
+        provenance: stated(&result.provenance),
         ..options
     };
     write(&args.out, "whisker.xml", mjcf(&fitted, &options)?.as_bytes())?;
@@ -226,6 +227,13 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     }
     eprintln!("fit-whisker: {}", path.display());
     Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// Provenance in one line: program, command, time and every input with its SHA-256.
+fn stated(p: &Provenance) -> String {
+    let input = |i: &InputFile| format!("{} sha256 {}", i.path, i.sha256);
+    let inputs = p.inputs.iter().map(input).collect::<Vec<_>>().join(", ");
+    format!("{}: {}; {}; {inputs}", p.program, p.command.join(" "), p.created)
 }
 
 /// A usable pair as a shape: free, or held at one place.

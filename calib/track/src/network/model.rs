@@ -189,7 +189,7 @@ impl WhiskerNet {
         let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
         for block in &self.blocks {
             let qkv = block.query_key_value.forward(fused::norm(&block.before_attention, x.clone()));
-            let attended = if fused::fits(self.width(), self.heads) {
+            let attended = if fused::fits(&qkv, self.width(), self.heads) {
                 fused::attend(qkv, bias.clone(), self.heads)
             } else {
                 let (q, k, v) = self.split(qkv);

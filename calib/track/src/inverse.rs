@@ -5,7 +5,7 @@
 //! is known of objects choose the point on it.
 
 use crate::TrackError;
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use wcal_core::observation::WhiskerSpec;
@@ -214,7 +214,9 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInve
 }
 
 /// Newton steps for one moment.
-const NEWTON_STEPS: usize = 12;
+const NEWTON_STEPS: usize = 24;
+/// A step with a carried derivative is taken where it leaves less than this part of the residual.
+const FAST: f64 = 0.6;
 /// Agreement asked for, N mm.
 const AGREES_NMM: f64 = 1e-7;
 /// Moment that stands for the first touch, N mm.
@@ -244,7 +246,8 @@ fn ray(
 ) -> Vec<(Cell, Option<Vector3<f64>>)> {
     let across = |f: Vector2<f64>| Vector3::new(0.0, f.x, f.y);
     // Without a force there is a direction all the same: that of the first one.
-    let mut force = square(chain, arclength_mm, moment(direction, 0, grid), Vector2::zeros());
+    let mut rate = None;
+    let mut force = square(chain, arclength_mm, moment(direction, 0, grid), Vector2::zeros(), &mut rate);
     let mut last = force.unwrap_or(Vector2::new(1e-6, 0.0));
     let mut found = vec![(cell(chain, arclength_mm, &across(last), force.is_some()), force.map(across))];
     let mut before = Vector2::zeros();
@@ -253,7 +256,7 @@ fn ray(
             let to = moment(direction, m, grid);
             let guess = if m > 1 { from * 2.0 - before } else { from * (to.norm() / FIRST_NMM) };
             before = if m > 1 { from } else { Vector2::zeros() };
-            force = square(chain, arclength_mm, to, guess);
+            force = square(chain, arclength_mm, to, guess, &mut rate);
             last = force.unwrap_or(last);
         }
         found.push((cell(chain, arclength_mm, &across(last), force.is_some()), force.map(across)));
@@ -267,28 +270,52 @@ fn square(
     arclength_mm: f64,
     moment_nmm: Vector2<f64>,
     guess: Vector2<f64>,
+    rate: &mut Option<Matrix2<f64>>,
 ) -> Option<Vector2<f64>> {
-    let moments = |f: Vector2<f64>| {
+    let first = guess == Vector2::zeros();
+    let arm = arclength_mm.max(1.0);
+    let start = if first { Vector2::new(moment_nmm.y, -moment_nmm.x) / arm } else { guess };
+    let off = |f: &Vector2<f64>| {
         let m = chain.pushed(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
-        Vector2::new(m.y, m.z)
+        Vector2::new(m.y, m.z) - moment_nmm
     };
-    let mut force = guess;
-    if force == Vector2::zeros() {
-        let arm = arclength_mm.max(1.0);
-        force = Vector2::new(moment_nmm.y, -moment_nmm.x) / arm;
-    }
-    let start = force;
-    for _ in 0..NEWTON_STEPS {
-        let off = moments(force) - moment_nmm;
-        if off.norm() < AGREES_NMM {
-            // A force that turned round on the way belongs to another branch.
-            return (guess == Vector2::zeros() || force.dot(&start) > 0.0).then_some(force);
-        }
+    // A force that turned round on the way belongs to another branch.
+    solved(off, start, rate).filter(|force| first || force.dot(&start) > 0.0)
+}
+
+/// Zero of a function of a force, N mm. Its derivative `rate` is carried from one solution to the next by Broyden's update (1965, Math.
+/// Comp. 19:577) and made anew by differences where the residual does not fall fast.
+fn solved<const N: usize>(
+    off: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
+    start: SVector<f64, N>,
+    rate: &mut Option<SMatrix<f64, N, N>>,
+) -> Option<SVector<f64, N>> {
+    let by_differences = |force: &SVector<f64, N>| {
         let h = 1e-4 * force.norm();
-        let column = |e: Vector2<f64>| (moments(force + e * h) - moments(force - e * h)) / (2.0 * h);
-        let step = Matrix2::from_columns(&[column(Vector2::x()), column(Vector2::y())]).lu().solve(&off)?;
+        let columns = std::array::from_fn::<_, N, _>(|k| {
+            let e = SVector::from_fn(|i, _| if i == k { h } else { 0.0 });
+            (off(&(force + e)) - off(&(force - e))) / (2.0 * h)
+        });
+        SMatrix::from_columns(&columns)
+    };
+    let (mut force, mut value) = (start, off(&start));
+    for _ in 0..NEWTON_STEPS {
+        if value.norm() < AGREES_NMM {
+            return Some(force);
+        }
+        let carried = rate.take();
+        let slope = carried.unwrap_or_else(|| by_differences(&force));
+        let step = -slope.try_inverse()? * value;
         let most = 0.5 * force.norm();
-        force -= if step.norm() > most { step * (most / step.norm()) } else { step };
+        let step = if step.norm() > most { step * (most / step.norm()) } else { step };
+        let next = off(&(force + step));
+        let fast = next.norm() < FAST * value.norm();
+        if fast {
+            *rate = Some(slope + (next - value - slope * step) * step.transpose() / step.norm_squared());
+        }
+        if fast || carried.is_none() {
+            (force, value) = (force + step, next);
+        }
     }
     None
 }
@@ -303,13 +330,13 @@ fn leans(
 ) -> Vec<Cell> {
     let mut last = square.unwrap_or(Vector3::y() * 1e-6);
     let angle = square.map(|f| lean_sine(&chain.pushed(tip_mm, &f)).asin());
-    let mut force = square;
+    let (mut force, mut rate) = (square, None);
     (1..=grid.leans)
         .map(|k| {
             let part = k as f64 / (grid.leans + 1) as f64;
             force = force.zip(angle).and_then(|(from, angle)| {
                 let angle = angle + (std::f64::consts::FRAC_PI_2 - angle) * part;
-                leaning(chain, tip_mm, &from, moment_nmm, angle.sin())
+                leaning(chain, tip_mm, &from, moment_nmm, angle.sin(), &mut rate)
             });
             last = force.unwrap_or(last);
             cell(chain, tip_mm, &last, force.is_some())
@@ -329,24 +356,12 @@ fn leaning(
     from: &Vector3<f64>,
     moment_nmm: Vector2<f64>,
     sine: f64,
+    rate: &mut Option<Matrix3<f64>>,
 ) -> Option<Vector3<f64>> {
     let off = |f: &Vector3<f64>| {
         let push = chain.pushed(tip_mm, f);
         let m = push.moment_nmm;
         Vector3::new(m.y - moment_nmm.x, m.z - moment_nmm.y, (lean_sine(&push) - sine) * moment_nmm.norm())
     };
-    let mut force = *from;
-    for _ in 0..NEWTON_STEPS {
-        let value = off(&force);
-        if value.norm() < AGREES_NMM {
-            return Some(force);
-        }
-        let h = 1e-4 * force.norm();
-        let column = |e: Vector3<f64>| (off(&(force + e * h)) - off(&(force - e * h))) / (2.0 * h);
-        let columns = [column(Vector3::x()), column(Vector3::y()), column(Vector3::z())];
-        let step = Matrix3::from_columns(&columns).lu().solve(&value)?;
-        let most = 0.5 * force.norm();
-        force -= if step.norm() > most { step * (most / step.norm()) } else { step };
-    }
-    None
+    solved(off, *from, rate)
 }

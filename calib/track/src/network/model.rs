@@ -55,11 +55,11 @@ impl NetworkConfig {
         Self {
             inputs,
             nodes,
-            encoder: 96,
+            encoder: 128,
             layers: 3,
-            heads: 4,
-            width: 64,
-            feed_forward: 192,
+            heads: 6,
+            width: 96,
+            feed_forward: 256,
             dropout: 0.0,
             context: 128,
         }

@@ -27,7 +27,7 @@ pub(super) struct Window {
 
 /// Windows of courses, with what a bench adds; `seed` draws.
 pub(super) fn windows(
-    courses: &[&Course],
+    courses: &[Course],
     inverse: &StaticInverse,
     settings: &TrainSettings,
     seed: u64,

@@ -99,11 +99,7 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     }
     let channels = advertised(line.trim().rsplit("ws://").next().unwrap());
     assert!(channels.contains("/track/contact") && channels.contains("/track/event"), "{channels}");
-    // 4 s of prefix and 1 s more, by the bench's clock.
-    std::thread::sleep(Duration::from_secs_f64(5.0 / SPEED));
-    go(stage.as_mut(), 22.0);
-    std::thread::sleep(Duration::from_secs_f64(1.0 / SPEED));
-    go(stage.as_mut(), 18.0);
+    press(stage.as_mut(), SPEED);
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     let run = child.wait_with_output().unwrap();
@@ -160,13 +156,74 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     assert_eq!(read_text(&live_csv), read_text(&replayed));
     assert_eq!(read_text(&path("live-events.csv")), read_text(&path("replayed-events.csv")));
     // Control: another lag is another track.
-    let other = [&replay[..], &["--lag-s", "0.15"]].concat();
-    assert_eq!(track(&other).output().unwrap().status.code(), Some(0));
+    let other = [&replay[..], &["--lag-s", "0.15", "--surface"]].concat();
+    let run = track(&other).output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     assert_ne!(read_text(&live_csv), read_text(&replayed));
+    the_cloud_is_the_contacts(&document(&run), Path::new(&replayed), &path);
 
+    let most = m.iter().copied().map(f64::abs).fold(0.0, f64::max);
+    a_hyperion_gives_the_same(&bench, stage.as_mut(), SPEED, &good, most, &path);
     faults_are_flagged(&mut bench, &live, &path);
     refusals(&recording, &rig, [&raw, &good], &path);
     several_whiskers(&recording, &rig, &good, &path);
+}
+
+/// Presses the wire and lets it go: 4 s of prefix and 1 s more before, by the bench's clock.
+fn press(stage: &mut dyn wcal_core::device::Stage, speed: f64) {
+    std::thread::sleep(Duration::from_secs_f64(5.0 / speed));
+    go(stage, 22.0);
+    std::thread::sleep(Duration::from_secs_f64(1.0 / speed));
+    go(stage, 18.0);
+}
+
+/// `--surface`: the contacts of the table, in the world frame that the stage's readings give.
+fn the_cloud_is_the_contacts(summary: &Value, table: &Path, path: &dyn Fn(&str) -> String) {
+    let rows = Rows::read(table);
+    let (p, x) = (rows.numbers("contact_probability"), rows.numbers("world_x_mm"));
+    let sure: Vec<f64> = (0..p.len()).filter(|k| p[*k] >= 0.9 && x[*k].is_finite()).map(|k| x[k]).collect();
+    let surface = &summary["surface"];
+    assert_eq!(
+        (&surface["frame"], surface["points"].as_u64()),
+        (&"world".into(), Some(sure.len() as u64)),
+        "{surface}"
+    );
+    assert!(!sure.is_empty() && sure.len() < p.len(), "{p:?}");
+    let cloud = std::fs::read_to_string(path("replayed-cloud.ply")).unwrap();
+    assert!(cloud.contains(&format!("element vertex {}\n", sure.len())), "{cloud}");
+    let points = cloud.split("end_header\n").nth(1).unwrap().lines();
+    let first: Vec<f64> = points.map(|l| l.split(' ').next().unwrap().parse().unwrap()).collect();
+    assert!(first.iter().zip(&sure).all(|(a, b)| (a - b).abs() < 1e-3), "{first:?} {sure:?}");
+    let meshed = surface["surface_points"].as_u64().unwrap() > 0;
+    assert_eq!(Path::new(&path("replayed-surface.ply")).exists(), meshed, "{surface}");
+}
+
+/// The same press on the bench's other interrogator, whose largest moment was `most`, N mm.
+fn a_hyperion_gives_the_same(
+    bench: &Bench,
+    stage: &mut dyn wcal_core::device::Stage,
+    speed: f64,
+    good: &str,
+    most: f64,
+    path: &dyn Fn(&str) -> String,
+) {
+    let rig = std::fs::read_to_string(&bench.rig).unwrap();
+    assert!(rig.contains("driver = \"sm130\""), "{rig}");
+    let (file, csv) = (path("hyperion.toml"), path("hyperion.csv"));
+    std::fs::write(&file, rig.replace("driver = \"sm130\"", "driver = \"hyperion\"")).unwrap();
+    let addresses = bench.addresses.to_str().unwrap();
+    let live =
+        ["--rig", &file, "--bench", addresses, "--calibration", good, "--out", &csv, "--seconds", "14"];
+    let child = track(&live).spawn().unwrap();
+    press(stage, speed);
+    let run = child.wait_with_output().unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let summary = document(&run);
+    assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
+    assert_eq!(summary["whiskers"][0]["events"]["onset"], 1, "{summary}");
+    let m = Rows::read(Path::new(&csv)).numbers("moment_1_nmm");
+    let own = m.iter().copied().map(f64::abs).fold(0.0, f64::max);
+    assert!((own / most - 1.0).abs() < 0.03, "{own} {most}");
 }
 
 /// A gap, a lost peak and a tracker that is behind: flagged rows, counts, exit code 3.

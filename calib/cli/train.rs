@@ -43,6 +43,9 @@ pub struct TrainArgs {
     /// Seed of all draws
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Where to train: cpu, or gpu (gpu:N) of a program built with `--features gpu`
+    #[arg(long, default_value = "cpu")]
+    pub device: String,
     /// Folder for the model
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -65,6 +68,7 @@ pub enum SplitKind {
 /// # Errors
 /// Where the sweeps cannot be used or the model cannot be written.
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+    let device = wcal_track::device(&args.device)?;
     let whisker = whisker(args.whisker.as_deref())?;
     same_whisker(&args.sweeps, &format!("{whisker:?}"))?;
     let settings = TrainSettings { epochs: args.epochs, seed: args.seed, ..TrainSettings::default() };
@@ -82,7 +86,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         out: &args.out,
     };
     eprintln!("train: on SIMULATED sweeps");
-    let card = make_model(&making, &burn_device(), heard)?;
+    let card = make_model(&making, &device, heard)?;
     crate::picture_output::write(&args.out, "report.html", page(&card).as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&card)?);
@@ -97,7 +101,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Where networks run here.
+/// Where trained networks run.
 pub fn burn_device() -> wcal_track::Device {
     wcal_track::Device::flex()
 }

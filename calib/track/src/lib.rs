@@ -5,6 +5,7 @@
 pub mod bayes;
 pub mod bootstrap;
 pub mod course;
+mod device;
 pub mod drawn;
 mod error;
 pub mod evaluate;
@@ -23,6 +24,7 @@ pub mod train;
 
 pub use burn::tensor::Device;
 pub use course::{Contact, Course, Instant};
+pub use device::device;
 pub use error::TrackError;
 pub use inverse::{Candidate, InverseGrid, StaticInverse};
 pub use stream::{Sample, Stream, Tracker};

@@ -232,6 +232,7 @@ fn loss(
     let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);
     let off_curve = out.clone().narrow(1, config.nodes, 3);
     let logit = out.clone().narrow(1, config.nodes + 3, 1).reshape([n]);
+    let several = out.clone().narrow(1, config.nodes + 4, 1).reshape([n]);
     let held = touching.clone() * counted.clone();
     let many = held.clone().sum() + 1.0;
     let (mean, choice) = if config.nodes == 0 {
@@ -250,15 +251,18 @@ fn loss(
     };
     let off = (mean - place).square().sum_dim(1).reshape([n]) * held.clone();
     // Square near the truth, straight far off: a sprung contact does not drown the rest.
-    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many;
-    let contact = -(log_sigmoid(logit.clone()) * touching.clone() + log_sigmoid(-logit) * (-touching + 1.0));
-    let contact = (contact * counted.clone()).sum() / (counted.sum() + 1.0);
-    (choice + place_loss + contact, off)
+    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many.clone();
+    let cross = |logit: Tensor<1>, truth: Tensor<1>| {
+        -(log_sigmoid(logit.clone()) * truth.clone() + log_sigmoid(-logit) * (-truth + 1.0))
+    };
+    let contact = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
+    let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
+    (choice + place_loss + contact + several, off)
 }
 
 /// Where the doubt comes out.
 fn k_doubt(config: &NetworkConfig) -> usize {
-    config.nodes + 4
+    config.nodes + 5
 }
 
 /// Linear interpolation from knots to nodes, `[knots, nodes]`.

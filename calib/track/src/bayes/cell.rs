@@ -60,7 +60,11 @@ pub(super) struct Linked {
 impl Within {
     fn of(cell: &Cell) -> Self {
         let moments = |mean: f64, variance: f64| [cell.weight * mean, cell.weight * (mean * mean + variance)];
-        Self { weight: cell.weight, at: moments(cell.at, cell.variance), pace: moments(cell.pace, cell.pace_variance) }
+        Self {
+            weight: cell.weight,
+            at: moments(cell.at, cell.variance),
+            pace: moments(cell.pace, cell.pace_variance),
+        }
     }
 
     /// What is anywhere within the node and of unknown pace.
@@ -133,12 +137,18 @@ impl Within {
             (mean, (sums[1] / self.weight - mean * mean).max(0.0))
         };
         let ((at, variance), (pace, pace_variance)) = (of(self.at), of(self.pace));
-        Cell { weight: self.weight, at, variance: variance.min(0.25), pace, pace_variance: pace_variance.min(UNKNOWN) }
+        Cell {
+            weight: self.weight,
+            at,
+            variance: variance.min(0.25),
+            pace,
+            pace_variance: pace_variance.min(UNKNOWN),
+        }
     }
 }
 
 /// Twice the logarithm below which a density counts as none.
-const FARTHEST: f64 = 36.0;
+pub(super) const FARTHEST: f64 = 36.0;
 
 /// Share of a Gaussian within -1/2 to 1/2, with its mean and variance there.
 fn truncated(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
@@ -173,8 +183,16 @@ fn truncated(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
 /// Source: W. Press et al., "Numerical Recipes", section 6.2 (erfc by Chebyshev fit), with its Gaussian taken out.
 fn mills(x: f64) -> f64 {
     const C: [f64; 10] = [
-        -1.265_512_23, 1.000_023_68, 0.374_091_96, 0.096_784_18, -0.186_288_06, 0.278_868_07, -1.135_203_98, 1.488_515_87,
-        -0.822_152_23, 0.170_872_77,
+        -1.265_512_23,
+        1.000_023_68,
+        0.374_091_96,
+        0.096_784_18,
+        -0.186_288_06,
+        0.278_868_07,
+        -1.135_203_98,
+        1.488_515_87,
+        -0.822_152_23,
+        0.170_872_77,
     ];
     let t = 1.0 / (1.0 + 0.5 * x * FRAC_1_SQRT_2);
     let sum = C.iter().rev().fold(0.0, |sum, c| sum * t + c);
@@ -201,7 +219,10 @@ mod tests {
             let (inside, found_at, found) = truncated(mean, sd).unwrap();
             let exact = normal.cdf(0.5) - normal.cdf(-0.5);
             assert!((inside / exact - 1.0).abs() < 0.01, "{mean} {sd}: {inside} {exact}");
-            assert!((found_at - at).abs() < 0.01 && (found - variance).abs() < 0.01, "{mean} {sd}: {found_at} {at}");
+            assert!(
+                (found_at - at).abs() < 0.01 && (found - variance).abs() < 0.01,
+                "{mean} {sd}: {found_at} {at}"
+            );
         }
         assert!(truncated(9.0, 0.5).is_none());
     }

@@ -1,7 +1,7 @@
 //! How a contact may get from one node to another between two samples.
 
 use super::BayesSettings;
-use super::cell::{Cell, Linked, Within};
+use super::cell::{Cell, FARTHEST, Linked, Within};
 use crate::{Candidate, StaticInverse};
 use nalgebra::Vector3;
 use statrs::function::erf::erfc;
@@ -219,8 +219,12 @@ impl<'a> Rule<'a> {
             } else {
                 s.spring_back * (-off / s.spring_off_mm[0]).exp() / s.spring_off_mm[0]
             };
-            let turn = self.now.asides[j].map_or(0.0, |aside| fall(aside.dot(&(c.normal - from.normal)), s.spring_turn));
-            new.add(&Within::anywhere(weight * share * fallen * turn * c.give_mm_per_nmm * c.turn_per_nmm), 1.0);
+            let turn = self.now.asides[j]
+                .map_or(0.0, |aside| fall(aside.dot(&(c.normal - from.normal)), s.spring_turn));
+            new.add(
+                &Within::anywhere(weight * share * fallen * turn * c.give_mm_per_nmm * c.turn_per_nmm),
+                1.0,
+            );
         }
     }
 
@@ -237,10 +241,16 @@ impl<'a> Rule<'a> {
         }
         let node_mm = self.node_mm();
         let here = k.min(self.first_tip - 1);
-        let from_mm = self.inverse.nodes[here].arclength_mm + if at_tip { 0.0 } else { from.cell.at * node_mm };
+        let from_mm =
+            self.inverse.nodes[here].arclength_mm + if at_tip { 0.0 } else { from.cell.at * node_mm };
         let nodes = (step.reach_mm / node_mm).ceil() as usize;
         let paces = self.paces(&step.slides, from.cell, step, self.settings.changed_mean);
-        for (j, new) in new.iter_mut().enumerate().take((here + nodes + 1).min(self.first_tip)).skip(here.saturating_sub(nodes)) {
+        for (j, new) in new
+            .iter_mut()
+            .enumerate()
+            .take((here + nodes + 1).min(self.first_tip))
+            .skip(here.saturating_sub(nodes))
+        {
             if !self.now.all[j].reachable {
                 continue;
             }
@@ -272,6 +282,13 @@ impl<'a> Rule<'a> {
     ) {
         let (s, c) = (self.settings, &self.now.all[j]);
         let off = self.off(from, j, step);
+        // What no place of the node and about the one before can mend.
+        let mended =
+            0.5 * off.rule.by_to[0].abs() + 3.0 * off.rule.by_from[0].abs() * off.rule.variance.sqrt();
+        let left = (off.rule.off[0].abs() - mended).max(0.0).powi(2);
+        if left > FARTHEST * off.wide {
+            return;
+        }
         let way = step.way_mm.abs().max(1e-3);
         let [unsteady, changed] = [s.unsteady_share, s.changed_share];
         let shares = [1.0 - unsteady - changed, unsteady, changed];
@@ -286,13 +303,16 @@ impl<'a> Rule<'a> {
             };
             within.add(&Within::linked(&linked, mean, way), share);
         };
-        for (share, pace) in shares.into_iter().zip(paces) {
+        for (share, pace) in shares.into_iter().zip(paces).filter(|_| left < FARTHEST * off.rule.noise[0]) {
             add(share * (1.0 - s.wide), off.rule.noise[0], *pace);
         }
         add(s.wide, off.wide, paces[2]);
         if within.weight > 0.0 {
             let turned = self.turn_density(from, j, step);
-            new.add(&within, weight * turned * self.far(&off.way_on_surface, step) * c.give_mm_per_nmm * c.turn_per_nmm);
+            new.add(
+                &within,
+                weight * turned * self.far(&off.way_on_surface, step) * c.give_mm_per_nmm * c.turn_per_nmm,
+            );
         }
     }
 
@@ -340,7 +360,11 @@ impl<'a> Rule<'a> {
                 continue;
             }
             let lean = self.now.turns[j] / pitch;
-            let along = [lean.dot(&(c.normal - from.normal)), if at_tip { -lean.dot(&from.turn) } else { 0.0 }, pitch];
+            let along = [
+                lean.dot(&(c.normal - from.normal)),
+                if at_tip { -lean.dot(&from.turn) } else { 0.0 },
+                pitch,
+            ];
             self.arrive(from, j, weight * past * (1.0 - any) * pitch, step, &paces, along, new);
             let off = self.off(from, j, step);
             let anywhere = Within::first(&off.rule);

@@ -8,7 +8,7 @@ use burn::backend::flex::FlexTensor;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
 use burn::nn::LayerNorm;
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 
 /// The kernels.
 #[backend_extension(Flex, Autodiff)]
@@ -22,9 +22,14 @@ pub(crate) trait Fused: Backend {
     fn fused_gelu(x: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
-/// Whether the kernels take heads of this width.
-pub(super) fn fits(width: usize, heads: usize) -> bool {
-    width / heads <= MOST
+/// Whether the kernels, which are the processor's, take this tensor.
+fn here<const D: usize>(x: &Tensor<D>) -> bool {
+    cfg!(not(feature = "gpu")) || x.device() == Device::flex()
+}
+
+/// Whether they take heads of this width.
+pub(super) fn fits(qkv: &Tensor<3>, width: usize, heads: usize) -> bool {
+    width / heads <= MOST && here(qkv)
 }
 
 /// Causal attention over `[batch, time, 3 width]`, as `kernels::attend`.
@@ -34,7 +39,7 @@ pub(super) fn attend(qkv: Tensor<3>, bias: Tensor<4>, heads: usize) -> Tensor<3>
 
 /// A layer's normalisation.
 pub(super) fn norm(layer: &LayerNorm, x: Tensor<3>) -> Tensor<3> {
-    let Some(beta) = &layer.beta else { return layer.forward(x) };
+    let Some(beta) = layer.beta.as_ref().filter(|_| here(&x)) else { return layer.forward(x) };
     let (gamma, beta) = (layer.gamma.val(), beta.val());
     Tensor::from_dispatch(Dispatch::fused_norm(
         x.into_dispatch(),
@@ -45,6 +50,9 @@ pub(super) fn norm(layer: &LayerNorm, x: Tensor<3>) -> Tensor<3> {
 
 /// x times the normal distribution function.
 pub(super) fn gelu(x: Tensor<3>) -> Tensor<3> {
+    if !here(&x) {
+        return burn::tensor::activation::gelu(x);
+    }
     Tensor::from_dispatch(Dispatch::fused_gelu(x.into_dispatch()))
 }
 

@@ -95,11 +95,11 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, and with knots
-    /// the doubt in the filter.
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
+    /// with knots the doubt in the filter.
     #[must_use]
     pub fn outputs(&self) -> usize {
-        self.nodes + 3 + 1 + usize::from(self.nodes > 0)
+        self.nodes + 3 + 2 + usize::from(self.nodes > 0)
     }
 }
 
@@ -141,6 +141,8 @@ pub struct Attended {
 pub struct Prediction {
     /// Probability of contact.
     pub contact: f32,
+    /// Probability of several, where there is one.
+    pub several: f32,
     /// Mean place, base frame, mm.
     pub point_mm: [f32; 3],
     /// Covariance before calibration, mm^2.
@@ -189,7 +191,7 @@ impl WhiskerNet {
         let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
         for block in &self.blocks {
             let qkv = block.query_key_value.forward(fused::norm(&block.before_attention, x.clone()));
-            let attended = if fused::fits(self.width(), self.heads) {
+            let attended = if fused::fits(&qkv, self.width(), self.heads) {
                 fused::attend(qkv, bias.clone(), self.heads)
             } else {
                 let (q, k, v) = self.split(qkv);

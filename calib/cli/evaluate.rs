@@ -18,7 +18,7 @@ use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::{Card, SplitBy, load};
-use wcal_track::several::{told_before, two_contacts, weighed};
+use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_network};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 /// Arguments of `wcal evaluate`.
@@ -110,6 +110,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let [seen, unseen] = of(false);
     // The limit is chosen on other objects than it is judged on.
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
+    let [seen, unseen] = [0, 1].map(|k| weighed_by_network(&tracker, sets[k].1.values().flatten()));
+    document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(told_before(&seen, &unseen));
     if card.split == SplitBy::Sweeps {
@@ -271,6 +273,9 @@ fn print_told(document: &Value) {
     let two = &document["two_contacts"];
     if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
         println!("two contacts: F1 {f1:.2}; one contact explains {:.0} % of them as well", 100.0 * share);
+    }
+    if let Some(f1) = document["two_contacts_network"]["detection"]["f1"].as_f64() {
+        println!("two contacts by the network: F1 {f1:.2}");
     }
     let told = &document["two_contacts_told_before"];
     if let (Some(before), Some(f1)) = (told["f1_as_before"].as_f64(), told["f1"].as_f64()) {

@@ -1,6 +1,6 @@
 //! Scores of the Bayes filter on SIMULATED sweeps for settings that come in line by line as JSON: `filter_search SWEEPS MESHES FIRST EACH
-//! [known|unknown] OBJECT...`; prints for each the RMSE to the surface and to the contact (mm, mean over objects) and the mean logarithm of
-//! the belief within 1 mm of the truth.
+//! [known|unknown] OBJECT...`; prints for each the RMSE to the surface and to the contact (mm, mean over objects), the mean logarithm of
+//! the belief within 1 mm of the truth, and that of the evidence: settings that are true of the sweeps have the most.
 #![allow(missing_docs, clippy::print_stdout, reason = "an example")]
 
 use rayon::prelude::*;
@@ -27,34 +27,35 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let inverse = StaticInverse::new(&wcal_core::observation::WhiskerSpec::nominal(), grid)?;
     for line in std::io::stdin().lock().lines() {
         let settings: BayesSettings = serde_json::from_str(&line?)?;
-        let (mut surface, mut contact, mut belief, mut n) = (0.0, 0.0, 0.0, 0.0);
+        let (mut surface, mut contact, mut belief, mut evidence, mut n) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (mesh, courses) in &all {
             let sums = courses
                 .par_iter()
                 .map(|c| sums(c, mesh, &inverse, settings, known == "known"))
-                .reduce(|| [0.0; 4], |a, b| std::array::from_fn(|k| a[k] + b[k]));
-            let count = sums[3].max(1.0);
+                .reduce(|| [0.0; 5], |a, b| std::array::from_fn(|k| a[k] + b[k]));
+            let count = sums[4].max(1.0);
             surface += (sums[0] / count).sqrt() / all.len() as f64;
             contact += (sums[1] / count).sqrt() / all.len() as f64;
             belief += sums[2];
-            n += sums[3];
+            evidence += sums[3];
+            n += sums[4];
         }
-        println!("{surface:.4} {contact:.4} {:.4}", belief / n);
+        println!("{surface:.4} {contact:.4} {:.4} {:.4}", belief / n, evidence / n);
         std::io::stdout().flush()?;
     }
     Ok(())
 }
 
-/// Squares to the surface and to the contact, logarithms of the belief, and instants.
+/// Squares to the surface and to the contact, logarithms of the belief and of the evidence, and instants.
 fn sums(
     course: &Course,
     mesh: &Mesh,
     inverse: &StaticInverse,
     settings: BayesSettings,
     known: bool,
-) -> [f64; 4] {
+) -> [f64; 5] {
     let mut filter = BayesFilter::new(inverse, settings);
-    let (mut last_s, mut sums) = (0.0, [0.0; 4]);
+    let (mut last_s, mut sums) = (0.0, [0.0; 5]);
     for i in &course.instants {
         let dt = i.t_s - std::mem::replace(&mut last_s, i.t_s);
         let belief = filter.step(dt, i.moment_nmm, known.then_some(i.speed_mm_s));
@@ -65,7 +66,8 @@ fn sums(
         sums[0] += course.surface_mm(mesh, i.travel_mm, &belief.point_mm).powi(2);
         sums[1] += (belief.point_mm - truth.point_mm).norm_squared();
         sums[2] += (near.max(0.0) + 1e-3).ln();
-        sums[3] += 1.0;
+        sums[3] += filter.log_evidence();
+        sums[4] += 1.0;
     }
     sums
 }

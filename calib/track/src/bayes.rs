@@ -4,9 +4,11 @@
 //! candidates, before and now, breaks that rule by some distance, and the filter weighs it. At the first touch the wire cannot have
 //! bent further than the base went. Friction, bending of the object and several contacts are outside its model.
 
+mod cell;
 mod rule;
 
 use crate::{Candidate, StaticInverse};
+use cell::Cell;
 use nalgebra::{Matrix3, Vector3};
 use rule::Rule;
 use serde::{Deserialize, Serialize};
@@ -23,7 +25,7 @@ pub struct BayesSettings {
     pub rule_mm: f64,
     /// See `rule_mm`.
     pub rule_share: f64,
-    /// Share of steps that may pass an edge of the object.
+    /// Spread by a turn of the force, as a part of it times the way on the surface.
     pub edge: f64,
     /// Share of steps that break the rule otherwise (several contacts, contact along a line), and by how much: a constant part, mm, and a part
     /// of the way on the surface.
@@ -32,18 +34,51 @@ pub struct BayesSettings {
     pub wide_mm: f64,
     /// See `wide`.
     pub wide_share: f64,
-    /// Mean way of the contact on the object's surface: a constant part, mm, and a part of the base's step.
-    pub slide_mm: f64,
-    /// See `slide_mm`.
-    pub slide_share: f64,
-    /// Mean turn of the force at the tip over a step: a constant part, rad, and one by the base's way, rad/mm.
-    pub turn: f64,
-    /// See `turn`.
-    pub turn_per_mm: f64,
-    /// Probability that it turns to anywhere (an edge).
+    /// Standard deviation of the way along the wire about the one foretold: a constant part, mm, and a part of the base's step; where it goes
+    /// on as before, where it does roughly, and where it is another one, of mean `changed_mean` by the base's way.
+    pub steady: [f64; 2],
+    /// See `steady`.
+    pub unsteady: [f64; 2],
+    /// See `steady`.
+    pub changed: [f64; 2],
+    /// See `steady`.
+    pub changed_mean: f64,
+    /// Shares of such steps.
+    pub unsteady_share: f64,
+    /// See `unsteady_share`.
+    pub changed_share: f64,
+    /// The same of the force's turn at the tip: rad, and rad/mm.
+    pub tip_steady: [f64; 2],
+    /// See `tip_steady`.
+    pub tip_unsteady: [f64; 2],
+    /// See `tip_steady`.
+    pub tip_changed: [f64; 2],
+    /// Probability that the force at the tip turns to anywhere (an edge).
     pub turn_any: f64,
-    /// Probability that the contact springs to anywhere on the wire within one step.
-    pub spring: f64,
+    /// Mean turn of the force about the wire over a step: a constant part, rad, and one by the base's way, rad/mm.
+    pub bend: [f64; 2],
+    /// The same where the object is sharp, and the share of such steps.
+    pub sharp: [f64; 2],
+    /// See `sharp`.
+    pub sharp_share: f64,
+    /// Where wires are touched first: mean and standard deviation of the arc length, as shares of the wire's length.
+    pub touch_at: [f64; 2],
+    /// Probability that the contact springs, by the base's way, 1/mm.
+    pub spring_per_mm: f64,
+    /// Mean way of a spring along the wire, toward the root and toward the tip, mm.
+    pub spring_mm: [f64; 2],
+    /// Mean way of a spring against the force, where short and where long, mm; share of springs along it.
+    pub spring_off_mm: [f64; 2],
+    /// See `spring_off_mm`.
+    pub spring_back: f64,
+    /// Mean turn of the force about the wire, rad.
+    pub spring_turn: f64,
+    /// Share of springs to anywhere on the wire.
+    pub spring_anywhere: f64,
+    /// Share of springs to the tip: from the wire, and from the tip.
+    pub spring_to_tip: f64,
+    /// See `spring_to_tip`.
+    pub spring_at_tip: f64,
     /// Speeds considered where the base's is not known, mm/s, and their number.
     pub speed_mm_s: [f64; 2],
     /// See `speed_mm_s`.
@@ -69,19 +104,35 @@ impl Default for BayesSettings {
     fn default() -> Self {
         Self {
             onset_nmm: 0.0015,
-            noise_nmm: 0.0005,
-            rule_mm: 0.005,
-            rule_share: 0.02,
-            edge: 0.2,
-            wide: 0.03,
+            noise_nmm: 0.0001,
+            rule_mm: 0.0015,
+            rule_share: 0.008,
+            edge: 0.25,
+            wide: 0.05,
             wide_mm: 0.1,
-            wide_share: 0.2,
-            slide_mm: 0.4,
-            slide_share: 0.3,
-            turn: 0.04,
-            turn_per_mm: 0.1,
-            turn_any: 0.02,
-            spring: 0.002,
+            wide_share: 0.3,
+            steady: [0.002, 0.02],
+            unsteady: [0.02, 0.3],
+            changed: [0.2, 0.8],
+            changed_mean: 0.4,
+            unsteady_share: 0.3,
+            changed_share: 0.2,
+            tip_steady: [0.0005, 0.004],
+            tip_unsteady: [0.005, 0.1],
+            tip_changed: [0.02, 0.5],
+            turn_any: 0.01,
+            bend: [0.001, 0.012],
+            sharp: [0.015, 0.2],
+            sharp_share: 0.25,
+            touch_at: [0.73, 0.15],
+            spring_per_mm: 0.045,
+            spring_mm: [1.5, 4.0],
+            spring_off_mm: [0.4, 3.0],
+            spring_back: 0.15,
+            spring_turn: 0.25,
+            spring_anywhere: 0.041,
+            spring_to_tip: 0.17,
+            spring_at_tip: 0.95,
             speed_mm_s: [2.5, 7.5],
             speeds: 11,
             speed_change_per_s: 0.05,
@@ -90,7 +141,7 @@ impl Default for BayesSettings {
 }
 
 /// Weights below this share of all are dropped.
-const SMALL: f64 = 1e-7;
+const SMALL: f64 = 1e-6;
 
 /// Where the contact is believed to be.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,7 +160,7 @@ pub struct BayesFilter<'a> {
     inverse: &'a StaticInverse,
     settings: BayesSettings,
     /// Weights by speed, then node; empty without contact.
-    weights: Vec<Vec<f64>>,
+    weights: Vec<Vec<Cell>>,
     before: Vec<Candidate>,
     now: Vec<Candidate>,
     /// Logarithm of the density that the filter gave the last sample, 1/(N mm)^2; 0 where it foretold none.
@@ -141,10 +192,44 @@ impl<'a> BayesFilter<'a> {
     pub fn posterior(&self) -> Vec<f64> {
         let nodes = self.inverse.nodes.len();
         let mut sum = vec![0.0; if self.weights.is_empty() { 0 } else { nodes }];
-        for row in &self.weights {
-            sum.iter_mut().zip(row).for_each(|(a, b)| *a += b);
+        for (k, cell) in self.weights.iter().flat_map(|row| row.iter().enumerate()) {
+            // A place between two nodes is shared out among them; the mean stays.
+            let beside = if cell.at < 0.0 { k.checked_sub(1) } else { Some(k + 1) };
+            let share = match beside {
+                Some(beside) if beside < nodes => {
+                    sum[beside] += cell.weight * cell.at.abs();
+                    cell.at.abs()
+                }
+                _ => 0.0,
+            };
+            sum[k] += cell.weight * (1.0 - share);
         }
         sum
+    }
+
+    /// Mean way of the contact along the curve by the base's way, at each node; empty without contact.
+    #[must_use]
+    pub fn paces(&self) -> Vec<f64> {
+        let nodes = if self.weights.is_empty() { 0 } else { self.inverse.nodes.len() };
+        let mean = |k: usize| {
+            let (weight, sum) = self.weights.iter().fold((0.0, 0.0), |(weight, sum), row| {
+                (weight + row[k].weight, sum + row[k].weight * row[k].pace)
+            });
+            if weight > 0.0 { sum / weight } else { 0.0 }
+        };
+        (0..nodes).map(mean).collect()
+    }
+
+    /// Mean speed of the base that is believed, of those considered; none without contact or where it is known.
+    #[must_use]
+    pub fn speed_mm_s(&self) -> Option<f64> {
+        if self.weights.len() < 2 {
+            return None;
+        }
+        let of = |row: &Vec<Cell>| row.iter().map(|c| c.weight).sum::<f64>();
+        let total: f64 = self.weights.iter().map(of).sum();
+        let sum: f64 = self.speeds().iter().zip(&self.weights).map(|(v, row)| v * of(row)).sum();
+        (total > 0.0).then(|| sum / total)
     }
 
     /// Logarithm of the density that the filter gave the last sample out of those before, 1/(N mm)^2: low where one contact on a rigid
@@ -156,8 +241,8 @@ impl<'a> BayesFilter<'a> {
 
     /// Puts all belief on one node of the last sample: what would follow if the contact were known there.
     pub fn know(&mut self, node: usize) {
-        for (k, weight) in self.weights.iter_mut().flat_map(|row| row.iter_mut().enumerate()) {
-            *weight = f64::from(u8::from(k == node));
+        for (k, cell) in self.weights.iter_mut().flat_map(|row| row.iter_mut().enumerate()) {
+            *cell = Cell::evenly(f64::from(u8::from(k == node)));
         }
         self.normalise();
     }
@@ -174,7 +259,9 @@ impl<'a> BayesFilter<'a> {
         }
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         self.log_evidence = 0.0;
-        let followed = self.weights.len() == speeds.len() && self.follow(dt_s, &speeds);
+        // Each speed stands for those around it.
+        let way_sd_mm = if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
+        let followed = self.weights.len() == speeds.len() && self.follow(dt_s, &speeds, way_sd_mm);
         if !followed {
             let felt_before = !self.weights.is_empty() || self.before.is_empty();
             self.weights = vec![Vec::new(); speeds.len()];
@@ -184,7 +271,7 @@ impl<'a> BayesFilter<'a> {
             }
             let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
             for (speed, row) in speeds.iter().zip(&mut self.weights) {
-                *row = rule.touched((!felt_before).then_some(speed * dt_s));
+                *row = rule.touched((!felt_before).then_some(speed * dt_s), way_sd_mm);
             }
             self.normalise();
         }
@@ -197,25 +284,29 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Whether anything is left that explains the sample.
-    fn follow(&mut self, dt_s: f64, speeds: &[f64]) -> bool {
+    fn follow(&mut self, dt_s: f64, speeds: &[f64], way_sd_mm: f64) -> bool {
         let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
-        let least = SMALL * self.weights.iter().flatten().sum::<f64>();
-        let mut next: Vec<Vec<f64>> = speeds
+        let least = SMALL * self.total();
+        let mut next: Vec<Vec<Cell>> = speeds
             .iter()
             .zip(&self.weights)
-            .map(|(speed, row)| rule.moved(row, least, speed * dt_s))
+            .map(|(speed, row)| rule.moved(row, least, speed * dt_s, way_sd_mm))
             .collect();
         spread(&mut next, (self.settings.speed_change_per_s * dt_s).min(0.25));
         self.weights = next;
-        let total: f64 = self.weights.iter().flatten().sum();
+        let total = self.total();
         self.log_evidence = total.max(f64::MIN_POSITIVE).ln();
         self.normalise()
     }
 
+    fn total(&self) -> f64 {
+        self.weights.iter().flatten().map(|c| c.weight).sum()
+    }
+
     fn normalise(&mut self) -> bool {
-        let total: f64 = self.weights.iter().flatten().sum();
+        let total = self.total();
         if total > 0.0 {
-            self.weights.iter_mut().flatten().for_each(|w| *w /= total);
+            self.weights.iter_mut().flatten().for_each(|c| c.weight /= total);
         }
         total > 0.0
     }
@@ -244,7 +335,7 @@ impl<'a> BayesFilter<'a> {
 const REST_NMM: f64 = 1e-5;
 
 /// Speeds change little by little: a share of each row's weights goes to each neighbour.
-fn spread(rows: &mut [Vec<f64>], share: f64) {
+fn spread(rows: &mut [Vec<Cell>], share: f64) {
     let n = rows.len();
     if n < 2 {
         return;
@@ -252,8 +343,9 @@ fn spread(rows: &mut [Vec<f64>], share: f64) {
     let old = rows.to_vec();
     for (v, row) in rows.iter_mut().enumerate() {
         let (low, high) = (v.saturating_sub(1), (v + 1).min(n - 1));
-        for (j, w) in row.iter_mut().enumerate() {
-            *w = (1.0 - 2.0 * share) * old[v][j] + share * (old[low][j] + old[high][j]);
+        for (j, cell) in row.iter_mut().enumerate() {
+            let parts = [(&old[v][j], 1.0 - 2.0 * share), (&old[low][j], share), (&old[high][j], share)];
+            *cell = Cell::mixed(&parts);
         }
     }
 }

@@ -8,6 +8,7 @@ use crate::TrackError;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Chain, Push, Section, Shape};
 
@@ -61,6 +62,8 @@ pub struct Candidate {
     pub area: Vector3<f64>,
     /// How the point gives way along the force by the moments, mm/(N mm).
     pub give_mm_per_nmm: f64,
+    /// How the force turns by the moments, rad/(N mm).
+    pub turn_per_nmm: f64,
     /// Whether the moments can come from this arc length at all; where not, the last moments on the way that can are meant.
     pub reachable: bool,
 }
@@ -134,11 +137,17 @@ impl StaticInverse {
         Ok(refined(&nodes, &cells, grid))
     }
 
+    /// Number of the nodes on the wire; those after them are the tip's.
+    #[must_use]
+    pub fn first_tip(&self) -> usize {
+        self.nodes.iter().position(|n| n.lean > 0.0).unwrap_or(self.nodes.len())
+    }
+
     /// Candidates at every node for transverse moments (N mm), written over `out`.
     pub fn candidates(&self, moment_nmm: [f64; 2], out: &mut Vec<Candidate>) {
         let [y, z] = moment_nmm;
-        let here = self.corners(moment_nmm);
-        let beside = [self.corners([y + BESIDE_NMM, z]), self.corners([y, z + BESIDE_NMM])];
+        let here = self.around(moment_nmm);
+        let beside = [self.around([y + BESIDE_NMM, z]), self.around([y, z + BESIDE_NMM])];
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
             let (values, reachable) = self.mixed(node, &here);
@@ -146,11 +155,16 @@ impl StaticInverse {
             let normal = Vector3::new(values[3], values[4], values[5]);
             let [by_y, by_z] = [0, 1].map(|k| {
                 let v = self.mixed(node, &beside[k]).0;
-                (Vector3::new(v[0], v[1], v[2]) - point_mm) / BESIDE_NMM
+                let by = |at: usize, from: &Vector3<f64>| {
+                    (Vector3::new(v[at], v[at + 1], v[at + 2]) - from) / BESIDE_NMM
+                };
+                (by(0, &point_mm), by(3, &normal))
             });
+            let turn_per_nmm = by_y.1.norm().hypot(by_z.1.norm());
             let normal = normal.try_normalize(1e-9).unwrap_or(Vector3::z());
-            let give_mm_per_nmm = normal.dot(&by_y).hypot(normal.dot(&by_z));
-            Candidate { point_mm, normal, volume: 0.0, area: by_y.cross(&by_z), give_mm_per_nmm, reachable }
+            let give_mm_per_nmm = normal.dot(&by_y.0).hypot(normal.dot(&by_z.0));
+            let area = by_y.0.cross(&by_z.0);
+            Candidate { point_mm, normal, volume: 0.0, area, give_mm_per_nmm, turn_per_nmm, reachable }
         }));
         let last = out.len() - 1;
         for k in 0..=last {
@@ -160,33 +174,72 @@ impl StaticInverse {
         }
     }
 
-    /// Cells around a moment, as offsets within a node, with their weights.
-    fn corners(&self, moment_nmm: [f64; 2]) -> [(usize, f64); 4] {
+    /// Cells around a moment, as offsets within a node, with their weights: cubic through four in each direction. Nearer to rest than the
+    /// first cells a parabola through three goes on.
+    fn around(&self, moment_nmm: [f64; 2]) -> Around {
         let g = &self.grid;
         let (size, angle) = (moment_nmm[0].hypot(moment_nmm[1]), moment_nmm[1].atan2(moment_nmm[0]));
         let along = (size / g.most_nmm * g.steps as f64).min(g.steps as f64 - 1e-9);
-        let around = angle.rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU * g.directions as f64;
+        let around = angle.rem_euclid(TAU) / TAU * g.directions as f64;
         let (m, d) = (along as usize, around as usize);
-        let (u, v) = (along - m as f64, around - d as f64);
+        let (mut by_m, by_d) = (cubic(along - m as f64), cubic(around - d as f64));
+        // A fourth cell that the table lacks is the parabola's through the other three.
+        let first = if m == 0 {
+            by_m = [by_m[1] + 3.0 * by_m[0], by_m[2] - 3.0 * by_m[0], by_m[3] + by_m[0], 0.0];
+            0
+        } else if m + 2 > g.steps {
+            by_m = [0.0, by_m[0] + by_m[3], by_m[1] - 3.0 * by_m[3], by_m[2] + 3.0 * by_m[3]];
+            m - 2
+        } else {
+            m - 1
+        };
         let at = |d: usize, m: usize| d % g.directions * (g.steps + 1) + m;
-        [
-            (at(d, m), (1.0 - v) * (1.0 - u)),
-            (at(d, m + 1), (1.0 - v) * u),
-            (at(d + 1, m), v * (1.0 - u)),
-            (at(d + 1, m + 1), v * u),
-        ]
+        let cells = std::array::from_fn(|k| {
+            let (i, j) = (k / 4, k % 4);
+            (at(d + g.directions + i - 1, (first + j).min(g.steps)), by_d[i] * by_m[j])
+        });
+        let u = around - d as f64;
+        let v = along - m as f64;
+        let inner = [
+            (at(d, m), (1.0 - u) * (1.0 - v)),
+            (at(d, m + 1), (1.0 - u) * v),
+            (at(d + 1, m), u * (1.0 - v)),
+            (at(d + 1, m + 1), u * v),
+        ];
+        Around { cells, inner }
     }
 
-    fn mixed(&self, node: usize, corners: &[(usize, f64); 4]) -> ([f64; 6], bool) {
+    fn mixed(&self, node: usize, around: &Around) -> ([f64; 6], bool) {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
-        let (mut sum, mut reachable) = ([0.0; 6], true);
-        for (at, weight) in corners {
-            let (values, there) = &cells[*at];
-            reachable &= there;
-            sum.iter_mut().zip(values).for_each(|(a, b)| *a += weight * f64::from(*b));
+        let mut sum = [0.0; 6];
+        let mut add = |(at, weight): &(usize, f64)| {
+            sum.iter_mut().zip(&cells[*at].0).for_each(|(a, b)| *a += weight * f64::from(*b));
+        };
+        // Next to what cannot be reached the four innermost will do.
+        if around.cells.iter().all(|(at, weight)| *weight == 0.0 || cells[*at].1) {
+            around.cells.iter().for_each(&mut add);
+            (sum, true)
+        } else {
+            around.inner.iter().for_each(&mut add);
+            (sum, around.inner.iter().all(|(at, _)| cells[*at].1))
         }
-        (sum, reachable)
     }
+}
+
+/// Cells around a moment with their weights: sixteen, and the innermost four.
+struct Around {
+    cells: [(usize, f64); 16],
+    inner: [(usize, f64); 4],
+}
+
+/// Weights of the cells at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
+fn cubic(u: f64) -> [f64; 4] {
+    [
+        -u * (u - 1.0) * (u - 2.0) / 6.0,
+        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+        -(u + 1.0) * u * (u - 2.0) / 2.0,
+        (u + 1.0) * u * (u - 1.0) / 6.0,
+    ]
 }
 
 /// Step of moments for the volume, N mm.
@@ -196,6 +249,7 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInve
     let parts = grid.refine.max(1);
     let last = (nodes.len() - 1) * parts;
     let mix = |a: f64, b: f64, u: f64| a + (b - a) * u;
+    let first_tip = nodes.iter().position(|n| n.lean > 0.0).map_or(nodes.len() - 1, |k| k - 1);
     let (mut fine, mut fine_cells) = (Vec::with_capacity(last + 1), Vec::new());
     for k in 0..=last {
         let (from, u) = (k / parts, (k % parts) as f64 / parts as f64);
@@ -205,9 +259,19 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInve
             arclength_mm: mix(a.arclength_mm, b.arclength_mm, u),
             lean: mix(a.lean, b.lean, u),
         });
-        fine_cells.extend(cells[from].iter().zip(&cells[to]).map(|((a, there), (b, too))| {
-            let values: [f32; 6] = std::array::from_fn(|i| mix(a[i].into(), b[i].into(), u) as f32);
-            (values, *there && (u == 0.0 || *too))
+        // Cubic along the wire and along the leans, not past the end where both meet.
+        let whole = from > 0
+            && to + 1 < nodes.len()
+            && (from < first_tip) == (from - 1 < first_tip)
+            && (to <= first_tip) == (to < first_tip);
+        let by = if whole { cubic(u) } else { [0.0, 1.0 - u, u, 0.0] };
+        let four = [from.saturating_sub(1), from, to, (to + 1).min(nodes.len() - 1)].map(|n| &cells[n]);
+        fine_cells.extend((0..cells[from].len()).map(|c| {
+            let there = four[1][c].1 && (u == 0.0 || four[2][c].1);
+            let smooth = four[0][c].1 && four[3][c].1;
+            let by = if smooth { by } else { [0.0, 1.0 - u, u, 0.0] };
+            let value = |i: usize| (0..4).map(|n| by[n] * f64::from(four[n][c].0[i])).sum::<f64>() as f32;
+            (std::array::from_fn(value), there)
         }));
     }
     StaticInverse { nodes: fine, grid, cells: fine_cells }
@@ -224,7 +288,7 @@ const FIRST_NMM: f64 = 1e-4;
 
 /// Moments at the root of a cell, N mm.
 fn moment(direction: usize, step: usize, grid: &InverseGrid) -> Vector2<f64> {
-    let angle = std::f64::consts::TAU * direction as f64 / grid.directions as f64;
+    let angle = TAU * direction as f64 / grid.directions as f64;
     let size = if step == 0 { FIRST_NMM } else { grid.most_nmm * step as f64 / grid.steps as f64 };
     Vector2::new(angle.cos(), angle.sin()) * size
 }

@@ -5,7 +5,7 @@
 
 use crate::bayes::{BayesFilter, BayesSettings};
 use crate::score::{Detection, detection};
-use crate::{Course, StaticInverse};
+use crate::{Course, Instant, Sample, StaticInverse, Tracker};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -45,6 +45,29 @@ pub fn weighed<'a>(
                 if let Some(nearest) = nearest.filter(|_| told) {
                     filter.know(nearest);
                 }
+            }
+            two_before = two;
+        }
+        found
+    };
+    courses.par_iter().flat_map_iter(one).collect()
+}
+
+/// The same with the network's own probability of several contacts, as the logarithm of what it leaves to one.
+#[must_use]
+pub fn weighed_by_network<'a>(tracker: &Tracker, courses: impl Iterator<Item = &'a Course>) -> Vec<Weighed> {
+    let courses: Vec<&Course> = courses.collect();
+    let one = |course: &&Course| {
+        let sample =
+            |i: &Instant| Sample { t_s: i.t_s, moment_nmm: i.moment_nmm, base_mm_s: Some(i.speed_mm_s) };
+        let answers = tracker.course(&course.instants.iter().map(sample).collect::<Vec<_>>());
+        let mut two_before = false;
+        let mut found = Vec::new();
+        for (i, answer) in course.instants.iter().zip(&answers) {
+            let two = i.contacts >= 2;
+            if i.contact.is_some() {
+                let left = (1.0 - f64::from(answer.several)).max(1e-9);
+                found.push(Weighed { log_evidence: left.ln().min(-1e-12), two_before, two });
             }
             two_before = two;
         }

@@ -90,19 +90,20 @@ impl Tracker {
     fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
         let k = self.config.nodes;
         let off = &out[k..k + 3];
-        let contact = 1.0 / (1.0 + (-out[k + 3]).exp());
+        let [contact, several] = [k + 3, k + 4].map(|at| 1.0 / (1.0 + (-out[at]).exp()));
         if k == 0 {
             // The paper's head states no spread.
             let point_mm = [0, 1, 2].map(|i| off[i] * crate::train::PLACE_MM as f32);
             return Prediction {
                 contact,
+                several,
                 point_mm,
                 covariance_mm2: [[0.0; 3]; 3],
                 weights: Vec::new(),
                 normal: [0.0; 3],
             };
         }
-        let doubt = (out[k + 4] + DOUBT).exp() / token.believed.len() as f32;
+        let doubt = (out[k + 5] + DOUBT).exp() / token.believed.len() as f32;
         let factors =
             between(token.believed.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
                 Some(next) => out[knot] * (1.0 - u) + next * u,
@@ -137,7 +138,7 @@ impl Tracker {
             row.iter_mut().for_each(|x| *x *= factor);
         }
         let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
-        Prediction { contact, point_mm, covariance_mm2: covariance, weights, normal }
+        Prediction { contact, several, point_mm, covariance_mm2: covariance, weights, normal }
     }
 }
 

@@ -31,6 +31,8 @@ pub struct TrainSettings {
     pub rate: f64,
     /// Passes without progress on the held-out objects after which training stops.
     pub patience: usize,
+    /// Passes for which windows are drawn once: what the bench adds is costly to make (the filter runs over it), not to learn from.
+    pub reuse: usize,
     /// Share of the courses for which the base's speed is given.
     pub speed_known: f64,
     /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in less time).
@@ -53,6 +55,7 @@ impl Default for TrainSettings {
             window: 128,
             rate: 2e-3,
             patience: 4,
+            reuse: 4,
             speed_known: 0.7,
             time_factor: [0.4, 1.5],
             noise_nmm: 0.002,
@@ -60,6 +63,13 @@ impl Default for TrainSettings {
             drift_nmm_s: 0.0004,
             seed: 1,
         }
+    }
+}
+
+impl TrainSettings {
+    /// Courses as the twin made them.
+    fn as_it_is(&self) -> Self {
+        Self { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*self }
     }
 }
 
@@ -125,15 +135,20 @@ pub fn train(
     let batches = courses.len().div_ceil(settings.batch);
     let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
     let begin = std::time::Instant::now();
+    let held_out = windows(held_out, inverse, &settings.as_it_is(), settings.seed);
+    let mut drawn: (usize, Vec<Window>) = (0, Vec::new());
     while !finished(&state.passes, settings) {
         let epoch = state.passes.len() + 1;
+        let draw = (epoch - 1) / settings.reuse.max(1) + 1;
+        if drawn.0 != draw {
+            drawn = (draw, windows(courses, inverse, settings, settings.seed ^ (draw as u64) << 20));
+        }
         let mut order: Vec<usize> = (0..courses.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));
         let mut sum = 0.0;
         for (k, batch) in order.chunks(settings.batch).enumerate() {
             let number = (epoch - 1) * batches + k;
-            let chosen: Vec<&Course> = batch.iter().map(|c| &courses[*c]).collect();
-            let windows = windows(&chosen, inverse, settings, settings.seed ^ (number as u64) << 20);
+            let windows: Vec<&Window> = batch.iter().map(|c| &drawn.1[*c]).collect();
             let (loss, _) = loss(&state.net, config, &windows, &learning);
             sum += f64::from(loss.clone().into_scalar::<f32>());
             let gradients = GradientsParams::from_grads(loss.backward(), &state.net);
@@ -141,7 +156,7 @@ pub fn train(
             state.net = state.optimizer.step(rate, state.net, gradients);
         }
         let valid = state.net.valid();
-        let (held_out_loss, held_out_mm) = evaluate(&valid, config, settings, inverse, held_out, device);
+        let (held_out_loss, held_out_mm) = evaluate(&valid, config, settings.batch, &held_out, device);
         let seconds = before_s + begin.elapsed().as_secs_f64();
         let pass = Pass { epoch, loss: sum / batches as f64, held_out_loss, held_out_mm, seconds };
         if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
@@ -173,21 +188,17 @@ fn learning_rate(most: f64, done: f64) -> f64 {
     most * rise * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()) + 1e-6
 }
 
-/// Mean loss and RMSE of the true contact (mm) over courses as they are.
+/// Mean loss and RMSE of the true contact (mm).
 fn evaluate(
     net: &WhiskerNet,
     config: &NetworkConfig,
-    settings: &TrainSettings,
-    inverse: &StaticInverse,
-    courses: &[Course],
+    batch: usize,
+    all: &[Window],
     device: &Device,
 ) -> (f64, f64) {
     let (mut sum, mut squares, mut count, mut batches) = (0.0, 0.0, 0.0, 0.0);
-    for (k, batch) in courses.chunks(settings.batch).enumerate() {
-        let chosen: Vec<&Course> = batch.iter().collect();
-        let quiet =
-            TrainSettings { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*settings };
-        let windows = windows(&chosen, inverse, &quiet, k as u64);
+    for windows in all.chunks(batch) {
+        let windows: Vec<&Window> = windows.iter().collect();
         let (loss, off) = loss(net, config, &windows, device);
         sum += f64::from(loss.into_scalar::<f32>());
         batches += 1.0;
@@ -201,7 +212,7 @@ fn evaluate(
 fn loss(
     net: &WhiskerNet,
     config: &NetworkConfig,
-    windows: &[Window],
+    windows: &[&Window],
     device: &Device,
 ) -> (Tensor<1>, Tensor<1>) {
     let (batch, time) = (windows.len(), windows[0].times_s.len());
@@ -221,6 +232,7 @@ fn loss(
     let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);
     let off_curve = out.clone().narrow(1, config.nodes, 3);
     let logit = out.clone().narrow(1, config.nodes + 3, 1).reshape([n]);
+    let several = out.clone().narrow(1, config.nodes + 4, 1).reshape([n]);
     let held = touching.clone() * counted.clone();
     let many = held.clone().sum() + 1.0;
     let (mean, choice) = if config.nodes == 0 {
@@ -239,15 +251,18 @@ fn loss(
     };
     let off = (mean - place).square().sum_dim(1).reshape([n]) * held.clone();
     // Square near the truth, straight far off: a sprung contact does not drown the rest.
-    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many;
-    let contact = -(log_sigmoid(logit.clone()) * touching.clone() + log_sigmoid(-logit) * (-touching + 1.0));
-    let contact = (contact * counted.clone()).sum() / (counted.sum() + 1.0);
-    (choice + place_loss + contact, off)
+    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many.clone();
+    let cross = |logit: Tensor<1>, truth: Tensor<1>| {
+        -(log_sigmoid(logit.clone()) * truth.clone() + log_sigmoid(-logit) * (-truth + 1.0))
+    };
+    let contact = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
+    let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
+    (choice + place_loss + contact + several, off)
 }
 
 /// Where the doubt comes out.
 fn k_doubt(config: &NetworkConfig) -> usize {
-    config.nodes + 4
+    config.nodes + 5
 }
 
 /// Linear interpolation from knots to nodes, `[knots, nodes]`.

@@ -14,8 +14,13 @@ const STEP_S: f64 = 0.1;
 
 /// Inputs that do not belong to a node; they come first.
 pub const COMMON: usize = 9;
+/// Inputs of what the filter makes of the sample: its evidence, and the speed that it believes.
+const OF_FILTER: usize = 2;
 /// Inputs a knot.
-const PER_KNOT: usize = 6;
+const PER_KNOT: usize = 7;
+/// Scale of the logarithm of the evidence, and what a contact that goes on has.
+const EVIDENCE: f64 = 4.0;
+const GOES_ON: f64 = 8.0;
 /// Nodes of the curve from one knot, of which the network sees and says something, to the next.
 const STRIDE: usize = 4;
 /// Logarithm of the doubt in the filter that the network starts with: the weight of what it says nothing about.
@@ -78,7 +83,7 @@ impl<'a> FeatureMaker<'a> {
     /// Inputs of a token on a curve of so many nodes.
     #[must_use]
     pub fn width(nodes: usize) -> usize {
-        COMMON + PER_KNOT * knots(nodes).len()
+        COMMON + OF_FILTER + PER_KNOT * knots(nodes).len()
     }
 
     /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
@@ -89,11 +94,15 @@ impl<'a> FeatureMaker<'a> {
         if posterior.is_empty() {
             posterior = vec![1.0 / all.len() as f64; all.len()];
         }
-        let mut at_knots = vec![0.0; self.knots.len()];
-        for (weight, (k, u)) in posterior.iter().zip(&self.between) {
+        let mut paces = self.filter.paces();
+        paces.resize(all.len(), 0.0);
+        let (mut at_knots, mut pace) = (vec![0.0; self.knots.len()], vec![0.0; self.knots.len()]);
+        for ((weight, p), (k, u)) in posterior.iter().zip(&paces).zip(&self.between) {
             at_knots[*k] += weight * f64::from(1.0 - u);
+            pace[*k] += weight * p * f64::from(1.0 - u);
             if let Some(next) = at_knots.get_mut(k + 1) {
                 *next += weight * f64::from(*u);
+                pace[k + 1] += weight * p * f64::from(*u);
             }
         }
         let now: Vec<Candidate> = self.knots.iter().map(|k| all[*k]).collect();
@@ -107,6 +116,9 @@ impl<'a> FeatureMaker<'a> {
         inputs.push((dt / STEP_S).ln());
         inputs.push(f64::from(u8::from(base_mm_s.is_some())));
         inputs.push(base_mm_s.unwrap_or(0.0) / SPEED_MM_S);
+        let evidence = self.filter.log_evidence();
+        inputs.push(if evidence == 0.0 { 0.0 } else { ((evidence - GOES_ON) / EVIDENCE).max(-8.0) });
+        inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
         let base = Vector3::z() * base_mm_s.unwrap_or(0.0);
         for (k, c) in now.iter().enumerate() {
             // Along the force the touched point moves as the object does: what breaks that rule speaks against the node.
@@ -115,7 +127,8 @@ impl<'a> FeatureMaker<'a> {
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
             });
             inputs.extend(c.point_mm.iter().map(|x| x / LENGTH_MM));
-            inputs.extend([off, c.normal.z, at_knots[k].sqrt() * 2.0]);
+            let pace = if at_knots[k] > 1e-3 { (pace[k] / at_knots[k]).clamp(-4.0, 4.0) } else { 0.0 };
+            inputs.extend([off, c.normal.z, at_knots[k].sqrt() * 2.0, pace]);
         }
         let token = Token {
             inputs: inputs.into_iter().map(|x| x as f32).collect(),

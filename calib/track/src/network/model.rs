@@ -55,11 +55,11 @@ impl NetworkConfig {
         Self {
             inputs,
             nodes,
-            encoder: 96,
+            encoder: 128,
             layers: 3,
-            heads: 4,
-            width: 64,
-            feed_forward: 192,
+            heads: 6,
+            width: 96,
+            feed_forward: 256,
             dropout: 0.0,
             context: 128,
         }
@@ -95,11 +95,11 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, and with knots
-    /// the doubt in the filter.
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
+    /// with knots the doubt in the filter.
     #[must_use]
     pub fn outputs(&self) -> usize {
-        self.nodes + 3 + 1 + usize::from(self.nodes > 0)
+        self.nodes + 3 + 2 + usize::from(self.nodes > 0)
     }
 }
 
@@ -141,6 +141,8 @@ pub struct Attended {
 pub struct Prediction {
     /// Probability of contact.
     pub contact: f32,
+    /// Probability of several, where there is one.
+    pub several: f32,
     /// Mean place, base frame, mm.
     pub point_mm: [f32; 3],
     /// Covariance before calibration, mm^2.

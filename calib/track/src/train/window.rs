@@ -22,12 +22,14 @@ pub(super) struct Window {
     /// True place, mm; what no token has is 0 and not counted.
     pub place: Vec<f32>,
     pub touching: Vec<f32>,
+    /// Whether there are several contacts.
+    pub several: Vec<f32>,
     pub counted: Vec<f32>,
 }
 
 /// Windows of courses, with what a bench adds; `seed` draws.
 pub(super) fn windows(
-    courses: &[&Course],
+    courses: &[Course],
     inverse: &StaticInverse,
     settings: &TrainSettings,
     seed: u64,
@@ -77,6 +79,7 @@ fn window(
         weights: Vec::with_capacity(t * nodes),
         place: Vec::with_capacity(t * 3),
         touching: Vec::with_capacity(t),
+        several: Vec::with_capacity(t),
         counted: Vec::with_capacity(t),
     };
     let mut before_s = None;
@@ -103,6 +106,7 @@ fn window(
         made.believed.extend(token.believed);
         made.times_s.push(t_s);
         made.place.extend(truth.unwrap_or_default());
+        made.several.push(f32::from(u8::from(now.contacts > 1)));
         made.touching.push(f32::from(u8::from(truth.is_some())));
         made.counted.push(f32::from(u8::from(at <= last)));
     }

@@ -22,12 +22,21 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
+    /// Another folder, of sweeps with other physics (friction, weight, ...) over the same objects: trained on beside the first, never held out or scored
+    #[arg(long, value_name = "DIR")]
+    pub beside: Option<PathBuf>,
+    /// Model with whose weights to begin; it must have been trained on the same split
+    #[arg(long, value_name = "MODEL")]
+    pub from: Option<PathBuf>,
     /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
     #[arg(long, default_value_t = 12)]
     pub epochs: usize,
+    /// Largest learning rate
+    #[arg(long, default_value_t = TrainSettings::default().rate)]
+    pub rate: f64,
     /// Objects held out for the early stop and the spread; an eighth of all without it
     #[arg(long)]
     pub held_out: Option<usize>,
@@ -70,10 +79,16 @@ pub enum SplitKind {
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let device = wcal_track::device(&args.device)?;
     let whisker = whisker(args.whisker.as_deref())?;
-    same_whisker(&args.sweeps, &format!("{whisker:?}"))?;
-    let settings = TrainSettings { epochs: args.epochs, seed: args.seed, ..TrainSettings::default() };
+    for folder in std::iter::once(&args.sweeps).chain(&args.beside) {
+        same_whisker(folder, &format!("{whisker:?}"))?;
+    }
+    ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
+    let settings =
+        TrainSettings { epochs: args.epochs, rate: args.rate, seed: args.seed, ..TrainSettings::default() };
     let making = Making {
         sweeps: &args.sweeps,
+        beside: args.beside.as_deref(),
+        from: args.from.as_deref(),
         whisker,
         preset: &args.preset,
         settings,

@@ -1,7 +1,8 @@
 //! From a folder of sweeps to a trained model with its card.
 
 use crate::bayes::BayesSettings;
-use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, save};
+use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
+use crate::network::NetworkConfig;
 use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
 use std::collections::BTreeMap;
@@ -14,6 +15,10 @@ use wcal_mujoco::read::manifests;
 pub struct Making<'a> {
     /// Folder of shards.
     pub sweeps: &'a Path,
+    /// Another folder: sweeps with other physics over the same objects, which are trained on only.
+    pub beside: Option<&'a Path>,
+    /// Folder of a model with which to begin.
+    pub from: Option<&'a Path>,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
     /// default, paper or baseline.
@@ -63,9 +68,15 @@ pub fn make_model(
             courses.retain(|c| used(c) == Use::Training);
         }
     }
+    if let Some(folder) = making.beside {
+        let more = course::read_courses(folder, &objects.training)?;
+        courses.extend(more.into_values().flatten());
+    }
     let inverse = StaticInverse::new(&making.whisker, network_grid())?;
     let network = preset(making.preset, &inverse)?;
-    let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse };
+    let from =
+        making.from.map(|folder| began_with(folder, &network, &objects, sweeps_trained)).transpose()?;
+    let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse, from: making.from };
     let checkpoint = making.out.join("checkpoint");
     let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
     let mut tracker = Tracker {
@@ -77,8 +88,9 @@ pub fn make_model(
         device: device.clone(),
     };
     tracker.sd_factors = [false, true].map(|known| evaluate::spread_factor(&tracker, &held_out, known));
-    let data: BTreeMap<String, String> =
-        manifests(making.sweeps)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect();
+    let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
+        Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
+    };
     let mut card = Card {
         format: FORMAT.to_owned(),
         trained_on_simulation: true,
@@ -90,10 +102,40 @@ pub fn make_model(
         training: making.settings,
         passes,
         objects,
-        data,
+        data: made_from(making.sweeps)?,
+        data_beside: making.beside.map(made_from).transpose()?.unwrap_or_default(),
+        began_with: from,
         sweeps_trained,
         split: making.split,
     };
     save(making.out, &tracker.net, &mut card)?;
     Ok(card)
+}
+
+/// SHA-256 of the weights of a model with which a training may begin: what is kept for the evaluation must not have been trained on.
+fn began_with(
+    folder: &Path,
+    network: &NetworkConfig,
+    objects: &Split,
+    sweeps_trained: u64,
+) -> Result<String, TrackError> {
+    let card = read_card(folder)?;
+    let refuse = |what: &str, expected: &str, found: String| {
+        Err(TrackError::value(format!("{}: {what}", folder.display()), expected, found))
+    };
+    if card.network != *network {
+        return refuse("network", "that of this training", format!("{:?}", card.network));
+    }
+    if card.objects != *objects || card.split != SplitBy::Objects {
+        return refuse(
+            "objects",
+            "split as in this training",
+            format!("unseen: {}", card.objects.unseen.join(", ")),
+        );
+    }
+    if card.sweeps_trained > sweeps_trained {
+        let expected = format!("{sweeps_trained} trained on or fewer");
+        return refuse("sweeps", &expected, card.sweeps_trained.to_string());
+    }
+    Ok(card.weights_sha256)
 }

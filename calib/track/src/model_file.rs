@@ -43,6 +43,12 @@ pub struct Card {
     pub objects: Split,
     /// SHA-256 of what each object's sweeps follow from.
     pub data: BTreeMap<String, String>,
+    /// The same of sweeps with other physics (friction, weight, ...) that were trained on beside them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub data_beside: BTreeMap<String, String>,
+    /// SHA-256 of the weights that the training began with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub began_with: Option<String>,
     /// Sweeps over an object that were trained on: those from here on are kept for the evaluation of seen objects.
     pub sweeps_trained: u64,
     /// What was split.
@@ -192,10 +198,8 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
 /// Where a file is missing, truncated, of another version, or differs from the card.
 pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackError> {
     let (card, bytes) = read_files(folder)?;
-    let weights = folder.join("model.safetensors");
     let mut net = WhiskerNet::new(&card.network, device)?;
-    let mut store = SafetensorsStore::from_bytes(Some(bytes));
-    net.load_from(&mut store).map_err(TrackError::file("reading", &weights))?;
+    fill(&mut net, folder, bytes)?;
     let inverse = StaticInverse::new(&card.whisker, card.inverse)?;
     let tracker = Tracker {
         config: card.network,
@@ -207,6 +211,20 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
     };
     tracker.check()?;
     Ok((tracker, card))
+}
+
+fn fill(net: &mut WhiskerNet, folder: &Path, bytes: Vec<u8>) -> Result<(), TrackError> {
+    let weights = folder.join("model.safetensors");
+    let mut store = SafetensorsStore::from_bytes(Some(bytes));
+    net.load_from(&mut store).map_err(TrackError::file("reading", &weights)).map(|_| ())
+}
+
+/// Puts the weights of a model into a network of the same sizes.
+///
+/// # Errors
+/// Where the model cannot be read or has other sizes.
+pub fn put_weights(net: &mut WhiskerNet, folder: &Path) -> Result<(), TrackError> {
+    fill(net, folder, read_files(folder)?.1)
 }
 
 /// Grid of the curve that the networks are built on: a node every half millimetre.

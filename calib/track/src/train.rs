@@ -1,5 +1,6 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
+use crate::model_file::put_weights;
 use crate::network::model::attention_bias;
 use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
 use crate::{Course, StaticInverse, TrackError};
@@ -37,7 +38,7 @@ pub struct TrainSettings {
     pub speed_known: f64,
     /// Bounds of the factor on time (the wire is quasi-static: a faster sweep is the same one in less time).
     pub time_factor: [f64; 2],
-    /// Largest noise of a moment, N mm, gain error, and drift, N mm/s.
+    /// Largest noise of a moment, N mm (small ones are drawn more often), gain error, and drift, N mm/s.
     pub noise_nmm: f64,
     /// See `noise_nmm`.
     pub gain: f64,
@@ -53,12 +54,12 @@ impl Default for TrainSettings {
             epochs: 20,
             batch: 16,
             window: 128,
-            rate: 2e-3,
+            rate: 1.5e-3,
             patience: 4,
-            reuse: 4,
+            reuse: 5,
             speed_known: 0.7,
             time_factor: [0.4, 1.5],
-            noise_nmm: 0.002,
+            noise_nmm: 0.006,
             gain: 0.005,
             drift_nmm_s: 0.0004,
             seed: 1,
@@ -97,6 +98,8 @@ pub struct Material<'a> {
     pub held_out: &'a [Course],
     /// Curve of candidates.
     pub inverse: &'a StaticInverse,
+    /// Folder of a model with whose weights to begin.
+    pub from: Option<&'a Path>,
 }
 
 /// Where a training stands after a pass.
@@ -120,13 +123,16 @@ pub fn train(
     device: &Device,
     mut heard: impl FnMut(&Pass),
 ) -> Result<(WhiskerNet, Vec<Pass>), TrackError> {
-    let Material { courses, held_out, inverse } = *material;
+    let Material { courses, held_out, inverse, from } = *material;
     if courses.is_empty() || held_out.is_empty() {
         return Err(TrackError::value("training", "courses to train on and to hold out", "none"));
     }
     let learning = device.clone().autodiff();
     learning.seed(settings.seed);
-    let net = WhiskerNet::new(config, &learning)?;
+    let mut net = WhiskerNet::new(config, &learning)?;
+    if let Some(folder) = from {
+        put_weights(&mut net, folder)?;
+    }
     let optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
     let mut state = State { best: net.valid(), net, optimizer, passes: Vec::new() };
     if let Some(folder) = folder {

@@ -46,6 +46,8 @@ pub(super) fn windows(
 
 /// Share of courses without noise and drift.
 const CLEAN: f64 = 0.4;
+/// Share of courses in which the wire stays free: what noise, drift and a bench's own motion look like alone.
+const FREE: f64 = 0.05;
 /// Time after which the filter is told how far the zero went, s.
 const DRIFTED_S: f64 = 10.0;
 
@@ -59,7 +61,8 @@ fn window(
     let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
     // Some courses stay as the twin made them.
     let clean = uniform(0.0, 1.0) < CLEAN;
-    let noise = if clean { 0.0 } else { settings.noise_nmm * uniform(0.0, 1.0) };
+    let noise = if clean { 0.0 } else { settings.noise_nmm * uniform(0.0, 1.0).powi(2) };
+    let free = uniform(0.0, 1.0) < FREE;
     let gain: [f64; 2] = std::array::from_fn(|_| 1.0 + settings.gain * uniform(-1.0, 1.0));
     let drift: [f64; 2] =
         std::array::from_fn(|_| if clean { 0.0 } else { settings.drift_nmm_s * uniform(-1.0, 1.0) });
@@ -91,12 +94,16 @@ fn window(
         let over_s = at.saturating_sub(last) as f64 * 0.1;
         let t_s = (now.t_s + over_s) * factor;
         let moment = [0, 1].map(|i| {
-            now.moment_nmm[i] * gain[i] + drift[i] * t_s + noise * 3.0_f64.sqrt() * uniform(-1.0, 1.0)
+            let pressed = if free { 0.0 } else { now.moment_nmm[i] * gain[i] };
+            pressed + drift[i] * t_s + noise * 3.0_f64.sqrt() * uniform(-1.0, 1.0)
         });
         let speed = known.then_some(now.speed_mm_s / factor);
         let token = features.push(t_s - before_s.unwrap_or(t_s - FIRST_S), moment, speed);
         before_s = Some(t_s);
-        let truth = now.contact.map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
+        let truth = now
+            .contact
+            .filter(|_| !free)
+            .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
         made.weights.extend(match truth {
             Some(p) => truth_weights(&token.points_mm, p),
             None => vec![0.0; nodes],
@@ -106,7 +113,7 @@ fn window(
         made.believed.extend(token.believed);
         made.times_s.push(t_s);
         made.place.extend(truth.unwrap_or_default());
-        made.several.push(f32::from(u8::from(now.contacts > 1)));
+        made.several.push(f32::from(u8::from(now.contacts > 1 && !free)));
         made.touching.push(f32::from(u8::from(truth.is_some())));
         made.counted.push(f32::from(u8::from(at <= last)));
     }

@@ -189,6 +189,78 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert!(text(&run.stderr).contains("model.safetensors"), "{}", text(&run.stderr));
 }
 
+/// Trained beside sweeps with friction, begun with another model, with a spread for each class of objects.
+#[test]
+fn a_training_goes_on_from_a_model_beside_other_physics_and_with_classes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (sweeps, rough, first, model) = (path("sweeps"), path("rough"), path("first"), path("model"));
+    let (plan, with_friction, classes) = (path("plan.toml"), path("friction.toml"), path("classes.csv"));
+    std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 40.0\n").unwrap();
+    std::fs::write(&with_friction, "rate_hz = 10.0\nmost_mm = 40.0\n[physics]\nfriction = [0.1, 0.3]\n")
+        .unwrap();
+    std::fs::write(&classes, "object,class\nball,round\ncan,round\nblock,edged\n").unwrap();
+    let simulate = |seed: &str, plan: &str, out: &str| {
+        let objects = ["--object", "ball", "--object", "block", "--object", "can"];
+        good(
+            &[&["simulate", "--sweeps", "3", "--seed", seed, "--plan", plan, "--out", out][..], &objects]
+                .concat(),
+        );
+    };
+    simulate("1", &plan, &sweeps);
+    simulate("2", &with_friction, &rough);
+    let epochs = ["--epochs", "1", "--json"];
+    let before = good(&[&["train", &sweeps, "--out", &first][..], &epochs].concat());
+    assert!(before.get("began_with").is_none() && before.get("sd_factors_by_class").is_none(), "{before}");
+    let more =
+        ["train", &sweeps, "--beside", &rough, "--from", &first, "--classes", &classes, "--out", &model];
+    let card = good(&[&more[..], &epochs].concat());
+    assert_eq!(card["began_with"], before["weights_sha256"]);
+    assert_eq!(card["data_beside"].as_object().unwrap().len(), 3, "{card}");
+    assert_ne!(card["data_beside"]["ball"], card["data"]["ball"]);
+    // The class of the held-out object has a factor of its own, the other the common one.
+    let held_out = card["objects"]["held_out"][0].as_str().unwrap();
+    let (own, other) = if held_out == "block" { ("edged", "round") } else { ("round", "edged") };
+    let of = |class: &str| card["sd_factors_by_class"][class].clone();
+    assert_eq!((&of(own)["objects"], &of(other)["objects"]), (&1.into(), &0.into()), "{card}");
+    assert_eq!(of(other)["sd_factors"], card["sd_factors"]);
+    // One class alone is held out: its own factor is the common one.
+    let factor = |v: &serde_json::Value| v["sd_factors"][1].as_f64().unwrap();
+    assert!((factor(&of(own)) / factor(&card) - 1.0).abs() < 1e-6, "{card}");
+    let evaluate =
+        ["evaluate", &sweeps, "--model", &model, "--out", &path("scores"), "--simulation-only", "--json"];
+    let scores = good(&evaluate);
+    assert_eq!(scores["classes"]["unseen"].as_array().unwrap().len(), 1, "{scores}");
+
+    // What must not be: weights that have seen what this split keeps unseen, or of another network; a class that is not there.
+    let refused = |args: &[&str], said: &str| {
+        let run = wcal(&[args, &epochs].concat());
+        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
+    };
+    let other = path("other");
+    let again = ["train", &sweeps, "--from", &first, "--out", &other];
+    refused(&[&again[..], &["--seed", "3"]].concat(), "split as in this training");
+    refused(&[&again[..], &["--preset", "baseline"]].concat(), "that of this training");
+    std::fs::write(&classes, "object,kind\nball,round\n").unwrap();
+    refused(&[&again[..], &["--classes", &classes]].concat(), "object,class");
+    std::fs::write(&classes, "object,class\nball,round\nball,flat\n").unwrap();
+    refused(&[&again[..], &["--classes", &classes]].concat(), "classes.csv:3");
+
+    let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
+    good(&["fit-gpr", session, "--out", &path("fit")]);
+    let (table, calibration, out) =
+        (format!("{session}/points.csv"), path("fit/calibration.json"), path("t.csv"));
+    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--out", &out, "--force"];
+    let run = wcal(&[&track[..], &["--object-class", "soft"]].concat());
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("edged, round"), "{}", text(&run.stderr));
+    let run = wcal(&[&track[..], &["--object-class", "round", "--json"]].concat());
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(summary["object_class"], "round");
+}
+
 #[test]
 fn sweeps_that_cannot_be_trained_on_are_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -16,6 +16,7 @@ use std::time::Instant;
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
+use wcal_track::classes::coverage_by_class;
 use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::{Card, SplitBy, load};
 use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_network};
@@ -114,6 +115,13 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(told_before(&seen, &unseen));
+    if !card.sd_factors_by_class.is_empty() {
+        let of = |set: usize| -> Vec<Course> { sets[set].1.values().flatten().cloned().collect() };
+        let rows = |set: usize| {
+            coverage_by_class(&tracker, &of(set), &card.object_classes, &card.sd_factors_by_class)
+        };
+        document["classes"] = json!({"seen": rows(0), "unseen": rows(1)});
+    }
     if card.split == SplitBy::Sweeps {
         document["leak"] = json!({"split": "sweeps at random", "random_split_mm": document["simulation"]["seen_mean_mm"],
             "unseen_objects_mm": document["simulation"]["unseen_mean_mm"], "interval95": {
@@ -282,6 +290,15 @@ fn print_told(document: &Value) {
         println!(
             "two contacts by one who is told the truth one sample before: F1 {before:.2} as before, {f1:.2} with the moments"
         );
+    }
+    for set in ["seen", "unseen"] {
+        for c in document["classes"][set].as_array().into_iter().flatten() {
+            let [common, own] = ["common", "by_class"].map(|k| c[k][1].as_f64().unwrap_or(f64::NAN));
+            let (class, objects) = (c["class"].as_str().unwrap_or(""), &c["objects"]);
+            println!(
+                "90 % regions, {set} {class} ({objects} objects): {common:.3} common, {own:.3} by class"
+            );
+        }
     }
     let leak = &document["leak"];
     if !leak.is_null() {

@@ -22,6 +22,7 @@ use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_session::recording::rig::Rig;
 use wcal_track::Tracker;
+use wcal_track::classes::of_class;
 use wcal_track::model_file::{load, read_card};
 
 /// Arguments of `wcal track`.
@@ -56,6 +57,9 @@ pub struct TrackArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
     pub bench: Option<PathBuf>,
+    /// Class of what is touched: the spread of that class instead of the common one (classes of `wcal train --classes`)
+    #[arg(long, value_name = "CLASS")]
+    pub object_class: Option<String>,
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
@@ -143,7 +147,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut trackers: BTreeMap<&Path, Tracker> = BTreeMap::new();
     for folder in folders.values() {
         if !trackers.contains_key(folder.as_path()) {
-            trackers.insert(folder, load(folder, &burn_device())?.0);
+            let (mut tracker, card) = load(folder, &burn_device())?;
+            if let Some(class) = &args.object_class {
+                tracker.sd_factors = of_class(&card.sd_factors_by_class, class)
+                    .with_context(|| format!("model {}", folder.display()))?;
+            }
+            trackers.insert(folder, tracker);
         }
     }
     let loaded: Vec<Loaded<'_>> =

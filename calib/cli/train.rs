@@ -1,11 +1,13 @@
 //! `wcal train`: the contact tracker, trained on simulated sweeps.
 
 use crate::simulate::whisker;
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
+use wcal_session::TextTableLayout;
+use wcal_track::classes::ObjectClasses;
 use wcal_track::make::{Making, make_model};
 use wcal_track::model_file::{Card, SplitBy};
 use wcal_track::train::{Pass, TrainSettings, best};
@@ -46,6 +48,9 @@ pub struct TrainArgs {
     /// What is split: whole objects, or sweeps at random as in the paper (`wcal evaluate` then shows what that hides)
     #[arg(long, value_enum, default_value_t = SplitKind::Objects)]
     pub split: SplitKind,
+    /// Classes of the objects (CSV: object,class): the spread is stated for each class, too, and `wcal track --object-class` uses it
+    #[arg(long, value_name = "CSV")]
+    pub classes: Option<PathBuf>,
     /// Whisker of the sweeps (whisker.toml); the nominal one without it
     #[arg(long, value_name = "TOML")]
     pub whisker: Option<PathBuf>,
@@ -98,6 +103,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             SplitKind::Objects => SplitBy::Objects,
             SplitKind::Sweeps => SplitBy::Sweeps,
         },
+        classes: args.classes.as_deref().map(object_classes).transpose()?.unwrap_or_default(),
         out: &args.out,
     };
     eprintln!("train: on SIMULATED sweeps");
@@ -114,6 +120,22 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         );
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Reads `object,class`.
+fn object_classes(path: &Path) -> anyhow::Result<ObjectClasses> {
+    let table = wcal_session::read_text_table(path, &TextTableLayout::default())?;
+    let columns = table.columns.join(",");
+    ensure!(columns == "object,class", "{}: columns: expected object,class, found {columns}", table.file);
+    let mut classes = ObjectClasses::new();
+    for (line, row) in table.rows {
+        let (object, class) = (row[0].clone(), row[1].clone());
+        ensure!(!class.is_empty(), "{}:{line}: class: expected a name, found nothing", table.file);
+        if let Some(before) = classes.insert(object.clone(), class) {
+            bail!("{}:{line}: {object}: expected once, found again ({before})", table.file);
+        }
+    }
+    Ok(classes)
 }
 
 /// Where trained networks run.

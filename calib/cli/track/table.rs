@@ -112,6 +112,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let mut summary = json!({
         "format": FORMAT, "source": path, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
         "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
+        "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
         "segments": found.segments(),

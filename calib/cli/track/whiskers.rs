@@ -45,6 +45,7 @@ pub struct Whiskers<'a> {
     base: Option<BaseMotion>,
     base_mm_s: Option<f64>,
     tare_s: f64,
+    object_class: Option<String>,
     zero_mm: f64,
     clocks: ClockPair,
     origin_s: Option<f64>,
@@ -111,6 +112,7 @@ impl<'a> Whiskers<'a> {
             base: base_motion(place, rig)?,
             base_mm_s: args.base_mm_s,
             tare_s: args.tare_s,
+            object_class: args.object_class.clone(),
             zero_mm: rig.stage.zero_mm,
             clocks: ClockPair::default(),
             origin_s: None,
@@ -226,7 +228,7 @@ impl<'a> Whiskers<'a> {
         json!({
             "scans": self.scans, "gaps": self.gaps, "lost_scans": self.lost,
             "scan_rate_hz": self.settings.rate_hz,
-            "lag_s": filter.map(|f| f.lag_s()), "tare_s": self.tare_s,
+            "lag_s": filter.map(|f| f.lag_s()), "tare_s": self.tare_s, "object_class": self.object_class,
             "filter": filter.map(|f| json!({
                 "kind": "linear-phase, Hann-windowed sinc", "gain_1_hz": f.gain(1.0), "gain_5_hz": f.gain(5.0), "gain_10_hz": f.gain(10.0),
                 "gain_34_hz": f.gain(34.0), "noise_gain": f.noise_gain(),

@@ -155,19 +155,28 @@ pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(C
     (pairs, calls)
 }
 
-/// Factor on the network's standard deviations with which its 90 % regions hold on courses that it was not trained on.
+/// The network's places and stated spreads beside the truth, where there is contact, with the object's name.
 #[must_use]
-pub fn spread_factor(tracker: &Tracker, courses: &[Course], base_known: bool) -> f64 {
-    let compared = |course: &Course| -> Vec<Compared> {
+pub fn held_out_regions(tracker: &Tracker, courses: &[Course], base_known: bool) -> Vec<(String, Compared)> {
+    let compared = |course: &Course| -> Vec<(String, Compared)> {
         let estimates = Method::Network(tracker, base_known).run(course);
         let both = course.instants.iter().zip(&estimates);
         both.filter_map(|(i, e)| Some((i.contact?, e)))
             .map(|(c, e)| {
-                Compared::new(0.0, e.point_mm - c.point_mm, &Vector3::zeros(), e.covariance_mm2.as_ref())
+                let off = e.point_mm - c.point_mm;
+                let one = Compared::new(0.0, off, &Vector3::zeros(), e.covariance_mm2.as_ref());
+                (course.object.clone(), one)
             })
             .collect()
     };
-    let all: Vec<Compared> = courses.par_iter().flat_map_iter(compared).collect();
+    courses.par_iter().flat_map_iter(compared).collect()
+}
+
+/// Factor on the network's standard deviations with which its 90 % regions hold on courses that it was not trained on.
+#[must_use]
+pub fn spread_factor(tracker: &Tracker, courses: &[Course], base_known: bool) -> f64 {
+    let all: Vec<Compared> =
+        held_out_regions(tracker, courses, base_known).into_iter().map(|r| r.1).collect();
     calibrating_factor(&all)
 }
 

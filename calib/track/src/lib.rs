@@ -4,6 +4,7 @@
 
 pub mod bayes;
 pub mod bootstrap;
+pub mod classes;
 pub mod course;
 mod device;
 pub mod drawn;

@@ -1,6 +1,7 @@
 //! From a folder of sweeps to a trained model with its card.
 
 use crate::bayes::BayesSettings;
+use crate::classes::{ObjectClasses, spread_by_class};
 use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
 use crate::network::NetworkConfig;
 use crate::train::{Material, Pass, TrainSettings, train};
@@ -31,6 +32,8 @@ pub struct Making<'a> {
     pub unseen: Option<usize>,
     /// What is split.
     pub split: SplitBy,
+    /// Classes of the objects, for a spread of each.
+    pub classes: ObjectClasses,
     /// Folder for model and checkpoint.
     pub out: &'a Path,
 }
@@ -99,6 +102,8 @@ pub fn make_model(
         inverse: network_grid(),
         whisker: making.whisker.clone(),
         sd_factors: tracker.sd_factors,
+        sd_factors_by_class: spread_by_class(&tracker, &held_out, &making.classes),
+        object_classes: making.classes.clone(),
         training: making.settings,
         passes,
         objects,

@@ -1,6 +1,7 @@
 //! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
 
 use crate::bayes::BayesSettings;
+use crate::classes::{ClassSpread, ObjectClasses};
 use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
 use crate::train::{Pass, TrainSettings};
 use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
@@ -35,6 +36,12 @@ pub struct Card {
     pub whisker: WhiskerSpec,
     /// Factors on the stated standard deviations, from objects that were held out: base's speed not known, and known.
     pub sd_factors: [f64; 2],
+    /// Factors by class of object.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sd_factors_by_class: BTreeMap<String, ClassSpread>,
+    /// Class of each object, where it was stated.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub object_classes: ObjectClasses,
     /// How it was trained.
     pub training: TrainSettings,
     /// Learning curve.

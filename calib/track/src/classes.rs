@@ -1,0 +1,132 @@
+//! Spread by class of object: what one touches is often known (tools, food, ...), and how well the stated spread holds differs by it.
+
+use crate::evaluate::held_out_regions;
+use crate::score::{CHI2_90, Compared, calibrating_factor};
+use crate::{Course, TrackError, Tracker};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Classes of objects: object to class.
+pub type ObjectClasses = BTreeMap<String, String>;
+
+/// Factors on the stated standard deviations for a class.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ClassSpread {
+    /// Held-out objects of the class.
+    pub objects: usize,
+    /// Base's speed not known, and known.
+    pub sd_factors: [f64; 2],
+}
+
+/// Objects that the factor of all classes together counts for: a class with as many of its own stands half way between.
+const COMMON_OBJECTS: f64 = 2.0;
+
+/// Factors by class from held-out courses: logarithms of a class's own factor and of the common one, weighed by numbers of objects.
+#[must_use]
+pub fn spread_by_class(
+    tracker: &Tracker,
+    held_out: &[Course],
+    classes: &ObjectClasses,
+) -> BTreeMap<String, ClassSpread> {
+    let regions = [false, true].map(|known| held_out_regions(tracker, held_out, known));
+    let names: BTreeSet<&String> = classes.values().collect();
+    names
+        .into_iter()
+        .map(|class| {
+            let of_class = |object: &str| classes.get(object) == Some(class);
+            let objects: BTreeSet<&str> =
+                held_out.iter().map(|c| c.object.as_str()).filter(|o| of_class(o)).collect();
+            let own = |known: usize| {
+                let own: Vec<Compared> =
+                    regions[known].iter().filter(|r| of_class(&r.0)).map(|r| r.1).collect();
+                between(calibrating_factor(&own), tracker.sd_factors[known], objects.len())
+            };
+            (class.clone(), ClassSpread { objects: objects.len(), sd_factors: [own(0), own(1)] })
+        })
+        .collect()
+}
+
+/// A class's factor from its own on top of the common one, and the number of objects that it comes from.
+fn between(own_beside_common: f64, common: f64, objects: usize) -> f64 {
+    let weight = objects as f64 / (objects as f64 + COMMON_OBJECTS);
+    common * own_beside_common.powf(weight)
+}
+
+/// Factors of a class.
+///
+/// # Errors
+/// Names the classes that the model has.
+pub fn of_class(all: &BTreeMap<String, ClassSpread>, class: &str) -> Result<[f64; 2], TrackError> {
+    let known: Vec<&str> = all.keys().map(String::as_str).collect();
+    let expected = if known.is_empty() { "a model with classes".to_owned() } else { known.join(", ") };
+    all.get(class).map(|c| c.sd_factors).ok_or_else(|| TrackError::value("object class", expected, class))
+}
+
+/// Share of true contacts in the stated 90 % regions over objects of a class.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClassCoverage {
+    /// Class.
+    pub class: String,
+    /// Objects and instants with contact.
+    pub objects: usize,
+    /// See `objects`.
+    pub instants: usize,
+    /// With the common factor: base's speed not known, and known.
+    pub common: [f64; 2],
+    /// With the class's own.
+    pub by_class: [f64; 2],
+}
+
+/// Coverage over courses that were not trained on, class by class.
+#[must_use]
+pub fn coverage_by_class(
+    tracker: &Tracker,
+    courses: &[Course],
+    classes: &ObjectClasses,
+    spreads: &BTreeMap<String, ClassSpread>,
+) -> Vec<ClassCoverage> {
+    let regions = [false, true].map(|known| held_out_regions(tracker, courses, known));
+    let mut found = Vec::new();
+    for (class, spread) in spreads {
+        let of_class = |object: &str| classes.get(object) == Some(class);
+        let objects: BTreeSet<&str> =
+            courses.iter().map(|c| c.object.as_str()).filter(|o| of_class(o)).collect();
+        let own = [0, 1].map(|known| -> Vec<f64> {
+            let own = regions[known].iter().filter(|r| of_class(&r.0));
+            own.filter_map(|r| r.1.mahalanobis2).collect()
+        });
+        if own[0].is_empty() {
+            continue;
+        }
+        let share = |known: usize, widened: f64| {
+            let inside = own[known].iter().filter(|m| **m <= CHI2_90 * widened.powi(2)).count();
+            inside as f64 / own[known].len() as f64
+        };
+        let widened = |known: usize| spread.sd_factors[known] / tracker.sd_factors[known];
+        found.push(ClassCoverage {
+            class: class.clone(),
+            objects: objects.len(),
+            instants: own[0].len(),
+            common: [share(0, 1.0), share(1, 1.0)],
+            by_class: [share(0, widened(0)), share(1, widened(1))],
+        });
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_class_without_objects_has_the_common_factor_and_one_with_many_its_own() {
+        assert_eq!(between(1.0, 0.7, 0), 0.7);
+        assert!((between(4.0, 0.5, 2) - 1.0).abs() < 1e-12);
+        assert!((between(4.0, 0.5, 1000) - 2.0).abs() < 0.01);
+        let all = BTreeMap::from([("tool".to_owned(), ClassSpread { objects: 3, sd_factors: [1.0, 2.0] })]);
+        assert_eq!(of_class(&all, "tool").unwrap(), [1.0, 2.0]);
+        let error = of_class(&all, "food").unwrap_err().to_string();
+        assert!(error.contains("tool") && error.contains("food"), "{error}");
+        assert!(of_class(&BTreeMap::new(), "food").unwrap_err().to_string().contains("with classes"));
+    }
+}

@@ -95,7 +95,7 @@ impl Within {
         let Some((inside, at, variance)) = truncated(mean, 1.0 / precision.sqrt()) else {
             return Self::default();
         };
-        let weight = (-0.5 * left).exp() * inside / (TAU * precision).sqrt() / det.sqrt();
+        let weight = (-0.5 * left).exp() * inside / (TAU * precision * det).sqrt();
         // The place before, given the one now: how both move together says how far the contact went.
         let pull = solve(l.by_from);
         let slope = -l.variance * dot(pull, l.by_to);
@@ -150,6 +150,9 @@ impl Within {
 /// Twice the logarithm below which a density counts as none.
 pub(super) const FARTHEST: f64 = 36.0;
 
+/// Standard deviations past which a Gaussian is nothing.
+const NOTHING: f64 = 7.5;
+
 /// Share of a Gaussian within -1/2 to 1/2, with its mean and variance there.
 fn truncated(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     let (a, b) = ((-0.5 - mean) / sd, (0.5 - mean) / sd);
@@ -161,9 +164,9 @@ fn truncated(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
         return Some(((b - a) * (-0.5 * middle * middle).exp() / TAU.sqrt(), 0.0, EVEN));
     }
     // Gauss's density at both ends, and what lies beyond them: the side on which no digits cancel.
-    let density = |x: f64| (-0.5 * x * x).exp() / TAU.sqrt();
+    let density = |x: f64| if x.abs() > NOTHING { 0.0 } else { (-0.5 * x * x).exp() / TAU.sqrt() };
     let (at_a, at_b) = (density(a), density(b));
-    let beyond = |x: f64, density: f64| density * mills(x.abs());
+    let beyond = |x: f64, density: f64| if density > 0.0 { density * mills(x.abs()) } else { 0.0 };
     let inside = match (a > 0.0, b > 0.0) {
         (true, _) => beyond(a, at_a) - beyond(b, at_b),
         (_, false) => beyond(b, at_b) - beyond(a, at_a),

@@ -256,7 +256,8 @@ impl<'a> Rule<'a> {
             }
             let along = self.inverse.nodes[j].arclength_mm - from_mm;
             let by_from = if at_tip { 0.0 } else { -node_mm };
-            self.arrive(from, j, weight * node_mm, step, &paces, [along, by_from, node_mm], new);
+            let off = self.off(from, j, step);
+            self.arrive(from, j, weight * node_mm, step, &off, &paces, [along, by_from, node_mm], new);
         }
     }
 
@@ -276,12 +277,12 @@ impl<'a> Rule<'a> {
         j: usize,
         weight: f64,
         step: &Step,
+        off: &Off,
         paces: &[(f64, f64); 3],
         along: [f64; 3],
         new: &mut Within,
     ) {
         let (s, c) = (self.settings, &self.now.all[j]);
-        let off = self.off(from, j, step);
         // What no place of the node and about the one before can mend.
         let mended =
             0.5 * off.rule.by_to[0].abs() + 3.0 * off.rule.by_from[0].abs() * off.rule.variance.sqrt();
@@ -321,8 +322,8 @@ impl<'a> Rule<'a> {
         let (s, c) = (self.settings, &self.now.all[j]);
         let Some(aside) = &self.now.asides[j] else { return 0.0 };
         let turn = aside.dot(&(c.normal - from.normal));
-        let noise = s.noise_nmm * from.turn_per_nmm.hypot(c.turn_per_nmm);
-        let scale = |of: [f64; 2]| (of[0] + of[1] * step.way_mm.abs()).hypot(noise);
+        let noise = s.noise_nmm * root(from.turn_per_nmm, c.turn_per_nmm);
+        let scale = |of: [f64; 2]| root(of[0] + of[1] * step.way_mm.abs(), noise);
         let [gentle, sharp] = [scale(s.bend), scale(s.sharp)];
         (1.0 - s.sharp_share) * fall(turn, gentle) + s.sharp_share * fall(turn, sharp)
     }
@@ -365,8 +366,8 @@ impl<'a> Rule<'a> {
                 if at_tip { -lean.dot(&from.turn) } else { 0.0 },
                 pitch,
             ];
-            self.arrive(from, j, weight * past * (1.0 - any) * pitch, step, &paces, along, new);
             let off = self.off(from, j, step);
+            self.arrive(from, j, weight * past * (1.0 - any) * pitch, step, &off, &paces, along, new);
             let anywhere = Within::first(&off.rule);
             if anywhere.weight > 0.0 {
                 let turn = self.turn_density(from, j, step) * self.far(&off.way_on_surface, step);
@@ -408,6 +409,11 @@ impl<'a> Rule<'a> {
         let wide = noise + s.wide_mm.powi(2) + s.wide_share.powi(2) * slid.norm_squared();
         Off { rule, wide, way_on_surface: slid }
     }
+}
+
+/// Root of two squares.
+fn root(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
 }
 
 /// Laplace's density.

@@ -61,7 +61,7 @@ impl Tracker {
     pub fn stream_told(&self, filter: BayesSettings) -> Stream<'_> {
         Stream {
             tracker: self,
-            features: FeatureMaker::new(&self.inverse, filter),
+            features: FeatureMaker::of(&self.config, &self.inverse, filter),
             memory: Attended::default(),
             last_s: None,
         }
@@ -70,7 +70,7 @@ impl Tracker {
     /// All answers of a course in one pass.
     #[must_use]
     pub fn course(&self, samples: &[Sample]) -> Vec<Prediction> {
-        let mut features = FeatureMaker::new(&self.inverse, self.filter);
+        let mut features = FeatureMaker::of(&self.config, &self.inverse, self.filter);
         let mut last_s = None;
         let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
         if tokens.is_empty() {

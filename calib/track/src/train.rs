@@ -141,13 +141,13 @@ pub fn train(
     let batches = courses.len().div_ceil(settings.batch);
     let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
     let begin = std::time::Instant::now();
-    let held_out = windows(held_out, inverse, &settings.as_it_is(), settings.seed);
+    let held_out = windows(held_out, config, inverse, &settings.as_it_is(), settings.seed);
     let mut drawn: (usize, Vec<Window>) = (0, Vec::new());
     while !finished(&state.passes, settings) {
         let epoch = state.passes.len() + 1;
         let draw = (epoch - 1) / settings.reuse.max(1) + 1;
         if drawn.0 != draw {
-            drawn = (draw, windows(courses, inverse, settings, settings.seed ^ (draw as u64) << 20));
+            drawn = (draw, windows(courses, config, inverse, settings, settings.seed ^ (draw as u64) << 20));
         }
         let mut order: Vec<usize> = (0..courses.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));

@@ -1,5 +1,6 @@
 //! What the network sees of a sample, made the same way for training and for a stream.
 
+use super::NetworkConfig;
 use crate::bayes::{BayesFilter, BayesSettings};
 use crate::{Candidate, StaticInverse};
 use nalgebra::Vector3;
@@ -69,6 +70,8 @@ pub struct FeatureMaker<'a> {
     knots: Vec<usize>,
     between: Vec<(usize, f32)>,
     before: Option<([f64; 2], Vec<Candidate>)>,
+    /// The network takes nothing of the rod and the filter: neither is asked.
+    plain: bool,
 }
 
 impl<'a> FeatureMaker<'a> {
@@ -77,7 +80,13 @@ impl<'a> FeatureMaker<'a> {
     pub fn new(inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
         let nodes = inverse.nodes.len();
         let filter = BayesFilter::new(inverse, settings);
-        Self { filter, knots: knots(nodes), between: between(nodes), before: None }
+        Self { filter, knots: knots(nodes), between: between(nodes), before: None, plain: false }
+    }
+
+    /// For a network of these sizes.
+    #[must_use]
+    pub fn of(config: &NetworkConfig, inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
+        Self { plain: config.plain(), ..Self::new(inverse, settings) }
     }
 
     /// Inputs of a token on a curve of so many nodes.
@@ -88,6 +97,12 @@ impl<'a> FeatureMaker<'a> {
 
     /// Takes transverse moments (N mm) `dt_s` after those before, and the base's speed along +z where it is known.
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
+        let dt = dt_s.max(1e-4);
+        let mut inputs = self.common(dt, moment_nmm, base_mm_s);
+        if self.plain {
+            self.before = Some((moment_nmm, Vec::new()));
+            return Token::new(dt_s, &inputs, &[], &[]);
+        }
         self.filter.step(dt_s, moment_nmm, base_mm_s);
         let all = self.filter.candidates();
         let mut posterior = self.filter.posterior();
@@ -106,16 +121,6 @@ impl<'a> FeatureMaker<'a> {
             }
         }
         let now: Vec<Candidate> = self.knots.iter().map(|k| all[*k]).collect();
-        let dt = dt_s.max(1e-4);
-        let mut inputs = Vec::with_capacity(Self::width(all.len()));
-        inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
-        inputs.extend(moment_nmm.map(|m| (m / SMALL_MOMENT_NMM).asinh() / 4.0));
-        let rate =
-            self.before.as_ref().map_or([0.0; 2], |(m, _)| [0, 1].map(|k| (moment_nmm[k] - m[k]) / dt));
-        inputs.extend(rate.map(|r| (r / MOMENT_NMM).clamp(-8.0, 8.0)));
-        inputs.push((dt / STEP_S).ln());
-        inputs.push(f64::from(u8::from(base_mm_s.is_some())));
-        inputs.push(base_mm_s.unwrap_or(0.0) / SPEED_MM_S);
         let evidence = self.filter.log_evidence();
         inputs.push(if evidence == 0.0 { 0.0 } else { ((evidence - GOES_ON) / EVIDENCE).max(-8.0) });
         inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
@@ -130,17 +135,35 @@ impl<'a> FeatureMaker<'a> {
             let pace = if at_knots[k] > 1e-3 { (pace[k] / at_knots[k]).clamp(-4.0, 4.0) } else { 0.0 };
             inputs.extend([off, c.normal.z, at_knots[k].sqrt() * 2.0, pace]);
         }
-        let token = Token {
-            inputs: inputs.into_iter().map(|x| x as f32).collect(),
-            dt_s: dt_s as f32,
-            points_mm: all
-                .iter()
-                .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32))
-                .collect(),
-            normals: all.iter().map(|c| [c.normal.x, c.normal.y, c.normal.z].map(|x| x as f32)).collect(),
-            believed: posterior.iter().map(|w| *w as f32).collect(),
-        };
+        let token = Token::new(dt_s, &inputs, all, &posterior);
         self.before = Some((moment_nmm, now));
         token
+    }
+
+    /// Inputs that do not belong to a node.
+    fn common(&self, dt: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Vec<f64> {
+        let mut inputs = Vec::with_capacity(Self::width(self.between.len()));
+        inputs.extend(moment_nmm.map(|m| m / MOMENT_NMM));
+        inputs.extend(moment_nmm.map(|m| (m / SMALL_MOMENT_NMM).asinh() / 4.0));
+        let rate =
+            self.before.as_ref().map_or([0.0; 2], |(m, _)| [0, 1].map(|k| (moment_nmm[k] - m[k]) / dt));
+        inputs.extend(rate.map(|r| (r / MOMENT_NMM).clamp(-8.0, 8.0)));
+        inputs.push((dt / STEP_S).ln());
+        inputs.push(f64::from(u8::from(base_mm_s.is_some())));
+        inputs.push(base_mm_s.unwrap_or(0.0) / SPEED_MM_S);
+        inputs
+    }
+}
+
+impl Token {
+    fn new(dt_s: f64, inputs: &[f64], all: &[Candidate], posterior: &[f64]) -> Self {
+        let three = |v: &Vector3<f64>| [v.x, v.y, v.z].map(|x| x as f32);
+        Self {
+            inputs: inputs.iter().map(|x| *x as f32).collect(),
+            dt_s: dt_s as f32,
+            points_mm: all.iter().map(|c| three(&c.point_mm)).collect(),
+            normals: all.iter().map(|c| three(&c.normal)).collect(),
+            believed: posterior.iter().map(|w| *w as f32).collect(),
+        }
     }
 }

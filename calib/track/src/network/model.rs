@@ -81,6 +81,12 @@ impl NetworkConfig {
         }
     }
 
+    /// Whether it takes nothing of the rod's curve and the filter.
+    #[must_use]
+    pub fn plain(&self) -> bool {
+        self.nodes == 0 && self.inputs <= super::features::COMMON
+    }
+
     /// # Errors
     /// Where the sizes do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {

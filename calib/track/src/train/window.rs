@@ -2,7 +2,7 @@
 
 use super::TrainSettings;
 use crate::bayes::BayesSettings;
-use crate::network::FeatureMaker;
+use crate::network::{FeatureMaker, NetworkConfig};
 use crate::stream::FIRST_S;
 use crate::{Course, StaticInverse};
 use rand::{RngExt, SeedableRng};
@@ -30,6 +30,7 @@ pub(super) struct Window {
 /// Windows of courses, with what a bench adds; `seed` draws.
 pub(super) fn windows(
     courses: &[Course],
+    config: &NetworkConfig,
     inverse: &StaticInverse,
     settings: &TrainSettings,
     seed: u64,
@@ -39,7 +40,7 @@ pub(super) fn windows(
         .enumerate()
         .map(|(k, course)| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
-            window(course, inverse, settings, &mut rng)
+            window(course, config, inverse, settings, &mut rng)
         })
         .collect()
 }
@@ -53,6 +54,7 @@ const DRIFTED_S: f64 = 10.0;
 
 fn window(
     course: &Course,
+    config: &NetworkConfig,
     inverse: &StaticInverse,
     settings: &TrainSettings,
     rng: &mut ChaCha8Rng,
@@ -71,8 +73,8 @@ fn window(
     let stride = 1 + usize::from(uniform(0.0, 1.0) < 0.3);
     let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
     let first = (uniform(-0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::new(inverse, BayesSettings::stated(noise, zero_nmm));
-    let nodes = inverse.nodes.len();
+    let mut features = FeatureMaker::of(config, inverse, BayesSettings::stated(noise, zero_nmm));
+    let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
     let mut made = Window {
         inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
@@ -105,8 +107,8 @@ fn window(
             .filter(|_| !free)
             .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
         made.weights.extend(match truth {
-            Some(p) => truth_weights(&token.points_mm, p),
-            None => vec![0.0; nodes],
+            Some(p) if nodes > 0 => truth_weights(&token.points_mm, p),
+            _ => vec![0.0; nodes],
         });
         made.inputs.extend(token.inputs);
         made.points.extend(token.points_mm.iter().flatten());

@@ -6,6 +6,7 @@
 
 mod cell;
 mod rule;
+mod side;
 
 use crate::{Candidate, StaticInverse};
 use cell::Cell;

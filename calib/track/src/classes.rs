@@ -21,35 +21,30 @@ pub struct ClassSpread {
 /// Objects that the factor of all classes together counts for: a class with as many of its own stands half way between.
 const COMMON_OBJECTS: f64 = 2.0;
 
-/// Factors by class from held-out courses: logarithms of a class's own factor and of the common one, weighed by numbers of objects.
+/// Factors by class from the regions of held-out courses (base's speed not known, and known): logarithms of a class's own factor and of the
+/// common one, weighed by numbers of objects.
 #[must_use]
 pub fn spread_by_class(
-    tracker: &Tracker,
-    held_out: &[Course],
+    regions: &[Vec<(String, Compared)>; 2],
+    common: [f64; 2],
     classes: &ObjectClasses,
 ) -> BTreeMap<String, ClassSpread> {
-    let regions = [false, true].map(|known| held_out_regions(tracker, held_out, known));
     let names: BTreeSet<&String> = classes.values().collect();
-    names
-        .into_iter()
-        .map(|class| {
-            let of_class = |object: &str| classes.get(object) == Some(class);
-            let objects: BTreeSet<&str> =
-                held_out.iter().map(|c| c.object.as_str()).filter(|o| of_class(o)).collect();
-            let own = |known: usize| {
-                let own: Vec<Compared> =
-                    regions[known].iter().filter(|r| of_class(&r.0)).map(|r| r.1).collect();
-                between(calibrating_factor(&own), tracker.sd_factors[known], objects.len())
-            };
-            (class.clone(), ClassSpread { objects: objects.len(), sd_factors: [own(0), own(1)] })
-        })
-        .collect()
+    let spread = |class: &String| {
+        let own = |known: usize| regions[known].iter().filter(|r| classes.get(&r.0) == Some(class));
+        let objects = own(0).map(|r| &r.0).collect::<BTreeSet<_>>().len();
+        let factor = |known: usize| {
+            let own: Vec<Compared> = own(known).map(|r| r.1).collect();
+            between(calibrating_factor(&own), common[known], objects)
+        };
+        ClassSpread { objects, sd_factors: [factor(0), factor(1)] }
+    };
+    names.into_iter().map(|class| (class.clone(), spread(class))).collect()
 }
 
-/// A class's factor from its own on top of the common one, and the number of objects that it comes from.
-fn between(own_beside_common: f64, common: f64, objects: usize) -> f64 {
-    let weight = objects as f64 / (objects as f64 + COMMON_OBJECTS);
-    common * own_beside_common.powf(weight)
+/// A class's own factor and the common one, by the number of objects that the first comes from.
+fn between(own: f64, common: f64, objects: usize) -> f64 {
+    common * (own / common).powf(objects as f64 / (objects as f64 + COMMON_OBJECTS))
 }
 
 /// Factors of a class.
@@ -121,8 +116,8 @@ mod tests {
     #[test]
     fn a_class_without_objects_has_the_common_factor_and_one_with_many_its_own() {
         assert_eq!(between(1.0, 0.7, 0), 0.7);
-        assert!((between(4.0, 0.5, 2) - 1.0).abs() < 1e-12);
-        assert!((between(4.0, 0.5, 1000) - 2.0).abs() < 0.01);
+        assert!((between(2.0, 0.5, 2) - 1.0).abs() < 1e-12);
+        assert!((between(2.0, 0.5, 1000) - 2.0).abs() < 0.01);
         let all = BTreeMap::from([("tool".to_owned(), ClassSpread { objects: 3, sd_factors: [1.0, 2.0] })]);
         assert_eq!(of_class(&all, "tool").unwrap(), [1.0, 2.0]);
         let error = of_class(&all, "food").unwrap_err().to_string();

@@ -2,7 +2,7 @@
 
 use crate::bayes::{BayesFilter, BayesSettings};
 use crate::bootstrap::SweepSums;
-use crate::score::{Compared, Detection, Scores, calibrating_factor, detection, scores};
+use crate::score::{Compared, Detection, Scores, detection, scores};
 use crate::{Course, Sample, StaticInverse, TrackError, Tracker};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -170,14 +170,6 @@ pub fn held_out_regions(tracker: &Tracker, courses: &[Course], base_known: bool)
             .collect()
     };
     courses.par_iter().flat_map_iter(compared).collect()
-}
-
-/// Factor on the network's standard deviations with which its 90 % regions hold on courses that it was not trained on.
-#[must_use]
-pub fn spread_factor(tracker: &Tracker, courses: &[Course], base_known: bool) -> f64 {
-    let all: Vec<Compared> =
-        held_out_regions(tracker, courses, base_known).into_iter().map(|r| r.1).collect();
-    calibrating_factor(&all)
 }
 
 /// Who estimates over objects, from a course to its estimates.

@@ -4,6 +4,7 @@ use crate::bayes::BayesSettings;
 use crate::classes::{ObjectClasses, spread_by_class};
 use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
 use crate::network::NetworkConfig;
+use crate::score::calibrating_factor;
 use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
 use std::collections::BTreeMap;
@@ -90,7 +91,10 @@ pub fn make_model(
         sd_factors: [1.0; 2],
         device: device.clone(),
     };
-    tracker.sd_factors = [false, true].map(|known| evaluate::spread_factor(&tracker, &held_out, known));
+    let regions = [false, true].map(|known| evaluate::held_out_regions(&tracker, &held_out, known));
+    // With which the 90 % regions hold on what was not trained on.
+    tracker.sd_factors =
+        regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
         Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
     };
@@ -102,7 +106,7 @@ pub fn make_model(
         inverse: network_grid(),
         whisker: making.whisker.clone(),
         sd_factors: tracker.sd_factors,
-        sd_factors_by_class: spread_by_class(&tracker, &held_out, &making.classes),
+        sd_factors_by_class: spread_by_class(&regions, tracker.sd_factors, &making.classes),
         object_classes: making.classes.clone(),
         training: making.settings,
         passes,

@@ -1,49 +1,78 @@
-//! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench.
+//! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench (SIMULATED).
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::Device;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
+use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::{Dataset, SweepEngine, SweepPlan, objects};
 use wcal_track::bayes::BayesSettings;
 use wcal_track::model_file::load;
-use wcal_track::{Sample, Tracker};
+use wcal_track::{Course, Sample, Tracker, course};
 
 const ROWS: usize = 600;
 const RATE_HZ: f64 = 10.0;
 
-/// Rows called contact, of [`ROWS`]; `pressed_nmm` is the moment under the noise (standard deviation `noise_nmm` on each axis).
-fn called(tracker: &Tracker, noise_nmm: f64, drift_nmm_s: f64, pressed_nmm: f64, known: bool) -> usize {
+/// Rows that are called contact under noise (standard deviation of each axis, N mm), `known`: with the base's speed.
+fn called(tracker: &Tracker, quiet: &[(f64, [f64; 2], f64)], noise_nmm: f64, known: bool) -> Vec<bool> {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     // Twelve even ones less their mean are as good as Gaussian here.
     let mut gauss = || (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>();
     let mut stream = tracker.stream_told(BayesSettings::stated(noise_nmm, 0.0));
-    (0..ROWS)
-        .filter(|k| {
-            let t_s = *k as f64 / RATE_HZ;
-            let moment_nmm = [pressed_nmm, 0.0].map(|m| m + drift_nmm_s * t_s + noise_nmm * gauss());
-            let sample = Sample { t_s, moment_nmm, base_mm_s: known.then_some(5.0) };
-            stream.push(&sample).contact > 0.5
-        })
-        .count()
+    let one = |(t_s, moment_nmm, speed): &(f64, [f64; 2], f64)| {
+        let moment_nmm = moment_nmm.map(|m| m + noise_nmm * gauss());
+        let sample = Sample { t_s: *t_s, moment_nmm, base_mm_s: known.then_some(*speed) };
+        stream.push(&sample).contact > 0.5
+    };
+    quiet.iter().map(one).collect()
 }
 
+/// Sweeps over a ball, and for each instant whether the wire is clearly pressed.
+fn sweeps() -> Vec<Course> {
+    let folder = tempfile::tempdir().unwrap();
+    let dataset = Dataset {
+        engine: SweepEngine::Rod,
+        whisker: WhiskerSpec::nominal(),
+        plan: SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() },
+        objects: ["ball"].map(|n| objects::built_in(n).unwrap()).into(),
+        sweeps: 4,
+        seed: 3,
+        share: [0, 1],
+    };
+    dataset.make(folder.path(), |_, _| {}).unwrap();
+    course::read_courses(folder.path(), &[]).unwrap().into_values().flatten().collect()
+}
+
+/// At most one free row in fifty; the model without such wires in its training called one in nine at 0.003 N mm.
 #[test]
 fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/tracker");
     let tracker = load(&folder, &Device::flex()).unwrap().0;
+    let sweeps = sweeps();
     for (noise, drift) in [(0.0003, 0.0), (0.001, 0.0), (0.003, 0.0), (0.001, 2e-5)] {
         for known in [true, false] {
-            let free = called(&tracker, noise, drift, 0.0, known);
-            // Control: the same noise on a wire that is pressed.
-            let pressed = called(&tracker, noise, drift, 30.0 * noise, known);
+            let quiet: Vec<_> =
+                (0..ROWS).map(|k| k as f64 / RATE_HZ).map(|t| (t, [drift * t; 2], 5.0)).collect();
+            let free = called(&tracker, &quiet, noise, known).into_iter().filter(|c| *c).count();
+            // Control: the same noise on wires that are pressed.
+            let (mut pressed, mut found) = (0, 0);
+            for course in &sweeps {
+                let all: Vec<_> =
+                    course.instants.iter().map(|i| (i.t_s, i.moment_nmm, i.speed_mm_s)).collect();
+                for (i, called) in course.instants.iter().zip(called(&tracker, &all, noise, known)) {
+                    let clear = i.contact.is_some() && i.moment_nmm[0].hypot(i.moment_nmm[1]) > 10.0 * noise;
+                    pressed += usize::from(clear);
+                    found += usize::from(clear && called);
+                }
+            }
             println!(
-                "noise {noise} N mm, drift {drift} N mm/s: {free} of {ROWS} free rows, {pressed} pressed ones"
+                "noise {noise} N mm, drift {drift} N mm/s: {free} of {ROWS} free rows, {found} of {pressed} pressed ones"
             );
-            assert!(free <= ROWS / 200, "{noise} {drift}: {free} of {ROWS} free rows called contact");
+            assert!(free <= ROWS / 50, "{noise} {drift}: {free} of {ROWS} free rows called contact");
             assert!(
-                pressed >= ROWS * 9 / 10,
-                "{noise} {drift}: {pressed} of {ROWS} pressed rows called contact"
+                pressed > 100 && found * 100 >= pressed * 97,
+                "{noise}: {found} of {pressed} pressed rows"
             );
         }
     }

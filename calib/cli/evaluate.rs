@@ -324,6 +324,13 @@ fn print_tables(document: &Value) {
         real["verdict"],
         real["accepted"]
     );
+    let faces = &document["faces"];
+    for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
+        let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));
+        println!(
+            "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
+        );
+    }
     let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
     for r in rows("ablations") {
         println!(

@@ -28,6 +28,9 @@ mod virtual_bench;
 use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Calibrates whisker touch sensors and closes the loop between bench and simulation.
 #[derive(Debug, Parser)]
 #[command(name = "wcal", version, arg_required_else_help = true)]

@@ -3,8 +3,11 @@
 use crate::simulate::whisker;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use wcal_mujoco::read::manifests;
+use wcal_mujoco::{Mesh, objects};
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_session::TextTableLayout;
 use wcal_track::classes::ObjectClasses;
@@ -24,9 +27,12 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
-    /// Another folder, of sweeps with other physics (friction, weight, ...) over the same objects: trained on beside the first, never held out or scored
+    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: trained on beside the first, never held out or scored (may be repeated)
     #[arg(long, value_name = "DIR")]
-    pub beside: Option<PathBuf>,
+    pub beside: Vec<PathBuf>,
+    /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
+    #[arg(long, value_name = "DIR")]
+    pub meshes: Option<PathBuf>,
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
@@ -90,9 +96,11 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
     let settings =
         TrainSettings { epochs: args.epochs, rate: args.rate, seed: args.seed, ..TrainSettings::default() };
+    let meshes = surfaces(args)?;
     let making = Making {
+        meshes: &meshes,
         sweeps: &args.sweeps,
-        beside: args.beside.as_deref(),
+        beside: &args.beside,
         from: args.from.as_deref(),
         whisker,
         preset: &args.preset,
@@ -122,6 +130,26 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Meshes of the sweeps' objects; none where one of them is not there and no folder was named.
+fn surfaces(args: &TrainArgs) -> anyhow::Result<BTreeMap<String, Mesh>> {
+    let mut meshes = BTreeMap::new();
+    for (_, manifest) in manifests(&args.sweeps)? {
+        let name = manifest.object;
+        if meshes.contains_key(&name) {
+            continue;
+        }
+        match objects::named(&name, args.meshes.as_deref()) {
+            Ok(mesh) => drop(meshes.insert(name, mesh)),
+            Err(_) if args.meshes.is_none() => {
+                eprintln!("train: {name}: surface not known (--meshes): trained on the true contacts alone");
+                return Ok(BTreeMap::new());
+            }
+            Err(e) => return Err(e).with_context(|| format!("object {name}: mesh in --meshes DIR")),
+        }
+    }
+    Ok(meshes)
+}
+
 /// Reads `object,class`.
 fn object_classes(path: &Path) -> anyhow::Result<ObjectClasses> {
     let table = wcal_session::read_text_table(path, &TextTableLayout::default())?;
@@ -144,8 +172,10 @@ pub fn burn_device() -> wcal_track::Device {
 }
 
 fn heard(pass: &Pass) {
+    let surface =
+        pass.held_out_surface_mm.map_or_else(String::new, |s| format!(", from the surface {s:.2} mm"));
     eprintln!(
-        "pass {:3}: loss {:.3}, held-out {:.3}, RMSE of the contact {:.2} mm, {:.0} s",
+        "pass {:3}: loss {:.3}, held-out {:.3}, RMSE of the contact {:.2} mm{surface}, {:.0} s",
         pass.epoch, pass.loss, pass.held_out_loss, pass.held_out_mm, pass.seconds
     );
 }

@@ -39,6 +39,12 @@ pub fn page(document: &Value) -> String {
             &[surface, true_contact, ("along_track_mm", "along the way, mm")],
         ),
         table(
+            &document["faces"]["objects"],
+            "Simulation, objects upright, four faces, no jumps (the paper's table I)",
+            &["set", "name"],
+            &[surface, true_contact],
+        ),
+        table(
             &real["objects"],
             "VIRTUAL real bench, object by object",
             &["set", "name"],

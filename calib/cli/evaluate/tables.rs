@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_mujoco::physics::Medium;
-use wcal_mujoco::{Mesh, SweepPlan};
+use wcal_mujoco::{Mesh, SweepPlan, Turn};
 use wcal_track::bootstrap::{mean_interval95, worst_interval95};
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
@@ -23,11 +23,15 @@ type Meshes = BTreeMap<String, Mesh>;
 const SPEEDS_MM_S: [f64; 5] = [4.0, 6.0, 8.0, 10.0, 12.0];
 /// Objects of table III.
 const SIM_TO_REAL: [&str; 3] = ["vase", "035_power_drill", "rock"];
+/// Faces of an object in table I.
+const FACES: usize = 4;
 /// Bounds of the random speeds as shares, and of their accelerations, mm/s^2.
 const RANDOM: [f64; 2] = [0.75, 1.25];
 const RANDOM_MM_S2: f64 = 1.0;
 /// Readings a second.
 const RATE_HZ: f64 = 10.0;
+/// Sweeps that were trained on have small seeds: the same number must not draw the same sweeps here.
+const ON_THE_SPOT: u64 = 0x6576_616c_7561_7465;
 /// Material time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
 const DAMPING_S: f64 = 0.24;
 
@@ -60,11 +64,40 @@ impl Maker<'_> {
         let (seen, unseen) = (objects(&self.card.objects.training)?, objects(&self.card.objects.unseen)?);
         let (real, ablations) = self.virtual_real(&bench, &seen, &unseen)?;
         Ok(BTreeMap::from([
+            ("faces", self.faces(&seen, &unseen)?),
             ("virtual_real", real),
             ("ablations", ablations),
             ("speed", self.speeds(&unseen)?),
             ("sim2real", self.sim_to_real(&bench)?),
         ]))
+    }
+
+    /// Seed of sweeps that are drawn on the spot.
+    fn seed(&self) -> u64 {
+        self.args.seed ^ ON_THE_SPOT
+    }
+
+    /// Table I as the paper draws it: objects upright, four faces in turn, sweeps with a contact jump left out.
+    fn faces(&self, seen: &Meshes, unseen: &Meshes) -> anyhow::Result<Value> {
+        let plan =
+            SweepPlan { turn: Turn::Faces, keep_jumps: false, rate_hz: RATE_HZ, ..SweepPlan::default() };
+        let sweeps = self.args.sweeps_each.next_multiple_of(FACES);
+        let order = Order { whisker: &self.card.whisker, plan: &plan, seed: self.seed(), sweeps };
+        let score = |meshes: &Meshes, known: bool| -> anyhow::Result<Vec<ObjectScores>> {
+            let courses = self.courses(meshes, &order)?;
+            Ok(over_objects(&|c: &Course| Method::Network(self.tracker, known).run(c), &courses, meshes)?)
+        };
+        let rows = |known: bool| -> anyhow::Result<Value> {
+            let [seen, unseen] = [score(seen, known)?, score(unseen, known)?];
+            let objects = seen.iter().map(|o| super::object(o, "seen"));
+            let objects = objects.chain(unseen.iter().map(|o| super::object(o, "unseen")));
+            let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
+            Ok(json!({"seen_mean_mm": means(&seen), "unseen_mean_mm": means(&unseen),
+                "interval95": both_means(&seen, &unseen), "objects": objects.collect::<Vec<Value>>()}))
+        };
+        let mut told = rows(true)?;
+        told["speed_not_known"] = rows(false)?;
+        Ok(told)
     }
 
     fn courses(&self, meshes: &Meshes, order: &Order<'_>) -> anyhow::Result<Courses> {
@@ -80,7 +113,7 @@ impl Maker<'_> {
 
     fn on_bench(&self, bench: &VirtualBench, meshes: &Meshes, medium: Medium) -> anyhow::Result<Courses> {
         let plan = VirtualBench::plan(medium);
-        let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+        let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
         self.courses(meshes, &Order { whisker: &bench.whisker, plan: &plan, seed, sweeps })
     }
 
@@ -180,7 +213,7 @@ impl Maker<'_> {
             let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<Mean> {
                 let plan =
                     SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
-                let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+                let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
                 let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
                 let courses = self.courses(meshes, &order)?;
                 let rows =
@@ -206,7 +239,7 @@ impl Maker<'_> {
                 continue;
             };
             let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
-            let (seed, sweeps) = (self.args.seed, self.args.sweeps_each);
+            let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
             let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
             let score = |courses: &Courses, tracker: &Tracker| -> anyhow::Result<Mean> {
                 let rows = over_objects(&|c: &Course| Method::Network(tracker, true).run(c), courses, &mesh)?;

@@ -30,4 +30,4 @@ pub use engine::MujocoEngine;
 pub use error::TwinError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;
-pub use sweep::{Sample, Sweep, SweepPlan, Verdict};
+pub use sweep::{Sample, Sweep, SweepPlan, Turn, Verdict};

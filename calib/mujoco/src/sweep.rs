@@ -2,12 +2,13 @@
 
 use crate::physics::{Physics, PhysicsPlan};
 use crate::{Mesh, TwinError};
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
+use std::f64::consts::FRAC_PI_2;
 use wcal_rod::{Contact, Near, Surface};
 
 /// How sweeps are drawn (SYSTEM: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
@@ -30,10 +31,34 @@ pub struct SweepPlan {
     pub tail_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
     pub most_strain: f64,
+    /// How the object lies.
+    pub turn: Turn,
     /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper rejects contact jumps.
     pub keep_jumps: bool,
     /// Friction, softening and medium.
     pub physics: PhysicsPlan,
+}
+
+/// How an object is turned before a sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Turn {
+    /// At random, uniform over rotations.
+    Haar,
+    /// Upright as its mesh is (+z up, along the base's +y): four faces in turn, a quarter turn apart (SYSTEM, Evaluation).
+    Faces,
+}
+
+impl Turn {
+    /// Object to base frame.
+    fn of(self, index: u64, rng: &mut ChaCha8Rng) -> Matrix3<f64> {
+        let drawn = haar(rng);
+        if self == Self::Haar {
+            return drawn;
+        }
+        let face = Rotation3::from_axis_angle(&Vector3::y_axis(), (index % 4) as f64 * FRAC_PI_2);
+        (face * Rotation3::from_axis_angle(&Vector3::x_axis(), -FRAC_PI_2)).into_inner()
+    }
 }
 
 impl Default for SweepPlan {
@@ -47,6 +72,7 @@ impl Default for SweepPlan {
             most_mm: 120.0,
             tail_mm: 5.0,
             most_strain: 0.015,
+            turn: Turn::Haar,
             keep_jumps: true,
             physics: PhysicsPlan::default(),
         }
@@ -124,7 +150,7 @@ impl Sweep {
         let mut rng = generator(&mesh.name, "", seed, index);
         // Draws of its own: the physics leaves the sweep's way as it is.
         let physics = Physics::draw(plan, &mut generator(&mesh.name, "/physics", seed, index));
-        let turn = haar(&mut rng);
+        let turn = plan.turn.of(index, &mut rng);
         let points: Vec<Vector3<f64>> = mesh.points().map(|p| turn * p).collect();
         let low = points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
         let high = points.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max);

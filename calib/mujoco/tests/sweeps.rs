@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::rod_engine::{LINKS, Run};
 use wcal_mujoco::sweep::Event;
-use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, Verdict, objects};
+use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, Turn, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()
@@ -129,6 +129,22 @@ fn a_sweep_past_a_can_begins_free_touches_and_comes_free() {
     let events: Vec<Event> = whole.1.samples.iter().map(|s| s.event).filter(|e| *e != Event::None).collect();
     assert_eq!(events[0], Event::Onset, "{events:?}");
     assert!(whole.1.samples[0].contacts.is_empty() && whole.1.samples[0].moment_nmm.norm() < 1e-9);
+}
+
+#[test]
+fn faces_are_upright_and_a_quarter_turn_apart() {
+    let mesh = objects::built_in("can").unwrap();
+    let plan = SweepPlan { turn: Turn::Faces, ..SweepPlan::default() };
+    let turns: Vec<_> = (0..8).map(|k| Sweep::draw(&mesh, &plan, 7, k, 60.0).unwrap().turn).collect();
+    for (k, turn) in turns.iter().enumerate() {
+        assert!((turn * Vector3::z() - Vector3::y()).norm() < 1e-12, "{k}");
+        let next = turns[(k + 1) % 8];
+        assert!((turn * Vector3::x()).dot(&(next * Vector3::x())).abs() < 1e-12, "{k}");
+        assert!((turn - turns[(k + 4) % 8]).norm() < 1e-12, "{k}");
+    }
+    // Negative control: drawn at random they are not.
+    let drawn = Sweep::draw(&mesh, &SweepPlan::default(), 7, 0, 60.0).unwrap().turn;
+    assert!((drawn * Vector3::z() - Vector3::y()).norm() > 0.05);
 }
 
 /// Every reason for which a sweep is rejected, each from its own cause.

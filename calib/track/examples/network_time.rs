@@ -14,6 +14,10 @@ use std::time::Instant;
 use wcal_track::network::model::attention_bias;
 use wcal_track::network::{Attended, FeatureMaker, NetworkConfig, WhiskerNet};
 
+/// As in `wcal`: a step's tensors are given back and asked for again, page by page, by the system's own allocator.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Courses in a batch and tokens in a course: the peers' case.
 const BATCH: usize = 64;
 const TIME: usize = 100;

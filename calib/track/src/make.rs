@@ -8,8 +8,9 @@ use crate::score::calibrating_factor;
 use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course, evaluate};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::Mesh;
 use wcal_mujoco::read::manifests;
 
 /// What is made of what.
@@ -17,8 +18,10 @@ use wcal_mujoco::read::manifests;
 pub struct Making<'a> {
     /// Folder of shards.
     pub sweeps: &'a Path,
-    /// Another folder: sweeps with other physics over the same objects, which are trained on only.
-    pub beside: Option<&'a Path>,
+    /// Other folders: sweeps with other physics or seeds over the same objects, which are trained on only.
+    pub beside: &'a [PathBuf],
+    /// The objects' meshes, where they are known.
+    pub meshes: &'a BTreeMap<String, Mesh>,
     /// Folder of a model with which to begin.
     pub from: Option<&'a Path>,
     /// Whisker of the sweeps.
@@ -72,7 +75,7 @@ pub fn make_model(
             courses.retain(|c| used(c) == Use::Training);
         }
     }
-    if let Some(folder) = making.beside {
+    for folder in making.beside {
         let more = course::read_courses(folder, &objects.training)?;
         courses.extend(more.into_values().flatten());
     }
@@ -80,7 +83,9 @@ pub fn make_model(
     let network = preset(making.preset, &inverse)?;
     let from =
         making.from.map(|folder| began_with(folder, &network, &objects, sweeps_trained)).transpose()?;
-    let material = Material { courses: &courses, held_out: &held_out, inverse: &inverse, from: making.from };
+    let (meshes, from_folder) = (making.meshes, making.from);
+    let material =
+        Material { courses: &courses, held_out: &held_out, inverse: &inverse, meshes, from: from_folder };
     let checkpoint = making.out.join("checkpoint");
     let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
     let mut tracker = Tracker {
@@ -112,7 +117,7 @@ pub fn make_model(
         passes,
         objects,
         data: made_from(making.sweeps)?,
-        data_beside: making.beside.map(made_from).transpose()?.unwrap_or_default(),
+        data_beside: making.beside.iter().map(|f| made_from(f)).collect::<Result<_, _>>()?,
         began_with: from,
         sweeps_trained,
         split: making.split,

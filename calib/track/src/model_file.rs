@@ -50,9 +50,9 @@ pub struct Card {
     pub objects: Split,
     /// SHA-256 of what each object's sweeps follow from.
     pub data: BTreeMap<String, String>,
-    /// The same of sweeps with other physics (friction, weight, ...) that were trained on beside them.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub data_beside: BTreeMap<String, String>,
+    /// The same of each folder of other sweeps (friction, weight, ...) that were trained on beside them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub data_beside: Vec<BTreeMap<String, String>>,
     /// SHA-256 of the weights that the training began with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub began_with: Option<String>,

@@ -1,22 +1,26 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
 use crate::model_file::put_weights;
-use crate::network::model::attention_bias;
-use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
+use crate::network::{NetworkConfig, WhiskerNet};
 use crate::{Course, StaticInverse, TrackError};
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
-use burn::tensor::activation::{log_sigmoid, log_softmax};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
-use window::{Window, windows};
+use wcal_mujoco::Mesh;
+use window::{Window, Windows};
 
 mod checkpoint;
+mod loss;
 mod window;
+
+pub(crate) use loss::PLACE_MM;
+use loss::loss;
 
 /// How a network is trained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -85,6 +89,9 @@ pub struct Pass {
     pub held_out_loss: f64,
     /// See `held_out_loss`.
     pub held_out_mm: f64,
+    /// RMSE to the surface, mm, where the objects' meshes were given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out_surface_mm: Option<f64>,
     /// Seconds since the beginning.
     pub seconds: f64,
 }
@@ -98,6 +105,8 @@ pub struct Material<'a> {
     pub held_out: &'a [Course],
     /// Curve of candidates.
     pub inverse: &'a StaticInverse,
+    /// The objects' meshes: where all of them are there, the answer is trained to lie on the surface, too.
+    pub meshes: &'a BTreeMap<String, Mesh>,
     /// Folder of a model with whose weights to begin.
     pub from: Option<&'a Path>,
 }
@@ -123,7 +132,7 @@ pub fn train(
     device: &Device,
     mut heard: impl FnMut(&Pass),
 ) -> Result<(WhiskerNet, Vec<Pass>), TrackError> {
-    let Material { courses, held_out, inverse, from } = *material;
+    let Material { courses, held_out, inverse, meshes, from } = *material;
     if courses.is_empty() || held_out.is_empty() {
         return Err(TrackError::value("training", "courses to train on and to hold out", "none"));
     }
@@ -141,30 +150,33 @@ pub fn train(
     let batches = courses.len().div_ceil(settings.batch);
     let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
     let begin = std::time::Instant::now();
-    let held_out = windows(held_out, config, inverse, &settings.as_it_is(), settings.seed);
-    let mut drawn: (usize, Vec<Window>) = (0, Vec::new());
+    let made = Windows { config, inverse, meshes };
+    let held_out = made.of(held_out, &settings.as_it_is(), settings.seed);
+    let mut drawn: (usize, Vec<Window<'_>>) = (0, Vec::new());
     while !finished(&state.passes, settings) {
         let epoch = state.passes.len() + 1;
         let draw = (epoch - 1) / settings.reuse.max(1) + 1;
         if drawn.0 != draw {
-            drawn = (draw, windows(courses, config, inverse, settings, settings.seed ^ (draw as u64) << 20));
+            drawn = (draw, made.of(courses, settings, settings.seed ^ (draw as u64) << 20));
         }
         let mut order: Vec<usize> = (0..courses.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));
         let mut sum = 0.0;
         for (k, batch) in order.chunks(settings.batch).enumerate() {
             let number = (epoch - 1) * batches + k;
-            let windows: Vec<&Window> = batch.iter().map(|c| &drawn.1[*c]).collect();
-            let (loss, _) = loss(&state.net, config, &windows, &learning);
+            let windows: Vec<&Window<'_>> = batch.iter().map(|c| &drawn.1[*c]).collect();
+            let loss = loss(&state.net, config, &windows, &learning).loss;
             sum += f64::from(loss.clone().into_scalar::<f32>());
             let gradients = GradientsParams::from_grads(loss.backward(), &state.net);
             let rate = learning_rate(settings.rate, number as f64 / (settings.epochs * batches) as f64);
             state.net = state.optimizer.step(rate, state.net, gradients);
         }
         let valid = state.net.valid();
-        let (held_out_loss, held_out_mm) = evaluate(&valid, config, settings.batch, &held_out, device);
+        let (held_out_loss, held_out_mm, held_out_surface_mm) =
+            evaluate(&valid, config, settings.batch, &held_out, device);
         let seconds = before_s + begin.elapsed().as_secs_f64();
-        let pass = Pass { epoch, loss: sum / batches as f64, held_out_loss, held_out_mm, seconds };
+        let loss = sum / batches as f64;
+        let pass = Pass { epoch, loss, held_out_loss, held_out_mm, held_out_surface_mm, seconds };
         if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
             state.best = valid;
         }
@@ -194,94 +206,25 @@ fn learning_rate(most: f64, done: f64) -> f64 {
     most * rise * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()) + 1e-6
 }
 
-/// Mean loss and RMSE of the true contact (mm).
+/// Mean loss, and RMSE (mm) of the true contact and, where the meshes are known, to the surface.
 fn evaluate(
     net: &WhiskerNet,
     config: &NetworkConfig,
     batch: usize,
-    all: &[Window],
+    all: &[Window<'_>],
     device: &Device,
-) -> (f64, f64) {
-    let (mut sum, mut squares, mut count, mut batches) = (0.0, 0.0, 0.0, 0.0);
+) -> (f64, f64, Option<f64>) {
+    let (mut sum, mut squares, mut on_surface, mut count, mut batches) = (0.0, 0.0, Some(0.0), 0.0, 0.0);
+    let total = |t: Tensor<1>| f64::from(t.sum().into_scalar::<f32>());
     for windows in all.chunks(batch) {
-        let windows: Vec<&Window> = windows.iter().collect();
-        let (loss, off) = loss(net, config, &windows, device);
-        sum += f64::from(loss.into_scalar::<f32>());
+        let windows: Vec<&Window<'_>> = windows.iter().collect();
+        let lost = loss(net, config, &windows, device);
+        sum += f64::from(lost.loss.into_scalar::<f32>());
         batches += 1.0;
-        squares += f64::from(off.sum().into_scalar::<f32>());
+        squares += total(lost.contact);
+        on_surface = on_surface.zip(lost.surface).map(|(s, t)| s + total(t));
         count += windows.iter().flat_map(|w| &w.touching).map(|t| f64::from(*t)).sum::<f64>();
     }
-    (sum / f64::max(batches, 1.0), (squares / f64::max(count, 1.0)).sqrt())
+    let rmse = |squares: f64| (squares / f64::max(count, 1.0)).sqrt();
+    (sum / f64::max(batches, 1.0), rmse(squares), on_surface.map(rmse))
 }
-
-/// Loss of a batch, and squared distances to the true contact where there is one, mm^2 (`[batch * time]`).
-fn loss(
-    net: &WhiskerNet,
-    config: &NetworkConfig,
-    windows: &[&Window],
-    device: &Device,
-) -> (Tensor<1>, Tensor<1>) {
-    let (batch, time) = (windows.len(), windows[0].times_s.len());
-    let n = batch * time;
-    let gather = |values: fn(&Window) -> &Vec<f32>, shape: [usize; 3]| {
-        let all: Vec<f32> = windows.iter().flat_map(|w| values(w).iter().copied()).collect();
-        Tensor::<3>::from_data(TensorData::new(all, shape), device)
-    };
-    let flat = |values: fn(&Window) -> &Vec<f32>| gather(values, [n, 1, 1]).reshape([n]);
-    let times: Vec<Vec<f64>> = windows.iter().map(|w| w.times_s.clone()).collect();
-    let bias = attention_bias(&times, config.heads, config.context, device);
-    // The baseline sees the first inputs only.
-    let inputs = gather(|w| &w.inputs, [batch, time, windows[0].inputs.len() / time]);
-    let out = net.forward(inputs.narrow(2, 0, config.inputs), bias);
-    let out = out.reshape([n, config.outputs()]);
-    let (touching, counted) = (flat(|w| &w.touching), flat(|w| &w.counted));
-    let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);
-    let off_curve = out.clone().narrow(1, config.nodes, 3);
-    let logit = out.clone().narrow(1, config.nodes + 3, 1).reshape([n]);
-    let several = out.clone().narrow(1, config.nodes + 4, 1).reshape([n]);
-    let held = touching.clone() * counted.clone();
-    let many = held.clone().sum() + 1.0;
-    let (mean, choice) = if config.nodes == 0 {
-        (off_curve * PLACE_MM, Tensor::zeros([1], device))
-    } else {
-        let k = windows[0].points.len() / (3 * time);
-        let doubt = (out.clone().narrow(1, k_doubt(config), 1) + DOUBT).exp() / k as f32;
-        let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
-        let believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
-        let log_weights = log_softmax(factors + (believed + doubt).log(), 1);
-        let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
-        let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
-        let points = gather(|w| &w.points, [n, k, 3]);
-        let mean = (log_weights.exp().reshape([n, k, 1]) * points).sum_dim(1).reshape([n, 3]);
-        (mean + off_curve, choice.sum() / many.clone())
-    };
-    let off = (mean - place).square().sum_dim(1).reshape([n]) * held.clone();
-    // Square near the truth, straight far off: a sprung contact does not drown the rest.
-    let place_loss = ((off.clone() / 4.0 + 1.0).sqrt() - 1.0).sum() / many.clone();
-    let cross = |logit: Tensor<1>, truth: Tensor<1>| {
-        -(log_sigmoid(logit.clone()) * truth.clone() + log_sigmoid(-logit) * (-truth + 1.0))
-    };
-    let contact = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
-    let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
-    (choice + place_loss + contact + several, off)
-}
-
-/// Where the doubt comes out.
-fn k_doubt(config: &NetworkConfig) -> usize {
-    config.nodes + 5
-}
-
-/// Linear interpolation from knots to nodes, `[knots, nodes]`.
-fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
-    let mut hats = vec![0.0_f32; knots * nodes];
-    for (node, (k, u)) in between(nodes).into_iter().enumerate() {
-        hats[k * nodes + node] += 1.0 - u;
-        if k + 1 < knots {
-            hats[(k + 1) * nodes + node] += u;
-        }
-    }
-    Tensor::from_data(TensorData::new(hats, [knots, nodes]), device)
-}
-
-/// Scale of a place that comes out as it is, mm.
-pub(crate) const PLACE_MM: f64 = 30.0;

@@ -260,7 +260,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         passes: Vec::new(),
         objects: Split::default(),
         data: BTreeMap::new(),
-        data_beside: BTreeMap::new(),
+        data_beside: Vec::new(),
         began_with: None,
         sweeps_trained: 0,
         split: wcal_track::model_file::SplitBy::Objects,
@@ -290,7 +290,9 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
 #[test]
 fn training_learns_and_goes_on_where_it_stopped() {
     let all: Vec<Course> = courses().values().flatten().cloned().collect();
-    let material = Material { courses: &all[..8], held_out: &all[8..], inverse: inverse(), from: None };
+    let meshes = BTreeMap::new();
+    let material =
+        Material { courses: &all[..8], held_out: &all[8..], inverse: inverse(), meshes: &meshes, from: None };
     let settings = TrainSettings {
         epochs: 10,
         batch: 4,

@@ -1,7 +1,8 @@
 //! Attention, normalisation and GELU in one pass each, with their gradients, on plain slices.
 //!
 //! Written out of small tensor operations these three move some twenty times the memory that they need. Loops are compiled for the widest
-//! vectors that the processor has (`pulp`).
+//! vectors that the processor has (`pulp`). A closure that is run under it owns what it changes: one that borrows it is called through a
+//! shim, which stays outside and is compiled for the oldest processor.
 
 use rayon::prelude::*;
 
@@ -151,12 +152,12 @@ pub(super) fn layer_norm_back(x: &[f32], gamma: &[f32], grad: &[f32]) -> [Vec<f3
     let width = gamma.len();
     let mut by_x = vec![0.0; x.len()];
     let task = |((by_x, x), grad): ((&mut [f32], &[f32]), &[f32])| {
-        let mut by = (vec![0.0_f32; width], vec![0.0_f32; width]);
-        let mut normed = vec![0.0_f32; width];
-        let mut pulled = vec![0.0_f32; width];
+        let by = (vec![0.0_f32; width], vec![0.0_f32; width]);
+        let rows = (vec![0.0_f32; width], vec![0.0_f32; width]);
         pulp::Arch::new().dispatch(
             #[inline(always)]
-            || {
+            move || {
+                let (mut by, (mut normed, mut pulled)) = (by, rows);
                 let rows = by_x.chunks_exact_mut(width).zip(x.chunks_exact(width));
                 for ((by_x, x), grad) in rows.zip(grad.chunks_exact(width)) {
                     let (mean, rate) = spread(x);
@@ -172,9 +173,9 @@ pub(super) fn layer_norm_back(x: &[f32], gamma: &[f32], grad: &[f32]) -> [Vec<f3
                         by_x[k] = rate * (pulled[k] - level - normed[k] * tilt);
                     }
                 }
+                by
             },
-        );
-        by
+        )
     };
     let parts: Vec<(Vec<f32>, Vec<f32>)> = by_x
         .par_chunks_mut(ROWS * width)
@@ -261,10 +262,11 @@ pub(super) fn attend(sizes: Sizes, qkv: &[f32], bias: &[f32]) -> Vec<f32> {
     let scale = 1.0 / (d as f32).sqrt();
     let mut out = vec![0.0; qkv.len() / 3];
     let task = |((out, qkv), bias): ((&mut [f32], &[f32]), &[f32])| {
-        let mut h = Head::new(time);
+        let h = Head::new(time);
         pulp::Arch::new().dispatch(
             #[inline(always)]
-            || {
+            move || {
+                let mut h = h;
                 for head in 0..heads {
                     h.take(sizes, head, qkv);
                     for i in 0..time {
@@ -299,11 +301,12 @@ pub(super) fn attend_back(sizes: Sizes, qkv: &[f32], bias: &[f32], grad: &[f32])
     let scale = 1.0 / (d as f32).sqrt();
     let mut out = vec![0.0; qkv.len()];
     let task = |(((out, qkv), bias), grad): Share<'_>| {
-        let mut h = Head::new(time);
-        let mut back = [0; 3].map(|_| vec![[0.0_f32; MOST]; time]);
+        let h = Head::new(time);
+        let back = [0; 3].map(|_| vec![[0.0_f32; MOST]; time]);
         pulp::Arch::new().dispatch(
             #[inline(always)]
-            || {
+            move || {
+                let (mut h, mut back) = (h, back);
                 for head in 0..heads {
                     h.take(sizes, head, qkv);
                     back.iter_mut().flatten().for_each(|row| *row = [0.0; MOST]);

@@ -8,9 +8,16 @@ use crate::{Course, StaticInverse};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use wcal_mujoco::Mesh;
 
 /// A window of a course, ready for the network.
-pub(super) struct Window {
+pub(super) struct Window<'a> {
+    pub course: &'a Course,
+    /// The object's.
+    pub mesh: Option<&'a Mesh>,
+    /// Way of the base at each token, mm.
+    pub travel_mm: Vec<f64>,
     pub inputs: Vec<f32>,
     pub times_s: Vec<f64>,
     /// Candidates' places, a token and node, mm.
@@ -27,22 +34,12 @@ pub(super) struct Window {
     pub counted: Vec<f32>,
 }
 
-/// Windows of courses, with what a bench adds; `seed` draws.
-pub(super) fn windows(
-    courses: &[Course],
-    config: &NetworkConfig,
-    inverse: &StaticInverse,
-    settings: &TrainSettings,
-    seed: u64,
-) -> Vec<Window> {
-    courses
-        .par_iter()
-        .enumerate()
-        .map(|(k, course)| {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
-            window(course, config, inverse, settings, &mut rng)
-        })
-        .collect()
+/// What windows are made with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Windows<'a> {
+    pub config: &'a NetworkConfig,
+    pub inverse: &'a StaticInverse,
+    pub meshes: &'a BTreeMap<String, Mesh>,
 }
 
 /// Share of courses without noise and drift.
@@ -52,13 +49,27 @@ const FREE: f64 = 0.05;
 /// Time after which the filter is told how far the zero went, s.
 const DRIFTED_S: f64 = 10.0;
 
-fn window(
-    course: &Course,
-    config: &NetworkConfig,
-    inverse: &StaticInverse,
+impl<'a> Windows<'a> {
+    /// Windows of courses, with what a bench adds; `seed` draws.
+    pub fn of(&self, courses: &'a [Course], settings: &TrainSettings, seed: u64) -> Vec<Window<'a>> {
+        courses
+            .par_iter()
+            .enumerate()
+            .map(|(k, course)| {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
+                window(course, self, settings, &mut rng)
+            })
+            .collect()
+    }
+}
+
+fn window<'a>(
+    course: &'a Course,
+    with: &Windows<'a>,
     settings: &TrainSettings,
     rng: &mut ChaCha8Rng,
-) -> Window {
+) -> Window<'a> {
+    let Windows { config, inverse, meshes } = *with;
     let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
     let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
     // Some courses stay as the twin made them.
@@ -77,6 +88,9 @@ fn window(
     let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
     let mut made = Window {
+        course,
+        mesh: meshes.get(&course.object),
+        travel_mm: Vec::with_capacity(t),
         inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
         times_s: Vec::with_capacity(t),
         points: Vec::with_capacity(t * nodes * 3),
@@ -114,6 +128,7 @@ fn window(
         made.points.extend(token.points_mm.iter().flatten());
         made.believed.extend(token.believed);
         made.times_s.push(t_s);
+        made.travel_mm.push(now.travel_mm);
         made.place.extend(truth.unwrap_or_default());
         made.several.push(f32::from(u8::from(now.contacts > 1 && !free)));
         made.touching.push(f32::from(u8::from(truth.is_some())));

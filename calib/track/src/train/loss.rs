@@ -1,0 +1,121 @@
+//! What a training makes small.
+
+use super::window::Window;
+use crate::network::model::attention_bias;
+use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
+use burn::tensor::activation::{log_sigmoid, log_softmax};
+use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Scale of a place that comes out as it is, mm.
+pub(crate) const PLACE_MM: f64 = 30.0;
+/// Errors from which on their loss grows straight and not with their square, mm: to the true contact, and to the surface.
+const STRAIGHT_MM: [f64; 2] = [2.0, 2.0];
+/// Weight of the distance to the surface.
+const SURFACE: f64 = 16.0;
+
+/// Loss of a batch and squared errors, mm^2 (`[batch * time]`, 0 where there is no contact).
+pub(super) struct Lost {
+    pub loss: Tensor<1>,
+    /// To the true contact.
+    pub contact: Tensor<1>,
+    /// To the object's surface, where its mesh is known.
+    pub surface: Option<Tensor<1>>,
+}
+
+/// What a window holds of each token.
+type Values = for<'w, 'a> fn(&'w Window<'a>) -> &'w Vec<f32>;
+
+/// The network on a batch of windows.
+pub(super) fn loss(
+    net: &WhiskerNet,
+    config: &NetworkConfig,
+    windows: &[&Window<'_>],
+    device: &Device,
+) -> Lost {
+    let (batch, time) = (windows.len(), windows[0].times_s.len());
+    let n = batch * time;
+    let gather = |values: Values, shape: [usize; 3]| {
+        let all: Vec<f32> = windows.iter().flat_map(|w| values(w).iter().copied()).collect();
+        Tensor::<3>::from_data(TensorData::new(all, shape), device)
+    };
+    let flat = |values: Values| gather(values, [n, 1, 1]).reshape([n]);
+    let times: Vec<Vec<f64>> = windows.iter().map(|w| w.times_s.clone()).collect();
+    let bias = attention_bias(&times, config.heads, config.context, device);
+    // The baseline sees the first inputs only.
+    let inputs = gather(|w| &w.inputs, [batch, time, windows[0].inputs.len() / time]);
+    let out = net.forward(inputs.narrow(2, 0, config.inputs), bias);
+    let out = out.reshape([n, config.outputs()]);
+    let (touching, counted) = (flat(|w| &w.touching), flat(|w| &w.counted));
+    let place = gather(|w| &w.place, [n, 1, 3]).reshape([n, 3]);
+    let off_curve = out.clone().narrow(1, config.nodes, 3);
+    let logit = out.clone().narrow(1, config.nodes + 3, 1).reshape([n]);
+    let several = out.clone().narrow(1, config.nodes + 4, 1).reshape([n]);
+    let held = touching.clone() * counted.clone();
+    let many = held.clone().sum() + 1.0;
+    let (mean, choice) = if config.nodes == 0 {
+        (off_curve * PLACE_MM, Tensor::zeros([1], device))
+    } else {
+        let k = windows[0].points.len() / (3 * time);
+        let doubt = (out.clone().narrow(1, config.nodes + 5, 1) + DOUBT).exp() / k as f32;
+        let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
+        let believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
+        let log_weights = log_softmax(factors + (believed + doubt).log(), 1);
+        let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
+        let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
+        let points = gather(|w| &w.points, [n, k, 3]);
+        let mean = (log_weights.exp().reshape([n, k, 1]) * points).sum_dim(1).reshape([n, 3]);
+        (mean + off_curve, choice.sum() / many.clone())
+    };
+    let squared = |to: Tensor<2>| (mean.clone() - to).square().sum_dim(1).reshape([n]) * held.clone();
+    // Square near the truth, straight far off: a sprung contact does not drown the rest.
+    let robust = |off: &Tensor<1>, straight_mm: f64| {
+        ((off.clone() / straight_mm.powi(2) + 1.0).sqrt() - 1.0).sum() / many.clone()
+    };
+    let contact = squared(place);
+    let mut total = choice + robust(&contact, STRAIGHT_MM[0]);
+    // The nearest point of the surface counts as fixed: the gradient of the distance is the same.
+    let surface = nearest_on_surfaces(windows, &mean, device).map(squared);
+    if let Some(off) = &surface {
+        total = total + robust(off, STRAIGHT_MM[1]) * SURFACE;
+    }
+    let cross = |logit: Tensor<1>, truth: Tensor<1>| {
+        -(log_sigmoid(logit.clone()) * truth.clone() + log_sigmoid(-logit) * (-truth + 1.0))
+    };
+    let called = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
+    let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
+    Lost { loss: total + called + several, contact, surface }
+}
+
+/// The surface's points nearest to the answers, `[batch * time, 3]`; the answer itself where there is no contact. None where a mesh is not
+/// known.
+fn nearest_on_surfaces(windows: &[&Window<'_>], answers: &Tensor<2>, device: &Device) -> Option<Tensor<2>> {
+    let time = windows[0].times_s.len();
+    if windows.iter().any(|w| w.mesh.is_none()) {
+        return None;
+    }
+    let mut points: Vec<f32> = answers.clone().detach().into_data().try_to_vec().ok()?;
+    points.par_chunks_mut(3).enumerate().for_each(|(row, point)| {
+        let (window, k) = (windows[row / time], row % time);
+        if let (Some(mesh), true) = (window.mesh, window.touching[k] * window.counted[k] > 0.0) {
+            let at = Vector3::new(point[0], point[1], point[2]).map(f64::from);
+            let near = window.course.on_surface(mesh, window.travel_mm[k], &at);
+            point.iter_mut().zip(near.iter()).for_each(|(p, q)| *p = *q as f32);
+        }
+    });
+    let shape = [windows.len() * time, 3];
+    Some(Tensor::from_data(TensorData::new(points, shape), device))
+}
+
+/// Linear interpolation from knots to nodes, `[knots, nodes]`.
+fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
+    let mut hats = vec![0.0_f32; knots * nodes];
+    for (node, (k, u)) in between(nodes).into_iter().enumerate() {
+        hats[k * nodes + node] += 1.0 - u;
+        if k + 1 < knots {
+            hats[(k + 1) * nodes + node] += u;
+        }
+    }
+    Tensor::from_data(TensorData::new(hats, [knots, nodes]), device)
+}

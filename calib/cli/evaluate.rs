@@ -36,7 +36,7 @@ pub struct EvaluateArgs {
     /// Folder of `wcal train`
     #[arg(long, value_name = "DIR")]
     pub model: PathBuf,
-    /// Folder of `wcal train --preset baseline` on the same split: a small transformer, printed beside
+    /// Folder of `wcal train --preset baseline` on the same split: a small transformer, printed beside; MODEL/baseline where it is there
     #[arg(long, value_name = "DIR")]
     pub baseline: Option<PathBuf>,
     /// Folder of the objects' STL files; built-in objects need none
@@ -88,7 +88,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     // Two thirds out: the middle of what sweeps touch.
     let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
     let settings = BayesSettings::default();
-    let baseline = args.baseline.as_ref().map(|folder| baseline(folder, &card)).transpose()?;
+    let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
+    let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;
     let mut methods = vec![
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),

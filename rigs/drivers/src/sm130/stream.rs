@@ -137,7 +137,9 @@ fn is_text(b: u8) -> bool {
 
 /// The decimal length, padded with zeros or spaces on either side.
 fn prefix_length(prefix: &[u8]) -> Option<usize> {
-    std::str::from_utf8(prefix).ok()?.trim_matches(' ').parse().ok()
+    let digits = std::str::from_utf8(prefix).ok()?.trim_matches(' ');
+    // `parse` takes a sign, which a look at the first bytes alone calls garbage.
+    digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok()).flatten()
 }
 
 #[cfg(test)]
@@ -185,6 +187,23 @@ mod tests {
                     assert_eq!(decoder.skipped(), 0);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_sign_before_a_length_is_no_length_however_the_stream_is_cut() {
+        let mut stream = framed(&sample_frame(0), "inside");
+        stream.extend(framed(&sample_frame(1), "inside"));
+        let second = stream.len() / 2;
+        stream[second] = b'+';
+        for chunk in [1, 1000] {
+            let mut decoder = StreamDecoder::default();
+            let mut serials = Vec::new();
+            for part in stream.chunks(chunk) {
+                decoder.push(part);
+                serials.extend(drain(&mut decoder));
+            }
+            assert_eq!(serials, [0], "{chunk}");
         }
     }
 

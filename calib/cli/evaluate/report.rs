@@ -78,6 +78,12 @@ pub fn page(document: &Value) -> String {
             facts.push(Fact::new(format!("virtual bench, {name}"), format!("{} mm", stated(real, key))));
         }
     }
+    let faces = &document["faces"];
+    if !faces.is_null() {
+        for (name, key) in [("seen", "seen_mean_mm"), ("unseen", "unseen_mean_mm")] {
+            facts.push(Fact::new(format!("upright, no jumps, {name}"), format!("{} mm", stated(faces, key))));
+        }
+    }
     let speed = document["speed"].as_array().cloned().unwrap_or_default();
     let line = |key: &str| {
         speed.iter().filter_map(|r| Some([r["mm_s"].as_f64()?, r[key].as_f64()?])).collect::<Vec<[f64; 2]>>()

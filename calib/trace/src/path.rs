@@ -59,7 +59,7 @@ pub struct Node {
 pub struct Columns {
     /// Time stamps, increasing.
     pub time: bool,
-    /// A temperature, or a reference grating that shows more than its own noise.
+    /// A temperature or a reference grating.
     pub temperature: bool,
     /// Loading and unloading.
     pub both_directions: bool,
@@ -159,7 +159,7 @@ impl WhiskerPath {
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
             time,
-            temperature: temperature && !reference_is_noise(&readings, rows, fbg),
+            temperature,
             both_directions: loaded().any(|r| r.direction < 0.0) && loaded().any(|r| r.direction > 0.0),
             speeds: loaded().any(|r| r.velocity_mm_s != 0.0),
             gravity: gravity.is_some(),
@@ -174,26 +174,6 @@ impl WhiskerPath {
         let nodes = nodes_of(&readings, time);
         Self { readings, rows: order, nodes, lines, reach_mm, start_mm, moments: moments.clone(), columns }
     }
-}
-
-/// Standard deviations of the reference grating's own noise that its readings must scatter by: a ninth of their variance is noise then.
-const REFERENCE_TOLD: f64 = 3.0;
-
-/// Whether the reference grating shows hardly more than its own noise. Both gratings are compensated with it, so that what is left then
-/// follows the measured temperature, and with it time, without any effect being there (errors in variables). The noise is that of the
-/// other gratings, which the same interrogator reads; without a stated one nothing is known.
-fn reference_is_noise(readings: &[Reading], rows: &[&WhiskerRow], fbg: &FbgSpec) -> bool {
-    let Some(k) = fbg.reference_temperature_pm_per_degc else { return false };
-    if !rows.iter().all(|r| r.reference_shift_pm.is_some()) {
-        return false;
-    }
-    let n = readings.len().max(1) as f64;
-    let noise2 =
-        readings.iter().map(|r| 0.5 * (r.sample_sd_pm[0].powi(2) + r.sample_sd_pm[1].powi(2))).sum::<f64>()
-            / n;
-    let mean = readings.iter().map(|r| r.rise_degc).sum::<f64>() / n;
-    let spread2 = readings.iter().map(|r| (k * (r.rise_degc - mean)).powi(2)).sum::<f64>() / n;
-    spread2 < REFERENCE_TOLD * REFERENCE_TOLD * noise2
 }
 
 /// A settled reading ends a dwell: its arrival is a node of its own. Changing lines, the groove leaves the wire.

@@ -25,8 +25,7 @@ impl Candidate for TemperatureMismatch {
 
 impl WhiskerEffect for TemperatureMismatch {
     fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.temperature)
-            .then(|| "the session has no temperature that is told from its own noise".to_owned())
+        (!path.columns.temperature).then(|| "the session has no temperature".to_owned())
     }
 
     fn columns(

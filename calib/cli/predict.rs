@@ -191,7 +191,7 @@ pub fn moments_of_model(path: &Path, model: &PhysicalModel) -> anyhow::Result<Ve
     let table_rows: Vec<_> =
         table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
     let rows: Vec<_> = table_rows.iter().collect();
-    let history = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None);
+    let history = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None, None);
     for effect in &model.effects {
         let absent = match effect.id.as_str() {
             "temperature-mismatch" => (!history.columns.temperature).then_some("a temperature or fbg_ref_nm"),

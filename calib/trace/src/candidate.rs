@@ -87,6 +87,10 @@ pub struct Term {
 pub trait System: Sync {
     /// Measured values, readings x channels.
     fn measured(&self) -> &DMatrix<f64>;
+    /// From the channels of [`System::measured`], whose noise is alike and apart, to those of the sensor: `sensor = measured * this`.
+    fn channels_pm(&self) -> DMatrix<f64> {
+        DMatrix::identity(self.measured().ncols(), self.measured().ncols())
+    }
     /// Design matrix, readings x coefficients; none where the model has no solution at these values.
     fn design(&self, terms: &[Term]) -> Option<DMatrix<f64>>;
     /// The catalogue.

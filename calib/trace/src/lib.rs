@@ -9,6 +9,7 @@ pub mod path;
 mod points;
 pub mod scalar;
 pub mod tables;
+pub mod temperature;
 pub mod verify;
 mod walked;
 pub mod whisker;

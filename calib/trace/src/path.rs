@@ -1,5 +1,6 @@
 //! The session as it really ran: readings in time order, with the moves and dwells between them.
 
+use crate::temperature::Walk;
 use nalgebra::Vector3;
 use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
 use wcal_rod::Line;
@@ -21,8 +22,11 @@ pub struct Reading {
     pub t_s: f64,
     /// Time since arrival, s.
     pub dwell_s: f64,
-    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant.
+    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant. Freed of its sensor's
+    /// noise where the session's walk is known.
     pub rise_degc: f64,
+    /// The same as the other readings have it: free of this reading's own noise, which compensation brings into its shifts.
+    pub rise_by_others_degc: f64,
     /// Compensated shifts, pm.
     pub shift_pm: [f64; 2],
     /// Known part of the noise: sample sd over root samples, pm.
@@ -99,6 +103,21 @@ impl WhiskerPath {
     }
 }
 
+/// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
+fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
+    row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
+}
+
+/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
+#[must_use]
+pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<Walk> {
+    let mut read: Vec<(f64, f64)> =
+        rows.iter().map(|r| Some((r.t_s?, temperature_of(r, fbg)?))).collect::<Option<_>>()?;
+    read.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (t_s, degc): (Vec<f64>, Vec<f64>) = read.into_iter().unzip();
+    Walk::of(&t_s, &degc)
+}
+
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
     match (row.stage_mm, row.groove_mm, trajectory) {
         (Some(x), _, _) => x,
@@ -108,7 +127,7 @@ fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
 }
 
 impl WhiskerPath {
-    /// Builds the path of `rows` (points first, then sealed rows) in time order.
+    /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the temperature is freed of its noise.
     #[must_use]
     pub fn new(
         rows: &[&WhiskerRow],
@@ -116,20 +135,16 @@ impl WhiskerPath {
         moments: &MomentAxes,
         fbg: &FbgSpec,
         gravity: Option<Vector3<f64>>,
+        walk: Option<&Walk>,
     ) -> Self {
         let time = !rows.is_empty() && rows.iter().all(|r| r.t_s.is_some());
-        let temperature_of =
-            |r: &WhiskerRow| match (r.reference_shift_pm, fbg.reference_temperature_pm_per_degc) {
-                (Some(shift), Some(k)) if k != 0.0 => Some(shift / k),
-                _ => r.temperature_degc,
-            };
-        let temperature = !rows.is_empty() && rows.iter().all(|r| temperature_of(r).is_some());
+        let temperature = !rows.is_empty() && rows.iter().all(|r| temperature_of(r, fbg).is_some());
         let mut order: Vec<usize> = (0..rows.len()).collect();
         if time {
             order.sort_by(|&a, &b| rows[a].t_s.unwrap_or(0.0).total_cmp(&rows[b].t_s.unwrap_or(0.0)));
         }
         let line_of = |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
-        let readings: Vec<Reading> = order
+        let mut readings: Vec<Reading> = order
             .iter()
             .enumerate()
             .map(|(k, &i)| {
@@ -146,7 +161,8 @@ impl WhiskerPath {
                     velocity_mm_s: r.speed_mm_s.unwrap_or(0.0) * if direction < 0.0 { -1.0 } else { 1.0 },
                     t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
                     dwell_s: r.dwell_s.unwrap_or(0.0),
-                    rise_degc: temperature_of(r).unwrap_or(0.0),
+                    rise_degc: temperature_of(r, fbg).unwrap_or(0.0),
+                    rise_by_others_degc: temperature_of(r, fbg).unwrap_or(0.0),
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
                     group: r.trajectory.unwrap_or(0),
@@ -156,6 +172,12 @@ impl WhiskerPath {
                 }
             })
             .collect();
+        if let Some(walk) = walk.filter(|_| temperature && time) {
+            let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
+            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read)) {
+                (r.rise_degc, r.rise_by_others_degc) = (level.by_all, level.by_others);
+            }
+        }
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
             time,

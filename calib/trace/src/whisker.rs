@@ -2,9 +2,11 @@
 
 use crate::candidate::{Candidate, System, Term};
 use crate::effects;
+use crate::engine::fit::Fit;
 use crate::mechanics::{Bench, Mechanics};
-use crate::path::WhiskerPath;
-use nalgebra::DMatrix;
+use crate::path::{WhiskerPath, temperature_walk};
+use crate::temperature::Walk;
+use nalgebra::{DMatrix, Matrix2, Vector2};
 use std::sync::Arc;
 use wcal_core::observation::{WhiskerData, WhiskerRow};
 
@@ -58,6 +60,7 @@ pub trait WhiskerEffect: Candidate {
 }
 
 /// A whisker session, its declared model and the catalogue.
+#[derive(Clone)]
 pub struct WhiskerSystem {
     /// The session.
     pub data: WhiskerData,
@@ -71,6 +74,8 @@ pub struct WhiskerSystem {
     known: DMatrix<f64>,
     groups: Vec<u32>,
     seatings: u32,
+    walk: Option<Walk>,
+    pm: Matrix2<f64>,
 }
 
 /// Density of the medium, kg/m^3.
@@ -81,38 +86,60 @@ fn fluid_kg_m3(medium: &str) -> f64 {
     }
 }
 
+fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
+    DMatrix::from_column_slice(2, 2, m.as_slice())
+}
+
 impl WhiskerSystem {
     /// System of the given rows (points, or points and sealed rows for prediction).
     ///
     /// # Errors
     /// Where the rest shape cannot be used.
     pub fn new(data: &WhiskerData, rows: &[&WhiskerRow]) -> Result<Self, wcal_rod::RodError> {
-        let path = Self::path(data, rows);
+        // The sealed rows have no part in it, not even by their temperature.
+        let walk = temperature_walk(&data.rows.iter().collect::<Vec<_>>(), &data.fbg);
+        let path = Self::path(data, rows, walk);
         let bench = Bench::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
-        Ok(Self::assemble(data, path, Arc::new(bench)))
+        Ok(Self::assemble(data, path, walk, Arc::new(bench), Matrix2::identity()))
     }
 
     /// The same bench with other rows, none deeper than those that it was made for.
     #[must_use]
     pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
-        Self::assemble(&self.data, Self::path(&self.data, rows), self.bench.clone())
+        Self::assemble(
+            &self.data,
+            Self::path(&self.data, rows, self.walk),
+            self.walk,
+            self.bench.clone(),
+            self.pm,
+        )
     }
 
-    fn path(data: &WhiskerData, rows: &[&WhiskerRow]) -> WhiskerPath {
+    fn path(data: &WhiskerData, rows: &[&WhiskerRow], walk: Option<Walk>) -> WhiskerPath {
         let gravity = data.whisker.gravity_direction;
-        WhiskerPath::new(rows, &data.trajectories, &data.moments, &data.fbg, gravity)
+        WhiskerPath::new(rows, &data.trajectories, &data.moments, &data.fbg, gravity, walk.as_ref())
     }
 
-    fn assemble(data: &WhiskerData, path: WhiskerPath, bench: Arc<Bench>) -> Self {
+    fn assemble(
+        data: &WhiskerData,
+        path: WhiskerPath,
+        walk: Option<Walk>,
+        bench: Arc<Bench>,
+        pm: Matrix2<f64>,
+    ) -> Self {
         let effects = effects::whisker_catalogue();
         let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Candidate>).collect();
         let n = path.readings.len();
+        let shifts = DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]);
         Self {
-            measured: DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]),
+            // Never singular: a unit matrix with one direction stretched.
+            measured: shifts * dynamic(&pm.try_inverse().unwrap_or_else(Matrix2::identity)),
+            pm,
             known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
             data: data.clone(),
+            walk,
             path,
             bench,
             effects,
@@ -141,6 +168,49 @@ impl WhiskerSystem {
         Some((pick(&felt), pick(&base)))
     }
 
+    /// The same readings in channels whose noise is alike and apart, as far as `fit` shows it.
+    ///
+    /// Both gratings are compensated with one reference reading, so its noise, `k_T` times the temperature's, is in both: their covariance
+    /// is `s^2 I + k_T k_T' s_T^2`. Across `k_T` nothing is shared, which gives `s`; the temperature's walk gives `s_T`. K, zero and every
+    /// column have coefficients of their own in each channel, so a mixture of channels is the same model.
+    #[must_use]
+    pub fn apart(self, fit: &Fit) -> Self {
+        let pm = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
+        Self::assemble(&self.data, self.path, self.walk, self.bench, pm)
+    }
+
+    /// Mixture that gives the gratings' noise from noise that is alike and apart, pm; none where no reference noise is shared.
+    fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
+        let compensated =
+            self.data.fbg.needs_reference() && self.data.rows.iter().all(|r| r.reference_shift_pm.is_some());
+        let k = Vector2::from(self.data.fbg.temperature_pm_per_degc.filter(|_| compensated)?);
+        let along = k.try_normalize(0.0)?;
+        let across = Vector2::new(-along[1], along[0]);
+        let own = (&fit.residual * across).norm_squared() / (0.5 * fit.dof).max(1.0);
+        let shared = k.norm_squared() * self.walk?.noise_sd().powi(2);
+        let stretch = (1.0 + shared / own).sqrt();
+        stretch.is_finite().then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
+    }
+
+    /// The same readings in the channels of `other`.
+    #[must_use]
+    pub fn mixed_as(self, other: &Self) -> Self {
+        Self::assemble(&self.data, self.path, self.walk, self.bench, other.pm)
+    }
+
+    /// How far apart two systems' mixtures of channels are: largest ratio of their shared noise.
+    #[must_use]
+    pub fn mixture_change(&self, other: &Self) -> f64 {
+        let (a, b) = (self.pm.determinant(), other.pm.determinant());
+        (a / b).max(b / a)
+    }
+
+    /// Standard deviation of one compensated shift under `fit`, pm: mean of both gratings.
+    #[must_use]
+    pub fn noise_sd_pm(&self, fit: &Fit) -> f64 {
+        (fit.variance() * self.pm.norm_squared() / 2.0).sqrt()
+    }
+
     /// Seatings in the points table.
     #[must_use]
     pub fn seatings(&self) -> u32 {
@@ -155,6 +225,10 @@ impl WhiskerSystem {
 }
 
 impl System for WhiskerSystem {
+    fn channels_pm(&self) -> DMatrix<f64> {
+        dynamic(&self.pm)
+    }
+
     fn measured(&self) -> &DMatrix<f64> {
         &self.measured
     }
@@ -202,7 +276,7 @@ impl System for WhiskerSystem {
             out.push(("dwell_s".to_owned(), column(&|r| r.dwell_s)));
         }
         if self.path.columns.temperature {
-            out.push(("temperature_degc".to_owned(), column(&|r| r.rise_degc)));
+            out.push(("temperature_degc".to_owned(), column(&|r| r.rise_by_others_degc)));
         }
         if self.path.columns.both_directions {
             out.push(("direction".to_owned(), column(&|r| if r.rest { 0.0 } else { r.direction })));

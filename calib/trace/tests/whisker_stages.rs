@@ -93,14 +93,14 @@ fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
 #[test]
 fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     let (_, rich, found) = null();
-    let floor = noise_floor(&rich.path, &found.base).unwrap();
+    let floor = noise_floor(rich, &found.base).unwrap();
     assert_eq!(floor.source, "replicates");
     // Nothing acts there: pure error and residual agree within their scatter.
     let ratio = floor.sd_pm / found.base.fit.variance().sqrt();
     assert!((ratio - 1.0).abs() < 0.15, "{ratio}");
     let single = data("whiskerfbg");
     let system = system(&single);
-    assert_eq!(noise_floor(&system.path, &fitted(&system, &[])).unwrap().source, "difference");
+    assert_eq!(noise_floor(&system, &fitted(&system, &[])).unwrap().source, "difference");
 }
 
 // Stages 4, 9 and the order of verdicts.
@@ -157,7 +157,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         }
         let rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
         let whole = WhiskerSystem::new(&data, &rows).unwrap();
-        let model = PhysicalModel::new(system, &found.base, found.base.fit.variance().sqrt());
+        let model = PhysicalModel::new(system, &found.base);
         let after = predict(&whole, &found.base, &model).unwrap();
         holdout_p(&whole, &found.base, &after).unwrap()
     };

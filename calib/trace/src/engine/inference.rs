@@ -38,6 +38,7 @@ pub fn t95(dof: f64) -> f64 {
 pub fn parameters(system: &dyn System, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
     let fit = &h.fit;
     let covariance = covariance(fit, fit.variance());
+    let pm = system.channels_pm();
     let (q, c) = (fit.design.ncols(), fit.residual.ncols());
     let t = t95(fit.dof);
     let mut out = Vec::new();
@@ -65,9 +66,14 @@ pub fn parameters(system: &dyn System, h: &Hypothesis, effect: usize) -> Vec<Eff
         for (name, unit) in &law.linear {
             if term.effect == effect {
                 for channel in 0..c {
-                    let k = channel * q + column;
-                    let half = t * covariance[(k, k)].max(0.0).sqrt();
-                    let v = fit.coefficients[(column, channel)];
+                    let shares = pm.column(channel);
+                    let of = |a: usize, b: usize| {
+                        shares[a] * shares[b] * covariance[(a * q + column, b * q + column)]
+                    };
+                    let variance: f64 =
+                        (0..c).flat_map(|a| (0..c).map(move |b| (a, b))).map(|(a, b)| of(a, b)).sum();
+                    let half = t * variance.max(0.0).sqrt();
+                    let v = (fit.coefficients.row(column) * shares)[0];
                     out.push(EffectParameter {
                         name: if c > 1 { format!("{name}_{}", channel + 1) } else { (*name).to_owned() },
                         value: v,

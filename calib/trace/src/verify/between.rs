@@ -1,5 +1,6 @@
 //! Several seatings of one sensor: what differs between them beyond the zero.
 
+use crate::candidate::System;
 use crate::engine::fit::{Fit, linear};
 use crate::engine::null::f_test;
 use crate::whisker::WhiskerSystem;
@@ -29,10 +30,11 @@ pub fn between_seatings(system: &WhiskerSystem, fit: &Fit) -> Option<BetweenSeat
     if later == 0 || fit.design.ncols() < 3 + later {
         return None;
     }
+    let pm = system.channels_pm();
+    let fitted_pm = &fit.coefficients * &pm;
     // Columns: constant, two moments, then the zeros of the later seatings (System::design).
     let zero_sd_pm = [0, 1].map(|c| {
-        let zeros: Vec<f64> =
-            (0..=later).map(|k| if k == 0 { 0.0 } else { fit.coefficients[(2 + k, c)] }).collect();
+        let zeros: Vec<f64> = (0..=later).map(|k| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] }).collect();
         let mean = zeros.iter().sum::<f64>() / zeros.len() as f64;
         (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / later as f64).sqrt()
     });
@@ -54,6 +56,7 @@ pub fn between_seatings(system: &WhiskerSystem, fit: &Fit) -> Option<BetweenSeat
     }
     let channels = fit.residual.ncols();
     let sensitivity_p = f_test(fit.ssr - residual.norm_squared(), fit.ssr, fit.dof, own * channels);
+    let coefficients = coefficients * pm;
     let size = coefficients.rows(1, 2).norm();
     let changes = coefficients.rows(q, own).norm_squared() / later as f64;
     Some(BetweenSeatings { count, zero_sd_pm, sensitivity_p, sensitivity_change: changes.sqrt() / size })

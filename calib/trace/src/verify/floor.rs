@@ -1,7 +1,8 @@
 //! Stage 1: the noise floor, from replicates or from differences of neighbours.
 
+use crate::candidate::System;
 use crate::engine::search::Hypothesis;
-use crate::path::WhiskerPath;
+use crate::whisker::WhiskerSystem;
 use std::collections::BTreeMap;
 
 /// Floor of the wavelengths.
@@ -21,8 +22,9 @@ const LEAST_DOF: f64 = 10.0;
 /// Pure error of the explanation's residuals: within groups of one pose, direction and speed, else between neighbours of a sweep.
 /// Taking residuals rather than readings keeps accepted drifts and temperature out of it.
 #[must_use]
-pub fn noise_floor(path: &WhiskerPath, h: &Hypothesis) -> Option<Floor> {
-    let residual = &h.fit.residual;
+pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis) -> Option<Floor> {
+    let path = &system.path;
+    let residual = &h.fit.residual * system.channels_pm();
     let rows: Vec<usize> = (0..path.readings.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
     let mut groups: BTreeMap<(u32, u32, i64, i64, i64), Vec<usize>> = BTreeMap::new();
     for &i in &rows {

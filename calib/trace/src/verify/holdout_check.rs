@@ -1,11 +1,12 @@
 //! Stage 11, the last word: do the unsealed readings agree with the accepted model within noise and parameter uncertainty?
 
 use super::predictions::Predicted;
+use crate::candidate::System;
 use crate::engine::fit::{Weights, fit};
 use crate::engine::inference::covariance;
 use crate::engine::search::Hypothesis;
 use crate::whisker::WhiskerSystem;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, RowVector2};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Level of the check: far below the gate's, since a memory effect's curvature is only linearised here.
@@ -27,10 +28,12 @@ pub fn holdout_p(whole: &WhiskerSystem, accepted: &Hypothesis, after: &[Predicte
     if spread.nrows() != 2 * q + m {
         return None;
     }
+    let apart = whole.channels_pm().try_inverse()?;
     let count = 2 * rows.len();
     let mut jacobian = DMatrix::zeros(count, 2 * q + m);
     let mut residual = DVector::zeros(count);
     for (k, &i) in rows.iter().enumerate() {
+        let left = RowVector2::from_fn(|_, c| readings[i].shift_pm[c] - after[i].shift_pm[c]) * &apart;
         for c in 0..2 {
             let row = 2 * k + c;
             for j in 0..q {
@@ -39,7 +42,7 @@ pub fn holdout_p(whole: &WhiskerSystem, accepted: &Hypothesis, after: &[Predicte
             for (j, t) in local.tangents.iter().enumerate() {
                 jacobian[(row, 2 * q + j)] = t[(i, c)];
             }
-            residual[row] = readings[i].shift_pm[c] - after[i].shift_pm[c];
+            residual[row] = left[c];
         }
     }
     let shape = DMatrix::identity(count, count) + &jacobian * spread * jacobian.transpose();

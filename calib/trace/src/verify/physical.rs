@@ -1,6 +1,6 @@
 //! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
 
-use crate::candidate::Term;
+use crate::candidate::{System, Term};
 use crate::engine::inference::covariance;
 use crate::engine::search::Hypothesis;
 use crate::path::WhiskerPath;
@@ -65,7 +65,7 @@ pub(super) const VALID_SHARE: f64 = 1.1;
 impl PhysicalModel {
     /// The model of an explanation.
     #[must_use]
-    pub fn new(system: &WhiskerSystem, h: &Hypothesis, sd_pm: f64) -> Self {
+    pub fn new(system: &WhiskerSystem, h: &Hypothesis) -> Self {
         let fit = &h.fit;
         let effects = fit
             .terms
@@ -80,14 +80,21 @@ impl PhysicalModel {
                 }
             })
             .collect();
-        let covariance = covariance(fit, sd_pm * sd_pm);
+        // From the engine's channels, whose noise is alike and apart, to the gratings'.
+        let pm = system.channels_pm();
+        let coefficients = &fit.coefficients * &pm;
+        let (count, size) = (coefficients.nrows(), coefficients.len());
+        let mut turn = DMatrix::identity(size + fit.tangents.len(), size + fit.tangents.len());
+        turn.view_mut((0, 0), (size, size))
+            .copy_from(&pm.transpose().kronecker(&DMatrix::identity(count, count)));
+        let covariance = &turn * covariance(fit, fit.variance()) * turn.transpose();
         let largest = system
             .moments(&fit.terms)
             .map_or(0.0, |(_, base)| base.iter().map(|m| m[0].hypot(m[1])).fold(0.0, f64::max));
         Self {
-            coefficients: fit.coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
+            coefficients: coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
             covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
-            noise_sd_pm: sd_pm,
+            noise_sd_pm: system.noise_sd_pm(fit),
             effects,
             seatings: system.seatings(),
             fbg: system.data.fbg.clone(),

@@ -25,7 +25,7 @@ pub struct Predicted {
 pub fn predict(system: &WhiskerSystem, h: &Hypothesis, model: &PhysicalModel) -> Option<Vec<Predicted>> {
     let terms: &[Term] = &h.fit.terms;
     let design: DMatrix<f64> = system.design(terms)?;
-    let shifts = design * &h.fit.coefficients;
+    let shifts = design * &h.fit.coefficients * system.channels_pm();
     let (felt, base) = system.moments(terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&felt).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
     let inferred = model.infer(&system.path, Some(&memory));

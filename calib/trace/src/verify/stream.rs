@@ -36,6 +36,7 @@ impl PhysicalStream {
             t_s: 0.0,
             dwell_s: 0.0,
             rise_degc: 0.0,
+            rise_by_others_degc: 0.0,
             shift_pm: [0.0; 2],
             sample_sd_pm: [0.0; 2],
             group: 0,
@@ -167,7 +168,7 @@ mod tests {
         };
         let rows: Vec<WhiskerRow> = shifts.iter().enumerate().map(row).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();
-        let path = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &model.fbg, None);
+        let path = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &model.fbg, None, None);
         model.infer(&path, None).iter().map(|m| m.moment_nmm).collect()
     }
 

@@ -141,7 +141,7 @@ fn leave_out(
                 None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
                     let part =
                         Hypothesis { fit: refit, weights: weights.clone(), flagged: h.flagged.clone() };
-                    let model = PhysicalModel::new(system, &part, part.fit.variance().sqrt());
+                    let model = PhysicalModel::new(system, &part);
                     predict(system, &part, &model)
                 }),
                 Some(moments) => by_labels(system, moments, &weights),

@@ -10,7 +10,7 @@ use super::unseal::{Errors, held_out_errors};
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next};
 use crate::candidate::System;
-use crate::engine::fit::Weights;
+use crate::engine::fit::{Weights, fit};
 use crate::engine::inference::{cosine, explained, in_class};
 use crate::engine::lasso::group_lasso;
 use crate::engine::linear::stack;
@@ -75,6 +75,8 @@ pub struct WhiskerVerification {
     pub isolability: (Vec<String>, Vec<Vec<f64>>),
 }
 
+/// Change of the channels' shared noise from which the search is made again.
+const MIXTURE_CHANGED: f64 = 1.1;
 /// Fewest loaded readings that carry K, the zero and a residual.
 const FEWEST_LOADED: usize = 9;
 
@@ -140,24 +142,29 @@ pub fn verify_whisker(
     // Stage 0: the twin before reality.
     let labels = check_labels(data, &system.path, &system.bench);
     // Stages 2-9: the points table only; the holdout stays sealed.
+    let no_solution = || TraceError::NoEquilibrium(session.to_owned());
     let weights = weights_of(&system);
-    let Some(found) = search(&system, &weights, &options.search) else {
-        return Err(TraceError::NoEquilibrium(session.to_owned()));
-    };
+    let declared = fit(&system, &[], &weights, 15).ok_or_else(no_solution)?;
+    let mut system = system.apart(&declared);
+    let mut found = search(&system, &weights, &options.search).ok_or_else(no_solution)?;
     let mut conclusion = conclude(&system, &found, &labels.faults);
+    // An effect that was not declared hides how much noise the channels share.
+    let again = system.clone().apart(&conclusion.accepted.fit);
+    if again.mixture_change(&system) > MIXTURE_CHANGED {
+        system = again;
+        found = search(&system, &weights, &options.search).ok_or_else(no_solution)?;
+        conclusion = conclude(&system, &found, &labels.faults);
+    }
     if !options.accept.is_empty() {
         conclusion.accept(&system, &found, &options.accept)?;
     }
     // Stage 1 on the residuals of the accepted model.
-    let floor = noise_floor(&system.path, &conclusion.accepted);
-    let sd_before = found.base.fit.variance().sqrt();
-    let sd_after = conclusion.accepted.fit.variance().sqrt();
-    let model_before = PhysicalModel::new(&system, &found.base, sd_before);
-    let model_after = PhysicalModel::new(&system, &conclusion.accepted, sd_after);
+    let floor = noise_floor(&system, &conclusion.accepted);
+    let model_before = PhysicalModel::new(&system, &found.base);
+    let model_after = PhysicalModel::new(&system, &conclusion.accepted);
     // Stage 11: the seal is broken here, once.
     let all_rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
-    let whole = WhiskerSystem::new(data, &all_rows)?;
-    let no_solution = || TraceError::NoEquilibrium(session.to_owned());
+    let whole = WhiskerSystem::new(data, &all_rows)?.mixed_as(&system);
     let before = predict(&whole, &found.base, &model_before).ok_or_else(no_solution)?;
     let after = predict(&whole, &conclusion.accepted, &model_after).ok_or_else(no_solution)?;
     if let Some(p) = holdout_p(&whole, &conclusion.accepted, &after).filter(|p| *p < HOLDOUT_LEVEL) {
@@ -189,7 +196,7 @@ pub fn verify_whisker(
         &errors,
     );
     let predictions = prediction_rows(&whole, &all_rows, &before, &after);
-    let residuals = records(&whole, &all_rows, &before, &after, [sd_before, sd_after], &conclusion);
+    let residuals = records(&whole, &all_rows, &before, &after, model_after.noise_sd_pm, &conclusion);
     let branches = branches(&system);
     let isolability = isolability(&system, &found);
     Ok(Ok(WhiskerVerification {
@@ -350,7 +357,7 @@ fn records(
     rows: &[&WhiskerRow],
     before: &[Predicted],
     after: &[Predicted],
-    sd: [f64; 2],
+    noise_sd_pm: f64,
     conclusion: &Conclusion,
 ) -> Vec<ResidualRecord> {
     let covariates = whole.covariates();
@@ -370,7 +377,7 @@ fn records(
                 measured: whole.path.readings[i].shift_pm[c],
                 predicted_before: before[i].shift_pm[c],
                 predicted_after: after[i].shift_pm[c],
-                noise_sd: sd[1],
+                noise_sd: noise_sd_pm,
                 rejected: flagged.contains(&r).then(|| "single reading far outside the noise".to_owned()),
                 covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
             });

@@ -13,7 +13,7 @@ use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load, write_atomic};
 use wcal_trace::engine::search::Options;
 use wcal_trace::scalar::{ScalarData, ScalarOptions, verify_scalar};
-use wcal_trace::verify::whisker::PredictionRow;
+use wcal_trace::verify::listings::PredictionRow;
 use wcal_trace::verify::{VerifyOptions, verify_whisker};
 
 /// Arguments of `wcal verify`.

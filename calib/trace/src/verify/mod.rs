@@ -5,6 +5,7 @@ pub mod detect;
 pub mod floor;
 pub mod heldout;
 pub mod holdout_check;
+pub mod listings;
 mod map_left_out;
 pub mod next;
 pub mod physical;

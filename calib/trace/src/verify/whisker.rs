@@ -3,15 +3,16 @@
 use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
 use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
+use super::listings::{Branch, PredictionRow, branches, isolability, prediction_rows, records};
 use super::physical::PhysicalModel;
-use super::predictions::{Predicted, predict};
+use super::predictions::predict;
 use super::twin_check::{LabelReport, check_labels};
 use super::unseal::{Errors, held_out_errors};
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next};
 use crate::candidate::System;
 use crate::engine::fit::{Weights, fit};
-use crate::engine::inference::{cosine, explained, in_class};
+use crate::engine::inference::in_class;
 use crate::engine::lasso::group_lasso;
 use crate::engine::linear::stack;
 use crate::engine::search::{Found, Hypothesis, Options, search};
@@ -32,26 +33,6 @@ pub struct VerifyOptions {
     /// Effects of a surviving explanation to be accepted; empty leaves the choice to the verdict.
     pub accept: Vec<String>,
 }
-
-/// A reading with both predictions, for predictions.csv.
-#[derive(Debug, Clone)]
-pub struct PredictionRow {
-    /// File.
-    pub source: String,
-    /// Point number.
-    pub point: i64,
-    /// Role.
-    pub role: Role,
-    /// Declared model.
-    pub before: Predicted,
-    /// Accepted model.
-    pub after: Predicted,
-    /// What temperature adds to the compensated shift as read, pm.
-    pub thermal_pm: [f64; 2],
-}
-
-/// Trajectory, stage positions (mm) and moments (N mm) of the rod's branch.
-pub type Branch = (u32, Vec<f64>, Vec<[f64; 2]>);
 
 /// Everything that `verify` found.
 pub struct WhiskerVerification {
@@ -320,102 +301,4 @@ fn cross_check(system: &WhiskerSystem, found: &Found) -> Option<String> {
         kept.iter().map(|k| format!("{} ({:.1} sd)", system.catalogue()[k.effect].id(), k.size_sd)).collect();
     let list = if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };
     Some(format!("Cross-check by group lasso over the whole catalogue at the noise level: it keeps {list}."))
-}
-
-fn prediction_rows(
-    whole: &WhiskerSystem,
-    rows: &[&WhiskerRow],
-    before: &[Predicted],
-    after: &[Predicted],
-) -> Vec<PredictionRow> {
-    let mut out: Vec<(usize, PredictionRow)> = whole
-        .path
-        .rows
-        .iter()
-        .enumerate()
-        .map(|(i, &r)| {
-            let row = rows[r];
-            let compensated = row.compensated_pm(&whole.data.fbg);
-            let thermal_pm = [row.shift_pm[0] - compensated[0], row.shift_pm[1] - compensated[1]];
-            let prediction = PredictionRow {
-                source: row.source.clone(),
-                point: row.point,
-                role: row.role,
-                before: before[i],
-                after: after[i],
-                thermal_pm,
-            };
-            (r, prediction)
-        })
-        .collect();
-    out.sort_by_key(|(r, _)| *r);
-    out.into_iter().map(|(_, p)| p).collect()
-}
-
-fn records(
-    whole: &WhiskerSystem,
-    rows: &[&WhiskerRow],
-    before: &[Predicted],
-    after: &[Predicted],
-    noise_sd_pm: f64,
-    conclusion: &Conclusion,
-) -> Vec<ResidualRecord> {
-    let covariates = whole.covariates();
-    let flagged: Vec<usize> = conclusion.flagged.clone();
-    let mut out = Vec::new();
-    for (i, &r) in whole.path.rows.iter().enumerate() {
-        let row = rows[r];
-        for c in 0..2 {
-            out.push(ResidualRecord {
-                source: row.source.clone(),
-                line: row.line,
-                point: row.point,
-                role: format!("{:?}", row.role).to_lowercase(),
-                group: whole.path.readings[i].group,
-                channel: format!("fbg_{}", c + 1),
-                unit: "pm".to_owned(),
-                measured: whole.path.readings[i].shift_pm[c],
-                predicted_before: before[i].shift_pm[c],
-                predicted_after: after[i].shift_pm[c],
-                noise_sd: noise_sd_pm,
-                rejected: flagged.contains(&r).then(|| "single reading far outside the noise".to_owned()),
-                covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
-            });
-        }
-    }
-    out
-}
-
-fn branches(system: &WhiskerSystem) -> Vec<Branch> {
-    let Some(tables) = system.bench.tables(&crate::mechanics::Mechanics::default()) else {
-        return Vec::new();
-    };
-    system
-        .data
-        .trajectories
-        .iter()
-        .zip(tables.iter())
-        .zip(&system.path.reach_mm)
-        .filter(|(_, reach)| **reach > 0.0)
-        .map(|((t, table), reach)| {
-            let xs: Vec<f64> = (0..=60).map(|k| reach * f64::from(k) / 60.0).collect();
-            let kept: Vec<(f64, [f64; 2])> =
-                xs.iter().filter_map(|x| Some((*x, table.moment(*x)?))).collect();
-            (t.id, kept.iter().map(|k| k.0).collect(), kept.iter().map(|k| k.1).collect())
-        })
-        .collect()
-}
-
-fn isolability(system: &WhiskerSystem, found: &Found) -> (Vec<String>, Vec<Vec<f64>>) {
-    let shown: Vec<&Hypothesis> = found.refitted.iter().take(10).collect();
-    let names = shown
-        .iter()
-        .map(|h| {
-            let ids: Vec<&str> = h.fit.terms.iter().map(|t| system.catalogue()[t.effect].id()).collect();
-            if ids.is_empty() { crate::effects::SLIP_OUTLIERS.to_owned() } else { ids.join(" + ") }
-        })
-        .collect();
-    let vectors: Vec<_> = shown.iter().map(|h| explained(&found.base, h)).collect();
-    let matrix = vectors.iter().map(|a| vectors.iter().map(|b| cosine(a, b)).collect()).collect();
-    (names, matrix)
 }

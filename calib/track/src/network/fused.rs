@@ -23,7 +23,7 @@ pub(crate) trait Fused: Backend {
 }
 
 /// Whether the kernels, which are the processor's, take this tensor.
-fn here<const D: usize>(x: &Tensor<D>) -> bool {
+pub(super) fn here<const D: usize>(x: &Tensor<D>) -> bool {
     cfg!(not(feature = "gpu")) || x.device() == Device::flex()
 }
 
@@ -56,11 +56,11 @@ pub(super) fn gelu(x: Tensor<3>) -> Tensor<3> {
     Tensor::from_dispatch(Dispatch::fused_gelu(x.into_dispatch()))
 }
 
-fn shape(tensor: &FlexTensor) -> Vec<usize> {
+pub(super) fn shape(tensor: &FlexTensor) -> Vec<usize> {
     tensor.layout().shape().iter().copied().collect()
 }
 
-fn made(values: Vec<f32>, shape: Vec<usize>) -> FlexTensor {
+pub(super) fn made(values: Vec<f32>, shape: Vec<usize>) -> FlexTensor {
     FlexTensor::from_data(TensorData::new(values, shape))
 }
 
@@ -69,7 +69,7 @@ fn sizes(qkv: &FlexTensor, heads: usize) -> Sizes {
     Sizes { heads, time: shape[1], width: shape[2] / 3 }
 }
 
-fn values(tensor: &FlexTensor) -> &[f32] {
+pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice::<f32>().unwrap_or_default()
 }
 

@@ -1,6 +1,6 @@
 //! The network's layers, for whole courses and for streams.
 
-use super::fused;
+use super::{dense, fused};
 use crate::TrackError;
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
@@ -194,19 +194,20 @@ impl WhiskerNet {
     /// A batch of courses: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
     #[must_use]
     pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
-        let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
+        let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
         for block in &self.blocks {
-            let qkv = block.query_key_value.forward(fused::norm(&block.before_attention, x.clone()));
+            let normed = fused::norm(&block.before_attention, x.clone());
+            let qkv = dense::linear(&block.query_key_value, normed);
             let attended = if fused::fits(&qkv, self.width(), self.heads) {
                 fused::attend(qkv, bias.clone(), self.heads)
             } else {
                 let (q, k, v) = self.split(qkv);
                 attend(q, k, v, bias.clone())
             };
-            x = x + self.dropout.forward(block.out.forward(attended));
-            x = x.clone() + self.dropout.forward(block.feed(x));
+            x = dense::dropped(&self.dropout, x, dense::linear(&block.out, attended));
+            x = dense::dropped(&self.dropout, x.clone(), block.feed(x));
         }
-        self.head.forward(fused::norm(&self.norm, x))
+        dense::linear(&self.head, fused::norm(&self.norm, x))
     }
 
     fn width(&self) -> usize {
@@ -225,10 +226,10 @@ impl WhiskerNet {
             bias.extend(memory.times_s.iter().map(|t| slope(head, self.heads) * (t - t_s) as f32));
         }
         let bias = Tensor::<4>::from_data(TensorData::new(bias, [1, self.heads, 1, n]), &device);
-        let mut x = self.encode_out.forward(fused::gelu(self.encode.forward(inputs)));
+        let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
             let normed = fused::norm(&block.before_attention, x.clone());
-            let (q, k, v) = self.split(block.query_key_value.forward(normed));
+            let (q, k, v) = self.split(dense::linear(&block.query_key_value, normed));
             let (k, v) = match memory.kept.get(layer) {
                 Some((keys, values)) => {
                     let join = |old: &Tensor<4>, new| {
@@ -245,10 +246,10 @@ impl WhiskerNet {
             } else {
                 memory.kept.push((k.clone(), v.clone()));
             }
-            x = x + block.out.forward(attend(q, k, v, bias.clone()));
+            x = x + dense::linear(&block.out, attend(q, k, v, bias.clone()));
             x = x.clone() + block.feed(x);
         }
-        self.head.forward(fused::norm(&self.norm, x))
+        dense::linear(&self.head, fused::norm(&self.norm, x))
     }
 
     /// Queries, keys and values by head: `[batch, heads, time, width / heads]`.
@@ -265,7 +266,8 @@ impl WhiskerNet {
 
 impl Block {
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        self.narrow.forward(fused::gelu(self.widen.forward(fused::norm(&self.before_feed, x))))
+        let widened = dense::linear(&self.widen, fused::norm(&self.before_feed, x));
+        dense::linear(&self.narrow, fused::gelu(widened))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Layers and dropout by the products of `product`, as operations of burn, with their gradients.
 
-use super::fused::{here, made, shape, values};
+use super::fused::{here, made, shape, taken, values};
 use super::product::{self, Kept};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
@@ -67,7 +67,8 @@ impl Dense for Flex {
 
     fn dense_dropped(onto: FlexTensor, x: FlexTensor, share: f32, seed: u32) -> FlexTensor {
         let (onto, x) = (onto.to_contiguous(), x.to_contiguous());
-        made(product::dropped(values(&x), Some(values(&onto)), Kept { share, seed }), shape(&x))
+        let to = shape(&x);
+        made(product::dropped(taken(x), Some(values(&onto)), Kept { share, seed }), to)
     }
 }
 
@@ -100,8 +101,10 @@ impl Backward<Flex, 2> for DroppedBack {
         let grad = grads.consume::<Flex>(&ops.node).to_contiguous();
         let [onto, x] = ops.parents;
         if let Some(x) = x {
-            grads
-                .register::<Flex>(x.id, made(product::dropped(values(&grad), None, ops.state), shape(&grad)));
+            grads.register::<Flex>(
+                x.id,
+                made(product::dropped(values(&grad).to_vec(), None, ops.state), shape(&grad)),
+            );
         }
         if let Some(onto) = onto {
             grads.register::<Flex>(onto.id, grad);

@@ -69,6 +69,15 @@ fn sizes(qkv: &FlexTensor, heads: usize) -> Sizes {
     Sizes { heads, time: shape[1], width: shape[2] / 3 }
 }
 
+/// The values themselves where nobody else holds them, else a copy.
+pub(super) fn taken(tensor: FlexTensor) -> Vec<f32> {
+    if tensor.is_unique() {
+        tensor.into_data().try_into_vec().unwrap_or_default()
+    } else {
+        values(&tensor).to_vec()
+    }
+}
+
 pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice::<f32>().unwrap_or_default()
 }
@@ -139,7 +148,7 @@ impl Backward<Flex, 1> for GeluBack {
         let grad = grads.consume::<Flex>(&ops.node).to_contiguous();
         let [node] = ops.parents;
         if let Some(node) = node {
-            let back = kernels::gelu_back(values(&ops.state), values(&grad));
+            let back = kernels::gelu_back(values(&ops.state), taken(grad));
             grads.register::<Flex>(node.id, made(back, shape(&ops.state)));
         }
     }

@@ -86,9 +86,8 @@ pub(super) fn gelu(x: &[f32]) -> Vec<f32> {
     out
 }
 
-/// Gradient of `gelu` out of that of its answer.
-pub(super) fn gelu_back(x: &[f32], grad: &[f32]) -> Vec<f32> {
-    let mut out = grad.to_vec();
+/// Gradient of `gelu` over that of its answer.
+pub(super) fn gelu_back(x: &[f32], mut grad: Vec<f32>) -> Vec<f32> {
     let task = |(out, x): (&mut [f32], &[f32])| {
         pulp::Arch::new().dispatch(
             #[inline(always)]
@@ -100,8 +99,8 @@ pub(super) fn gelu_back(x: &[f32], grad: &[f32]) -> Vec<f32> {
             },
         );
     };
-    out.par_chunks_mut(ROWS * ROWS).zip(x.par_chunks(ROWS * ROWS)).for_each(task);
-    out
+    grad.par_chunks_mut(ROWS * ROWS).zip(x.par_chunks(ROWS * ROWS)).for_each(task);
+    grad
 }
 
 #[inline(always)]
@@ -192,66 +191,83 @@ pub(super) fn layer_norm_back(x: &[f32], gamma: &[f32], grad: &[f32]) -> [Vec<f3
     [by_x, by_gamma, by_beta]
 }
 
-/// What one head of one course works on: rows of `MOST`, and the same turned.
+/// What one head of one course works on: rows of `MOST`, and the same turned, with room for whole vectors.
 struct Head {
     part: [Vec<[f32; MOST]>; 3],
-    turned_keys: Vec<f32>,
-    turned_values: Vec<f32>,
+    turned_keys: Vec<Lanes>,
+    turned_values: Vec<Lanes>,
     weights: Vec<f32>,
     slopes: Vec<f32>,
 }
 
+/// Sixteen tokens' numbers of each feature.
+type Lanes = [[f32; MOST]; MOST];
+
 impl Head {
     fn new(time: usize) -> Self {
+        let blocks = time.div_ceil(MOST);
         Self {
             part: [0; 3].map(|_| vec![[0.0; MOST]; time]),
-            turned_keys: vec![0.0; MOST * time],
-            turned_values: vec![0.0; MOST * time],
-            weights: vec![0.0; time],
-            slopes: vec![0.0; time],
+            turned_keys: vec![[[0.0; MOST]; MOST]; blocks],
+            turned_values: vec![[[0.0; MOST]; MOST]; blocks],
+            weights: vec![0.0; blocks * MOST],
+            slopes: vec![0.0; blocks * MOST],
         }
     }
 
     #[inline(always)]
     fn take(&mut self, sizes: Sizes, head: usize, qkv: &[f32]) {
-        let (d, time) = (sizes.head(), sizes.time);
-        for t in 0..time {
+        let d = sizes.head();
+        for t in 0..sizes.time {
             for (which, part) in self.part.iter_mut().enumerate() {
                 let from = t * 3 * sizes.width + which * sizes.width + head * d;
                 part[t][..d].copy_from_slice(&qkv[from..from + d]);
             }
             for k in 0..d {
-                self.turned_keys[k * time + t] = self.part[1][t][k];
-                self.turned_values[k * time + t] = self.part[2][t][k];
+                self.turned_keys[t / MOST][k][t % MOST] = self.part[1][t][k];
+                self.turned_values[t / MOST][k][t % MOST] = self.part[2][t][k];
             }
         }
     }
 
-    /// Weights of row `i`, not normalised, and their sum.
+    /// Weights of row `i`, not normalised, and their sum; 0 beyond it up to the end of its vector.
     #[inline(always)]
-    fn weigh(&mut self, sizes: Sizes, i: usize, bias: &[f32], scale: f32) -> f32 {
-        let (n, time) = (i + 1, sizes.time);
-        let weights = &mut self.weights[..n];
-        weights.copy_from_slice(&bias[..n]);
-        for k in 0..sizes.head() {
-            let q = self.part[0][i][k] * scale;
-            let keys = &self.turned_keys[k * time..k * time + n];
-            for (w, key) in weights.iter_mut().zip(keys) {
-                *w = q.times_plus(*key, *w);
-            }
-        }
+    fn weigh(&mut self, i: usize, bias: &[f32], scale: f32) -> f32 {
+        let n = i + 1;
+        let weights = &mut self.weights[..n.next_multiple_of(MOST)];
+        weights[..n].copy_from_slice(&bias[..n]);
+        weights[n..].fill(f32::NEG_INFINITY);
+        let query = self.part[0][i].map(|q| q * scale);
         let mut lanes = [f32::NEG_INFINITY; MOST];
-        for chunk in weights.chunks(MOST) {
-            for (lane, w) in lanes.iter_mut().zip(chunk) {
+        for (block, keys) in weights.chunks_exact_mut(MOST).zip(&self.turned_keys) {
+            dots(block, &query, keys);
+            for (lane, w) in lanes.iter_mut().zip(block) {
                 *lane = lane.max(*w);
             }
         }
         let most = lanes.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        for w in weights.iter_mut() {
-            *w = exp(*w - most);
+        let mut sums = [0.0_f32; MOST];
+        for block in weights.chunks_exact_mut(MOST) {
+            for (sum, w) in sums.iter_mut().zip(block) {
+                *w = exp(*w - most);
+                *sum += *w;
+            }
         }
-        sum(|k| weights[k], n)
+        sums.iter().sum()
     }
+}
+
+/// Adds to each of sixteen the products of its features with `by`: all of it in registers.
+#[inline(always)]
+fn dots(onto: &mut [f32], by: &[f32; MOST], features: &Lanes) {
+    let mut sums = [0.0_f32; MOST];
+    sums.copy_from_slice(onto);
+    for (b, feature) in by.iter().zip(features) {
+        for (s, f) in sums.iter_mut().zip(feature) {
+            *s = b.times_plus(*f, *s);
+        }
+    }
+    onto.copy_from_slice(&sums);
 }
 
 /// Causal attention: queries, keys and values `[batch, time, 3 width]` side by side, bias `[batch, heads, time, time]` of which the part
@@ -270,7 +286,7 @@ pub(super) fn attend(sizes: Sizes, qkv: &[f32], bias: &[f32]) -> Vec<f32> {
                 for head in 0..heads {
                     h.take(sizes, head, qkv);
                     for i in 0..time {
-                        let total = h.weigh(sizes, i, &bias[(head * time + i) * time..], scale);
+                        let total = h.weigh(i, &bias[(head * time + i) * time..], scale);
                         let mut mixed = [0.0_f32; MOST];
                         for (w, value) in h.weights[..=i].iter().zip(&h.part[2]) {
                             for k in 0..MOST {
@@ -312,16 +328,14 @@ pub(super) fn attend_back(sizes: Sizes, qkv: &[f32], bias: &[f32], grad: &[f32])
                     back.iter_mut().flatten().for_each(|row| *row = [0.0; MOST]);
                     for i in 0..time {
                         let n = i + 1;
-                        let total = h.weigh(sizes, i, &bias[(head * time + i) * time..], scale);
+                        let total = h.weigh(i, &bias[(head * time + i) * time..], scale);
                         let mut pull = [0.0_f32; MOST];
                         let from = i * width + head * d;
                         pull[..d].copy_from_slice(&grad[from..from + d]);
-                        let slopes = &mut h.slopes[..n];
+                        let slopes = &mut h.slopes[..n.next_multiple_of(MOST)];
                         slopes.fill(0.0);
-                        for (pulled, values) in pull[..d].iter().zip(h.turned_values.chunks_exact(time)) {
-                            for (s, value) in slopes.iter_mut().zip(values) {
-                                *s = pulled.times_plus(*value, *s);
-                            }
+                        for (block, values) in slopes.chunks_exact_mut(MOST).zip(&h.turned_values) {
+                            dots(block, &pull, values);
                         }
                         let weights = &mut h.weights[..n];
                         let each = 1.0 / total;

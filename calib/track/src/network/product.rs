@@ -131,23 +131,25 @@ impl Kept {
     }
 }
 
-/// `onto + x`, x under dropout; without `onto` it alone.
-pub(super) fn dropped(x: &[f32], onto: Option<&[f32]>, kept: Kept) -> Vec<f32> {
+/// `onto + x`, x under dropout, written over x; without `onto` it alone.
+pub(super) fn dropped(mut x: Vec<f32>, onto: Option<&[f32]>, kept: Kept) -> Vec<f32> {
     const TASK: usize = ROWS * ROWS;
-    let mut out = onto.map_or_else(|| vec![0.0; x.len()], <[f32]>::to_vec);
-    let task = |(k, (out, x)): (usize, (&mut [f32], &[f32]))| {
-        let first = (k * TASK) as u32;
+    let task = |(k, x): (usize, &mut [f32])| {
+        let first = k * TASK;
+        let onto = onto.map(|onto| &onto[first..first + x.len()]);
         pulp::Arch::new().dispatch(
             #[inline(always)]
             move || {
-                for (k, (o, x)) in out.iter_mut().zip(x).enumerate() {
-                    *o += x * kept.factor(first.wrapping_add(k as u32));
+                let places = x.iter_mut().enumerate().map(|(k, x)| (x, (first + k) as u32));
+                match onto {
+                    Some(onto) => places.zip(onto).for_each(|((x, at), o)| *x = *x * kept.factor(at) + o),
+                    None => places.for_each(|(x, at)| *x *= kept.factor(at)),
                 }
             },
         );
     };
-    out.par_chunks_mut(TASK).zip(x.par_chunks(TASK)).enumerate().for_each(task);
-    out
+    x.par_chunks_mut(TASK).enumerate().for_each(task);
+    x
 }
 
 #[cfg(test)]
@@ -186,7 +188,7 @@ mod tests {
     #[test]
     fn dropout_keeps_its_share_everywhere_and_draws_anew_with_each_seed() {
         const N: usize = 1 << 18;
-        let of = |seed: u32| dropped(&[1.0; N], None, Kept { share: 0.9, seed });
+        let of = |seed: u32| dropped(vec![1.0; N], None, Kept { share: 0.9, seed });
         let (one, other) = (of(1), of(2));
         let share = |v: &[f32]| v.iter().filter(|x| **x > 0.0).count() as f64 / v.len() as f64;
         // Six standard deviations of a share.
@@ -204,6 +206,6 @@ mod tests {
         for pair in [together(&one, &one[1..]), together(&one, &one[128..]), together(&one, &other)] {
             assert!((pair - 0.01).abs() < chance, "{pair}");
         }
-        assert_eq!(dropped(&[1.0; 4], Some(&[2.0; 4]), Kept { share: 1.0, seed: 3 }), [3.0; 4]);
+        assert_eq!(dropped(vec![1.0; 4], Some(&[2.0; 4]), Kept { share: 1.0, seed: 3 }), [3.0; 4]);
     }
 }

@@ -30,6 +30,7 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let card = good(&train);
     assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
     assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
+    assert!((0..2).all(|k| card["sd_factors_on_bench"][k].as_f64().unwrap() > 0.0), "{card}");
     let page = std::fs::read_to_string(path("model/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
     let again = good(&train);
@@ -124,6 +125,24 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
         zero.abs() > 1e-5
             && (0..rows.len()).all(|k| (value(&rows, k) - value(&after, k) - zero).abs() < 3e-6)
     );
+
+    // A stream's spread is that of a bench: twice the factor, four times the covariance.
+    let place = path("model/model.json");
+    let mut card: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&place).unwrap()).unwrap();
+    for factor in card["sd_factors_on_bench"].as_array_mut().unwrap() {
+        *factor = (2.0 * factor.as_f64().unwrap()).into();
+    }
+    std::fs::write(&place, card.to_string()).unwrap();
+    let wider = path("wider.csv");
+    let twice: Vec<&str> = track.iter().map(|a| if *a == out { wider.as_str() } else { *a }).collect();
+    assert_eq!(wcal(&[&twice[..], &["--force"]].concat()).status.code(), Some(0));
+    let wider = std::fs::read_to_string(&wider).unwrap();
+    let wider: Vec<Vec<&str>> = wider.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let column = names.iter().position(|n| *n == "var_xx_mm2").unwrap();
+    let value = |row: &[&str]| row[column].parse::<f64>().ok();
+    let ratios: Vec<f64> = rows.iter().zip(&wider).filter_map(|(a, b)| Some(value(b)? / value(a)?)).collect();
+    assert!(ratios.len() > 5 && ratios.iter().all(|r| (r - 4.0).abs() < 0.05), "{ratios:?}");
 
     // Damage and lack are named.
     let timeless = path("timeless.csv");

@@ -325,6 +325,12 @@ fn print_tables(document: &Value) {
         real["verdict"],
         real["accepted"]
     );
+    let covers = &real["coverage90"];
+    println!(
+        "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
+        number(&covers["seen"]),
+        number(&covers["unseen"])
+    );
     let faces = &document["faces"];
     for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
         let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));

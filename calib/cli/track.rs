@@ -148,9 +148,14 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     for folder in folders.values() {
         if !trackers.contains_key(folder.as_path()) {
             let (mut tracker, card) = load(folder, &burn_device())?;
+            tracker.sd_factors = card.sd_factors_of_stream();
             if let Some(class) = &args.object_class {
-                tracker.sd_factors = of_class(&card.sd_factors_by_class, class)
+                let own = of_class(&card.sd_factors_by_class, class)
                     .with_context(|| format!("model {}", folder.display()))?;
+                // How a class differs is known from clean sweeps.
+                for (k, factor) in tracker.sd_factors.iter_mut().enumerate() {
+                    *factor *= own[k] / card.sd_factors[k];
+                }
             }
             trackers.insert(folder, tracker);
         }

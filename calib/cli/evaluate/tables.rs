@@ -130,9 +130,9 @@ impl Maker<'_> {
         courses.iter().map(one).collect()
     }
 
-    /// The tracker told of a calibration's noise, as `wcal track` tells it.
+    /// The tracker told of a calibration's noise, with the spread of a stream, as `wcal track` has it.
     fn told(&self, by: &CalibrationModel) -> Tracker {
-        Tracker { filter: told(by), ..self.tracker.clone() }
+        Tracker { filter: told(by), sd_factors: self.card.sd_factors_of_stream(), ..self.tracker.clone() }
     }
 
     fn virtual_real(
@@ -162,7 +162,9 @@ impl Maker<'_> {
             .chain(rows_unseen.iter().map(with_set("unseen")))
             .collect();
         let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
+        let covers = |rows: &[ObjectScores]| mean(rows, |o| o.all.coverage90.unwrap_or(f64::NAN));
         let real = json!({
+            "coverage90": {"seen": covers(&rows_seen), "unseen": covers(&rows_unseen)},
             "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
             "interval95": interval95, "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
             "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },

@@ -45,24 +45,7 @@ impl Method<'_> {
     pub fn run(&self, course: &Course) -> Vec<Estimate> {
         let size = |m: [f64; 2]| m[0].hypot(m[1]);
         match self {
-            Self::Network(tracker, known) => {
-                let samples: Vec<Sample> = course
-                    .instants
-                    .iter()
-                    .map(|i| Sample {
-                        t_s: i.t_s,
-                        moment_nmm: i.moment_nmm,
-                        base_mm_s: known.then_some(i.speed_mm_s),
-                    })
-                    .collect();
-                let answer = |p: crate::network::Prediction| Estimate {
-                    contact: p.contact >= CALLED,
-                    point_mm: Vector3::from(p.point_mm.map(f64::from)),
-                    covariance_mm2: (tracker.config.nodes > 0)
-                        .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
-                };
-                tracker.course(&samples).into_iter().map(answer).collect()
-            }
+            Self::Network(tracker, known) => by_network(tracker, tracker.filter, course, *known),
             Self::Bayes(inverse, known, settings) => {
                 let mut filter = BayesFilter::new(inverse, **settings);
                 let mut last_s = 0.0;
@@ -99,6 +82,22 @@ impl Method<'_> {
                 .collect(),
         }
     }
+}
+
+fn by_network(tracker: &Tracker, filter: BayesSettings, course: &Course, known: bool) -> Vec<Estimate> {
+    let sample = |i: &crate::Instant| Sample {
+        t_s: i.t_s,
+        moment_nmm: i.moment_nmm,
+        base_mm_s: known.then_some(i.speed_mm_s),
+    };
+    let samples: Vec<Sample> = course.instants.iter().map(sample).collect();
+    let answer = |p: crate::network::Prediction| Estimate {
+        contact: p.contact >= CALLED,
+        point_mm: Vector3::from(p.point_mm.map(f64::from)),
+        covariance_mm2: (tracker.config.nodes > 0)
+            .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
+    };
+    tracker.course_told(filter, &samples).into_iter().map(answer).collect()
 }
 
 fn middle(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
@@ -158,18 +157,27 @@ pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(C
 /// The network's places and stated spreads beside the truth, where there is contact, with the object's name.
 #[must_use]
 pub fn held_out_regions(tracker: &Tracker, courses: &[Course], base_known: bool) -> Vec<(String, Compared)> {
-    let compared = |course: &Course| -> Vec<(String, Compared)> {
-        let estimates = Method::Network(tracker, base_known).run(course);
-        let both = course.instants.iter().zip(&estimates);
-        both.filter_map(|(i, e)| Some((i.contact?, e)))
-            .map(|(c, e)| {
-                let off = e.point_mm - c.point_mm;
-                let one = Compared::new(0.0, off, &Vector3::zeros(), e.covariance_mm2.as_ref());
-                (course.object.clone(), one)
-            })
-            .collect()
-    };
-    courses.par_iter().flat_map_iter(compared).collect()
+    let all = courses.par_iter().flat_map_iter(|c| regions(tracker, tracker.filter, c, base_known));
+    all.collect()
+}
+
+/// The same over one course, the filter told of other noise.
+#[must_use]
+pub fn regions(
+    tracker: &Tracker,
+    filter: BayesSettings,
+    course: &Course,
+    base_known: bool,
+) -> Vec<(String, Compared)> {
+    let estimates = by_network(tracker, filter, course, base_known);
+    let both = course.instants.iter().zip(&estimates);
+    both.filter_map(|(i, e)| Some((i.contact?, e)))
+        .map(|(c, e)| {
+            let off = e.point_mm - c.point_mm;
+            let one = Compared::new(0.0, off, &Vector3::zeros(), e.covariance_mm2.as_ref());
+            (course.object.clone(), one)
+        })
+        .collect()
 }
 
 /// Who estimates over objects, from a course to its estimates.

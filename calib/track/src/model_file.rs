@@ -36,6 +36,10 @@ pub struct Card {
     pub whisker: WhiskerSpec,
     /// Factors on the stated standard deviations, from objects that were held out: base's speed not known, and known.
     pub sd_factors: [f64; 2],
+    /// The same as a bench has it: held-out objects on every kind of sweep that was trained on (friction, weight, ...), with noise, drift
+    /// and errors of the gains. A stream's regions are stated with them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sd_factors_on_bench: Option<[f64; 2]>,
     /// Factors by class of object.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sd_factors_by_class: BTreeMap<String, ClassSpread>,
@@ -104,6 +108,12 @@ impl Use {
 }
 
 impl Card {
+    /// Factors on the stated standard deviations of a real sensor's stream: those of a bench where the card has them.
+    #[must_use]
+    pub fn sd_factors_of_stream(&self) -> [f64; 2] {
+        self.sd_factors_on_bench.unwrap_or(self.sd_factors)
+    }
+
     /// Whether a sweep over an object that was trained on was kept back for the evaluation.
     #[must_use]
     pub fn kept_back(&self, object: &str, sweep: u64) -> bool {

@@ -70,7 +70,13 @@ impl Tracker {
     /// All answers of a course in one pass.
     #[must_use]
     pub fn course(&self, samples: &[Sample]) -> Vec<Prediction> {
-        let mut features = FeatureMaker::of(&self.config, &self.inverse, self.filter);
+        self.course_told(self.filter, samples)
+    }
+
+    /// The same with the filter told of other noise.
+    #[must_use]
+    pub fn course_told(&self, filter: BayesSettings, samples: &[Sample]) -> Vec<Prediction> {
+        let mut features = FeatureMaker::of(&self.config, &self.inverse, filter);
         let mut last_s = None;
         let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
         if tokens.is_empty() {

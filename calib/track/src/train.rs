@@ -15,10 +15,12 @@ use std::path::Path;
 use wcal_mujoco::Mesh;
 use window::{Window, Windows};
 
+mod bench;
 mod checkpoint;
 mod loss;
 mod window;
 
+pub(crate) use bench::Bench;
 pub(crate) use loss::PLACE_MM;
 use loss::loss;
 

@@ -254,6 +254,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         inverse: grid(),
         whisker: whisker(),
         sd_factors: [1.0; 2],
+        sd_factors_on_bench: Some([1.5; 2]),
         sd_factors_by_class: BTreeMap::new(),
         object_classes: BTreeMap::new(),
         training: TrainSettings::default(),

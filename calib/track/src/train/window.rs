@@ -1,11 +1,11 @@
 //! Windows of courses as the network takes them, with noise, gain, drift and clock that a bench would add.
 
 use super::TrainSettings;
-use crate::bayes::BayesSettings;
+use super::bench::{Bench, between};
 use crate::network::{FeatureMaker, NetworkConfig};
 use crate::stream::FIRST_S;
 use crate::{Course, StaticInverse};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -42,12 +42,8 @@ pub(super) struct Windows<'a> {
     pub meshes: &'a BTreeMap<String, Mesh>,
 }
 
-/// Share of courses without noise and drift.
-const CLEAN: f64 = 0.4;
 /// Share of courses in which the wire stays free: what noise, drift and a bench's own motion look like alone.
 const FREE: f64 = 0.05;
-/// Time after which the filter is told how far the zero went, s.
-const DRIFTED_S: f64 = 10.0;
 
 impl<'a> Windows<'a> {
     /// Windows of courses, with what a bench adds; `seed` draws.
@@ -70,21 +66,15 @@ fn window<'a>(
     rng: &mut ChaCha8Rng,
 ) -> Window<'a> {
     let Windows { config, inverse, meshes } = *with;
-    let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
-    let factor = uniform(settings.time_factor[0].ln(), settings.time_factor[1].ln()).exp();
-    // Some courses stay as the twin made them.
-    let clean = uniform(0.0, 1.0) < CLEAN;
-    let noise = if clean { 0.0 } else { settings.noise_nmm * uniform(0.0, 1.0).powi(2) };
-    let free = uniform(0.0, 1.0) < FREE;
-    let gain: [f64; 2] = std::array::from_fn(|_| 1.0 + settings.gain * uniform(-1.0, 1.0));
-    let drift: [f64; 2] =
-        std::array::from_fn(|_| if clean { 0.0 } else { settings.drift_nmm_s * uniform(-1.0, 1.0) });
-    let zero_nmm = drift[0].hypot(drift[1]) * DRIFTED_S;
-    let known = uniform(0.0, 1.0) < settings.speed_known;
-    let stride = 1 + usize::from(uniform(0.0, 1.0) < 0.3);
+    let bench = Bench::draw(settings, rng);
+    let [fastest, slowest] = settings.time_factor.map(f64::ln);
+    let factor = between(rng, fastest, slowest).exp();
+    let free = between(rng, 0.0, 1.0) < FREE;
+    let known = between(rng, 0.0, 1.0) < settings.speed_known;
+    let stride = 1 + usize::from(between(rng, 0.0, 1.0) < 0.3);
     let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
-    let first = (uniform(-0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::of(config, inverse, BayesSettings::stated(noise, zero_nmm));
+    let first = (between(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
+    let mut features = FeatureMaker::of(config, inverse, bench.told());
     let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
     let mut made = Window {
@@ -109,10 +99,8 @@ fn window<'a>(
         // Beyond its end a course goes on without counting.
         let over_s = at.saturating_sub(last) as f64 * 0.1;
         let t_s = (now.t_s + over_s) * factor;
-        let moment = [0, 1].map(|i| {
-            let pressed = if free { 0.0 } else { now.moment_nmm[i] * gain[i] };
-            pressed + drift[i] * t_s + noise * 3.0_f64.sqrt() * uniform(-1.0, 1.0)
-        });
+        let pressed = if free { [0.0; 2] } else { now.moment_nmm };
+        let moment = bench.felt(pressed, t_s, rng);
         let speed = known.then_some(now.speed_mm_s / factor);
         let token = features.push(t_s - before_s.unwrap_or(t_s - FIRST_S), moment, speed);
         before_s = Some(t_s);

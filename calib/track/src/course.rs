@@ -1,6 +1,6 @@
 //! Courses: what the whisker felt on a sweep, with the contact that caused it. All of them are SIMULATED.
 
-use crate::TrackError;
+use crate::{Tare, TrackError};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -51,8 +51,25 @@ pub struct Course {
 
 /// Beyond this an estimate is nowhere near the object, mm.
 const FARTHEST_MM: f64 = 1e4;
+/// Time at the start, without contact, that sets the zero (`wcal track --tare-s`), s.
+const TARE_S: f64 = 0.5;
 
 impl Course {
+    /// With the zero of the free wire at the start: its own weight is no push. What begins in contact stays as it is.
+    pub(crate) fn tared(mut self) -> Self {
+        let free = self.instants.iter().take_while(|i| i.contact.is_none()).count();
+        let mut tare = Tare::new(TARE_S);
+        let mut zero_nmm = [0.0; 2];
+        for i in &self.instants[..free] {
+            let zeroed = tare.zeroed(i.t_s, i.moment_nmm);
+            zero_nmm = [0, 1].map(|k| i.moment_nmm[k] - zeroed[k]);
+        }
+        for i in &mut self.instants {
+            i.moment_nmm = [0, 1].map(|k| i.moment_nmm[k] - zero_nmm[k]);
+        }
+        self
+    }
+
     /// Distance of a point (base frame, mm) to the object's surface after a way of the base, mm.
     #[must_use]
     pub fn surface_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
@@ -142,5 +159,5 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<Course>, Tr
             event: event[row].clone(),
         });
     }
-    Ok(courses.into_values().collect())
+    Ok(courses.into_values().map(Course::tared).collect())
 }

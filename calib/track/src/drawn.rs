@@ -66,4 +66,5 @@ fn course(mesh: &Mesh, sweep: &Sweep, run: &Run) -> Course {
         base_from_object: Isometry3::from_parts(Translation3::from(sweep.shift_mm), turn),
         instants: instants.collect(),
     }
+    .tared()
 }

@@ -87,14 +87,14 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
     // Two thirds out: the middle of what sweeps touch.
     let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
-    let settings = BayesSettings::default();
+    let (settings, rough) = (BayesSettings::default(), BayesSettings::rough());
     let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
     let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;
     let mut methods = vec![
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),
-        ("bayes, speed known", Method::Bayes(&fine, true, &settings)),
-        ("bayes", Method::Bayes(&fine, false, &settings)),
+        ("bayes, speed known", Method::Bayes(&fine, true, &rough)),
+        ("bayes", Method::Bayes(&fine, false, &rough)),
         ("static inverse", Method::Static(&fine, middle)),
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];

@@ -141,7 +141,11 @@ impl Maker<'_> {
 
     /// The tracker told of a calibration's noise, with the spread of a stream, as `wcal track` has it.
     fn told(&self, by: &CalibrationModel) -> Tracker {
-        Tracker { filter: told(by), sd_factors: self.card.sd_factors_of_stream(), ..self.tracker.clone() }
+        Tracker {
+            filter: told(self.tracker.filter, by),
+            sd_factors: self.card.sd_factors_of_stream(),
+            ..self.tracker.clone()
+        }
     }
 
     fn virtual_real(

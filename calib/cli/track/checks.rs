@@ -60,8 +60,8 @@ const WHITE: f64 = 0.2;
 /// Share by which the zero may be off in a recording. An assumption too.
 const ZERO: f64 = 0.5;
 
-/// What the filter below the network is told of the moments that come through a calibration.
-pub fn told(model: &CalibrationModel) -> BayesSettings {
+/// A filter told of the moments that come through a calibration.
+pub fn told(filter: BayesSettings, model: &CalibrationModel) -> BayesSettings {
     let noise_nmm = match model {
         CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
         CalibrationModel::Physical(model) => {
@@ -69,13 +69,13 @@ pub fn told(model: &CalibrationModel) -> BayesSettings {
         }
         CalibrationModel::Scalar(_) => 0.0,
     };
-    BayesSettings::stated(WHITE * noise_nmm, ZERO * noise_nmm)
+    filter.told(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 
 impl Loaded<'_> {
     /// A stream whose filter is told of the calibration's noise.
     pub fn stream(&self) -> Stream<'_> {
-        self.tracker.stream_told(told(&self.file.model))
+        self.tracker.stream_told(told(self.tracker.filter, &self.file.model))
     }
 }
 

@@ -1,8 +1,9 @@
-//! Bayes filter on a grid of arc lengths (and base speeds, where they are not known): the physical baseline.
+//! Bayes filter on a grid of arc lengths (of coefficients of friction, and of base speeds where they are not known): the physical baseline.
 //!
-//! A body is rigid and no wire enters it: along the direction of the force the touched point moves as the object does. Each pair of
-//! candidates, before and now, breaks that rule by some distance, and the filter weighs it. At the first touch the wire cannot have
-//! bent further than the base went. Friction, bending of the object and several contacts are outside its model.
+//! A body is rigid and no wire enters it: along its normal the touched point moves as the object does. The moments tell the force, which
+//! friction leans against the slide across the wire by a constant share (Coulomb). Each pair of candidates, before and now, breaks that rule by
+//! some distance, and the filter weighs it. At the first touch the wire cannot have bent further than the base went. Friction along the
+//! wire, bending of the object and several contacts are outside its model.
 
 mod cell;
 mod rule;
@@ -13,6 +14,9 @@ use cell::Cell;
 use nalgebra::{Matrix3, Vector3};
 use rule::Rule;
 use serde::{Deserialize, Serialize};
+
+/// Coefficients of friction that the filter weighs against each other at most.
+const FRICTIONS: usize = 3;
 
 /// What the filter assumes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -26,6 +30,11 @@ pub struct BayesSettings {
     pub rule_mm: f64,
     /// See `rule_mm`.
     pub rule_share: f64,
+    /// Coefficients of friction considered, in rising order (the last one again where there are fewer), and the standard deviation of those
+    /// that each above 0 stands for.
+    pub friction: [f64; FRICTIONS],
+    /// See `friction`.
+    pub friction_sd: f64,
     /// Spread by a turn of the force, as a part of it times the way on the surface.
     pub edge: f64,
     /// Share of steps that break the rule otherwise (several contacts, contact along a line), and by how much: a constant part, mm, and a part
@@ -89,14 +98,34 @@ pub struct BayesSettings {
 }
 
 impl BayesSettings {
-    /// For moments with this white noise, and with a zero that is off by so much, N mm.
+    /// For objects with friction: three coefficients are weighed against each other, and rule and moments, which friction along the wire
+    /// breaks, are taken for less exact. The default is a wire that slides freely.
     #[must_use]
-    pub fn stated(noise_nmm: f64, zero_nmm: f64) -> Self {
-        let clean = Self::default();
+    pub fn rough() -> Self {
         Self {
-            noise_nmm: clean.noise_nmm.max(noise_nmm),
-            onset_nmm: clean.onset_nmm.max(5.0 * noise_nmm).max(2.0 * zero_nmm),
-            ..clean
+            noise_nmm: 0.0007,
+            friction: [0.0, 0.1, 0.2],
+            wide: 0.7,
+            wide_mm: 0.03,
+            wide_share: 0.1,
+            bend: [0.003, 0.03],
+            ..Self::default()
+        }
+    }
+
+    /// Coefficients considered, each once.
+    fn frictions(&self) -> &[f64] {
+        let distinct = 1 + self.friction.windows(2).filter(|pair| pair[0] < pair[1]).count();
+        &self.friction[..distinct]
+    }
+
+    /// The same for moments with this white noise, and with a zero that is off by so much, N mm.
+    #[must_use]
+    pub fn told(self, noise_nmm: f64, zero_nmm: f64) -> Self {
+        Self {
+            noise_nmm: self.noise_nmm.max(noise_nmm),
+            onset_nmm: self.onset_nmm.max(5.0 * noise_nmm).max(2.0 * zero_nmm),
+            ..self
         }
     }
 }
@@ -108,6 +137,8 @@ impl Default for BayesSettings {
             noise_nmm: 0.0001,
             rule_mm: 0.0015,
             rule_share: 0.008,
+            friction: [0.0; FRICTIONS],
+            friction_sd: 0.04,
             edge: 0.25,
             wide: 0.05,
             wide_mm: 0.1,
@@ -141,9 +172,6 @@ impl Default for BayesSettings {
     }
 }
 
-/// Weights below this share of all are dropped.
-const SMALL: f64 = 1e-6;
-
 /// Where the contact is believed to be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Belief {
@@ -160,7 +188,7 @@ pub struct Belief {
 pub struct BayesFilter<'a> {
     inverse: &'a StaticInverse,
     settings: BayesSettings,
-    /// Weights by speed, then node; empty without contact.
+    /// Weights by friction, speed, then node; empty without contact.
     weights: Vec<Vec<Cell>>,
     before: Vec<Candidate>,
     now: Vec<Candidate>,
@@ -224,12 +252,12 @@ impl<'a> BayesFilter<'a> {
     /// Mean speed of the base that is believed, of those considered; none without contact or where it is known.
     #[must_use]
     pub fn speed_mm_s(&self) -> Option<f64> {
-        if self.weights.len() < 2 {
+        if self.weights.len() <= self.settings.frictions().len() {
             return None;
         }
-        let of = |row: &Vec<Cell>| row.iter().map(|c| c.weight).sum::<f64>();
-        let total: f64 = self.weights.iter().map(of).sum();
-        let sum: f64 = self.speeds().iter().zip(&self.weights).map(|(v, row)| v * of(row)).sum();
+        let speeds = self.speeds();
+        let sum: f64 = speeds.iter().cycle().zip(&self.weights).map(|(v, row)| v * weight(row)).sum();
+        let total = self.total();
         (total > 0.0).then(|| sum / total)
     }
 
@@ -242,10 +270,11 @@ impl<'a> BayesFilter<'a> {
 
     /// Puts all belief on one node of the last sample: what would follow if the contact were known there.
     pub fn know(&mut self, node: usize) {
-        for (k, cell) in self.weights.iter_mut().flat_map(|row| row.iter_mut().enumerate()) {
-            *cell = Cell::evenly(f64::from(u8::from(k == node)));
+        for row in &mut self.weights {
+            let all = weight(row);
+            row.fill(Cell::default());
+            row[node] = Cell::evenly(all);
         }
-        self.normalise();
     }
 
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
@@ -262,18 +291,19 @@ impl<'a> BayesFilter<'a> {
         self.log_evidence = 0.0;
         // Each speed stands for those around it.
         let way_sd_mm = if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
-        let followed = self.weights.len() == speeds.len() && self.follow(dt_s, &speeds, way_sd_mm);
+        let frictions = self.settings.frictions().len();
+        let followed =
+            self.weights.len() == frictions * speeds.len() && self.follow(dt_s, &speeds, way_sd_mm);
         if !followed {
             let felt_before = !self.weights.is_empty() || self.before.is_empty();
-            self.weights = vec![Vec::new(); speeds.len()];
             if !felt_before {
                 // The wire at rest, seen from where it is touched now.
                 self.inverse.candidates(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
             }
             let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
-            for (speed, row) in speeds.iter().zip(&mut self.weights) {
-                *row = rule.touched((!felt_before).then_some(speed * dt_s), way_sd_mm);
-            }
+            let touched = |v: &f64| rule.touched((!felt_before).then_some(v * dt_s), way_sd_mm);
+            let rows: Vec<Vec<Cell>> = speeds.iter().map(touched).collect();
+            self.weights = std::iter::repeat_n(rows, frictions).flatten().collect();
             self.normalise();
         }
         self.belief()
@@ -287,13 +317,14 @@ impl<'a> BayesFilter<'a> {
     /// Whether anything is left that explains the sample.
     fn follow(&mut self, dt_s: f64, speeds: &[f64], way_sd_mm: f64) -> bool {
         let rule = Rule::new(&self.settings, self.inverse, &self.before, &self.now);
-        let least = SMALL * self.total();
-        let mut next: Vec<Vec<Cell>> = speeds
-            .iter()
+        let total = self.total();
+        let rows = self.settings.frictions().iter().flat_map(|f| speeds.iter().map(move |v| (*f, *v)));
+        let mut next: Vec<Vec<Cell>> = rows
             .zip(&self.weights)
-            .map(|(speed, row)| rule.moved(row, least, speed * dt_s, way_sd_mm))
+            .map(|((friction, speed), row)| rule.moved(row, total, [speed * dt_s, way_sd_mm], friction))
             .collect();
-        spread(&mut next, (self.settings.speed_change_per_s * dt_s).min(0.25));
+        let share = (self.settings.speed_change_per_s * dt_s).min(0.25);
+        next.chunks_mut(speeds.len()).for_each(|rows| spread(rows, share));
         self.weights = next;
         let total = self.total();
         self.log_evidence = total.max(f64::MIN_POSITIVE).ln();
@@ -301,7 +332,7 @@ impl<'a> BayesFilter<'a> {
     }
 
     fn total(&self) -> f64 {
-        self.weights.iter().flatten().map(|c| c.weight).sum()
+        self.weights.iter().map(|row| weight(row)).sum()
     }
 
     fn normalise(&mut self) -> bool {
@@ -334,6 +365,10 @@ impl<'a> BayesFilter<'a> {
 
 /// Moment of a wire that is as good as at rest, N mm.
 const REST_NMM: f64 = 1e-5;
+
+fn weight(row: &[Cell]) -> f64 {
+    row.iter().map(|c| c.weight).sum()
+}
 
 /// Speeds change little by little: a share of each row's weights goes to each neighbour.
 fn spread(rows: &mut [Vec<Cell>], share: f64) {

@@ -96,7 +96,7 @@ pub fn make_model(
         config: network,
         net,
         inverse,
-        filter: BayesSettings::default(),
+        filter: making.settings.filter,
         sd_factors: [1.0; 2],
         device: device.clone(),
     };
@@ -151,7 +151,7 @@ fn on_benches(
     let mut some = |courses: &mut dyn Iterator<Item = &Course>| -> Vec<(Course, BayesSettings)> {
         let on_bench = |course: &Course| {
             let bench = Bench::draw(&making.settings, &mut rng);
-            (bench.course(course, &mut rng), bench.told())
+            (bench.course(course, &mut rng), bench.told(making.settings.filter))
         };
         courses.take(ON_BENCH).map(on_bench).collect()
     };

@@ -1,6 +1,5 @@
 //! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
 
-use crate::bayes::BayesSettings;
 use crate::classes::{ClassSpread, ObjectClasses};
 use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
 use crate::train::{Pass, TrainSettings};
@@ -222,7 +221,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         config: card.network,
         net,
         inverse,
-        filter: BayesSettings::default(),
+        filter: card.training.filter,
         sd_factors: card.sd_factors,
         device: device.clone(),
     };

@@ -1,5 +1,6 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
+use crate::bayes::BayesSettings;
 use crate::model_file::put_weights;
 use crate::network::{NetworkConfig, WhiskerNet};
 use crate::{Course, StaticInverse, TrackError};
@@ -50,6 +51,9 @@ pub struct TrainSettings {
     pub gain: f64,
     /// See `noise_nmm`.
     pub drift_nmm_s: f64,
+    /// What the filter below the network assumes; models of before it was written down had the default one.
+    #[serde(default)]
+    pub filter: BayesSettings,
     /// Seed of all draws.
     pub seed: u64,
 }
@@ -68,6 +72,7 @@ impl Default for TrainSettings {
             noise_nmm: 0.006,
             gain: 0.005,
             drift_nmm_s: 0.0004,
+            filter: BayesSettings::rough(),
             seed: 1,
         }
     }

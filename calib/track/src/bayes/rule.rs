@@ -19,6 +19,8 @@ const LEANT: f64 = 0.05;
 const TOUCH_LEAST: f64 = 0.02;
 /// Length of wire that the tip stands for at a first touch, mm.
 const TIP_MM: f64 = 1.0;
+/// Weights below this share of all are dropped.
+const SMALL: f64 = 5e-5;
 /// Share of the belief from which on a place can be sprung from.
 const SPRINGS_FROM: f64 = 1e-3;
 
@@ -37,6 +39,9 @@ struct Step {
     /// Way of the base along +z, mm, and its variance where the speed is one of several.
     way_mm: f64,
     way_variance_mm2: f64,
+    /// Part of the force along the surface against a slide, and its variance.
+    drag: f64,
+    drag_variance: f64,
     /// Variances of the way along the wire, mm^2, and of the turn at the tip, rad^2: steady, unsteady, changed.
     slides: [f64; 3],
     turns: [f64; 3],
@@ -102,15 +107,21 @@ impl<'a> Rule<'a> {
         }
     }
 
-    /// Weights after a step of the base, mm, with its standard deviation, from those before; smaller ones than `least` are dropped.
-    pub(super) fn moved(&self, row: &[Cell], least: f64, way_mm: f64, way_sd_mm: f64) -> Vec<Cell> {
+    /// Weights after a step of the base, mm, with its standard deviation, under a coefficient of friction, from those before, which are
+    /// some of all that make `total`.
+    pub(super) fn moved(&self, row: &[Cell], total: f64, way: [f64; 2], friction: f64) -> Vec<Cell> {
         let s = self.settings;
+        let [way_mm, way_sd_mm] = way;
+        // Of a force at the friction cone's edge the part along the surface.
+        let along = |f: f64| f / (1.0 + f * f).sqrt();
         let way = way_mm.abs().max(1e-3);
         let by_way = |of: [f64; 2]| (of[0] + of[1] * way).powi(2);
         let slides = [s.steady, s.unsteady, s.changed].map(by_way);
         let step = Step {
             way_mm,
             way_variance_mm2: way_sd_mm * way_sd_mm,
+            drag: along(friction),
+            drag_variance: if friction > 0.0 { s.friction_sd * s.friction_sd } else { 0.0 },
             slides,
             turns: [s.tip_steady, s.tip_unsteady, s.tip_changed].map(by_way),
             reach_mm: (1.0 + s.changed_mean.abs()) * way + REACH * slides[2].sqrt(),
@@ -118,8 +129,7 @@ impl<'a> Rule<'a> {
         };
         let mut new = vec![Within::default(); self.now.all.len()];
         let share = (s.spring_per_mm * way).min(0.5);
-        let total: f64 = row.iter().map(|c| c.weight).sum();
-        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > least) {
+        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > SMALL * total) {
             let from = self.before.place(k, cell);
             self.along_wire(k, (1.0 - share) * cell.weight, &from, &step, &mut new);
             self.round_tip(k, (1.0 - share) * cell.weight, &from, &step, &mut new);
@@ -323,23 +333,42 @@ impl<'a> Rule<'a> {
         self.settings.rule_mm.powi(2) + (self.settings.rule_share * way_mm).powi(2)
     }
 
+    /// Slide over the object across the wire times its share of the whole slide, mm: by so much times the force's part along the surface
+    /// that force, and not the surface's normal, finds the touched point to go in.
+    fn dragged(&self, from: &Place<'_>, j: usize, way: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
+        let pitch = self.now.pitches[j];
+        let Some(along) = (pitch - normal * normal.dot(&pitch)).try_normalize(1e-9) else { return 0.0 };
+        let across = way.dot(&along.cross(normal));
+        // What the wire itself went along with is no slide.
+        let nodes = &self.inverse.nodes;
+        let last = self.first_tip - 1;
+        let gone = nodes[j.min(last)].arclength_mm
+            - nodes[from.node.min(last)].arclength_mm
+            - from.cell.at * self.node_mm();
+        let slid = root(across, way.dot(&along) - gone);
+        if slid > 1e-9 { across * across / slid } else { 0.0 }
+    }
+
     /// By how much a place before and node `j` now break the rule, mm.
     fn off(&self, from: &Place<'_>, j: usize, step: &Step) -> Off {
         let (s, to, way_mm) = (self.settings, &self.now.all[j], step.way_mm);
         let (pitch, turn) = (self.now.pitches[j], self.now.turns[j]);
         let way = to.point_mm - from.point_mm + Vector3::z() * way_mm;
         let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
-        let off = normal.dot(&way);
+        let dragged = if step.drag > 0.0 { self.dragged(from, j, &way, &normal) } else { 0.0 };
+        let out = normal.dot(&way);
+        let off = out + step.drag * dragged;
         // How that changes from node to node: with the place and with the force, half of whose turn counts.
         let by_to = normal.dot(&pitch) + 0.5 * turn.dot(&way);
         let by_from = -normal.dot(&from.pitch) + 0.5 * from.turn.dot(&way);
         let gives = from.give_mm_per_nmm.powi(2) + to.give_mm_per_nmm.powi(2);
-        let slid = way - normal * off;
+        let slid = way - normal * out;
         // On a bent surface the way before the middle and that behind it count half the turn, one for and one against.
         let bent = (to.normal - from.normal).norm_squared() * slid.norm_squared() * s.edge * s.edge;
         let noise = self.variance(way_mm)
             + s.noise_nmm.powi(2) * gives
             + normal.z * normal.z * step.way_variance_mm2
+            + step.drag_variance * dragged * dragged
             + bent;
         let rule = Linked {
             off: [off, 0.0],

@@ -20,6 +20,7 @@ pub(super) struct Place<'c> {
     pub pitch: Vector3<f64>,
     pub turn: Vector3<f64>,
     pub cell: &'c Cell,
+    pub node: usize,
     pub give_mm_per_nmm: f64,
     pub turn_per_nmm: f64,
 }
@@ -57,6 +58,7 @@ impl<'a> Side<'a> {
             pitch: self.pitches[k],
             turn: self.turns[k],
             cell,
+            node: k,
             give_mm_per_nmm: c.give_mm_per_nmm,
             turn_per_nmm: c.turn_per_nmm,
         }

@@ -34,10 +34,10 @@ impl Bench {
         Self { noise_nmm, gain, drift_nmm_s: if clean { [0.0; 2] } else { drift } }
     }
 
-    /// What the filter is told of it.
-    pub fn told(&self) -> BayesSettings {
+    /// A filter told of it.
+    pub fn told(&self, filter: BayesSettings) -> BayesSettings {
         let [y, z] = self.drift_nmm_s;
-        BayesSettings::stated(self.noise_nmm, y.hypot(z) * DRIFTED_S)
+        filter.told(self.noise_nmm, y.hypot(z) * DRIFTED_S)
     }
 
     /// A moment (N mm) as the bench gives it.

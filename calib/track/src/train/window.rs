@@ -74,7 +74,7 @@ fn window<'a>(
     let stride = 1 + usize::from(between(rng, 0.0, 1.0) < 0.3);
     let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
     let first = (between(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::of(config, inverse, bench.told());
+    let mut features = FeatureMaker::of(config, inverse, bench.told(settings.filter));
     let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
     let mut made = Window {

@@ -104,7 +104,7 @@ impl BayesSettings {
     pub fn rough() -> Self {
         Self {
             noise_nmm: 0.0007,
-            friction: [0.0, 0.1, 0.2],
+            friction: [0.0, 0.15, 0.3],
             wide: 0.7,
             wide_mm: 0.03,
             wide_share: 0.1,
@@ -280,13 +280,15 @@ impl<'a> BayesFilter<'a> {
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
-        self.inverse.candidates(moment_nmm, &mut self.now);
         let size = moment_nmm[0].hypot(moment_nmm[1]);
         if size < self.settings.onset_nmm {
+            // What is left of a free wire's moments has no direction: what is seen of it depends on none.
+            self.inverse.candidates(FREE_NMM, &mut self.now);
             self.weights.clear();
             self.log_evidence = 0.0;
             return None;
         }
+        self.inverse.candidates(moment_nmm, &mut self.now);
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         self.log_evidence = 0.0;
         // Each speed stands for those around it.
@@ -365,6 +367,8 @@ impl<'a> BayesFilter<'a> {
 
 /// Moment of a wire that is as good as at rest, N mm.
 const REST_NMM: f64 = 1e-5;
+/// Moments (y, z) that stand for none: those of a push against the base's way.
+const FREE_NMM: [f64; 2] = [REST_NMM, 0.0];
 
 fn weight(row: &[Cell]) -> f64 {
     row.iter().map(|c| c.weight).sum()

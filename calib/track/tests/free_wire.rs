@@ -7,8 +7,9 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, SweepEngine, SweepPlan, objects};
+use wcal_track::bayes::{BayesFilter, BayesSettings};
 use wcal_track::model_file::load;
-use wcal_track::{Course, Sample, Tracker, course};
+use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
 
 const ROWS: usize = 600;
 const RATE_HZ: f64 = 10.0;
@@ -75,4 +76,21 @@ fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
             );
         }
     }
+}
+
+/// Rounding gives a free wire's moments some direction: nothing that is seen depends on it, above the onset all of it does.
+#[test]
+fn moments_below_the_onset_have_no_direction() {
+    let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();
+    let settings = BayesSettings::rough();
+    let seen = |moment_nmm: [f64; 2]| {
+        let mut filter = BayesFilter::new(&inverse, settings);
+        let belief = filter.step(0.1, moment_nmm, Some(5.0));
+        (belief, filter.candidates().to_vec())
+    };
+    for size_nmm in [0.0, 1e-31, 0.9 * settings.onset_nmm] {
+        assert_eq!(seen([0.0, size_nmm]), seen([-size_nmm, 0.0]), "{size_nmm} N mm");
+    }
+    let size_nmm = 1.1 * settings.onset_nmm;
+    assert_ne!(seen([0.0, size_nmm]), seen([-size_nmm, 0.0]), "control");
 }

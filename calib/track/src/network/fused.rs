@@ -1,6 +1,7 @@
 //! The kernels as operations of burn, with their gradients.
 
-use super::kernels::{self, MOST, Sizes};
+use super::attention::{self, MOST, Sizes};
+use super::kernels;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -32,7 +33,7 @@ pub(super) fn fits(qkv: &Tensor<3>, width: usize, heads: usize) -> bool {
     width / heads <= MOST && here(qkv)
 }
 
-/// Causal attention over `[batch, time, 3 width]`, as `kernels::attend`.
+/// Causal attention over `[batch, time, 3 width]`, as `attention::attend`.
 pub(super) fn attend(qkv: Tensor<3>, bias: Tensor<4>, heads: usize) -> Tensor<3> {
     Tensor::from_dispatch(Dispatch::fused_attend(qkv.into_dispatch(), bias.into_dispatch(), heads))
 }
@@ -87,7 +88,7 @@ impl Fused for Flex {
         let (qkv, bias) = (qkv.to_contiguous(), bias.to_contiguous());
         let sizes = sizes(&qkv, heads);
         let shape = vec![shape(&qkv)[0], sizes.time, sizes.width];
-        made(kernels::attend(sizes, values(&qkv), values(&bias)), shape)
+        made(attention::attend(sizes, values(&qkv), values(&bias)), shape)
     }
 
     fn fused_norm(x: FlexTensor, gamma: FlexTensor, beta: FlexTensor) -> FlexTensor {
@@ -112,7 +113,7 @@ impl Backward<Flex, 1> for AttendBack {
         let (qkv, bias, heads) = ops.state;
         let [node] = ops.parents;
         if let Some(node) = node {
-            let back = kernels::attend_back(sizes(&qkv, heads), values(&qkv), values(&bias), values(&grad));
+            let back = attention::attend_back(sizes(&qkv, heads), values(&qkv), values(&bias), values(&grad));
             grads.register::<Flex>(node.id, made(back, shape(&qkv)));
         }
     }
@@ -244,16 +245,19 @@ mod tests {
     fn attention_is_that_of_plain_tensors_and_so_is_its_gradient() {
         let times: Vec<f64> = (0..TIME).map(|k| 0.1 * k as f64).collect();
         let bias = attention_bias(&vec![times; BATCH], HEADS, 9, &device());
-        let plain = |qkv: Tensor<3>| {
-            let part = |k: usize| {
-                let part = qkv.clone().narrow(2, k * WIDTH, WIDTH);
-                part.reshape([BATCH, TIME, HEADS, WIDTH / HEADS]).swap_dims(1, 2)
+        // Heads narrower than a vector, and as wide.
+        for width in [WIDTH, 2 * MOST] {
+            let plain = |qkv: Tensor<3>| {
+                let part = |k: usize| {
+                    let part = qkv.clone().narrow(2, k * width, width);
+                    part.reshape([BATCH, TIME, HEADS, width / HEADS]).swap_dims(1, 2)
+                };
+                let scores = part(0).matmul(part(1).swap_dims(2, 3)) / ((width / HEADS) as f64).sqrt();
+                let mixed = softmax(scores + bias.clone(), 3).matmul(part(2));
+                mixed.swap_dims(1, 2).reshape([BATCH, TIME, width])
             };
-            let scores = part(0).matmul(part(1).swap_dims(2, 3)) / ((WIDTH / HEADS) as f64).sqrt();
-            let mixed = softmax(scores + bias.clone(), 3).matmul(part(2));
-            mixed.swap_dims(1, 2).reshape([BATCH, TIME, WIDTH])
-        };
-        agree(|qkv| attend(qkv, bias.clone(), HEADS), plain, 3 * WIDTH);
+            agree(|qkv| attend(qkv, bias.clone(), HEADS), plain, 3 * width);
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! By the crate gemm, which is burn's own on a processor: called through burn, each answer is made of zeros, copied and only then written.
 //! One call here is not safe Rust; what it may touch is checked before it.
 
+use super::widest::{Kernel, Simd, widest};
 use rayon::prelude::*;
 
 /// Multiplications from which on a product is shared out among threads.
@@ -88,21 +89,28 @@ pub(super) fn linear_back(x: &[f32], weight: &[f32], width: usize, grad: &[f32])
     [by_x, by_weight, column_sums(grad.values, width)]
 }
 
+/// Sums of some rows' columns.
+struct ColumnSums<'a> {
+    rows: &'a [f32],
+    sums: Vec<f32>,
+}
+
+impl Kernel for ColumnSums<'_> {
+    type Out = Vec<f32>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> Vec<f32> {
+        let Self { rows, mut sums } = self;
+        for row in rows.chunks_exact(sums.len()) {
+            sums.iter_mut().zip(row).for_each(|(s, x)| *s += x);
+        }
+        sums
+    }
+}
+
 /// Sums of the columns.
 fn column_sums(values: &[f32], width: usize) -> Vec<f32> {
-    let of_rows = |rows: &[f32]| {
-        let sums = vec![0.0_f32; width];
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            move || {
-                let mut sums = sums;
-                for row in rows.chunks_exact(width) {
-                    sums.iter_mut().zip(row).for_each(|(s, x)| *s += x);
-                }
-                sums
-            },
-        )
-    };
+    let of_rows = |rows| widest(ColumnSums { rows, sums: vec![0.0; width] });
     let parts: Vec<Vec<f32>> = values.par_chunks(ROWS * width).map(of_rows).collect();
     let mut sums = vec![0.0; width];
     parts.iter().for_each(|part| sums.iter_mut().zip(part).for_each(|(s, x)| *s += x));
@@ -131,24 +139,36 @@ impl Kept {
     }
 }
 
+/// A piece of `dropped`, from the place `first` on.
+struct Dropped<'a> {
+    x: &'a mut [f32],
+    onto: Option<&'a [f32]>,
+    kept: Kept,
+    first: usize,
+}
+
+impl Kernel for Dropped<'_> {
+    type Out = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Self { x, onto, kept, first } = self;
+        let places = x.iter_mut().enumerate().map(|(k, x)| (x, (first + k) as u32));
+        match onto {
+            Some(onto) => places.zip(onto).for_each(|((x, at), o)| *x = *x * kept.factor(at) + o),
+            None => places.for_each(|(x, at)| *x *= kept.factor(at)),
+        }
+    }
+}
+
 /// `onto + x`, x under dropout, written over x; without `onto` it alone.
 pub(super) fn dropped(mut x: Vec<f32>, onto: Option<&[f32]>, kept: Kept) -> Vec<f32> {
     const TASK: usize = ROWS * ROWS;
-    let task = |(k, x): (usize, &mut [f32])| {
+    x.par_chunks_mut(TASK).enumerate().for_each(|(k, x)| {
         let first = k * TASK;
         let onto = onto.map(|onto| &onto[first..first + x.len()]);
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            move || {
-                let places = x.iter_mut().enumerate().map(|(k, x)| (x, (first + k) as u32));
-                match onto {
-                    Some(onto) => places.zip(onto).for_each(|((x, at), o)| *x = *x * kept.factor(at) + o),
-                    None => places.for_each(|(x, at)| *x *= kept.factor(at)),
-                }
-            },
-        );
-    };
-    x.par_chunks_mut(TASK).enumerate().for_each(task);
+        widest(Dropped { x, onto, kept, first });
+    });
     x
 }
 

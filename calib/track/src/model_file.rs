@@ -235,12 +235,18 @@ fn fill(net: &mut WhiskerNet, folder: &Path, bytes: Vec<u8>) -> Result<(), Track
     net.load_from(&mut store).map_err(TrackError::file("reading", &weights)).map(|_| ())
 }
 
-/// Puts the weights of a model into a network of the same sizes.
+/// Puts the weights of a model into a network of the same sizes; gives the first 64 bits of their hash.
 ///
 /// # Errors
 /// Where the model cannot be read or has other sizes.
-pub fn put_weights(net: &mut WhiskerNet, folder: &Path) -> Result<(), TrackError> {
-    fill(net, folder, read_files(folder)?.1)
+pub fn put_weights(net: &mut WhiskerNet, folder: &Path) -> Result<u64, TrackError> {
+    let (card, bytes) = read_files(folder)?;
+    fill(net, folder, bytes)?;
+    let first = card.weights_sha256.get(..16).and_then(|hex| u64::from_str_radix(hex, 16).ok());
+    first.ok_or_else(|| {
+        let what = format!("{}: weights_sha256", folder.join("model.json").display());
+        TrackError::value(what, "64 hexadecimal digits", &card.weights_sha256)
+    })
 }
 
 /// Grid of the curve that the networks are built on: a node every half millimetre.

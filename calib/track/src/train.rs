@@ -146,8 +146,10 @@ pub fn train(
     let learning = device.clone().autodiff();
     learning.seed(settings.seed);
     let mut net = WhiskerNet::new(config, &learning)?;
+    // What goes on from another training draws anew: the same noise again would be learnt by heart.
+    let mut seed = settings.seed;
     if let Some(folder) = from {
-        put_weights(&mut net, folder)?;
+        seed ^= put_weights(&mut net, folder)?;
     }
     let optimizer = AdamWConfig::new().with_weight_decay(1e-3).init();
     let mut state = State { best: net.valid(), net, optimizer, passes: Vec::new() };
@@ -164,10 +166,10 @@ pub fn train(
         let epoch = state.passes.len() + 1;
         let draw = (epoch - 1) / settings.reuse.max(1) + 1;
         if drawn.0 != draw {
-            drawn = (draw, made.of(courses, settings, settings.seed ^ (draw as u64) << 20));
+            drawn = (draw, made.of(courses, settings, seed ^ (draw as u64) << 20));
         }
         let mut order: Vec<usize> = (0..courses.len()).collect();
-        order.shuffle(&mut ChaCha8Rng::seed_from_u64(settings.seed ^ (epoch as u64) << 32));
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed ^ (epoch as u64) << 32));
         let mut sum = 0.0;
         for (k, batch) in order.chunks(settings.batch).enumerate() {
             let number = (epoch - 1) * batches + k;

@@ -119,7 +119,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     if !card.sd_factors_by_class.is_empty() {
         let of = |set: usize| -> Vec<Course> { sets[set].1.values().flatten().cloned().collect() };
         let rows = |set: usize| {
-            coverage_by_class(&tracker, &of(set), &card.object_classes, &card.sd_factors_by_class)
+            let (classes, by_class) = (&card.object_classes, &card.sd_factors_by_class);
+            coverage_by_class(&tracker, &of(set), classes, by_class, card.sd_factors)
         };
         document["classes"] = json!({"seen": rows(0), "unseen": rows(1)});
     }

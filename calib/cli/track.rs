@@ -153,9 +153,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                 let own = of_class(&card.sd_factors_by_class, class)
                     .with_context(|| format!("model {}", folder.display()))?;
                 // How a class differs is known from clean sweeps.
-                for (k, factor) in tracker.sd_factors.iter_mut().enumerate() {
-                    *factor *= own[k] / card.sd_factors[k];
-                }
+                let [unknown, known] = tracker.sd_factors;
+                let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
+                tracker.sd_factors = [unknown.times(differs[0]), known.times(differs[1])];
             }
             trackers.insert(folder, tracker);
         }

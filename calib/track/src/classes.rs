@@ -72,13 +72,14 @@ pub struct ClassCoverage {
     pub by_class: [f64; 2],
 }
 
-/// Coverage over courses that were not trained on, class by class.
+/// Coverage over courses that were not trained on, class by class; `common` are the factors that the tracker states regions with.
 #[must_use]
 pub fn coverage_by_class(
     tracker: &Tracker,
     courses: &[Course],
     classes: &ObjectClasses,
     spreads: &BTreeMap<String, ClassSpread>,
+    common: [f64; 2],
 ) -> Vec<ClassCoverage> {
     let regions = [false, true].map(|known| held_out_regions(tracker, courses, known));
     let mut found = Vec::new();
@@ -97,7 +98,7 @@ pub fn coverage_by_class(
             let inside = own[known].iter().filter(|m| **m <= CHI2_90 * widened.powi(2)).count();
             inside as f64 / own[known].len() as f64
         };
-        let widened = |known: usize| spread.sd_factors[known] / tracker.sd_factors[known];
+        let widened = |known: usize| spread.sd_factors[known] / common[known];
         found.push(ClassCoverage {
             class: class.clone(),
             objects: objects.len(),

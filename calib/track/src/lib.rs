@@ -18,6 +18,7 @@ pub mod network;
 pub mod score;
 pub mod segments;
 pub mod several;
+pub mod spread;
 pub mod stream;
 pub mod surface;
 mod tare;

@@ -6,16 +6,19 @@ use crate::evaluate::{held_out_regions, regions};
 use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
 use crate::network::NetworkConfig;
 use crate::score::{Compared, calibrating_factor};
-use crate::train::{Bench, Material, Pass, TrainSettings, train};
+use crate::spread::SdFactors;
+use crate::train::{Material, Pass, TrainSettings, train};
 use crate::{Course, Device, StaticInverse, TrackError, Tracker, course};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::Mesh;
 use wcal_mujoco::read::manifests;
+
+mod benches;
+
+use benches::on_benches;
 
 /// What is made of what.
 #[derive(Debug, Clone)]
@@ -92,25 +95,24 @@ pub fn make_model(
         Material { courses: &courses, held_out: &held_out, inverse: &inverse, meshes, from: from_folder };
     let checkpoint = making.out.join("checkpoint");
     let (net, passes) = train(&network, &making.settings, &material, Some(&checkpoint), device, heard)?;
-    let mut tracker = Tracker {
+    let tracker = Tracker {
         config: network,
         net,
         inverse,
         filter: making.settings.filter,
-        sd_factors: [1.0; 2],
+        sd_factors: [1.0; 2].map(SdFactors::even),
         device: device.clone(),
     };
-    let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
     // With which the 90 % regions hold on what was not trained on.
-    tracker.sd_factors =
-        held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let benches = on_benches(making, &objects.held_out, &held_out)?;
     let on_bench = [false, true].map(|known| {
         let of = |(course, filter): &(Course, BayesSettings)| regions(&tracker, *filter, course, known);
         let all: Vec<Compared> = benches.par_iter().flat_map_iter(of).map(|r| r.1).collect();
-        // The regions so far are already widened.
-        tracker.sd_factors[usize::from(known)] * calibrating_factor(&all)
+        SdFactors::calibrated(&all)
     });
+    let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
+    let sd_factors =
+        held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
         Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
     };
@@ -121,9 +123,9 @@ pub fn make_model(
         network,
         inverse: network_grid(),
         whisker: making.whisker.clone(),
-        sd_factors: tracker.sd_factors,
-        sd_factors_on_bench: Some(on_bench),
-        sd_factors_by_class: spread_by_class(&held_out_regions, tracker.sd_factors, &making.classes),
+        sd_factors,
+        sd_on_bench: Some(on_bench),
+        sd_factors_by_class: spread_by_class(&held_out_regions, sd_factors, &making.classes),
         object_classes: making.classes.clone(),
         training: making.settings,
         passes,
@@ -136,37 +138,6 @@ pub fn make_model(
     };
     save(making.out, &tracker.net, &mut card)?;
     Ok(card)
-}
-
-/// Sweeps over a held-out object of each kind that state the spread on a bench.
-const ON_BENCH: usize = 10;
-
-/// Sweeps over the held-out objects of every kind that is trained on, each on a bench of its own, with what the filter is told of it.
-fn on_benches(
-    making: &Making<'_>,
-    objects: &[String],
-    held_out: &[Course],
-) -> Result<Vec<(Course, BayesSettings)>, TrackError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(making.settings.seed ^ 0xbe_4c4);
-    let mut some = |courses: &mut dyn Iterator<Item = &Course>| -> Vec<(Course, BayesSettings)> {
-        let on_bench = |course: &Course| {
-            let bench = Bench::draw(&making.settings, &mut rng);
-            (bench.course(course, &mut rng), bench.told(making.settings.filter))
-        };
-        courses.take(ON_BENCH).map(on_bench).collect()
-    };
-    let mut all = Vec::new();
-    let names: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
-    for name in names {
-        all.extend(some(&mut held_out.iter().filter(|c| c.object == *name)));
-    }
-    for folder in making.beside {
-        // Objects that are held out need not be among the other folder's.
-        for courses in course::read_courses(folder, &[])?.iter().filter(|(n, _)| objects.contains(n)) {
-            all.extend(some(&mut courses.1.iter()));
-        }
-    }
-    Ok(all)
 }
 
 /// SHA-256 of the weights of a model with which a training may begin: what is kept for the evaluation must not have been trained on.

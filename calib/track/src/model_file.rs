@@ -2,6 +2,7 @@
 
 use crate::classes::{ClassSpread, ObjectClasses};
 use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
+use crate::spread::SdFactors;
 use crate::train::{Pass, TrainSettings};
 use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
 use burn::store::{ModuleSnapshot, SafetensorsStore};
@@ -35,10 +36,10 @@ pub struct Card {
     pub whisker: WhiskerSpec,
     /// Factors on the stated standard deviations, from objects that were held out: base's speed not known, and known.
     pub sd_factors: [f64; 2],
-    /// The same as a bench has it: held-out objects on every kind of sweep that was trained on (friction, weight, ...), with noise, drift
-    /// and errors of the gains. A stream's regions are stated with them.
+    /// The same as a bench has it: held-out objects under wires that are not quite the declared one, with friction, weight, noise, drift and
+    /// errors of the gains, by the network's own spread. A stream's regions are stated with them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sd_factors_on_bench: Option<[f64; 2]>,
+    pub sd_on_bench: Option<[SdFactors; 2]>,
     /// Factors by class of object.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sd_factors_by_class: BTreeMap<String, ClassSpread>,
@@ -109,8 +110,8 @@ impl Use {
 impl Card {
     /// Factors on the stated standard deviations of a real sensor's stream: those of a bench where the card has them.
     #[must_use]
-    pub fn sd_factors_of_stream(&self) -> [f64; 2] {
-        self.sd_factors_on_bench.unwrap_or(self.sd_factors)
+    pub fn sd_factors_of_stream(&self) -> [SdFactors; 2] {
+        self.sd_on_bench.clone().unwrap_or_else(|| self.sd_factors.map(SdFactors::even))
     }
 
     /// Whether a sweep over an object that was trained on was kept back for the evaluation.
@@ -222,7 +223,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         net,
         inverse,
         filter: card.training.filter,
-        sd_factors: card.sd_factors,
+        sd_factors: card.sd_factors.map(SdFactors::even),
         device: device.clone(),
     };
     tracker.check()?;

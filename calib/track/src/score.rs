@@ -15,6 +15,8 @@ pub struct Compared {
     pub off_mm: Vector3<f64>,
     /// Squared distance in units of the stated covariance; `None` where none is stated.
     pub mahalanobis2: Option<f64>,
+    /// Root of the stated covariance's trace, mm.
+    pub stated_mm: Option<f64>,
     /// Part of the error along the contact's way over the sample, mm (0 where it did not move).
     pub along_mm: f64,
 }
@@ -30,7 +32,8 @@ impl Compared {
     ) -> Self {
         let mahalanobis2 = covariance.and_then(|c| c.cholesky()).map(|c| off_mm.dot(&c.solve(&off_mm)));
         let along_mm = way.try_normalize(1e-9).map_or(0.0, |w| w.dot(&off_mm));
-        Self { surface_mm, off_mm, mahalanobis2, along_mm }
+        let stated_mm = covariance.map(|c| c.trace().max(0.0).sqrt());
+        Self { surface_mm, off_mm, mahalanobis2, stated_mm, along_mm }
     }
 }
 

@@ -5,6 +5,7 @@ use crate::network::model::attention_bias;
 use crate::network::{
     Attended, COMMON, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
 };
+use crate::spread::SdFactors;
 use crate::{StaticInverse, TrackError};
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -20,7 +21,7 @@ pub struct Tracker {
     /// What the filter below the network is told of the moments.
     pub filter: BayesSettings,
     /// Factors on the stated standard deviations: base's speed not known, and known.
-    pub sd_factors: [f64; 2],
+    pub sd_factors: [SdFactors; 2],
     /// Where it runs.
     pub device: Device,
 }
@@ -138,11 +139,13 @@ impl Tracker {
                 }
             }
         }
-        let factor = self.sd_factors[usize::from(base_known)].powi(2) as f32;
+        let mut trace = 0.0;
         for (i, row) in covariance.iter_mut().enumerate() {
             row[i] += LEAST_SD_MM * LEAST_SD_MM;
-            row.iter_mut().for_each(|x| *x *= factor);
+            trace += row[i];
         }
+        let factor = self.sd_factors[usize::from(base_known)].at(f64::from(trace).sqrt()).powi(2) as f32;
+        covariance.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
         let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
         Prediction { contact, several, point_mm, covariance_mm2: covariance, weights, normal }
     }

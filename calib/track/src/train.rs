@@ -21,7 +21,7 @@ mod checkpoint;
 mod loss;
 mod window;
 
-pub(crate) use bench::Bench;
+pub(crate) use bench::{Bench, between};
 pub(crate) use loss::PLACE_MM;
 use loss::loss;
 

@@ -11,6 +11,7 @@ use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::preset;
 use wcal_track::network::NetworkConfig;
+use wcal_track::spread::SdFactors;
 use wcal_track::train::{Material, TrainSettings, train};
 use wcal_track::{Course, InverseGrid, StaticInverse, Tracker};
 
@@ -85,7 +86,14 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
         assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() == !known.is_empty()));
         let (filter, inverse) = (BayesSettings::default(), inverse.clone());
-        let tracker = Tracker { config, net, inverse, filter, sd_factors: [1.0; 2], device: device.clone() };
+        let tracker = Tracker {
+            config,
+            net,
+            inverse,
+            filter,
+            sd_factors: [1.0; 2].map(SdFactors::even),
+            device: device.clone(),
+        };
         let rows = over_objects(&|c: &Course| Method::Network(&tracker, true).run(c), &judged, &meshes);
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64

@@ -14,6 +14,7 @@ use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
 use wcal_track::network::model::attention_bias;
 use wcal_track::network::{NetworkConfig, WhiskerNet};
+use wcal_track::spread::SdFactors;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
 use wcal_track::train::{Material, TrainSettings, best, train};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
@@ -72,7 +73,14 @@ fn tracker(config: NetworkConfig) -> Tracker {
     device.seed(5);
     let net = WhiskerNet::new(&config, &device).unwrap();
     let filter = BayesSettings::default();
-    Tracker { config, net, inverse: inverse().clone(), filter, sd_factors: [1.0; 2], device }
+    Tracker {
+        config,
+        net,
+        inverse: inverse().clone(),
+        filter,
+        sd_factors: [1.0; 2].map(SdFactors::even),
+        device,
+    }
 }
 
 fn samples(course: &Course) -> Vec<Sample> {
@@ -255,7 +263,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         inverse: grid(),
         whisker: whisker(),
         sd_factors: [1.0; 2],
-        sd_factors_on_bench: Some([1.5; 2]),
+        sd_on_bench: Some([1.5; 2].map(SdFactors::even)),
         sd_factors_by_class: BTreeMap::new(),
         object_classes: BTreeMap::new(),
         training: TrainSettings { filter: before.filter, ..TrainSettings::default() },

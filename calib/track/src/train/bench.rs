@@ -12,7 +12,7 @@ const CLEAN: f64 = 0.4;
 const DRIFTED_S: f64 = 10.0;
 
 /// Evenly between two bounds.
-pub(super) fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
+pub(crate) fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 

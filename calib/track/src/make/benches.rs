@@ -1,0 +1,91 @@
+//! Courses that state how wide a stream's regions are: held-out objects on benches that are not the one trained on. All of them are SIMULATED.
+
+use super::Making;
+use crate::bayes::BayesSettings;
+use crate::drawn::{Order, drawn};
+use crate::train::{Bench, between};
+use crate::{Course, TrackError, course};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_mujoco::SweepPlan;
+use wcal_mujoco::physics::{Medium, PhysicsPlan};
+
+/// Wires, and sweeps over each held-out object with each.
+const WIRES: u64 = 8;
+const SWEEPS: usize = 5;
+/// How well a wire is known: straight part and radius of the tip, mm (what pictures of a wire leave open), Young's modulus, share (nitinol's
+/// differs with temperature and heat treatment by more before it is fitted).
+const STRAIGHT_MM: f64 = 0.2;
+const RADIUS_MM: f64 = 0.3;
+const YOUNGS: f64 = 0.03;
+/// Coefficients of friction.
+const FRICTION: [f64; 2] = [0.0, 0.3];
+/// Rate of the sweeps that networks are trained on, Hz.
+const RATE_HZ: f64 = 10.0;
+
+/// Sweeps with what the filter is told of the bench.
+pub(super) type OnBenches = Vec<(Course, BayesSettings)>;
+
+/// A wire as it may be where this one is declared.
+fn other_wire(declared: &WhiskerSpec, rng: &mut ChaCha8Rng) -> WhiskerSpec {
+    let mut off = |most: f64| between(rng, -most, most);
+    let stiffer = 1.0 + off(YOUNGS);
+    let rest_shape = match &declared.rest_shape {
+        RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } => RestShape::StraightArc {
+            straight_mm: straight_mm + off(STRAIGHT_MM),
+            arc_radius_mm: arc_radius_mm + off(RADIUS_MM),
+            length_mm: *length_mm,
+        },
+        polyline => polyline.clone(),
+    };
+    WhiskerSpec {
+        youngs_gpa: declared.youngs_gpa * stiffer,
+        shear_gpa: declared.shear_gpa * stiffer,
+        rest_shape,
+        ..declared.clone()
+    }
+}
+
+/// Held-out objects under other wires than the declared one, with friction, weight and the drag of air; where an object's mesh is not known, its
+/// sweeps as they are, of every kind that was trained on. Each on a bench of its own.
+pub(super) fn on_benches(
+    making: &Making<'_>,
+    objects: &[String],
+    held_out: &[Course],
+) -> Result<OnBenches, TrackError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(making.settings.seed ^ 0xbe_4c4);
+    let physics =
+        PhysicsPlan { friction: FRICTION, medium: Medium::Air, weight: true, ..PhysicsPlan::default() };
+    let plan = SweepPlan { rate_hz: RATE_HZ, physics, ..SweepPlan::default() };
+    let names: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
+    let (known, unknown): (Vec<&String>, Vec<&String>) =
+        names.into_iter().partition(|n| making.meshes.contains_key(*n));
+    let mut all = Vec::new();
+    for wire in 0..WIRES {
+        let whisker = other_wire(&making.whisker, &mut rng);
+        for mesh in known.iter().filter_map(|n| making.meshes.get(*n)) {
+            let seed = making.settings.seed ^ (wire + 1) << 40;
+            let order = Order { whisker: &whisker, plan: &plan, seed, sweeps: SWEEPS };
+            all.extend(drawn(mesh, &order)?);
+        }
+    }
+    let some = |courses: &mut dyn Iterator<Item = &Course>| -> Vec<Course> {
+        courses.take(WIRES as usize * SWEEPS).cloned().collect()
+    };
+    for name in &unknown {
+        all.extend(some(&mut held_out.iter().filter(|c| c.object == **name)));
+    }
+    for folder in making.beside.iter().filter(|_| !unknown.is_empty()) {
+        // Objects that are held out need not be among the other folder's.
+        for courses in course::read_courses(folder, &[])?.iter().filter(|(n, _)| objects.contains(n)) {
+            all.extend(some(&mut courses.1.iter()));
+        }
+    }
+    let on_bench = |course: &Course| {
+        let bench = Bench::draw(&making.settings, &mut rng);
+        (bench.course(course, &mut rng), bench.told(making.settings.filter))
+    };
+    Ok(all.iter().map(on_bench).collect())
+}

@@ -30,7 +30,17 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let card = good(&train);
     assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
     assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
-    assert!((0..2).all(|k| card["sd_factors_on_bench"][k].as_f64().unwrap() > 0.0), "{card}");
+    for k in 0..2 {
+        let numbers = |key: &str| -> Vec<f64> {
+            let of = card["sd_on_bench"][k][key].as_array().unwrap();
+            of.iter().map(|x| x.as_f64().unwrap()).collect()
+        };
+        let (at_mm, factors) = (numbers("at_mm"), numbers("factors"));
+        assert!(
+            at_mm.len() == factors.len() && at_mm.is_sorted() && factors.iter().all(|f| *f > 0.0),
+            "{card}"
+        );
+    }
     let page = std::fs::read_to_string(path("model/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
     let again = good(&train);
@@ -130,8 +140,10 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let place = path("model/model.json");
     let mut card: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(&place).unwrap()).unwrap();
-    for factor in card["sd_factors_on_bench"].as_array_mut().unwrap() {
-        *factor = (2.0 * factor.as_f64().unwrap()).into();
+    for factor in
+        card["sd_on_bench"].as_array_mut().unwrap().iter_mut().flat_map(|by| by["factors"].as_array_mut())
+    {
+        factor.iter_mut().for_each(|f| *f = (2.0 * f.as_f64().unwrap()).into());
     }
     std::fs::write(&place, card.to_string()).unwrap();
     let wider = path("wider.csv");

@@ -74,6 +74,8 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
         rate: 3e-3,
         patience: 99,
         noise_nmm: 0.0,
+        // Nothing rubs here.
+        filter: BayesSettings::default(),
         ..TrainSettings::default()
     };
     let trained: Vec<Course> = courses(&meshes, 3, 6).into_values().flatten().collect();
@@ -85,7 +87,7 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             Material { courses: &trained, held_out: &held_out, inverse: &inverse, meshes: known, from: None };
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
         assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() == !known.is_empty()));
-        let (filter, inverse) = (BayesSettings::default(), inverse.clone());
+        let (filter, inverse) = (settings.filter, inverse.clone());
         let tracker = Tracker {
             config,
             net,

@@ -15,8 +15,8 @@ use wcal_mujoco::physics::{Medium, PhysicsPlan};
 /// Wires, and sweeps over each held-out object with each.
 const WIRES: u64 = 8;
 const SWEEPS: usize = 5;
-/// How well a wire is known: straight part and radius of the tip, mm (what pictures of a wire leave open), Young's modulus, share (nitinol's
-/// differs with temperature and heat treatment by more before it is fitted).
+/// How far a wire may be from the declared one: straight part and radius of the tip, mm, Young's modulus, share. Assumed, not measured: twice what
+/// the virtual bench of `wcal evaluate` is off.
 const STRAIGHT_MM: f64 = 0.2;
 const RADIUS_MM: f64 = 0.3;
 const YOUNGS: f64 = 0.03;

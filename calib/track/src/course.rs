@@ -53,8 +53,6 @@ pub struct Course {
 const FARTHEST_MM: f64 = 1e4;
 /// Time at the start, without contact, that sets the zero (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
-/// Moments below this are what the twin's rounding leaves of none, N mm.
-const ROUNDING_NMM: f64 = 1e-12;
 
 impl Course {
     /// With the zero of the free wire at the start: its own weight is no push. What begins in contact stays as it is.
@@ -66,10 +64,8 @@ impl Course {
             let zeroed = tare.zeroed(i.t_s, i.moment_nmm);
             zero_nmm = [0, 1].map(|k| i.moment_nmm[k] - zeroed[k]);
         }
-        if zero_nmm[0].hypot(zero_nmm[1]) > ROUNDING_NMM {
-            for i in &mut self.instants {
-                i.moment_nmm = [0, 1].map(|k| i.moment_nmm[k] - zero_nmm[k]);
-            }
+        for i in &mut self.instants {
+            i.moment_nmm = [0, 1].map(|k| i.moment_nmm[k] - zero_nmm[k]);
         }
         self
     }

@@ -103,14 +103,16 @@ pub fn make_model(
         sd_factors: [1.0; 2].map(SdFactors::even),
         device: device.clone(),
     };
-    // With which the 90 % regions hold on what was not trained on.
-    let benches = on_benches(making, &objects.held_out, &held_out)?;
+    // A network without knots states no spread.
+    let benches =
+        if network.nodes > 0 { on_benches(making, &objects.held_out, &held_out)? } else { Vec::new() };
     let on_bench = [false, true].map(|known| {
         let of = |(course, filter): &(Course, BayesSettings)| regions(&tracker, *filter, course, known);
         let all: Vec<Compared> = benches.par_iter().flat_map_iter(of).map(|r| r.1).collect();
         SdFactors::calibrated(&all)
     });
     let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
+    // With which the 90 % regions hold on what was not trained on.
     let sd_factors =
         held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
@@ -124,7 +126,7 @@ pub fn make_model(
         inverse: network_grid(),
         whisker: making.whisker.clone(),
         sd_factors,
-        sd_on_bench: Some(on_bench),
+        sd_on_bench: (!benches.is_empty()).then_some(on_bench),
         sd_factors_by_class: spread_by_class(&held_out_regions, sd_factors, &making.classes),
         object_classes: making.classes.clone(),
         training: making.settings,

@@ -12,9 +12,10 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::SweepPlan;
 use wcal_mujoco::physics::{Medium, PhysicsPlan};
 
-/// Wires, and sweeps over each held-out object with each.
+/// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a split by sweeps).
 const WIRES: u64 = 8;
 const SWEEPS: usize = 5;
+const OF_WIRE: usize = 60;
 /// How far a wire may be from the declared one: straight part and radius of the tip, mm, Young's modulus, share. Assumed, not measured: twice what
 /// the virtual bench of `wcal evaluate` is off.
 const STRAIGHT_MM: f64 = 0.2;
@@ -62,12 +63,13 @@ pub(super) fn on_benches(
     let names: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
     let (known, unknown): (Vec<&String>, Vec<&String>) =
         names.into_iter().partition(|n| making.meshes.contains_key(*n));
+    let sweeps = (OF_WIRE / known.len().max(1)).clamp(1, SWEEPS);
     let mut all = Vec::new();
     for wire in 0..WIRES {
         let whisker = other_wire(&making.whisker, &mut rng);
         for mesh in known.iter().filter_map(|n| making.meshes.get(*n)) {
             let seed = making.settings.seed ^ (wire + 1) << 40;
-            let order = Order { whisker: &whisker, plan: &plan, seed, sweeps: SWEEPS };
+            let order = Order { whisker: &whisker, plan: &plan, seed, sweeps };
             all.extend(drawn(mesh, &order)?);
         }
     }

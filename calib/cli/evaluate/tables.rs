@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_mujoco::physics::Medium;
 use wcal_mujoco::{Mesh, SweepPlan, Turn};
+use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{mean_interval95, worst_interval95};
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
@@ -142,7 +143,7 @@ impl Maker<'_> {
     /// The tracker told of a calibration's noise, with the spread of a stream, as `wcal track` has it.
     fn told(&self, by: &CalibrationModel) -> Tracker {
         Tracker {
-            filter: told(self.tracker.filter, by),
+            filters: told(self.tracker.filters, by),
             sd_factors: self.card.sd_factors_of_stream(),
             ..self.tracker.clone()
         }
@@ -155,6 +156,7 @@ impl Maker<'_> {
         unseen: &Meshes,
     ) -> anyhow::Result<(Value, Value)> {
         let by = bench.verified.as_ref().unwrap_or(&bench.map);
+        let rough = told(BayesSettings::rough().into(), by).first;
         let told = self.told(by);
         let score = |meshes: &Meshes, courses: &Courses, known: bool| {
             over_objects(&|c: &Course| Method::Network(&told, known).run(c), courses, meshes)
@@ -208,11 +210,7 @@ impl Maker<'_> {
             row("damping-bias", score(unseen, &damped(&felt), true)?),
             row(
                 "bayes-filter",
-                over_objects(
-                    &|c: &Course| Method::Bayes(&told.inverse, true, &told.filter).run(c),
-                    &felt,
-                    unseen,
-                )?,
+                over_objects(&|c: &Course| Method::Bayes(&told.inverse, true, &rough).run(c), &felt, unseen)?,
             ),
         ];
         for (name, map) in &bench.maps {

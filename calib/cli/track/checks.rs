@@ -5,7 +5,7 @@ use anyhow::Result;
 use std::path::{Path, PathBuf};
 use wcal_core::{CalibrationFile, VerificationStatus};
 use wcal_map::OutputMap;
-use wcal_track::bayes::BayesSettings;
+use wcal_track::bayes::Filters;
 use wcal_track::model_file::Card;
 use wcal_track::stream::trained_steps_s;
 use wcal_track::{Stream, Tracker};
@@ -60,8 +60,8 @@ const WHITE: f64 = 0.2;
 /// Share by which the zero may be off in a recording. An assumption too.
 const ZERO: f64 = 0.5;
 
-/// A filter told of the moments that come through a calibration.
-pub fn told(filter: BayesSettings, model: &CalibrationModel) -> BayesSettings {
+/// Filters told of the moments that come through a calibration.
+pub fn told(filters: Filters, model: &CalibrationModel) -> Filters {
     let noise_nmm = match model {
         CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
         CalibrationModel::Physical(model) => {
@@ -69,13 +69,13 @@ pub fn told(filter: BayesSettings, model: &CalibrationModel) -> BayesSettings {
         }
         CalibrationModel::Scalar(_) => 0.0,
     };
-    filter.told(WHITE * noise_nmm, ZERO * noise_nmm)
+    filters.told(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 
 impl Loaded<'_> {
-    /// A stream whose filter is told of the calibration's noise.
+    /// A stream whose filters are told of the calibration's noise.
     pub fn stream(&self) -> Stream<'_> {
-        self.tracker.stream_told(told(self.tracker.filter, &self.file.model))
+        self.tracker.stream_told(told(self.tracker.filters, &self.file.model))
     }
 }
 

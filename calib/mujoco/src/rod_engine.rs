@@ -13,8 +13,9 @@ use wcal_rod::{Chain, Contact, Links, Pressed, Rubbing, Section, Shape, Surface}
 
 /// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/physics.rs).
 pub const LINKS: usize = 40;
-/// Longest step of the base between equilibria, mm, and how often it is halved where Newton's method does not get there.
-const STEP_MM: f64 = 1.0;
+/// Longest step of the base between equilibria, mm, and how often it is halved where Newton's method does not get there. Less than the
+/// wire's radius: with longer ones the centre line is inside a thin body before it is felt, and comes out on the other side.
+const STEP_MM: f64 = 0.1;
 const HALVINGS: u32 = 2;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
 const NEWTON_STEPS: usize = 60;
@@ -29,6 +30,8 @@ const SPRING_MM: f64 = 1.5;
 const SLIP_RATIO: f64 = 4.0;
 /// The first samples keep this distance, mm: nearer, the wire begins inside the object.
 const CLEAR_MM: f64 = 0.0;
+/// Gaps beyond this need not be known, mm.
+const CLEARED_MM: f64 = 4.0;
 /// Mesh on which the rest shape is read, mm.
 const SHAPE_STEP_MM: f64 = 0.25;
 
@@ -211,7 +214,7 @@ impl Way<'_> {
     /// Least gap of the wire's nodes where they are, mm; infinite where nothing is near.
     fn clearance_mm(&self) -> f64 {
         let body = self.at(self.travel_mm);
-        let within = 4.0 * STEP_MM;
+        let within = CLEARED_MM;
         let gap = |p: &Vector3<f64>| {
             body.near(p, within).map_or(f64::INFINITY, |n| n.distance_mm - self.chain.radius_mm)
         };

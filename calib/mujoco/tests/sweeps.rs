@@ -131,6 +131,39 @@ fn a_sweep_past_a_can_begins_free_touches_and_comes_free() {
     assert!(whole.1.samples[0].contacts.is_empty() && whole.1.samples[0].moment_nmm.norm() < 1e-9);
 }
 
+/// A plate, thinner than the way of the base from sample to sample, mm.
+fn plate() -> Mesh {
+    let corner = |k: usize| {
+        let [x, y, z] = [0, 1, 2].map(|bit| if k >> bit & 1 == 1 { 0.5 } else { -0.5 });
+        Vector3::new(40.0 * x, 40.0 * y, 0.5 * z)
+    };
+    let points: Vec<Vector3<f64>> = (0..8).map(corner).collect();
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let triangles: Vec<[u32; 3]> =
+        faces.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+    Mesh::new("plate", &points, &triangles).unwrap()
+}
+
+/// What a sweep over a thin plate feels does not depend on how often it is sampled: the wire does not pass through between two samples.
+#[test]
+fn a_wire_does_not_pass_through_a_thin_plate() {
+    let (mesh, engine) = (plate(), RodEngine::new(&whisker(), LINKS).unwrap());
+    let [seldom, often] = [5.0, 50.0].map(|rate_hz| SweepPlan { rate_hz, ..SweepPlan::default() });
+    let (mut touching, mut apart) = (0, 0);
+    for k in 0..24 {
+        let Some(sweep) = Sweep::draw(&mesh, &seldom, 7, k, engine.reach_mm()) else { continue };
+        let [coarse, fine] = [&seldom, &often].map(|plan| engine.run(&mesh, &sweep, plan));
+        for (a, b) in coarse.samples.iter().zip(fine.samples.iter().step_by(10)) {
+            assert!((a.t_s - b.t_s).abs() < 1e-9);
+            touching += usize::from(!b.contacts.is_empty());
+            let off = (a.moment_nmm - b.moment_nmm).norm();
+            apart += usize::from(off > 0.002 + 0.02 * b.moment_nmm.norm());
+        }
+    }
+    println!("{apart} of {touching} samples in contact differ");
+    assert!(touching > 300 && apart * 50 < touching, "{apart} of {touching}");
+}
+
 #[test]
 fn faces_are_upright_and_a_quarter_turn_apart() {
     let mesh = objects::built_in("can").unwrap();

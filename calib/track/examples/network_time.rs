@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&folder)?;
     let device = Device::flex();
     device.seed(7);
-    let config = NetworkConfig { dropout: 0.0, ..NetworkConfig::paper(FeatureMaker::width(NODES)) };
+    let config = NetworkConfig { dropout: 0.0, ..NetworkConfig::paper(FeatureMaker::width(NODES, false)) };
     let case = Case::new(&config, &device);
     let net = WhiskerNet::new(&config, &device)?;
     let mut store = SafetensorsStore::from_file(folder.join("net.safetensors")).overwrite(true);

@@ -113,6 +113,12 @@ impl BayesSettings {
         }
     }
 
+    /// The same beside one that slides freely (`Filters`): objects without friction are left to that one.
+    #[must_use]
+    pub fn dragged() -> Self {
+        Self { friction: [0.1, 0.25, 0.25], ..Self::rough() }
+    }
+
     /// Coefficients considered, each once.
     fn frictions(&self) -> &[f64] {
         let distinct = 1 + self.friction.windows(2).filter(|pair| pair[0] < pair[1]).count();
@@ -169,6 +175,30 @@ impl Default for BayesSettings {
             speeds: 11,
             speed_change_per_s: 0.05,
         }
+    }
+}
+
+/// The filters below a network, which weighs them against each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Filters {
+    /// The one for all objects, or for those with friction.
+    pub first: BayesSettings,
+    /// One beside it, for objects without friction.
+    pub beside: Option<BayesSettings>,
+}
+
+impl Filters {
+    /// Both for moments with this white noise, and with a zero that is off by so much, N mm.
+    #[must_use]
+    pub fn told(self, noise_nmm: f64, zero_nmm: f64) -> Self {
+        let told = |s: BayesSettings| s.told(noise_nmm, zero_nmm);
+        Self { first: told(self.first), beside: self.beside.map(told) }
+    }
+}
+
+impl From<BayesSettings> for Filters {
+    fn from(first: BayesSettings) -> Self {
+        Self { first, beside: None }
     }
 }
 
@@ -279,16 +309,32 @@ impl<'a> BayesFilter<'a> {
 
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
+        let inverse = self.inverse;
+        self.step_on(dt_s, moment_nmm, base_mm_s, |moment_nmm, now| inverse.candidates(moment_nmm, now))
+    }
+
+    /// The same with the candidates of a filter that has taken the sample, of the same onset.
+    pub fn step_beside(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>, other: &Self) {
+        self.step_on(dt_s, moment_nmm, base_mm_s, |_, now| now.clone_from(&other.now));
+    }
+
+    fn step_on(
+        &mut self,
+        dt_s: f64,
+        moment_nmm: [f64; 2],
+        base_mm_s: Option<f64>,
+        candidates: impl FnOnce([f64; 2], &mut Vec<Candidate>),
+    ) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
         let size = moment_nmm[0].hypot(moment_nmm[1]);
         if size < self.settings.onset_nmm {
             // What is left of a free wire's moments has no direction: what is seen of it depends on none.
-            self.inverse.candidates(FREE_NMM, &mut self.now);
+            candidates(FREE_NMM, &mut self.now);
             self.weights.clear();
             self.log_evidence = 0.0;
             return None;
         }
-        self.inverse.candidates(moment_nmm, &mut self.now);
+        candidates(moment_nmm, &mut self.now);
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         self.log_evidence = 0.0;
         // Each speed stands for those around it.

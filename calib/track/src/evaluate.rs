@@ -1,6 +1,6 @@
 //! Trackers over courses: the network and the baselines beside it, object by object. All of it is SIMULATED.
 
-use crate::bayes::{BayesFilter, BayesSettings};
+use crate::bayes::{BayesFilter, BayesSettings, Filters};
 use crate::bootstrap::SweepSums;
 use crate::score::{Compared, Detection, Scores, detection, scores};
 use crate::{Course, Sample, StaticInverse, TrackError, Tracker};
@@ -45,7 +45,7 @@ impl Method<'_> {
     pub fn run(&self, course: &Course) -> Vec<Estimate> {
         let size = |m: [f64; 2]| m[0].hypot(m[1]);
         match self {
-            Self::Network(tracker, known) => by_network(tracker, tracker.filter, course, *known),
+            Self::Network(tracker, known) => by_network(tracker, tracker.filters, course, *known),
             Self::Bayes(inverse, known, settings) => {
                 let mut filter = BayesFilter::new(inverse, **settings);
                 let mut last_s = 0.0;
@@ -84,7 +84,7 @@ impl Method<'_> {
     }
 }
 
-fn by_network(tracker: &Tracker, filter: BayesSettings, course: &Course, known: bool) -> Vec<Estimate> {
+fn by_network(tracker: &Tracker, filters: Filters, course: &Course, known: bool) -> Vec<Estimate> {
     let sample = |i: &crate::Instant| Sample {
         t_s: i.t_s,
         moment_nmm: i.moment_nmm,
@@ -97,7 +97,7 @@ fn by_network(tracker: &Tracker, filter: BayesSettings, course: &Course, known: 
         covariance_mm2: (tracker.config.nodes > 0)
             .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
     };
-    tracker.course_told(filter, &samples).into_iter().map(answer).collect()
+    tracker.course_told(filters, &samples).into_iter().map(answer).collect()
 }
 
 fn middle(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
@@ -157,19 +157,19 @@ pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(C
 /// The network's places and stated spreads beside the truth, where there is contact, with the object's name.
 #[must_use]
 pub fn held_out_regions(tracker: &Tracker, courses: &[Course], base_known: bool) -> Vec<(String, Compared)> {
-    let all = courses.par_iter().flat_map_iter(|c| regions(tracker, tracker.filter, c, base_known));
+    let all = courses.par_iter().flat_map_iter(|c| regions(tracker, tracker.filters, c, base_known));
     all.collect()
 }
 
-/// The same over one course, the filter told of other noise.
+/// The same over one course, the filters told of other noise.
 #[must_use]
 pub fn regions(
     tracker: &Tracker,
-    filter: BayesSettings,
+    filters: Filters,
     course: &Course,
     base_known: bool,
 ) -> Vec<(String, Compared)> {
-    let estimates = by_network(tracker, filter, course, base_known);
+    let estimates = by_network(tracker, filters, course, base_known);
     let both = course.instants.iter().zip(&estimates);
     both.filter_map(|(i, e)| Some((i.contact?, e)))
         .map(|(c, e)| {

@@ -1,6 +1,6 @@
 //! From a folder of sweeps to a trained model with its card.
 
-use crate::bayes::BayesSettings;
+use crate::bayes::{BayesSettings, Filters};
 use crate::classes::{ObjectClasses, spread_by_class};
 use crate::evaluate::{held_out_regions, regions};
 use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
@@ -87,7 +87,13 @@ pub fn make_model(
         courses.extend(more.into_values().flatten());
     }
     let inverse = StaticInverse::new(&making.whisker, network_grid())?;
-    let network = preset(making.preset, &inverse)?;
+    let network = preset(making.preset, &inverse, making.settings.filter_beside.is_some())?;
+    let mut settings = making.settings;
+    if !network.two_filters && settings.filter_beside.is_some() {
+        // What weighs none against another has one for all objects.
+        (settings.filter, settings.filter_beside) = (BayesSettings::rough(), None);
+    }
+    let making = &Making { settings, ..making.clone() };
     let from =
         making.from.map(|folder| began_with(folder, &network, &objects, sweeps_trained)).transpose()?;
     let (meshes, from_folder) = (making.meshes, making.from);
@@ -99,7 +105,7 @@ pub fn make_model(
         config: network,
         net,
         inverse,
-        filter: making.settings.filter,
+        filters: settings.filters(),
         sd_factors: [1.0; 2].map(SdFactors::even),
         device: device.clone(),
     };
@@ -107,7 +113,7 @@ pub fn make_model(
     let benches =
         if network.nodes > 0 { on_benches(making, &objects.held_out, &held_out)? } else { Vec::new() };
     let on_bench = [false, true].map(|known| {
-        let of = |(course, filter): &(Course, BayesSettings)| regions(&tracker, *filter, course, known);
+        let of = |(course, filters): &(Course, Filters)| regions(&tracker, *filters, course, known);
         let all: Vec<Compared> = benches.par_iter().flat_map_iter(of).map(|r| r.1).collect();
         SdFactors::calibrated(&all)
     });

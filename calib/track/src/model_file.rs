@@ -222,7 +222,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         config: card.network,
         net,
         inverse,
-        filter: card.training.filter,
+        filters: card.training.filters(),
         sd_factors: card.sd_factors.map(SdFactors::even),
         device: device.clone(),
     };
@@ -256,16 +256,17 @@ pub fn network_grid() -> InverseGrid {
     InverseGrid { step_mm: 1.0, refine: 2, leans: 8, ..InverseGrid::default() }
 }
 
-/// Sizes of a preset on a curve.
+/// Sizes of a preset on a curve; only the default one weighs two filters.
 ///
 /// # Errors
 /// Names the presets.
-pub fn preset(name: &str, inverse: &StaticInverse) -> Result<NetworkConfig, TrackError> {
+pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<NetworkConfig, TrackError> {
     let nodes = inverse.nodes.len();
-    let inputs = FeatureMaker::width(nodes);
     match name {
-        "default" => Ok(NetworkConfig::small(inputs, knots(nodes).len())),
-        "paper" => Ok(NetworkConfig::paper(inputs)),
+        "default" => {
+            Ok(NetworkConfig::small(FeatureMaker::width(nodes, two_filters), knots(nodes).len(), two_filters))
+        }
+        "paper" => Ok(NetworkConfig::paper(FeatureMaker::width(nodes, false))),
         "baseline" => Ok(NetworkConfig::baseline()),
         _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
     }

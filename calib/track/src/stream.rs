@@ -1,6 +1,6 @@
 //! Tracks sample by sample, and whole courses at once; both give the same answers.
 
-use crate::bayes::BayesSettings;
+use crate::bayes::Filters;
 use crate::network::model::attention_bias;
 use crate::network::{
     Attended, COMMON, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
@@ -18,8 +18,8 @@ pub struct Tracker {
     pub net: WhiskerNet,
     /// Curve of candidates.
     pub inverse: StaticInverse,
-    /// What the filter below the network is told of the moments.
-    pub filter: BayesSettings,
+    /// The filters below the network.
+    pub filters: Filters,
     /// Factors on the stated standard deviations: base's speed not known, and known.
     pub sd_factors: [SdFactors; 2],
     /// Where it runs.
@@ -41,8 +41,12 @@ impl Tracker {
     /// # Errors
     /// Where network and curve do not fit each other.
     pub fn check(&self) -> Result<(), TrackError> {
-        let (nodes, width) =
-            (knots(self.inverse.nodes.len()).len(), FeatureMaker::width(self.inverse.nodes.len()));
+        let nodes = self.inverse.nodes.len();
+        let (nodes, width) = (knots(nodes).len(), FeatureMaker::width(nodes, self.config.two_filters));
+        if self.config.two_filters != self.filters.beside.is_some() {
+            let found = if self.config.two_filters { "one" } else { "two" };
+            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
+        }
         let plain = self.config.inputs == COMMON && self.config.nodes == 0;
         if !plain && (self.config.inputs != width || ![0, nodes].contains(&self.config.nodes)) {
             let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
@@ -54,15 +58,15 @@ impl Tracker {
     /// A stream from its beginning.
     #[must_use]
     pub fn stream(&self) -> Stream<'_> {
-        self.stream_told(self.filter)
+        self.stream_told(self.filters)
     }
 
-    /// A stream from its beginning whose filter is told of other noise.
+    /// A stream from its beginning whose filters are told of other noise.
     #[must_use]
-    pub fn stream_told(&self, filter: BayesSettings) -> Stream<'_> {
+    pub fn stream_told(&self, filters: Filters) -> Stream<'_> {
         Stream {
             tracker: self,
-            features: FeatureMaker::of(&self.config, &self.inverse, filter),
+            features: FeatureMaker::of(&self.config, &self.inverse, filters),
             memory: Attended::default(),
             last_s: None,
         }
@@ -71,13 +75,13 @@ impl Tracker {
     /// All answers of a course in one pass.
     #[must_use]
     pub fn course(&self, samples: &[Sample]) -> Vec<Prediction> {
-        self.course_told(self.filter, samples)
+        self.course_told(self.filters, samples)
     }
 
-    /// The same with the filter told of other noise.
+    /// The same with the filters told of other noise.
     #[must_use]
-    pub fn course_told(&self, filter: BayesSettings, samples: &[Sample]) -> Vec<Prediction> {
-        let mut features = FeatureMaker::of(&self.config, &self.inverse, filter);
+    pub fn course_told(&self, filters: Filters, samples: &[Sample]) -> Vec<Prediction> {
+        let mut features = FeatureMaker::of(&self.config, &self.inverse, filters);
         let mut last_s = None;
         let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
         if tokens.is_empty() {
@@ -116,7 +120,12 @@ impl Tracker {
                 Some(next) => out[knot] * (1.0 - u) + next * u,
                 None => out[knot],
             });
-        let mut weights: Vec<f32> = factors.zip(&token.believed).map(|(f, b)| f + (b + doubt).ln()).collect();
+        let mut believed = token.believed.clone();
+        if self.config.two_filters {
+            let share = 1.0 / (1.0 + (-out[k + 6]).exp());
+            believed.iter_mut().zip(&token.beside).for_each(|(b, beside)| *b += (beside - *b) * share);
+        }
+        let mut weights: Vec<f32> = factors.zip(&believed).map(|(f, b)| f + (b + doubt).ln()).collect();
         let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         weights.iter_mut().for_each(|w| *w = (*w - most).exp());
         let total: f32 = weights.iter().sum();

@@ -1,6 +1,6 @@
 //! Training: windows of courses with what a bench adds to them, early stop on held-out objects, taken up again where it stopped.
 
-use crate::bayes::BayesSettings;
+use crate::bayes::{BayesSettings, Filters};
 use crate::model_file::put_weights;
 use crate::network::{NetworkConfig, WhiskerNet};
 use crate::{Course, StaticInverse, TrackError};
@@ -54,6 +54,9 @@ pub struct TrainSettings {
     /// What the filter below the network assumes; models of before it was written down had the default one.
     #[serde(default)]
     pub filter: BayesSettings,
+    /// A second one, which the network weighs against it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filter_beside: Option<BayesSettings>,
     /// Seed of all draws.
     pub seed: u64,
 }
@@ -72,13 +75,20 @@ impl Default for TrainSettings {
             noise_nmm: 0.006,
             gain: 0.005,
             drift_nmm_s: 0.0004,
-            filter: BayesSettings::rough(),
+            filter: BayesSettings::dragged(),
+            filter_beside: Some(BayesSettings::default()),
             seed: 1,
         }
     }
 }
 
 impl TrainSettings {
+    /// The filters below the network.
+    #[must_use]
+    pub fn filters(&self) -> Filters {
+        Filters { first: self.filter, beside: self.filter_beside }
+    }
+
     /// Courses as the twin made them.
     fn as_it_is(&self) -> Self {
         Self { noise_nmm: 0.0, gain: 0.0, drift_nmm_s: 0.0, time_factor: [1.0; 2], ..*self }

@@ -19,7 +19,7 @@ fn called(tracker: &Tracker, quiet: &[(f64, [f64; 2], f64)], noise_nmm: f64, kno
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     // Twelve even ones less their mean are as good as Gaussian here.
     let mut gauss = || (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>();
-    let mut stream = tracker.stream_told(tracker.filter.told(noise_nmm, 0.0));
+    let mut stream = tracker.stream_told(tracker.filters.told(noise_nmm, 0.0));
     let one = |(t_s, moment_nmm, speed): &(f64, [f64; 2], f64)| {
         let moment_nmm = moment_nmm.map(|m| m + noise_nmm * gauss());
         let sample = Sample { t_s: *t_s, moment_nmm, base_mm_s: known.then_some(*speed) };

@@ -6,7 +6,6 @@ use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Mesh, SweepPlan, objects};
-use wcal_track::bayes::BayesSettings;
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::preset;
@@ -64,7 +63,7 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
         ..InverseGrid::default()
     };
     let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
-    let small = preset("default", &inverse).unwrap();
+    let small = preset("default", &inverse, true).unwrap();
     let config =
         NetworkConfig { layers: 1, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..small };
     let settings = TrainSettings {
@@ -74,8 +73,6 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
         rate: 3e-3,
         patience: 99,
         noise_nmm: 0.0,
-        // Nothing rubs here.
-        filter: BayesSettings::default(),
         ..TrainSettings::default()
     };
     let trained: Vec<Course> = courses(&meshes, 3, 6).into_values().flatten().collect();
@@ -87,12 +84,12 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             Material { courses: &trained, held_out: &held_out, inverse: &inverse, meshes: known, from: None };
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
         assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() == !known.is_empty()));
-        let (filter, inverse) = (settings.filter, inverse.clone());
+        let (filters, inverse) = (settings.filters(), inverse.clone());
         let tracker = Tracker {
             config,
             net,
             inverse,
-            filter,
+            filters,
             sd_factors: [1.0; 2].map(SdFactors::even),
             device: device.clone(),
         };

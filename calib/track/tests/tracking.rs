@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, SweepPlan, objects};
-use wcal_track::bayes::BayesSettings;
+use wcal_track::bayes::{BayesFilter, BayesSettings, Filters};
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
@@ -64,7 +64,7 @@ fn courses() -> &'static BTreeMap<String, Vec<Course>> {
 }
 
 fn tiny() -> NetworkConfig {
-    let config = preset("default", inverse()).unwrap();
+    let config = preset("default", inverse(), true).unwrap();
     NetworkConfig { layers: 2, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..config }
 }
 
@@ -72,12 +72,11 @@ fn tracker(config: NetworkConfig) -> Tracker {
     let device = Device::flex();
     device.seed(5);
     let net = WhiskerNet::new(&config, &device).unwrap();
-    let filter = BayesSettings::default();
     Tracker {
         config,
         net,
         inverse: inverse().clone(),
-        filter,
+        filters: TrainSettings::default().filters(),
         sd_factors: [1.0; 2].map(SdFactors::even),
         device,
     }
@@ -234,6 +233,44 @@ fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
     assert!(answers[middle] != change(middle - 5)[middle]);
 }
 
+/// A filter that is handed the candidates believes what it does by itself; it is another one than the first.
+#[test]
+fn a_filter_beside_another_believes_what_it_does_alone() {
+    let both = TrainSettings::default().filters();
+    let filter = |settings| BayesFilter::new(inverse(), settings);
+    let (mut first, mut beside, mut alone) =
+        (filter(both.first), filter(both.beside.unwrap()), filter(both.beside.unwrap()));
+    let mut apart = 0.0_f64;
+    for sample in samples(&courses()["can"][1]) {
+        first.step(0.1, sample.moment_nmm, sample.base_mm_s);
+        beside.step_beside(0.1, sample.moment_nmm, sample.base_mm_s, &first);
+        alone.step(0.1, sample.moment_nmm, sample.base_mm_s);
+        assert_eq!(beside.candidates(), alone.candidates());
+        assert_eq!(beside.posterior(), alone.posterior());
+        let off = first.posterior().iter().zip(beside.posterior()).map(|(a, b)| (a - b).abs()).sum();
+        apart = apart.max(off);
+    }
+    assert!(apart > 0.1, "{apart}");
+}
+
+/// A network that weighs two filters sees both; without the second it is refused.
+#[test]
+fn a_network_that_weighs_two_filters_needs_both() {
+    let both = tracker(tiny());
+    both.check().unwrap();
+    let one = Tracker { filters: both.filters.first.into(), ..both.clone() };
+    let error = one.check().unwrap_err().to_string();
+    assert!(error.contains("filters below the network"), "{error}");
+    let all = samples(&courses()["can"][1]);
+    let with_beside = |beside| {
+        let filters = Filters { beside: Some(beside), ..both.filters };
+        Tracker { filters, ..both.clone() }.course(&all)
+    };
+    // The first filter beside itself: another answer than with the one for objects without friction.
+    let (alone, apart) = (with_beside(both.filters.first), both.course(&all));
+    assert!(alone.iter().zip(&apart).any(|(a, b)| (a.point_mm[0] - b.point_mm[0]).abs() > 0.1));
+}
+
 #[test]
 fn a_stream_gives_what_the_batch_gives() {
     for config in [tiny(), NetworkConfig { nodes: 0, ..tiny() }] {
@@ -253,8 +290,9 @@ fn a_stream_gives_what_the_batch_gives() {
 #[test]
 fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     let folder = tempfile::tempdir().unwrap();
-    // Another filter than models have by default: the card says which one.
-    let before = Tracker { filter: BayesSettings::rough(), ..tracker(tiny()) };
+    // Other filters than models have by default: the card says which ones.
+    let filters = Filters { first: BayesSettings::rough(), ..tracker(tiny()).filters };
+    let before = Tracker { filters, ..tracker(tiny()) };
     let mut card = Card {
         format: FORMAT.into(),
         trained_on_simulation: true,
@@ -266,7 +304,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         sd_on_bench: Some([1.5; 2].map(SdFactors::even)),
         sd_factors_by_class: BTreeMap::new(),
         object_classes: BTreeMap::new(),
-        training: TrainSettings { filter: before.filter, ..TrainSettings::default() },
+        training: TrainSettings { filter: filters.first, ..TrainSettings::default() },
         passes: Vec::new(),
         objects: Split::default(),
         data: BTreeMap::new(),

@@ -1,7 +1,7 @@
 //! Courses that state how wide a stream's regions are: held-out objects on benches that are not the one trained on. All of them are SIMULATED.
 
 use super::Making;
-use crate::bayes::BayesSettings;
+use crate::bayes::Filters;
 use crate::drawn::{Order, drawn};
 use crate::train::{Bench, between};
 use crate::{Course, TrackError, course};
@@ -27,7 +27,7 @@ const FRICTION: [f64; 2] = [0.0, 0.3];
 const RATE_HZ: f64 = 10.0;
 
 /// Sweeps with what the filter is told of the bench.
-pub(super) type OnBenches = Vec<(Course, BayesSettings)>;
+pub(super) type OnBenches = Vec<(Course, Filters)>;
 
 /// A wire as it may be where this one is declared.
 fn other_wire(declared: &WhiskerSpec, rng: &mut ChaCha8Rng) -> WhiskerSpec {
@@ -87,7 +87,7 @@ pub(super) fn on_benches(
     }
     let on_bench = |course: &Course| {
         let bench = Bench::draw(&making.settings, &mut rng);
-        (bench.course(course, &mut rng), bench.told(making.settings.filter))
+        (bench.course(course, &mut rng), bench.told(making.settings.filters()))
     };
     Ok(all.iter().map(on_bench).collect())
 }

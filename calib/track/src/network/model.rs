@@ -30,6 +30,9 @@ pub struct NetworkConfig {
     pub dropout: f64,
     /// Tokens that an answer may look back on, its own included.
     pub context: usize,
+    /// Whether there is a second filter below it, which it weighs against the first.
+    #[serde(default)]
+    pub two_filters: bool,
 }
 
 impl NetworkConfig {
@@ -46,12 +49,13 @@ impl NetworkConfig {
             feed_forward: 512,
             dropout: 0.1,
             context: 128,
+            two_filters: false,
         }
     }
 
-    /// The default network on a curve of `nodes` knots.
+    /// The default network on a curve of `nodes` knots, by one filter or two.
     #[must_use]
-    pub fn small(inputs: usize, nodes: usize) -> Self {
+    pub fn small(inputs: usize, nodes: usize, two_filters: bool) -> Self {
         Self {
             inputs,
             nodes,
@@ -62,6 +66,7 @@ impl NetworkConfig {
             feed_forward: 256,
             dropout: 0.0,
             context: 128,
+            two_filters,
         }
     }
 
@@ -78,6 +83,7 @@ impl NetworkConfig {
             feed_forward: 96,
             dropout: 0.0,
             context: 128,
+            two_filters: false,
         }
     }
 
@@ -102,10 +108,11 @@ impl NetworkConfig {
     }
 
     /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
-    /// with knots the doubt in the filter.
+    /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
     #[must_use]
     pub fn outputs(&self) -> usize {
-        self.nodes + 3 + 2 + usize::from(self.nodes > 0)
+        let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
+        self.nodes + 3 + 2 + with_knots
     }
 }
 

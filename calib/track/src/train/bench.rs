@@ -2,7 +2,7 @@
 
 use super::TrainSettings;
 use crate::Course;
-use crate::bayes::BayesSettings;
+use crate::bayes::Filters;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -34,10 +34,10 @@ impl Bench {
         Self { noise_nmm, gain, drift_nmm_s: if clean { [0.0; 2] } else { drift } }
     }
 
-    /// A filter told of it.
-    pub fn told(&self, filter: BayesSettings) -> BayesSettings {
+    /// Filters told of it.
+    pub fn told(&self, filters: Filters) -> Filters {
         let [y, z] = self.drift_nmm_s;
-        filter.told(self.noise_nmm, y.hypot(z) * DRIFTED_S)
+        filters.told(self.noise_nmm, y.hypot(z) * DRIFTED_S)
     }
 
     /// A moment (N mm) as the bench gives it.

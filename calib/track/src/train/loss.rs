@@ -3,7 +3,7 @@
 use super::window::Window;
 use crate::network::model::attention_bias;
 use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
-use burn::tensor::activation::{log_sigmoid, log_softmax};
+use burn::tensor::activation::{log_sigmoid, log_softmax, sigmoid};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -59,8 +59,13 @@ pub(super) fn loss(
     } else {
         let k = windows[0].points.len() / (3 * time);
         let doubt = (out.clone().narrow(1, config.nodes + 5, 1) + DOUBT).exp() / k as f32;
+        let mut believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
+        if config.two_filters {
+            let beside = gather(|w| &w.beside, [n, 1, k]).reshape([n, k]);
+            let share = sigmoid(out.clone().narrow(1, config.nodes + 6, 1));
+            believed = believed.clone() + (beside - believed) * share;
+        }
         let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
-        let believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
         let log_weights = log_softmax(factors + (believed + doubt).log(), 1);
         let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
         let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();

@@ -24,6 +24,8 @@ pub(super) struct Window<'a> {
     pub points: Vec<f32>,
     /// The filter's belief, a token and node.
     pub believed: Vec<f32>,
+    /// The same of the filter beside; empty where there is none.
+    pub beside: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,
     /// True place, mm; what no token has is 0 and not counted.
@@ -74,17 +76,18 @@ fn window<'a>(
     let stride = 1 + usize::from(between(rng, 0.0, 1.0) < 0.3);
     let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
     let first = (between(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::of(config, inverse, bench.told(settings.filter));
+    let mut features = FeatureMaker::of(config, inverse, bench.told(settings.filters()));
     let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
     let mut made = Window {
         course,
         mesh: meshes.get(&course.object),
         travel_mm: Vec::with_capacity(t),
-        inputs: Vec::with_capacity(t * FeatureMaker::width(nodes)),
+        inputs: Vec::with_capacity(t * FeatureMaker::width(nodes, config.two_filters)),
         times_s: Vec::with_capacity(t),
         points: Vec::with_capacity(t * nodes * 3),
         believed: Vec::with_capacity(t * nodes),
+        beside: Vec::with_capacity(if config.two_filters { t * nodes } else { 0 }),
         weights: Vec::with_capacity(t * nodes),
         place: Vec::with_capacity(t * 3),
         touching: Vec::with_capacity(t),
@@ -115,6 +118,7 @@ fn window<'a>(
         made.inputs.extend(token.inputs);
         made.points.extend(token.points_mm.iter().flatten());
         made.believed.extend(token.believed);
+        made.beside.extend(token.beside);
         made.times_s.push(t_s);
         made.travel_mm.push(now.travel_mm);
         made.place.extend(truth.unwrap_or_default());

@@ -27,6 +27,8 @@ const SIM_TO_REAL: [&str; 3] = ["vase", "035_power_drill", "rock"];
 /// Faces of an object in table I, and how many times as many sweeps it has as the others.
 const FACES: usize = 4;
 const UPRIGHT: usize = 4;
+/// Steps of the base in which jumps are told from slides there, mm.
+const JUMPS_TOLD_MM: f64 = 0.1;
 /// Bounds of the random speeds as shares, and of their accelerations, mm/s^2.
 const RANDOM: [f64; 2] = [0.75, 1.25];
 const RANDOM_MM_S2: f64 = 1.0;
@@ -80,10 +82,17 @@ impl Maker<'_> {
     }
 
     /// Table I as the paper draws it: objects upright, four faces in turn, sweeps with a contact jump left out. A few lost sweeps make most of
-    /// the error: there are `UPRIGHT` times as many as of the others, but where the speed is not known.
+    /// the error: there are `UPRIGHT` times as many as of the others, but where the speed is not known. Steps are short: long ones hide small
+    /// jumps.
+    /// Steps are short: long ones hide small jumps.
     fn faces(&self, seen: &Meshes, unseen: &Meshes) -> anyhow::Result<Value> {
-        let plan =
-            SweepPlan { turn: Turn::Faces, keep_jumps: false, rate_hz: RATE_HZ, ..SweepPlan::default() };
+        let plan = SweepPlan {
+            turn: Turn::Faces,
+            keep_jumps: false,
+            rate_hz: RATE_HZ,
+            step_mm: JUMPS_TOLD_MM,
+            ..SweepPlan::default()
+        };
         let fewer = self.args.sweeps_each.next_multiple_of(FACES);
         let order =
             Order { whisker: &self.card.whisker, plan: &plan, seed: self.seed(), sweeps: UPRIGHT * fewer };

@@ -13,10 +13,11 @@ use wcal_rod::{Chain, Contact, Links, Pressed, Rubbing, Section, Shape, Surface}
 
 /// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/physics.rs).
 pub const LINKS: usize = 40;
-/// Longest step of the base between equilibria, mm, and how often it is halved where Newton's method does not get there. Less than the
-/// wire's radius: with longer ones the centre line is inside a thin body before it is felt, and comes out on the other side.
-const STEP_MM: f64 = 0.1;
+/// How often a step of the base is halved where Newton's method does not get there, or the wire springs.
 const HALVINGS: u32 = 2;
+/// A free wire is touched in a step no longer than this, mm: less than its radius, or its centre line is inside a thin body before that is
+/// felt, and comes out on the other side.
+const TOUCH_MM: f64 = 0.1;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
 const NEWTON_STEPS: usize = 60;
 const SOFT_STEPS: usize = 400;
@@ -97,6 +98,7 @@ impl RodEngine {
             speed_mm_s: sweep.speed_mm_s,
             mesh,
             sweep,
+            longest_mm: plan.step_mm,
             travel_mm: 0.0,
             pressed: self.free(),
             solves: 0,
@@ -197,6 +199,7 @@ struct Way<'a> {
     speed_mm_s: f64,
     mesh: &'a Mesh,
     sweep: &'a Sweep,
+    longest_mm: f64,
     travel_mm: f64,
     pressed: Pressed,
     solves: usize,
@@ -261,14 +264,15 @@ impl Way<'_> {
     /// Follows the equilibrium; false where it is lost for good.
     fn go_to(&mut self, travel_mm: f64) -> bool {
         (self.sprung, self.settled) = (false, true);
+        let longest_mm = self.longest_mm;
         let mut halvings = 0_u32;
         while travel_mm - self.travel_mm > 1e-12 {
-            let step_mm = (STEP_MM / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
+            let step_mm = (longest_mm / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
             let next_mm = self.travel_mm + step_mm;
             let moved = Vector3::new(0.0, 0.0, -step_mm);
             self.load();
             let mut next = self.press(next_mm, &moved, false);
-            let halvable = step_mm > STEP_MM / f64::from(1 << HALVINGS);
+            let halvable = step_mm > longest_mm / f64::from(1 << HALVINGS);
             let softly = !next.converged && !halvable;
             if softly {
                 next = self.press(next_mm, &moved, true);
@@ -277,10 +281,11 @@ impl Way<'_> {
             let nodes = next.links.nodes_mm.iter().zip(&self.pressed.links.nodes_mm);
             let largest = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let springs = largest > SPRING_MM + 3.0 * step_mm;
-            // Smaller steps tell a spring from a step that was too long.
-            if (!next.converged || springs) && halvable {
+            let touched = self.pressed.contacts.is_empty() && !next.contacts.is_empty();
+            // Smaller steps tell a spring from a step that was too long, and on which side a body is met.
+            if (!next.converged || springs) && halvable || touched && step_mm > TOUCH_MM {
                 // What is left of the way may be shorter than a halved step: the same again would fail again.
-                while STEP_MM / f64::from(1 << halvings) >= step_mm {
+                while longest_mm / f64::from(1 << halvings) >= step_mm {
                     halvings += 1;
                 }
                 continue;

@@ -29,6 +29,9 @@ pub struct SweepPlan {
     pub most_mm: f64,
     /// Way after the wire is free again, mm.
     pub tail_mm: f64,
+    /// Longest step of the base between two equilibria of the rod, mm: shorter ones tell springs that are small from a fast slide, and take
+    /// that much longer.
+    pub step_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
     pub most_strain: f64,
     /// How the object lies.
@@ -71,6 +74,7 @@ impl Default for SweepPlan {
             lead_mm: [2.0, 12.0],
             most_mm: 120.0,
             tail_mm: 5.0,
+            step_mm: 1.0,
             most_strain: 0.015,
             turn: Turn::Haar,
             keep_jumps: true,
@@ -100,6 +104,7 @@ impl SweepPlan {
             ("rate_hz", self.rate_hz),
             ("most_mm", self.most_mm),
             ("tail_mm", self.tail_mm),
+            ("step_mm", self.step_mm),
             ("most_strain", self.most_strain),
         ];
         for (what, value) in positive {

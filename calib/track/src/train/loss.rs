@@ -124,3 +124,65 @@ fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
     }
     Tensor::from_data(TensorData::new(hats, [knots, nodes]), device)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::TrainSettings;
+    use super::super::window::Windows;
+    use super::*;
+    use crate::drawn::{Order, drawn};
+    use crate::model_file::preset;
+    use crate::spread::SdFactors;
+    use crate::stream::{Sample, Tracker};
+    use crate::{InverseGrid, StaticInverse};
+    use std::collections::BTreeMap;
+    use wcal_core::observation::WhiskerSpec;
+    use wcal_mujoco::{SweepPlan, objects};
+
+    /// What a training makes small is the error of what a stream answers, with one filter below the network and with two.
+    #[test]
+    fn training_and_answers_agree() {
+        let whisker = WhiskerSpec::nominal();
+        let grid = InverseGrid { step_mm: 2.0, refine: 1, leans: 3, ..InverseGrid::default() };
+        let inverse = StaticInverse::new(&whisker, grid).unwrap();
+        let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
+        let order = Order { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
+        let courses = drawn(&objects::built_in("can").unwrap(), &order).unwrap();
+        let device = Device::flex();
+        device.seed(7);
+        for two_filters in [true, false] {
+            let usual = TrainSettings { window: 64, ..TrainSettings::default() }.as_it_is();
+            let beside = usual.filter_beside.filter(|_| two_filters);
+            let settings = TrainSettings { filter_beside: beside, ..usual };
+            let config = preset("default", &inverse, two_filters).unwrap();
+            let net = WhiskerNet::new(&config, &device).unwrap();
+            let meshes = BTreeMap::new();
+            let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
+            let window = &windows.of(&courses, &settings, 5)[0];
+            let lost: Vec<f32> =
+                loss(&net, &config, &[window], &device).contact.into_data().try_to_vec().unwrap();
+            let width = window.inputs.len() / window.times_s.len();
+            let samples: Vec<Sample> = window
+                .inputs
+                .chunks(width)
+                .zip(&window.times_s)
+                .map(|(x, t_s)| Sample {
+                    t_s: *t_s,
+                    moment_nmm: [x[0], x[1]].map(|m| f64::from(m) * 0.5),
+                    base_mm_s: (x[7] > 0.5).then_some(f64::from(x[8]) * 5.0),
+                })
+                .collect();
+            let sd_factors = [1.0; 2].map(SdFactors::even);
+            let (inverse, device) = (inverse.clone(), device.clone());
+            let filters = settings.filters();
+            let tracker = Tracker { config, net, inverse, filters, sd_factors, device };
+            let mut touching = 0;
+            for (k, answer) in tracker.course(&samples).iter().enumerate().filter(|(k, _)| lost[*k] > 0.0) {
+                let off: f32 = (0..3).map(|i| (answer.point_mm[i] - window.place[3 * k + i]).powi(2)).sum();
+                assert!((off.sqrt() - lost[k].sqrt()).abs() < 2e-3, "{k}: {off} {}", lost[k]);
+                touching += 1;
+            }
+            assert!(touching > 20, "{touching}");
+        }
+    }
+}

@@ -1,5 +1,6 @@
 //! Courses drawn on the spot by the rod engine. All of them are SIMULATED.
 
+use crate::course::apart;
 use crate::{Contact, Course, Instant, TrackError};
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
@@ -56,7 +57,7 @@ fn course(mesh: &Mesh, sweep: &Sweep, run: &Run) -> Course {
         speed_mm_s: s.speed_mm_s,
         moment_nmm: [s.moment_nmm.y, s.moment_nmm.z],
         contact: s.contacts.first().map(|c| Contact { point_mm: c.point_mm, arclength_mm: c.arclength_mm }),
-        contacts: s.contacts.len(),
+        contacts: apart(s.contacts.iter().map(|c| c.arclength_mm)),
         settled: s.settled,
         event: s.event.name().to_owned(),
     });

@@ -1,4 +1,4 @@
-//! Two contacts at once: how far the two moments can tell them from one, on SIMULATED sweeps.
+//! Two contacts at once, 3 mm apart or more (`Instant::contacts`): how far the two moments can tell them from one, on SIMULATED sweeps.
 //!
 //! At any instant one contact explains any two moments: its curve of candidates has a point for every arc length. Only the way of the
 //! moments over time can speak against one contact on a rigid body; the Bayes filter's evidence is that discrepancy.

@@ -79,6 +79,11 @@ fn a_free_wire_that_hangs_has_no_moment() {
         assert!(idle < 1e-4, "{}/{}: {idle} N mm", course.object, course.sweep);
         assert!(pressed > 0.01, "{}/{}: {pressed} N mm", course.object, course.sweep);
     }
+    // A course has as many contacts whether it is drawn on the spot or read.
+    for (read, drawn) in read["ball"].iter().zip(&courses(&plan)["ball"]) {
+        let counts = |c: &Course| c.instants.iter().map(|i| i.contacts).collect::<Vec<_>>();
+        assert_eq!((read.sweep, counts(read)), (drawn.sweep, counts(drawn)));
+    }
     // Negative control: what the twin itself feels is the weight.
     let samples = wcal_mujoco::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
     let [y, z] = ["moment_y_nmm", "moment_z_nmm"].map(|k| samples.real(k).unwrap()[0]);

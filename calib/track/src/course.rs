@@ -50,7 +50,7 @@ pub struct Course {
 }
 
 /// Contacts nearer to each other along the wire than this are one, mm: they lie on facets of one smooth body, whose edges are as long (the
-/// YCB scans': median 1.7 mm, 19 of 20 up to 3.3 mm).
+/// YCB scans': median 1.7 mm, 19 of 20 up to 3.2 mm).
 const APART_MM: f64 = 3.0;
 
 /// How many contacts there are, from their arc lengths in rising order, mm.

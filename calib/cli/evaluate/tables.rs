@@ -84,7 +84,6 @@ impl Maker<'_> {
     /// Table I as the paper draws it: objects upright, four faces in turn, sweeps with a contact jump left out. A few lost sweeps make most of
     /// the error: there are `UPRIGHT` times as many as of the others, but where the speed is not known. Steps are short: long ones hide small
     /// jumps.
-    /// Steps are short: long ones hide small jumps.
     fn faces(&self, seen: &Meshes, unseen: &Meshes) -> anyhow::Result<Value> {
         let plan = SweepPlan {
             turn: Turn::Faces,

@@ -217,9 +217,8 @@ impl Way<'_> {
     /// Least gap of the wire's nodes where they are, mm; infinite where nothing is near.
     fn clearance_mm(&self) -> f64 {
         let body = self.at(self.travel_mm);
-        let within = CLEARED_MM;
         let gap = |p: &Vector3<f64>| {
-            body.near(p, within).map_or(f64::INFINITY, |n| n.distance_mm - self.chain.radius_mm)
+            body.near(p, CLEARED_MM).map_or(f64::INFINITY, |n| n.distance_mm - self.chain.radius_mm)
         };
         self.pressed.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
     }

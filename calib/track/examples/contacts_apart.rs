@@ -2,7 +2,7 @@
 //! body is scanned, contacts nearer to each other than an edge is long are one (`Instant::contacts`).
 #![allow(missing_docs, clippy::print_stdout, reason = "an example")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wcal_mujoco::{objects, read};
 
@@ -11,9 +11,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [_, sweeps, meshes] = &args[..] else { return Err("contacts_apart SWEEPS MESHES".into()) };
     let folder = PathBuf::from(sweeps);
     let (mut medians, mut longest, mut apart, mut touching) = (Vec::new(), Vec::new(), Vec::new(), 0);
-    let mut known: BTreeMap<String, ()> = BTreeMap::new();
+    let mut known = BTreeSet::new();
     for (name, manifest) in read::manifests(&folder)? {
-        if known.insert(manifest.object.clone(), ()).is_none() {
+        if known.insert(manifest.object.clone()) {
             let mesh = objects::named(&manifest.object, Some(Path::new(meshes)))?;
             let points: Vec<_> = mesh.points().collect();
             let edge = |a: u32, b: u32| (points[a as usize] - points[b as usize]).norm();

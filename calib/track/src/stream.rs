@@ -43,10 +43,7 @@ impl Tracker {
     pub fn check(&self) -> Result<(), TrackError> {
         let nodes = self.inverse.nodes.len();
         let (nodes, width) = (knots(nodes).len(), FeatureMaker::width(nodes, self.config.two_filters));
-        if self.config.two_filters != self.filters.beside.is_some() {
-            let found = if self.config.two_filters { "one" } else { "two" };
-            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
-        }
+        self.config.check_filters(&self.filters)?;
         let plain = self.config.inputs == COMMON && self.config.nodes == 0;
         if !plain && (self.config.inputs != width || ![0, nodes].contains(&self.config.nodes)) {
             let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);

@@ -153,6 +153,7 @@ pub fn train(
     if courses.is_empty() || held_out.is_empty() {
         return Err(TrackError::value("training", "courses to train on and to hold out", "none"));
     }
+    config.check_filters(&settings.filters())?;
     let learning = device.clone().autodiff();
     learning.seed(settings.seed);
     let mut net = WhiskerNet::new(config, &learning)?;

@@ -369,6 +369,9 @@ fn training_learns_and_goes_on_where_it_stopped() {
     let (_, resumed) = train(&tiny(), &settings, &material, Some(folder.path()), &device, |_| {}).unwrap();
     assert_eq!(resumed.len(), 10);
     assert!((resumed[9].held_out_loss - whole[9].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
+    let one = TrainSettings { filter_beside: None, ..settings };
+    let error = train(&tiny(), &one, &material, None, &device, |_| {}).err().unwrap();
+    assert!(error.to_string().contains("filters below the network"), "{error}");
     let other = TrainSettings { rate: 1e-3, ..settings };
     let error = train(&tiny(), &other, &material, Some(folder.path()), &device, |_| {}).err().unwrap();
     assert!(error.to_string().contains("another folder"), "{error}");

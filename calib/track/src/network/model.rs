@@ -2,6 +2,7 @@
 
 use super::{dense, fused};
 use crate::TrackError;
+use crate::bayes::Filters;
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::softmax;
@@ -103,6 +104,16 @@ impl NetworkConfig {
                 "sizes above 0, width a multiple of heads",
                 format!("{self:?}"),
             ));
+        }
+        Ok(())
+    }
+
+    /// # Errors
+    /// Where it weighs two filters and there is one, or the other way round.
+    pub fn check_filters(&self, filters: &Filters) -> Result<(), TrackError> {
+        if self.two_filters != filters.beside.is_some() {
+            let found = if self.two_filters { "one" } else { "two" };
+            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Tracks sample by sample, and whole courses at once; both give the same answers.
 
 use crate::bayes::Filters;
-use crate::network::model::attention_bias;
+use crate::network::model::{attention_bias, numbers};
 use crate::network::{
     Attended, COMMON, DOUBT, FeatureMaker, NetworkConfig, Prediction, Token, WhiskerNet, between, knots,
 };
@@ -194,8 +194,4 @@ pub(crate) const FIRST_S: f64 = 0.1;
 #[must_use]
 pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
     time_factor.map(|f| f * FIRST_S)
-}
-
-fn numbers(out: Tensor<3>) -> Vec<f32> {
-    out.into_data().try_to_vec().unwrap_or_default()
 }

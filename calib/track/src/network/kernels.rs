@@ -89,7 +89,7 @@ pub(super) fn gelu_back(x: &[f32], mut grad: Vec<f32>) -> Vec<f32> {
 
 /// Sum over a row of what is made of each pair of numbers in two rows of one length.
 #[inline(always)]
-fn sum<S: Simd>(
+pub(super) fn sum<S: Simd>(
     simd: S,
     [a, b]: [&[f32]; 2],
     vectors: impl Fn(S::f32s, S::f32s) -> S::f32s,

@@ -10,7 +10,9 @@ mod fused;
 mod kernels;
 pub mod model;
 mod product;
+mod remembered;
 mod widest;
 
 pub use features::{COMMON, DOUBT, FeatureMaker, Token, between, knots};
-pub use model::{Attended, NetworkConfig, Output, Prediction, WhiskerNet};
+pub use model::{NetworkConfig, Output, Prediction, WhiskerNet};
+pub use remembered::Attended;

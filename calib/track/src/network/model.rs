@@ -1,6 +1,6 @@
 //! The network's layers, for whole courses and for streams.
 
-use super::{dense, fused};
+use super::{Attended, dense, fused};
 use crate::TrackError;
 use crate::bayes::Filters;
 use burn::module::Module;
@@ -153,13 +153,6 @@ pub struct WhiskerNet {
 /// Outputs of a batch: `[batch, time, outputs]`.
 pub type Output = Tensor<3>;
 
-/// What a stream remembers: keys and values by layer, `[1, heads, time, width / heads]`, and the tokens' times, s.
-#[derive(Debug, Clone, Default)]
-pub struct Attended {
-    kept: Vec<(Tensor<4>, Tensor<4>)>,
-    times_s: Vec<f64>,
-}
-
 /// An answer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
@@ -235,36 +228,14 @@ impl WhiskerNet {
     /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
     pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, memory: &mut Attended) -> Output {
         let device = inputs.device();
-        memory.times_s.push(t_s);
-        let drop = memory.times_s.len().saturating_sub(context);
-        memory.times_s.drain(..drop);
-        let n = memory.times_s.len();
-        let mut bias = Vec::with_capacity(self.heads * n);
-        for head in 0..self.heads {
-            bias.extend(memory.times_s.iter().map(|t| slope(head, self.heads) * (t - t_s) as f32));
-        }
-        let bias = Tensor::<4>::from_data(TensorData::new(bias, [1, self.heads, 1, n]), &device);
+        memory.arrive(t_s, context);
         let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
             let normed = fused::norm(&block.before_attention, x.clone());
-            let (q, k, v) = self.split(dense::linear(&block.query_key_value, normed));
-            let (k, v) = match memory.kept.get(layer) {
-                Some((keys, values)) => {
-                    let join = |old: &Tensor<4>, new| {
-                        let old = old.clone();
-                        let length = old.dims()[2];
-                        Tensor::cat(vec![old.narrow(2, drop, length - drop), new], 2)
-                    };
-                    (join(keys, k), join(values, v))
-                }
-                None => (k, v),
-            };
-            if layer < memory.kept.len() {
-                memory.kept[layer] = (k.clone(), v.clone());
-            } else {
-                memory.kept.push((k.clone(), v.clone()));
-            }
-            x = x + dense::linear(&block.out, attend(q, k, v, bias.clone()));
+            let qkv = numbers(dense::linear(&block.query_key_value, normed));
+            let attended = memory.attend(layer, &qkv, self.heads);
+            let attended = Tensor::from_data(TensorData::new(attended, [1, 1, self.width()]), &device);
+            x = x + dense::linear(&block.out, attended);
             x = x.clone() + block.feed(x);
         }
         dense::linear(&self.head, fused::norm(&self.norm, x))
@@ -298,7 +269,7 @@ fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>, bias: Tensor<4>) -> Tensor<3
 
 /// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter
 /// (linear biases: O. Press et al., ICLR 2022).
-fn slope(head: usize, heads: usize) -> f32 {
+pub(super) fn slope(head: usize, heads: usize) -> f32 {
     4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
 }
 
@@ -323,3 +294,8 @@ pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device
 
 /// Bias of what is out of sight: its weight is 0 in single precision.
 const HIDDEN: f32 = -1e9;
+
+/// A tensor's numbers in order.
+pub(crate) fn numbers<const D: usize>(out: Tensor<D>) -> Vec<f32> {
+    out.into_data().try_into_vec().unwrap_or_default()
+}

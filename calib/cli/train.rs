@@ -3,7 +3,7 @@
 use crate::simulate::whisker;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_mujoco::read::manifests;
@@ -27,7 +27,7 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
-    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: trained on beside the first, never held out or scored (may be repeated)
+    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects or stretched copies of them: trained on beside the first, never held out or scored (may be repeated)
     #[arg(long, value_name = "DIR")]
     pub beside: Vec<PathBuf>,
     /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
@@ -36,7 +36,7 @@ pub struct TrainArgs {
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
-    /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
+    /// Network: default (weights over the rod's inverse curve, three layers), deep (the same with five), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
@@ -45,6 +45,9 @@ pub struct TrainArgs {
     /// Largest learning rate
     #[arg(long, default_value_t = TrainSettings::default().rate)]
     pub rate: f64,
+    /// Passes for which noise, drift and windows are drawn once: drawing takes as long as ten passes (the filters run over every sweep)
+    #[arg(long, default_value_t = TrainSettings::default().reuse)]
+    pub reuse: usize,
     /// Objects held out for the early stop and the spread; an eighth of all without it
     #[arg(long)]
     pub held_out: Option<usize>,
@@ -94,8 +97,14 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         same_whisker(folder, &format!("{whisker:?}"))?;
     }
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
-    let settings =
-        TrainSettings { epochs: args.epochs, rate: args.rate, seed: args.seed, ..TrainSettings::default() };
+    ensure!(args.reuse > 0, "--reuse: expected 1 or more, found 0");
+    let settings = TrainSettings {
+        epochs: args.epochs,
+        rate: args.rate,
+        reuse: args.reuse,
+        seed: args.seed,
+        ..TrainSettings::default()
+    };
     let meshes = surfaces(args)?;
     let making = Making {
         meshes: &meshes,
@@ -132,12 +141,12 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
 
 /// Meshes of the sweeps' objects; none where one of them is not there and no folder was named.
 fn surfaces(args: &TrainArgs) -> anyhow::Result<BTreeMap<String, Mesh>> {
+    let mut names = BTreeSet::new();
+    for folder in std::iter::once(&args.sweeps).chain(&args.beside) {
+        names.extend(manifests(folder)?.into_iter().map(|(_, manifest)| manifest.object));
+    }
     let mut meshes = BTreeMap::new();
-    for (_, manifest) in manifests(&args.sweeps)? {
-        let name = manifest.object;
-        if meshes.contains_key(&name) {
-            continue;
-        }
+    for name in names {
         match objects::named(&name, args.meshes.as_deref()) {
             Ok(mesh) => drop(meshes.insert(name, mesh)),
             Err(_) if args.meshes.is_none() => {

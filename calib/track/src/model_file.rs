@@ -256,18 +256,19 @@ pub fn network_grid() -> InverseGrid {
     InverseGrid { step_mm: 1.0, refine: 2, leans: 8, ..InverseGrid::default() }
 }
 
-/// Sizes of a preset on a curve; only the default one weighs two filters.
+/// Sizes of a preset on a curve; default and deep ones weigh two filters.
 ///
 /// # Errors
 /// Names the presets.
 pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<NetworkConfig, TrackError> {
     let nodes = inverse.nodes.len();
+    let on_curve =
+        || NetworkConfig::small(FeatureMaker::width(nodes, two_filters), knots(nodes).len(), two_filters);
     match name {
-        "default" => {
-            Ok(NetworkConfig::small(FeatureMaker::width(nodes, two_filters), knots(nodes).len(), two_filters))
-        }
+        "default" => Ok(on_curve()),
+        "deep" => Ok(NetworkConfig { layers: 5, ..on_curve() }),
         "paper" => Ok(NetworkConfig::paper(FeatureMaker::width(nodes, false))),
         "baseline" => Ok(NetworkConfig::baseline()),
-        _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
+        _ => Err(TrackError::value("preset", "default, deep, paper or baseline", name)),
     }
 }

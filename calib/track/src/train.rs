@@ -68,7 +68,7 @@ impl Default for TrainSettings {
             batch: 16,
             window: 128,
             rate: 1.5e-3,
-            patience: 4,
+            patience: 8,
             reuse: 5,
             speed_known: 0.7,
             time_factor: [0.4, 1.5],

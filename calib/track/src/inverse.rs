@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use wcal_core::observation::WhiskerSpec;
+use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_rod::{Chain, Section, Shape};
 
 mod force;
@@ -85,6 +85,8 @@ pub struct Node {
 pub struct StaticInverse {
     /// Nodes from the root to the tip, then the tip's leans.
     pub nodes: Vec<Node>,
+    /// Whether the free wire lies in the plane y = 0: there a sweep's mirror image is a sweep, too.
+    pub flat: bool,
     grid: InverseGrid,
     /// By arc length, direction and moment: point and normal.
     cells: Vec<Cell>,
@@ -137,7 +139,11 @@ impl StaticInverse {
         let of_lean = |k: usize| leaned.iter().flatten().map(|at| at[k]).collect();
         cells.extend((0..grid.leans).map(of_lean));
         let nodes: Vec<Node> = along.chain(tip).collect();
-        Ok(refined(&nodes, &cells, grid))
+        let flat = match &whisker.rest_shape {
+            RestShape::StraightArc { .. } => true,
+            RestShape::Polyline(points) => points.iter().all(|p| p.y == 0.0),
+        };
+        Ok(refined(&nodes, &cells, flat, grid))
     }
 
     /// Number of the nodes on the wire; those after them are the tip's.
@@ -248,7 +254,7 @@ fn cubic(u: f64) -> [f64; 4] {
 /// Step of moments for the volume, N mm.
 const BESIDE_NMM: f64 = 0.02;
 
-fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInverse {
+fn refined(nodes: &[Node], cells: &[Vec<Cell>], flat: bool, grid: InverseGrid) -> StaticInverse {
     let parts = grid.refine.max(1);
     let last = (nodes.len() - 1) * parts;
     let mix = |a: f64, b: f64, u: f64| a + (b - a) * u;
@@ -277,5 +283,5 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], grid: InverseGrid) -> StaticInve
             (std::array::from_fn(value), there)
         }));
     }
-    StaticInverse { nodes: fine, grid, cells: fine_cells }
+    StaticInverse { nodes: fine, flat, grid, cells: fine_cells }
 }

@@ -7,8 +7,8 @@ use crate::{Course, StaticInverse, TrackError};
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -51,6 +51,9 @@ pub struct TrainSettings {
     pub gain: f64,
     /// See `noise_nmm`.
     pub drift_nmm_s: f64,
+    /// Whether half of the courses, others in each pass, are taken as their mirror images, where the free wire lies in a plane.
+    #[serde(default)]
+    pub mirror: bool,
     /// What the filter below the network assumes; models of before it was written down had the default one.
     #[serde(default)]
     pub filter: BayesSettings,
@@ -75,6 +78,7 @@ impl Default for TrainSettings {
             noise_nmm: 0.006,
             gain: 0.005,
             drift_nmm_s: 0.0004,
+            mirror: true,
             filter: BayesSettings::dragged(),
             filter_beside: Some(BayesSettings::default()),
             seed: 1,
@@ -179,6 +183,9 @@ pub fn train(
         if drawn.0 != draw {
             drawn = (draw, made.of(courses, settings, seed ^ (draw as u64) << 20));
         }
+        if settings.mirror && inverse.flat {
+            mirror_half(&mut drawn.1, seed ^ (epoch as u64) << 40);
+        }
         let mut order: Vec<usize> = (0..courses.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed ^ (epoch as u64) << 32));
         let mut sum = 0.0;
@@ -207,6 +214,16 @@ pub fn train(
         }
     }
     Ok((state.best, state.passes))
+}
+
+/// Half of the windows as mirror images, the others as they are.
+fn mirror_half(windows: &mut [Window<'_>], seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    for window in windows {
+        if window.mirrored != rng.random::<bool>() {
+            window.mirror();
+        }
+    }
 }
 
 /// The pass with the least loss on the held-out objects.

@@ -163,6 +163,16 @@ impl<'a> FeatureMaker<'a> {
     }
 }
 
+/// A token's inputs on a curve of so many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
+pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
+    let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
+    let places = (0..knots).map(|k| COMMON + OF_FILTER + PER_KNOT * k + 1);
+    // The moment, small ones, and its rate.
+    for at in [1, 3, 5].into_iter().chain(places) {
+        inputs[at] = -inputs[at];
+    }
+}
+
 /// What a filter believes of each node; without contact nothing.
 fn believed(filter: &BayesFilter<'_>) -> Vec<f64> {
     let (posterior, nodes) = (filter.posterior(), filter.candidates().len());

@@ -104,8 +104,9 @@ fn nearest_on_surfaces(windows: &[&Window<'_>], answers: &Tensor<2>, device: &De
     points.par_chunks_mut(3).enumerate().for_each(|(row, point)| {
         let (window, k) = (windows[row / time], row % time);
         if let (Some(mesh), true) = (window.mesh, window.touching[k] * window.counted[k] > 0.0) {
-            let at = Vector3::new(point[0], point[1], point[2]).map(f64::from);
-            let near = window.course.on_surface(mesh, window.travel_mm[k], &at);
+            let side = Vector3::new(1.0, if window.mirrored { -1.0 } else { 1.0 }, 1.0);
+            let at = Vector3::new(point[0], point[1], point[2]).map(f64::from).component_mul(&side);
+            let near = window.course.on_surface(mesh, window.travel_mm[k], &at).component_mul(&side);
             point.iter_mut().zip(near.iter()).for_each(|(p, q)| *p = *q as f32);
         }
     });
@@ -184,5 +185,38 @@ mod tests {
             }
             assert!(touching > 20, "{touching}");
         }
+    }
+    /// The surface of a mirrored window is the object's mirror image.
+    #[test]
+    fn a_mirrored_answer_has_a_mirrored_nearest_point() {
+        let whisker = WhiskerSpec::nominal();
+        let grid = InverseGrid { step_mm: 2.0, refine: 1, leans: 3, ..InverseGrid::default() };
+        let inverse = StaticInverse::new(&whisker, grid).unwrap();
+        let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
+        let order = Order { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
+        let vase = objects::built_in("vase").unwrap();
+        let courses = drawn(&vase, &order).unwrap();
+        let config = preset("default", &inverse, true).unwrap();
+        let meshes = BTreeMap::from([("vase".to_owned(), vase)]);
+        let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
+        let mut window = windows.of(&courses, &TrainSettings::default().as_it_is(), 5).swap_remove(0);
+        let device = Device::flex();
+        let time = window.times_s.len();
+        let near = |window: &Window<'_>, side: f32| -> Vec<f32> {
+            let at: Vec<f32> =
+                window.place.chunks(3).flat_map(|p| [p[0] + 1.0, p[1].abs() * side + side, p[2]]).collect();
+            let at = Tensor::from_data(TensorData::new(at, [time, 3]), &device);
+            nearest_on_surfaces(&[window], &at, &device).unwrap().into_data().try_to_vec().unwrap()
+        };
+        let (here, other) = (near(&window, 1.0), near(&window, -1.0));
+        window.mirror();
+        let there = near(&window, -1.0);
+        let off = |image: &[f32]| {
+            let y = |k: usize| if k % 3 == 1 { -1.0 } else { 1.0 };
+            here.iter().zip(image).enumerate().map(|(k, (a, b))| (a - y(k) * b).abs()).fold(0.0, f32::max)
+        };
+        assert!(off(&there) < 1e-5, "{}", off(&there));
+        // Negative control: the object itself is none.
+        assert!(off(&other) > 0.1, "{}", off(&other));
     }
 }

@@ -130,25 +130,18 @@ fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
 mod tests {
     use super::super::TrainSettings;
     use super::super::window::Windows;
+    use super::super::window::tests::swept;
     use super::*;
-    use crate::drawn::{Order, drawn};
     use crate::model_file::preset;
     use crate::spread::SdFactors;
     use crate::stream::{Sample, Tracker};
-    use crate::{InverseGrid, StaticInverse};
     use std::collections::BTreeMap;
-    use wcal_core::observation::WhiskerSpec;
-    use wcal_mujoco::{SweepPlan, objects};
+    use wcal_mujoco::objects;
 
     /// What a training makes small is the error of what a stream answers, with one filter below the network and with two.
     #[test]
     fn training_and_answers_agree() {
-        let whisker = WhiskerSpec::nominal();
-        let grid = InverseGrid { step_mm: 2.0, refine: 1, leans: 3, ..InverseGrid::default() };
-        let inverse = StaticInverse::new(&whisker, grid).unwrap();
-        let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-        let order = Order { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
-        let courses = drawn(&objects::built_in("can").unwrap(), &order).unwrap();
+        let (inverse, courses) = swept("can");
         let device = Device::flex();
         device.seed(7);
         for two_filters in [true, false] {
@@ -186,18 +179,13 @@ mod tests {
             assert!(touching > 20, "{touching}");
         }
     }
+
     /// The surface of a mirrored window is the object's mirror image.
     #[test]
     fn a_mirrored_answer_has_a_mirrored_nearest_point() {
-        let whisker = WhiskerSpec::nominal();
-        let grid = InverseGrid { step_mm: 2.0, refine: 1, leans: 3, ..InverseGrid::default() };
-        let inverse = StaticInverse::new(&whisker, grid).unwrap();
-        let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-        let order = Order { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
-        let vase = objects::built_in("vase").unwrap();
-        let courses = drawn(&vase, &order).unwrap();
+        let (inverse, courses) = swept("vase");
         let config = preset("default", &inverse, true).unwrap();
-        let meshes = BTreeMap::from([("vase".to_owned(), vase)]);
+        let meshes = BTreeMap::from([("vase".to_owned(), objects::built_in("vase").unwrap())]);
         let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
         let mut window = windows.of(&courses, &TrainSettings::default().as_it_is(), 5).swap_remove(0);
         let device = Device::flex();

@@ -21,6 +21,8 @@ const TOUCH_MM: f64 = 0.1;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
 const NEWTON_STEPS: usize = 60;
 const SOFT_STEPS: usize = 400;
+/// How often a soft contact that did not come to rest goes on.
+const MORE_ROUNDS: usize = 5;
 /// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled, and the share of such samples
 /// with which a sweep is kept.
 const UNSETTLED_MM: f64 = 0.05;
@@ -275,6 +277,15 @@ impl Way<'_> {
             let softly = !next.converged && !halvable;
             if softly {
                 next = self.press(next_mm, &moved, true);
+                // What slips off an edge has a long way down the energy: it goes on from where it got.
+                for _ in 0..MORE_ROUNDS {
+                    if next.converged {
+                        break;
+                    }
+                    let begun = std::mem::replace(&mut self.pressed, next);
+                    next = self.press(next_mm, &Vector3::zeros(), true);
+                    self.pressed = begun;
+                }
             }
             self.solves += 1;
             let nodes = next.links.nodes_mm.iter().zip(&self.pressed.links.nodes_mm);

@@ -99,6 +99,7 @@ fn distance_mm(mesh: &Mesh, p: &Vector3<f64>) -> f64 {
 #[test]
 fn labels_lie_on_the_mesh_and_forces_balance() {
     let (mut kept, mut touching, mut exact, mut imbalance) = (0, 0, 0, Vec::new());
+    let mut below = 0;
     for name in objects::NAMES {
         let mesh = objects::built_in(name).unwrap();
         for (sweep, run) in all(&mesh, 7, 6) {
@@ -112,12 +113,16 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
                     touching += 1;
                     let shift = sweep.shift_mm - Vector3::z() * sample.travel_mm;
                     let off = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.point_mm - shift)));
-                    // A plane that the wire met beside its nearest place may lie a few micrometres off.
-                    assert!(off < 0.01, "{name}: {off} mm");
+                    // A plane that the wire met beside its nearest place may lie up to 3 micrometres off.
+                    assert!(off < 3.1e-3, "{name}: {off} mm");
                     // Negative control: the wire's centre line is not on the mesh, but a radius away.
                     let axis = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.centre_mm - shift)));
                     assert!((0.1..0.2).contains(&axis), "{name}: {axis} mm");
-                    exact += usize::from(off < 1e-6);
+                    // Where it slides over a plane the gap is solved to 1e-5 mm.
+                    exact += usize::from(off < 2e-5);
+                    // A wire that slides over a facet is touched where it is now, not where it was.
+                    let beside = (contact.centre_mm - contact.point_mm).cross(&contact.normal).norm();
+                    below += usize::from(beside < 1e-6);
                     applied += contact.centre_mm.cross(&(contact.normal * contact.force_n));
                 }
                 let off = (sample.moment_nmm - applied).norm();
@@ -127,7 +132,8 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
     }
     imbalance.sort_by(f64::total_cmp);
     assert!(*imbalance.last().unwrap() < 5e-3 && imbalance[imbalance.len() * 95 / 100] < 1e-5);
-    assert!(exact * 100 > touching * 97, "{exact} of {touching}");
+    assert!(exact * 100 > touching * 94, "on the mesh: {exact} of {touching}");
+    assert!(below * 100 > touching * 98, "below the wire: {below} of {touching}");
     assert!(kept > 60 && touching > 3000, "{kept} {touching}");
 }
 

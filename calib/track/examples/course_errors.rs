@@ -62,7 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let only = std::env::var("WCAL_METHOD").ok();
     for (name, method) in methods.iter().filter(|m| only.as_ref().is_none_or(|only| only == m.0)) {
         let known = name.ends_with("known");
-        let (mut causes, mut worst) = (BTreeMap::<String, (usize, f64)>::new(), Vec::new());
+        let (mut causes, mut worst) =
+            (BTreeMap::<String, (usize, f64, BTreeMap<String, f64>)>::new(), Vec::new());
         let (mut n, mut squares, mut off_squares, mut object_rmse) = (0, 0.0, 0.0, Vec::new());
         let mut believed = 0.0;
         for (object, of) in &courses {
@@ -71,7 +72,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 of.par_iter().map(|c| (c, rows(c, &mesh, &inverse, method, known, settings))).collect();
             let (mut object_squares, mut object_n) = (0.0, 0);
             for (c, rows) in all {
-                if shown == format!("{object}/{}", c.sweep) {
+                if shown == "all" || shown == format!("{object}/{}", c.sweep) {
                     rows.iter().for_each(|r| println!("{}", r.line));
                 }
                 let mut own = 0.0;
@@ -83,8 +84,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     n += 1;
                     believed += (row.near + 1e-3).ln();
                     object_n += 1;
-                    let entry = causes.entry(cause).or_default();
-                    *entry = (entry.0 + 1, entry.1 + square);
+                    let (count, sum, by_course) = causes.entry(cause).or_default();
+                    (*count, *sum) = (*count + 1, *sum + square);
+                    *by_course.entry(format!("{object}/{}", c.sweep)).or_default() += square;
                 }
                 object_squares += own;
                 worst.push((own, format!("{object}/{}", c.sweep)));
@@ -105,11 +107,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("  most squares: {}", most.join(", "));
         let mut causes: Vec<_> = causes.into_iter().collect();
         causes.sort_by(|a, b| b.1.1.total_cmp(&a.1.1));
-        for (cause, (count, s)) in causes {
+        for (cause, (count, s, by_course)) in causes {
+            let mut most: Vec<_> = by_course.into_iter().collect();
+            most.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let most: Vec<String> =
+                most.iter().take(4).map(|(c, own)| format!("{c} {:.0} %", 100.0 * own / s)).collect();
             println!(
-                "  {:5.1} % of squares, {:5.1} % of instants: {cause}",
+                "  {:5.1} % of squares, {:5.1} % of instants: {cause} ({})",
                 100.0 * s / squares,
-                100.0 * count as f64 / n as f64
+                100.0 * count as f64 / n as f64,
+                most.join(", ")
             );
         }
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use wcal_mujoco::objects::original;
 use wcal_mujoco::{Mesh, read};
 
-/// The contact nearest to the base.
+/// The contact nearest to the base; where several are one (`apart`), the place where their forces act: their mean by what they carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Point of the object, base frame, mm.
@@ -61,6 +61,20 @@ pub(crate) fn apart(arclengths_mm: impl Iterator<Item = f64>) -> usize {
         let new = last.is_none_or(|last| mm - last >= APART_MM);
         last = if new { Some(mm) } else { last };
         count + usize::from(new)
+    })
+}
+
+/// Where the force of the first contact acts, of touched points in rising order along the wire with their forces, N.
+pub(crate) fn first(touched: &[(Contact, f64)]) -> Option<Contact> {
+    let begins_mm = touched.first()?.0.arclength_mm;
+    let one = || touched.iter().take_while(|(c, _)| c.arclength_mm - begins_mm < APART_MM);
+    let carried: f64 = one().map(|(_, force_n)| force_n).sum();
+    if !(carried > 0.0) {
+        return Some(touched[0].0);
+    }
+    Some(Contact {
+        point_mm: one().map(|(c, force_n)| c.point_mm * (force_n / carried)).sum(),
+        arclength_mm: one().map(|(c, force_n)| c.arclength_mm * (force_n / carried)).sum(),
     })
 }
 
@@ -153,34 +167,34 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<Course>, Tr
     let number = samples.whole("sweep")?;
     let (t, travel, speed) = (samples.real("t_s")?, samples.real("travel_mm")?, samples.real("speed_mm_s")?);
     let (my, mz) = (samples.real("moment_y_nmm")?, samples.real("moment_z_nmm")?);
-    let [x, y, z] = ["x", "y", "z"].map(|k| samples.maybe(&format!("contact_{k}_mm")));
-    let (x, y, z, s) = (x?, y?, z?, samples.maybe("contact_arclength_mm")?);
     let (settled, event) = (samples.whole("settled")?, samples.text("event")?);
-    let mut along: BTreeMap<(i64, i64), Vec<f64>> = BTreeMap::new();
+    let mut touched: BTreeMap<(i64, i64), Vec<(Contact, f64)>> = BTreeMap::new();
     if samples.whole("contacts")?.iter().any(|n| *n > 0) {
         let contacts = read::table(&folder.join(format!("{name}.contacts.parquet")))?;
+        let [x, y, z, along, force_n] =
+            ["x_mm", "y_mm", "z_mm", "arclength_mm", "force_n"].map(|k| contacts.real(k));
+        let (x, y, z, along, force_n) = (x?, y?, z?, along?, force_n?);
         let at = contacts.whole("sweep")?.iter().zip(contacts.whole("sample")?);
-        for ((sweep, sample), mm) in at.zip(contacts.real("arclength_mm")?) {
-            along.entry((*sweep, *sample)).or_default().push(*mm);
+        for (row, (sweep, sample)) in at.enumerate() {
+            let point_mm = Vector3::new(x[row], y[row], z[row]);
+            let contact = Contact { point_mm, arclength_mm: along[row] };
+            touched.entry((*sweep, *sample)).or_default().push((contact, force_n[row]));
         }
-        along.values_mut().for_each(|mm| mm.sort_by(f64::total_cmp));
+        for of in touched.values_mut() {
+            of.sort_by(|a, b| a.0.arclength_mm.total_cmp(&b.0.arclength_mm));
+        }
     }
     let sample = samples.whole("sample")?;
     for (row, number) in number.iter().enumerate() {
         let Some(course) = courses.get_mut(number) else { continue };
-        let contact = match (x[row], y[row], z[row], s[row]) {
-            (Some(x), Some(y), Some(z), Some(arclength_mm)) => {
-                Some(Contact { point_mm: Vector3::new(x, y, z), arclength_mm })
-            }
-            _ => None,
-        };
+        let touched = touched.get(&(*number, sample[row])).map_or(&[][..], Vec::as_slice);
         course.instants.push(Instant {
             t_s: t[row],
             travel_mm: travel[row],
             speed_mm_s: speed[row],
             moment_nmm: [my[row], mz[row]],
-            contact,
-            contacts: along.get(&(*number, sample[row])).map_or(0, |mm| apart(mm.iter().copied())),
+            contact: first(touched),
+            contacts: apart(touched.iter().map(|(c, _)| c.arclength_mm)),
             settled: settled[row] == 1,
             event: event[row].clone(),
         });
@@ -190,7 +204,8 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<Course>, Tr
 
 #[cfg(test)]
 mod tests {
-    use super::apart;
+    use super::{Contact, apart, first};
+    use nalgebra::Vector3;
 
     #[test]
     fn contacts_on_neighbouring_facets_are_one() {
@@ -200,5 +215,18 @@ mod tests {
         // Negative control: what is farther away is another one, also at the end of a row of near ones.
         assert_eq!(count(&[31.0, 34.0]), 2);
         assert_eq!(count(&[31.0, 33.0, 35.0, 37.5]), 2);
+    }
+
+    #[test]
+    fn touched_points_that_are_one_contact_are_where_their_forces_act() {
+        let at = |mm: f64, force_n: f64| {
+            (Contact { point_mm: Vector3::new(mm, 0.0, 2.0 * mm), arclength_mm: mm }, force_n)
+        };
+        assert_eq!(first(&[]), None);
+        assert_eq!(first(&[at(31.0, 0.2)]), Some(at(31.0, 0.0).0));
+        let mean = first(&[at(31.0, 0.3), at(32.0, 0.1), at(36.0, 4.0)]).unwrap();
+        // What is farther away does not count, however hard it presses.
+        assert!((mean.arclength_mm - 31.25).abs() < 1e-12, "{mean:?}");
+        assert!((mean.point_mm - Vector3::new(31.25, 0.0, 62.5)).norm() < 1e-12, "{mean:?}");
     }
 }

@@ -1,12 +1,12 @@
 //! Courses drawn on the spot by the rod engine. All of them are SIMULATED.
 
-use crate::course::apart;
+use crate::course::{apart, first};
 use crate::{Contact, Course, Instant, TrackError};
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::rod_engine::{LINKS, Run};
-use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, Verdict};
+use wcal_mujoco::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
 
 /// What is drawn.
 #[derive(Debug, Clone)]
@@ -51,21 +51,28 @@ pub fn drawn(mesh: &Mesh, order: &Order<'_>) -> Result<Vec<Course>, TrackError> 
 
 fn course(mesh: &Mesh, sweep: &Sweep, run: &Run) -> Course {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(sweep.turn));
-    let instants = run.samples.iter().map(|s| Instant {
-        t_s: s.t_s,
-        travel_mm: s.travel_mm,
-        speed_mm_s: s.speed_mm_s,
-        moment_nmm: [s.moment_nmm.y, s.moment_nmm.z],
-        contact: s.contacts.first().map(|c| Contact { point_mm: c.point_mm, arclength_mm: c.arclength_mm }),
-        contacts: apart(s.contacts.iter().map(|c| c.arclength_mm)),
-        settled: s.settled,
-        event: s.event.name().to_owned(),
-    });
+    let instant = |s: &Sample| {
+        let touched: Vec<_> = s
+            .contacts
+            .iter()
+            .map(|c| (Contact { point_mm: c.point_mm, arclength_mm: c.arclength_mm }, c.force_n))
+            .collect();
+        Instant {
+            t_s: s.t_s,
+            travel_mm: s.travel_mm,
+            speed_mm_s: s.speed_mm_s,
+            moment_nmm: [s.moment_nmm.y, s.moment_nmm.z],
+            contact: first(&touched),
+            contacts: apart(touched.iter().map(|(c, _)| c.arclength_mm)),
+            settled: s.settled,
+            event: s.event.name().to_owned(),
+        }
+    };
     Course {
         object: mesh.name.clone(),
         sweep: sweep.index,
         base_from_object: Isometry3::from_parts(Translation3::from(sweep.shift_mm), turn),
-        instants: instants.collect(),
+        instants: run.samples.iter().map(instant).collect(),
     }
     .tared()
 }

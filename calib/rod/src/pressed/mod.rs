@@ -254,6 +254,9 @@ impl Chain {
         plane.gap_mm += plane.near.normal.dot(&(centre_mm - plane.centre_mm));
         plane.centre_mm = centre_mm;
         plane.near.second_per_mm = Matrix3::zeros();
+        // The wire slides over the plane: it is touched below the place where the wire is now.
+        let normal = plane.near.normal.normalize();
+        plane.near.point_mm = centre_mm - normal * (plane.gap_mm + self.radius_mm);
         plane
     }
 
@@ -295,8 +298,10 @@ impl Chain {
     /// Whether the surface is where the loaded planes are.
     fn planes_hold<S: Surface>(&self, surface: &S, state: &State) -> bool {
         state.candidates.iter().filter(|c| c.met && c.force_n > 0.0).all(|c| {
-            let near = surface.near(&c.spot.point_mm(self, &state.links), 2.0 * self.link_mm);
-            near.is_some_and(|n| (n.distance_mm - self.radius_mm).abs() < TREMBLE_OVERLAP_MM)
+            let near = |at: &Vector3<f64>| surface.near(at, 2.0 * self.link_mm).map(|n| n.distance_mm);
+            let off = |mm: Option<f64>, from: f64| mm.is_none_or(|mm| (mm - from).abs() > TREMBLE_OVERLAP_MM);
+            // Past an edge the wire may be as near to the next facet, and the plane's own place is nowhere.
+            !off(near(&c.centre_mm), self.radius_mm) && !off(near(&c.near.point_mm), 0.0)
         })
     }
 

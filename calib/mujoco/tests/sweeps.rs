@@ -132,6 +132,8 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
     }
     imbalance.sort_by(f64::total_cmp);
     assert!(*imbalance.last().unwrap() < 5e-3 && imbalance[imbalance.len() * 95 / 100] < 1e-5);
+    // What leans on a facet's plane past its edge, within 3 micrometres, is one contact in twenty; before the touched point went along with the
+    // wire it was on the mesh even there, beside the wire.
     assert!(exact * 100 > touching * 94, "on the mesh: {exact} of {touching}");
     assert!(below * 100 > touching * 98, "below the wire: {below} of {touching}");
     assert!(kept > 60 && touching > 3000, "{kept} {touching}");

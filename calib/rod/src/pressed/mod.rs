@@ -298,10 +298,12 @@ impl Chain {
     /// Whether the surface is where the loaded planes are.
     fn planes_hold<S: Surface>(&self, surface: &S, state: &State) -> bool {
         state.candidates.iter().filter(|c| c.met && c.force_n > 0.0).all(|c| {
-            let near = |at: &Vector3<f64>| surface.near(at, 2.0 * self.link_mm).map(|n| n.distance_mm);
-            let off = |mm: Option<f64>, from: f64| mm.is_none_or(|mm| (mm - from).abs() > TREMBLE_OVERLAP_MM);
+            let lies = |at: &Vector3<f64>, mm: f64| {
+                let near = surface.near(at, 2.0 * self.link_mm);
+                near.is_some_and(|n| (n.distance_mm - mm).abs() < TREMBLE_OVERLAP_MM)
+            };
             // Past an edge the wire may be as near to the next facet, and the plane's own place is nowhere.
-            !off(near(&c.centre_mm), self.radius_mm) && !off(near(&c.near.point_mm), 0.0)
+            lies(&c.centre_mm, self.radius_mm) && lies(&c.near.point_mm, 0.0)
         })
     }
 

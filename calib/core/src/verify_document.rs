@@ -104,6 +104,68 @@ pub struct NoiseFloor {
     pub source: String,
 }
 
+/// A part of the noise: standard deviation (or degrees of freedom) with its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NoisePart {
+    /// Estimate.
+    pub value: f64,
+    /// 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// The part of the noise that is correlated in time (first-order Gauss-Markov process).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CorrelatedNoise {
+    /// Standard deviation.
+    pub sd: f64,
+    /// Its 95 % interval.
+    pub interval95: [f64; 2],
+    /// Time constant, s; readings where the session has no clock.
+    pub time_constant_s: f64,
+}
+
+/// How the spread of single readings follows a covariate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseLaw {
+    /// Covariate: `load`, `depth` or `stimulus`.
+    pub follows: String,
+    /// Standard deviation at the covariate's largest value over that at its smallest.
+    pub ratio: f64,
+    /// Its 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// The noise in parts; what the design cannot tell is absent.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct NoiseDocument {
+    /// A loaded reading by itself, repeated without moving where pose scatter is known.
+    pub repeat: Option<NoisePart>,
+    /// What setting a pose adds.
+    pub pose: Option<NoisePart>,
+    /// Zero from session to session.
+    pub session: Option<NoisePart>,
+    /// Correlated in time.
+    pub correlated: Option<CorrelatedNoise>,
+    /// Rounding of the recorded values, part of the repeat noise.
+    pub rounding: Option<NoisePart>,
+    /// Degrees of freedom of Student's t; absent where a Gaussian does as well.
+    pub tails_dof: Option<NoisePart>,
+    /// Law of the spread; absent where it is the same everywhere.
+    #[serde(default)]
+    pub law: Option<NoiseLaw>,
+    /// Unit of the standard deviations.
+    pub unit: String,
+}
+
+/// A reading that was left out of the fit.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FlaggedReading {
+    /// File.
+    pub source: String,
+    /// Point in that file.
+    pub point: i64,
+}
+
 /// Held-out errors of one model.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct HeldOutError {
@@ -207,6 +269,12 @@ pub struct VerifyDocument {
     pub unknown: Option<UnknownEffect>,
     /// Noise floor.
     pub noise_floor: NoiseFloor,
+    /// The noise in parts.
+    #[serde(default)]
+    pub noise: Option<NoiseDocument>,
+    /// Readings that no tails of the noise explain, left out of the fit.
+    #[serde(default)]
+    pub flagged: Vec<FlaggedReading>,
     /// Held-out error of the declared model.
     pub before: Option<HeldOutError>,
     /// Held-out error of the accepted model.
@@ -246,6 +314,8 @@ impl VerifyDocument {
             alternatives: Vec::new(),
             unknown: None,
             noise_floor: NoiseFloor { source: "none".into(), ..NoiseFloor::default() },
+            noise: None,
+            flagged: Vec::new(),
             before: None,
             after: None,
             coverage95: None,

@@ -1,5 +1,6 @@
 //! What the loop knows of an effect before it sees data: laws, parameters with unit and range, and what they need.
 
+use crate::engine::noise_parts::NoiseInputs;
 use nalgebra::DMatrix;
 
 /// Role of a parameter in a law.
@@ -103,4 +104,8 @@ pub trait System: Sync {
     fn covariates(&self) -> Vec<(String, Vec<f64>)>;
     /// Known part of the noise, readings x channels (same unit as measured).
     fn known_noise(&self) -> &DMatrix<f64>;
+    /// What the noise of the readings can depend on.
+    fn noise_inputs(&self) -> NoiseInputs {
+        NoiseInputs::none(self.measured().nrows())
+    }
 }

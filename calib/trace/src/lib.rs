@@ -13,5 +13,6 @@ pub mod temperature;
 pub mod verify;
 mod walked;
 pub mod whisker;
+mod whisker_noise;
 
 pub use error::TraceError;

@@ -294,4 +294,8 @@ impl System for WhiskerSystem {
     fn known_noise(&self) -> &DMatrix<f64> {
         &self.known
     }
+
+    fn noise_inputs(&self) -> crate::engine::noise_parts::NoiseInputs {
+        crate::whisker_noise::noise_inputs(&self.data, &self.path)
+    }
 }

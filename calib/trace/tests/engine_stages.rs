@@ -58,7 +58,7 @@ fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explan
     let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
     assert_eq!(f.terms[0].values[0], 0.0);
     assert!(f.at_bound[0]);
-    let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new() };
+    let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 };
     assert!(!h.physical(&system));
 }
 
@@ -70,7 +70,8 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
         let system = ToySystem::draw(seed, |_, x| c * x * x);
         let term = Term { effect: BEND, law: 0, values: Vec::new() };
         let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
-        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new() }.physical(&system)
+        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
+            .physical(&system)
     };
     // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
     let kept = (0..200).filter(|&seed| physical(BEND_SHARE, 7000 + seed)).count() as u64;
@@ -260,7 +261,7 @@ fn stated_intervals_cover() {
         let weights = Weights::equal(READINGS);
         let start = Term { effect: SHELF, law: 0, values: vec![HEIGHT, PLACE] };
         let f = fit(&system, &[start], &weights, 30).unwrap();
-        let h = Hypothesis { fit: f, weights, flagged: Vec::new() };
+        let h = Hypothesis { fit: f, weights, flagged: Vec::new(), flag_p: 1.0 };
         for (k, (p, truth)) in parameters(&system, &h, SHELF).iter().zip([HEIGHT, PLACE]).enumerate() {
             inside[k] += u64::from(p.interval95[0] <= truth && truth <= p.interval95[1]);
         }

@@ -106,7 +106,10 @@ fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> 
 }
 
 fn quick(seed: u64) -> ScalarOptions {
-    ScalarOptions { search: Options { seed, draws: 400, largest: 2 }, permutations: 999 }
+    ScalarOptions {
+        search: Options { seed, draws: 400, largest: 2, ..Options::default() },
+        permutations: 999,
+    }
 }
 
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {

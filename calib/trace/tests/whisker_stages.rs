@@ -36,7 +36,7 @@ fn system(data: &WhiskerData) -> WhiskerSystem {
 
 fn fitted(system: &WhiskerSystem, terms: &[Term]) -> Hypothesis {
     let weights = Weights::equal(system.path.readings.len());
-    Hypothesis { fit: fit(system, terms, &weights, 15).unwrap(), weights, flagged: Vec::new() }
+    Hypothesis { fit: fit(system, terms, &weights, 15).unwrap(), weights, flagged: Vec::new(), flag_p: 1.0 }
 }
 
 /// The session without effect, searched once for all tests.

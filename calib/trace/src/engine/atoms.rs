@@ -62,8 +62,7 @@ fn grid(law: &Law) -> Vec<Vec<f64>> {
 }
 
 fn weighted(system: &dyn System, weights: &Weights, terms: &[Term]) -> Option<DMatrix<f64>> {
-    let d = system.design(terms)?;
-    Some(DMatrix::from_fn(d.nrows(), d.ncols(), |i, j| d[(i, j)] * weights.0[i]))
+    Some(weights.apply(&system.design(terms)?))
 }
 
 /// Signatures of candidate `effect` on top of `fit`, projected off `nuisance`.

@@ -1,7 +1,7 @@
 //! Generic signatures: what a residual looks like if something outside the catalogue drives it by a covariate.
 
 use super::atoms::{Atom, build};
-use super::fit::Fit;
+use super::fit::{Fit, Weights};
 use super::linear::{Basis, in_channel};
 use crate::candidate::{System, Term};
 use nalgebra::DVector;
@@ -15,6 +15,8 @@ pub struct DriverAtom {
     pub shape: &'static str,
     /// Period, for a sinusoid, in the covariate's unit.
     pub period: Option<f64>,
+    /// Its columns, free in every channel.
+    pub columns: Vec<Vec<f64>>,
     /// The signature.
     pub atom: Atom,
 }
@@ -24,7 +26,7 @@ const GENERIC: usize = usize::MAX;
 
 struct Maker<'a> {
     channels: usize,
-    weights: &'a [f64],
+    weights: &'a Weights,
     nuisance: &'a Basis,
     out: Vec<DriverAtom>,
 }
@@ -34,12 +36,13 @@ impl Maker<'_> {
     fn add(&mut self, driver: &str, shape: &'static str, period: Option<f64>, columns: &[Vec<f64>]) {
         let mut raw: Vec<DVector<f64>> = Vec::new();
         for column in columns {
-            let weighted: Vec<f64> = column.iter().zip(self.weights).map(|(v, w)| v * w).collect();
+            let weighted = self.weights.apply_to(column);
             raw.extend((0..self.channels).map(|c| in_channel(&weighted, c, self.channels)));
         }
         let term = Term { effect: GENERIC, law: 0, values: Vec::new() };
         if let Some(atom) = build(term, Vec::new(), false, &raw, self.nuisance) {
-            self.out.push(DriverAtom { driver: driver.to_owned(), shape, period, atom });
+            let columns = columns.to_vec();
+            self.out.push(DriverAtom { driver: driver.to_owned(), shape, period, columns, atom });
         }
     }
 }
@@ -63,21 +66,13 @@ fn is_clock(name: &str) -> bool {
 
 /// Generic signatures of every covariate of `system`, projected off `nuisance`.
 #[must_use]
-pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &[f64], nuisance: &Basis) -> Vec<DriverAtom> {
+pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &Weights, nuisance: &Basis) -> Vec<DriverAtom> {
     let channels = fit.residual.ncols();
     let mut maker = Maker { channels, weights, nuisance, out: Vec::new() };
     let covariates = system.covariates();
     // Columns after the constant carry the signal; gains act on them.
-    let signal: Vec<Vec<f64>> = (1..fit.design.ncols().min(3))
-        .map(|j| {
-            fit.design
-                .column(j)
-                .iter()
-                .zip(weights)
-                .map(|(v, w)| if *w > 0.0 { v / w } else { 0.0 })
-                .collect()
-        })
-        .collect();
+    let signal: Vec<Vec<f64>> =
+        (1..fit.design.ncols().min(3)).map(|j| fit.raw_design.column(j).iter().copied().collect()).collect();
     let has_time = covariates.iter().any(|(n, _)| n == "t_s");
     for (name, values) in &covariates {
         let (lo, hi) =

@@ -3,30 +3,9 @@
 //! Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), with Kaufman's Jacobian. The crate levenberg-marquardt knows no bounds, and bounds
 //! carry the physics here (friction and creep do not go below zero), hence the short loop of our own.
 
+pub use super::noise::Weights;
 use crate::candidate::{Role, System, Term};
 use nalgebra::{DMatrix, DVector};
-
-/// Rows that count and their weights (1 / relative sd; 0 = rejected).
-#[derive(Debug, Clone, PartialEq)]
-pub struct Weights(pub Vec<f64>);
-
-impl Weights {
-    /// Every reading alike.
-    #[must_use]
-    pub fn equal(n: usize) -> Self {
-        Self(vec![1.0; n])
-    }
-
-    /// Readings that count.
-    #[must_use]
-    pub fn active(&self) -> usize {
-        self.0.iter().filter(|w| **w > 0.0).count()
-    }
-
-    fn apply(&self, m: &DMatrix<f64>) -> DMatrix<f64> {
-        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] * self.0[i])
-    }
-}
 
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,16 +25,22 @@ pub struct Fit {
     pub terms: Vec<Term>,
     /// Coefficients, design columns x channels.
     pub coefficients: DMatrix<f64>,
-    /// Weighted residual, readings x channels.
+    /// Whitened residual, readings x channels.
     pub residual: DMatrix<f64>,
-    /// Weighted design.
+    /// Whitened design.
     pub design: DMatrix<f64>,
+    /// Design as it is, readings x coefficients.
+    pub raw_design: DMatrix<f64>,
+    /// Residual as it is, of every reading, in the unit of the measured values.
+    pub raw_residual: DMatrix<f64>,
     /// Sum of squares.
     pub ssr: f64,
     /// Readings x channels less coefficients and parameters.
     pub dof: f64,
-    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (weighted).
+    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (whitened).
     pub tangents: Vec<DMatrix<f64>>,
+    /// The same as they are, not whitened.
+    pub raw_tangents: Vec<DMatrix<f64>>,
     /// Which nonlinear parameters sit at an end of their range.
     pub at_bound: Vec<bool>,
     /// How it ended.
@@ -107,6 +92,7 @@ pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, 
 
 /// One evaluation at fixed nonlinear values.
 struct Evaluation {
+    raw: DMatrix<f64>,
     design: DMatrix<f64>,
     coefficients: DMatrix<f64>,
     residual: DMatrix<f64>,
@@ -115,10 +101,11 @@ struct Evaluation {
 }
 
 fn evaluate(system: &dyn System, terms: &[Term], weights: &Weights, y: &DMatrix<f64>) -> Option<Evaluation> {
-    let design = weights.apply(&system.design(terms)?);
+    let raw = system.design(terms)?;
+    let design = weights.apply(&raw);
     let (coefficients, residual, full_rank) = linear(&design, y);
     let ssr = residual.norm_squared();
-    ssr.is_finite().then_some(Evaluation { design, coefficients, residual, ssr, full_rank })
+    ssr.is_finite().then_some(Evaluation { raw, design, coefficients, residual, ssr, full_rank })
 }
 
 /// (term, value) of every nonlinear parameter in order.
@@ -144,12 +131,7 @@ fn grid_gap(grid: &[f64], value: f64) -> f64 {
     gaps.fold(f64::INFINITY, f64::min)
 }
 
-fn tangents(
-    system: &dyn System,
-    terms: &[Term],
-    weights: &Weights,
-    here: &Evaluation,
-) -> Option<Vec<DMatrix<f64>>> {
+fn tangents(system: &dyn System, terms: &[Term], here: &Evaluation) -> Option<Vec<DMatrix<f64>>> {
     slots(terms)
         .iter()
         .map(|&(t, k)| {
@@ -168,7 +150,7 @@ fn tangents(
                     system.design(&moved)?
                 }
             };
-            Some((weights.apply(&design) - &here.design) * &here.coefficients / h)
+            Some((design - &here.raw) * &here.coefficients / h)
         })
         .collect()
 }
@@ -191,9 +173,11 @@ pub fn fit(system: &dyn System, terms: &[Term], weights: &Weights, iterations: u
     let mut status = if index.is_empty() { Status::Converged } else { Status::NotConverged };
     let mut directions = Vec::new();
     for _ in 0..if index.is_empty() { 0 } else { iterations } {
-        directions = tangents(system, &terms, weights, &here)?;
-        let columns: Vec<DVector<f64>> =
-            directions.iter().map(|t| super::linear::stack(&off_design(&here.design, t))).collect();
+        directions = tangents(system, &terms, &here)?;
+        let columns: Vec<DVector<f64>> = directions
+            .iter()
+            .map(|t| super::linear::stack(&off_design(&here.design, &weights.apply(t))))
+            .collect();
         let r = super::linear::stack(&here.residual);
         let m = columns.len();
         let gram = DMatrix::from_fn(m, m, |i, j| columns[i].dot(&columns[j]));
@@ -223,7 +207,7 @@ pub fn fit(system: &dyn System, terms: &[Term], weights: &Weights, iterations: u
         }
     }
     if !index.is_empty() {
-        directions = tangents(system, &terms, weights, &here).unwrap_or(directions);
+        directions = tangents(system, &terms, &here).unwrap_or(directions);
     }
     if !here.full_rank {
         status = Status::RankDeficient;
@@ -240,11 +224,14 @@ pub fn fit(system: &dyn System, terms: &[Term], weights: &Weights, iterations: u
     let used = here.design.ncols() as f64 * channels + index.len() as f64;
     Some(Fit {
         dof: weights.active() as f64 * channels - used,
+        raw_residual: system.measured() - &here.raw * &here.coefficients,
+        raw_design: here.raw,
         coefficients: here.coefficients,
         residual: here.residual,
         design: here.design,
         ssr: here.ssr,
-        tangents: directions,
+        tangents: directions.iter().map(|t| weights.apply(t)).collect(),
+        raw_tangents: directions,
         at_bound,
         status,
         terms,

@@ -5,6 +5,7 @@ use super::drivers::{DriverAtom, of_covariates};
 use super::fit::{Fit, Weights};
 use super::linear::stack;
 use super::null::{NullFamily, atom_p};
+use super::search::Options;
 use crate::candidate::System;
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -31,6 +32,8 @@ pub struct DriverScore {
     pub gain: f64,
     /// Degrees of freedom.
     pub dimension: usize,
+    /// Its columns, free in every channel.
+    pub columns: Vec<Vec<f64>>,
 }
 
 /// Result of the gate on one model.
@@ -40,6 +43,8 @@ pub struct Gate {
     pub atoms: Vec<Atom>,
     /// Their joint null distribution.
     pub family: NullFamily,
+    /// Distribution of the smallest p of the generic signatures.
+    pub driver_family: NullFamily,
     /// Family-wise p-value of the catalogue.
     pub p_catalogue: f64,
     /// Family-wise p-value of the generic signatures.
@@ -87,7 +92,7 @@ impl Gate {
 fn serial(system: &dyn System, fit: &Fit, weights: &Weights) -> f64 {
     let groups = system.groups();
     let (mut product, mut count) = (0.0, 0.0);
-    let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.0[i] > 0.0).collect();
+    let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.counts(i)).collect();
     for pair in rows.windows(2) {
         if groups[pair[0]] == groups[pair[1]] {
             for c in 0..fit.residual.ncols() {
@@ -110,16 +115,15 @@ fn generic(
     fit: &Fit,
     weights: &Weights,
     residual: &DVector<f64>,
-    seed: u64,
-    draws: usize,
-) -> (f64, Vec<DriverScore>) {
+    options: &Options,
+) -> (f64, Vec<DriverScore>, NullFamily) {
     let basis = nuisance(fit);
-    let atoms: Vec<DriverAtom> = of_covariates(system, fit, &weights.0, &basis)
+    let atoms: Vec<DriverAtom> = of_covariates(system, fit, weights, &basis)
         .into_iter()
         .filter(|a| (a.atom.dimension() as f64) < 0.5 * fit.dof)
         .collect();
     let plain: Vec<&Atom> = atoms.iter().map(|a| &a.atom).collect();
-    let family = NullFamily::simulate(&plain, fit.dof, draws, seed ^ 0x5eed);
+    let family = NullFamily::simulate(&plain, fit.dof, &Options { seed: options.seed ^ 0x5eed, ..*options });
     let mut scores: Vec<DriverScore> = Vec::new();
     for a in &atoms {
         let gain = a.atom.gain(residual);
@@ -131,6 +135,7 @@ fn generic(
             p_single,
             gain,
             dimension: a.atom.dimension(),
+            columns: a.columns.clone(),
         };
         match scores.iter_mut().find(|s| s.driver == a.driver) {
             Some(kept) if kept.p_single <= p_single => {}
@@ -141,19 +146,27 @@ fn generic(
     // Where two p-values underflow, the larger gain decides.
     scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
     let p = scores.first().map_or(1.0, |s| family.adjusted(s.p_single));
-    (p, scores)
+    (p, scores, family)
 }
 
 /// Runs the gate on a fitted model.
 #[must_use]
-pub fn gate(system: &dyn System, fit: &Fit, weights: &Weights, seed: u64, draws: usize) -> Gate {
+pub fn gate(system: &dyn System, fit: &Fit, weights: &Weights, options: &Options) -> Gate {
     let basis = nuisance(fit);
     let atoms = of_catalogue(system, fit, weights, &basis);
     let residual = stack(&fit.residual);
     let refs: Vec<&Atom> = atoms.iter().collect();
-    let family = NullFamily::simulate(&refs, fit.dof, draws, seed);
+    let family = NullFamily::simulate(&refs, fit.dof, options);
     let smallest = atoms.iter().map(|a| atom_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
     let p_catalogue = family.adjusted(smallest);
-    let (p_drivers, drivers) = generic(system, fit, weights, &residual, seed, draws);
-    Gate { p_catalogue, p_drivers, p_serial: serial(system, fit, weights), atoms, family, drivers }
+    let (p_drivers, drivers, driver_family) = generic(system, fit, weights, &residual, options);
+    Gate {
+        p_catalogue,
+        p_drivers,
+        p_serial: serial(system, fit, weights),
+        atoms,
+        family,
+        driver_family,
+        drivers,
+    }
 }

@@ -2,9 +2,10 @@
 
 use super::atoms::Atom;
 use super::linear::Basis;
+use super::search::Options;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
-use rand_distr::{ChiSquared, Distribution, StandardNormal};
+use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more.
@@ -36,7 +37,7 @@ pub struct NullFamily {
 impl NullFamily {
     /// Simulates `draws` null residuals for `atoms`; only their coordinates in the joint span and the norm of the rest matter.
     #[must_use]
-    pub fn simulate(atoms: &[&Atom], dof: f64, draws: usize, seed: u64) -> Self {
+    pub fn simulate(atoms: &[&Atom], dof: f64, options: &Options) -> Self {
         let mut span = Basis::default();
         for atom in atoms {
             for q in &atom.directions {
@@ -55,12 +56,30 @@ impl NullFamily {
             })
             .collect();
         let rest = (dof - rank as f64).max(1.0);
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
         let chi = ChiSquared::new(rest).ok();
-        let mut minima: Vec<f64> = (0..draws)
+        let heavy = options.tails_dof.and_then(|nu| StudentT::new(nu).ok());
+        let mut draw = || -> (DVector<f64>, f64) {
+            match &heavy {
+                None => {
+                    let z = DVector::from_fn(rank, |_, _| -> f64 { StandardNormal.sample(&mut rng) });
+                    let ssr = z.norm_squared() + chi.map_or(rest, |c| c.sample(&mut rng));
+                    (z, ssr)
+                }
+                // Heavy tails are not the same in every direction: whole readings are drawn.
+                Some(t) => {
+                    let size = span.vectors().first().map_or(0, DVector::len);
+                    let whole = DVector::from_fn(size, |_, _| -> f64 { t.sample(&mut rng) });
+                    let z = span.coordinates(&whole);
+                    let off = (whole.norm_squared() - z.norm_squared()).max(0.0);
+                    let ssr = z.norm_squared() + off * rest / (size as f64 - rank as f64).max(1.0);
+                    (z, ssr)
+                }
+            }
+        };
+        let mut minima: Vec<f64> = (0..options.draws)
             .map(|_| {
-                let z = DVector::from_fn(rank, |_, _| -> f64 { StandardNormal.sample(&mut rng) });
-                let ssr = z.norm_squared() + chi.map_or(rest, |c| c.sample(&mut rng));
+                let (z, ssr) = draw();
                 let mut best: f64 = 1.0;
                 for (atom, (q, sign)) in atoms.iter().zip(&reduced) {
                     if sign.as_ref().is_some_and(|s| s.dot(&z) <= 0.0) {

@@ -95,13 +95,16 @@ mod tests {
             coefficients: DMatrix::from_element(1, 1, b),
             residual: DMatrix::from_column_slice(y.len(), 1, residual.as_slice()),
             design: DMatrix::from_column_slice(y.len(), 1, column.as_slice()),
+            raw_design: DMatrix::from_column_slice(y.len(), 1, column.as_slice()),
+            raw_residual: DMatrix::from_column_slice(y.len(), 1, residual.as_slice()),
+            raw_tangents: Vec::new(),
             ssr: residual.norm_squared(),
             dof: y.len() as f64 - 1.0,
             tangents: Vec::new(),
             at_bound: Vec::new(),
             status: Status::Converged,
         };
-        Hypothesis { fit, weights: Weights::equal(y.len()), flagged: Vec::new() }
+        Hypothesis { fit, weights: Weights::equal(y.len()), flagged: Vec::new(), flag_p: 1.0 }
     }
 
     /// Share of draws in which a true rival at `distance` noises from the other model loses and is rejected.

@@ -5,7 +5,7 @@ use super::fit::{Fit, Status, Weights, fit};
 use super::gate::{CATALOGUE_LEVEL, Gate, gate};
 use super::linear::stack;
 use super::null::f_test;
-use super::outliers::clean;
+use super::outliers::{clean, gross};
 use super::refine::refine_level;
 use super::rivalry::{AMBIGUITY_LEVEL, rival_p};
 use super::share::within_shares;
@@ -23,11 +23,13 @@ pub struct Options {
     pub draws: usize,
     /// Largest number of effects in one explanation.
     pub largest: usize,
+    /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a Gaussian's.
+    pub tails_dof: Option<f64>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, draws: 2000, largest: 3 }
+        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None }
     }
 }
 
@@ -40,6 +42,8 @@ pub struct Hypothesis {
     pub weights: Weights,
     /// Readings flagged as outliers.
     pub flagged: Vec<usize>,
+    /// Chance that noise with tails as heavy as the data allow gives the flagged readings; 1 where none is.
+    pub flag_p: f64,
 }
 
 /// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
@@ -149,6 +153,24 @@ pub struct Found {
     pub driver_beats_catalogue: bool,
 }
 
+impl Found {
+    /// The gate that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
+    #[must_use]
+    pub fn left(&self) -> Option<&Gate> {
+        if self.driver_beats_catalogue {
+            Some(&self.first_gate)
+        } else {
+            self.last_gate.rejected().then_some(&self.last_gate)
+        }
+    }
+
+    /// Something was found or is left: heavier tails would be a reason to look again.
+    #[must_use]
+    pub fn something_left_or_found(&self) -> bool {
+        self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
+    }
+}
+
 /// Refits tried at each size.
 const REFITS: usize = 7;
 
@@ -165,7 +187,7 @@ pub(super) fn refit(system: &dyn System, starts: &[Vec<Term>], from: &Hypothesis
     let mut best: Option<Hypothesis> = None;
     for terms in starts {
         let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
-        let next = Hypothesis { fit, weights: from.weights.clone(), flagged: from.flagged.clone() };
+        let next = Hypothesis { fit, ..from.clone() };
         let better = best.as_ref().is_none_or(|b| {
             let (was, is) = (b.physical(system), next.physical(system));
             // A law with more parameters must earn them.
@@ -215,7 +237,7 @@ fn extend(system: &dyn System, from: &Hypothesis, atoms: &[Atom]) -> Vec<Hypothe
         .collect();
     let single = outlier_index(system).filter(|_| from.flagged.is_empty());
     if let Some(c) = single.and_then(|_| clean(system, &from.fit.terms, &from.fit, &from.weights)) {
-        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged });
+        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value });
     }
     out
 }
@@ -271,24 +293,22 @@ fn merge(
 
 /// p-value of the step from `from` to `to`, adjusted by the family that was searched.
 fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, gate: &Gate) -> f64 {
-    let extra = to.parameters(base) - from.parameters(base)
-        + (to.flagged.len() - from.flagged.len()) as f64 * to.fit.residual.ncols() as f64;
+    if to.flagged.len() > from.flagged.len() {
+        return to.flag_p;
+    }
+    let extra = to.parameters(base) - from.parameters(base);
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
-    if to.flagged.len() > from.flagged.len() {
-        // Readings were chosen among all: each flag already passed a level shared over all readings.
-        let n = from.fit.residual.nrows() as f64;
-        return (single * n.powf((to.flagged.len() - from.flagged.len()) as f64)).min(1.0);
-    }
     gate.family.adjusted(single)
 }
 
 /// Runs the search.
 pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Option<Found> {
     let outliers = outlier_index(system);
-    let base_fit = fit(system, &[], weights, 15)?;
-    let base = Hypothesis { fit: base_fit, weights: weights.clone(), flagged: Vec::new() };
-    let first_gate = gate(system, &base.fit, weights, options.seed, options.draws);
+    let base = declared(system, weights, options.seed)?;
+    let first_gate = gate(system, &base.fit, &base.weights, options);
+    // Gross readings that the declared model's first fit left out are no step of the search.
+    let given = base.effects(outliers).len();
     let mut best = base.clone();
     let mut level: Vec<Hypothesis> = vec![base.clone()];
     let mut level_gate = first_gate.clone();
@@ -312,8 +332,10 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
             let more = by_subsets(system, &base, &first_gate.atoms, &next, size);
             merge(&mut next, more, outliers, &base.fit, variance);
         }
-        let mut physical: Vec<Hypothesis> =
-            next.into_iter().filter(|h| h.physical(system) && h.effects(outliers).len() == size).collect();
+        let mut physical: Vec<Hypothesis> = next
+            .into_iter()
+            .filter(|h| h.physical(system) && h.effects(outliers).len() == given + size)
+            .collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
         physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
         let candidate = physical[0].clone();
@@ -321,10 +343,12 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
         if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
             break;
         }
-        best = candidate;
+        best = flag_anew(system, candidate);
+        physical[0] = best.clone();
         level_gate = gate_again(system, &best, options, size as u64);
         if level_gate.rejected() && refine_level(system, &base, &mut physical) {
-            best = physical[0].clone();
+            best = flag_anew(system, physical[0].clone());
+            physical[0] = best.clone();
             level_gate = gate_again(system, &best, options, (options.largest + size) as u64);
         }
         level = physical.clone();
@@ -395,5 +419,38 @@ fn single_readings(system: &dyn System, h: &Hypothesis) -> bool {
 }
 
 fn gate_again(system: &dyn System, h: &Hypothesis, options: &Options, round: u64) -> Gate {
-    gate(system, &h.fit, &h.weights, options.seed.wrapping_add(round.wrapping_mul(0x9e37)), options.draws)
+    let seed = options.seed.wrapping_add(round.wrapping_mul(0x9e37));
+    gate(system, &h.fit, &h.weights, &Options { seed, ..*options })
+}
+
+/// The declared model, fitted without readings that stand far out of it.
+pub fn declared(system: &dyn System, weights: &Weights, seed: u64) -> Option<Hypothesis> {
+    let plain = |weights: &Weights| {
+        let fit = fit(system, &[], weights, 15)?;
+        Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
+    };
+    let out = if outlier_index(system).is_some() { gross(system, weights, seed) } else { Vec::new() };
+    if out.is_empty() {
+        return plain(weights);
+    }
+    let without = plain(&weights.masked(|i| !out.contains(&i)))?;
+    match clean(system, &[], &without.fit, &without.weights) {
+        Some(c) => Some(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value }),
+        None => plain(weights),
+    }
+}
+
+/// Flags of a model that has changed: a reading that it explains is taken back.
+fn flag_anew(system: &dyn System, h: Hypothesis) -> Hypothesis {
+    if h.flagged.is_empty() {
+        return h;
+    }
+    match clean(system, &h.fit.terms, &h.fit, &h.weights) {
+        Some(c) => Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value },
+        None => {
+            let weights = h.weights.unmasked();
+            let refitted = fit(system, &h.fit.terms, &weights, 15);
+            refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
+        }
+    }
 }

@@ -40,8 +40,8 @@ pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
 pub fn noise_floor(frame: &Frame, h: &Hypothesis) -> Option<Floor> {
     let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
     let keys = replicate_keys(frame);
-    let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
-    if let Some(l) = super::polynomial::lack_of_fit(&residual, &keys, &h.weights.0, 0)
+    let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.counts(i)).collect();
+    if let Some(l) = super::polynomial::lack_of_fit(&residual, &keys, h.weights.relative(), 0)
         && l.pure_dof >= LEAST_DOF as f64
     {
         return Some(Floor { sd: l.pure_sd, source: "replicates" });

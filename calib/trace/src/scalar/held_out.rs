@@ -146,22 +146,17 @@ pub fn cross_validate(
     folds: &Folds,
 ) -> Vec<HeldOut> {
     let n = folds.fold.len();
-    let relative_sd: Vec<f64> = weights.0.iter().map(|w| if *w > 0.0 { 1.0 / w } else { 1.0 }).collect();
+    let relative_sd: Vec<f64> = (0..n).map(|i| weights.total_sd(i)).collect();
     let count = folds.fold.iter().max().map_or(0, |m| m + 1);
     let mut out = Vec::new();
     for f in 0..count {
-        let mut kept = weights.clone();
-        for i in 0..n {
-            if folds.fold[i] == f {
-                kept.0[i] = 0.0;
-            }
-        }
+        let kept = weights.masked(|i| folds.fold[i] != f);
         let Some((prediction, half)) = fit(system, terms, &kept, 15)
             .and_then(|fitted| predict(system, &Fitted::of(&fitted), &relative_sd))
         else {
             continue;
         };
-        for i in (0..n).filter(|&i| folds.fold[i] == f && weights.0[i] > 0.0) {
+        for i in (0..n).filter(|&i| folds.fold[i] == f && weights.counts(i)) {
             out.push(HeldOut { fold: f, error: system.measured()[(i, 0)] - prediction[i], half95: half[i] });
         }
     }

@@ -12,15 +12,14 @@ mod notes;
 pub mod parameters;
 pub mod polynomial;
 pub mod records;
-pub mod spread;
 pub mod steadiness;
 pub mod system;
 pub mod verdict;
 pub mod verify;
 
+pub use crate::engine::spread::{Spread, SpreadLaw, spread_test};
 pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
 pub use model::{ModelError, ScalarModel, ScalarPrediction};
 pub use polynomial::{LackOfFit, Polynomial};
-pub use spread::{Spread, SpreadLaw, spread_test};
 pub use system::{ScalarEffect, ScalarSystem};
 pub use verify::{ScalarError, ScalarOptions, ScalarVerification, verify_scalar};

@@ -5,10 +5,10 @@ use super::held_out::{Fitted, predict};
 use super::parameters::Names;
 use super::polynomial::{LackOfFit, Polynomial};
 use super::records::relative_sd_at;
-use super::spread::{Spread, SpreadLaw};
 use super::system::ScalarSystem;
 use crate::candidate::{System, Term};
 use crate::engine::search::Hypothesis;
+use crate::engine::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 

@@ -1,10 +1,10 @@
 //! Remarks of a scalar session's verification.
 
 use super::polynomial::LackOfFit;
-use super::spread::Spread;
 use super::steadiness::{Steadiness, UNSTEADY};
 use super::system::ScalarSystem;
 use super::verdict::Conclusion;
+use crate::engine::spread::Spread;
 use wcal_core::verify_document::VerifyDocument;
 
 pub(super) fn notes(

@@ -1,10 +1,10 @@
 //! Residual records of every reading, sealed ones included.
 
 use super::frame::{Declared, Frame};
-use super::spread::{Spread, SpreadLaw};
 use super::system::ScalarSystem;
 use crate::candidate::System;
 use crate::engine::search::Hypothesis;
+use crate::engine::spread::{Spread, SpreadLaw};
 use wcal_core::observation::Role;
 use wcal_core::residual::ResidualRecord;
 

@@ -4,7 +4,7 @@ use super::effects::PERIODIC;
 use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::candidate::System;
-use crate::engine::fit::{Weights, fit};
+use crate::engine::fit::fit;
 use crate::engine::search::Hypothesis;
 
 /// Cycles over the whole range, fitted to each half of the readings.
@@ -44,14 +44,7 @@ pub fn steadiness(system: &ScalarSystem, h: &Hypothesis) -> Option<Steadiness> {
     sorted.sort_by(f64::total_cmp);
     let middle = sorted[sorted.len() / 2];
     let half = |late: bool| {
-        let kept: Vec<f64> = h
-            .weights
-            .0
-            .iter()
-            .zip(variable)
-            .map(|(w, v)| if (*v >= middle) == late { *w } else { 0.0 })
-            .collect();
-        let kept = Weights(kept);
+        let kept = h.weights.masked(|i| (variable[i] >= middle) == late);
         if kept.active() < LEAST_HALF {
             return None;
         }

@@ -4,13 +4,13 @@ use super::effects::HETEROSCEDASTIC_NOISE;
 use super::frame::Declared;
 use super::parameters::{Names, of_effect};
 use super::polynomial::LackOfFit;
-use super::spread::{Spread, SpreadLaw};
 use super::system::ScalarSystem;
 use crate::candidate::System;
 use crate::engine::fit::fit;
 use crate::engine::gate::Gate;
 use crate::engine::null::f_test;
 use crate::engine::search::{Found, Hypothesis};
+use crate::engine::spread::{Spread, SpreadLaw};
 use nalgebra::DVector;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, UnknownEffect, Verdict};
 
@@ -64,8 +64,7 @@ fn same_class(found: &Found, h: &Hypothesis) -> bool {
 /// p-value of dropping `effect`, the rest refitted, adjusted by the first gate's family.
 fn removal_p(system: &ScalarSystem, found: &Found, h: &Hypothesis, effect: usize) -> f64 {
     if Some(effect) == outliers(system) {
-        // Each flagged reading passed a level shared over all readings.
-        return 0.002;
+        return h.flag_p;
     }
     let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
     let Some(without) = fit(system, &terms, &h.weights, 15) else { return 1.0 };

@@ -8,7 +8,6 @@ use super::model::ScalarModel;
 use super::notes::notes;
 use super::parameters::Names;
 use super::polynomial::{LackOfFit, Polynomial, lack_of_fit, polynomial};
-use super::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
 use super::steadiness::{Steadiness, steadiness};
 use super::system::ScalarSystem;
 use super::verdict::{Conclusion, conclude};
@@ -17,6 +16,7 @@ use crate::candidate::System;
 use crate::engine::atoms::nuisance;
 use crate::engine::fit::Weights;
 use crate::engine::search::{Evidence, Found, Hypothesis, Options, search};
+use crate::engine::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
 use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::{Verdict, VerifyDocument};
 
@@ -84,14 +84,13 @@ fn standardised(h: &Hypothesis) -> Vec<f64> {
     (0..h.fit.residual.nrows())
         .map(|i| {
             let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();
-            let w = h.weights.0[i].max(1e-300);
-            h.fit.residual[(i, 0)] / w / (1.0 - leverage).max(0.05).sqrt()
+            h.fit.raw_residual[(i, 0)] / (1.0 - leverage).max(0.05).sqrt()
         })
         .collect()
 }
 
 fn test_spread(frame: &Frame, h: &Hypothesis, options: &ScalarOptions) -> Option<Spread> {
-    let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
+    let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.counts(i)).collect();
     let residual = standardised(h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
     let x = pick(&|i| frame.rows[i].x);
@@ -119,7 +118,7 @@ fn look(system: &ScalarSystem, options: &ScalarOptions) -> Option<(Found, Option
     else {
         return Some((plain, None));
     };
-    let weights = Weights(spread.relative_sd.iter().map(|s| 1.0 / s).collect());
+    let weights = Weights::independent(spread.relative_sd.iter().map(|s| 1.0 / s).collect());
     let weighted = search(system, &weights, &options.search)?;
     // The trend must outlive the effects that the weighted search adds.
     match test_spread(&system.frame, &weighted.best, options).filter(|s| s.p_value <= SPREAD_LEVEL) {
@@ -192,7 +191,7 @@ fn held_out(
     // Readings marked as outliers count in neither.
     let mut plain = found.base.weights.clone();
     for &i in &accepted.flagged {
-        plain.0[i] = 0.0;
+        plain = plain.masked(|k| k != i);
     }
     let before = cross_validate(system, &[], &plain, &folds);
     let after = cross_validate(system, &accepted.fit.terms, &accepted.weights, &folds);
@@ -243,7 +242,7 @@ pub fn verify_scalar(
     let lack = |h: &Hypothesis| {
         let parameters = h.fit.design.ncols() + h.fit.tangents.len();
         let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
-        lack_of_fit(&residual, &keys, &h.weights.0, parameters)
+        lack_of_fit(&residual, &keys, h.weights.relative(), parameters)
     };
     let lack_of_fit_before = lack(&found.base);
     let mut c = conclude(&system, &found, spread.as_ref(), lack(&found.best).as_ref(), &names);
@@ -297,9 +296,10 @@ pub fn verify_scalar(
     let x: Vec<f64> = system.frame.rows.iter().map(|r| r.x).collect();
     let y: Vec<f64> = system.frame.rows.iter().map(|r| r.y).collect();
     let base_degree = if let Declared::Polynomial(d) = declared { d } else { 0 };
-    let declared_polynomial = polynomial(&x, &y, &found.base.weights.0, base_degree)
+    let declared_polynomial = polynomial(&x, &y, found.base.weights.relative(), base_degree)
         .filter(|_| matches!(declared, Declared::Polynomial(_)));
-    let accepted = degree(&system, &c.accepted).and_then(|d| polynomial(&x, &y, &c.accepted.weights.0, d));
+    let accepted =
+        degree(&system, &c.accepted).and_then(|d| polynomial(&x, &y, c.accepted.weights.relative(), d));
     let residual_sd = [found.base.fit.variance().sqrt(), c.accepted.fit.variance().sqrt()];
     Ok(ScalarVerification {
         residuals: records::records(

@@ -24,8 +24,8 @@ const LEAST_DOF: f64 = 10.0;
 #[must_use]
 pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis) -> Option<Floor> {
     let path = &system.path;
-    let residual = &h.fit.residual * system.channels_pm();
-    let rows: Vec<usize> = (0..path.readings.len()).filter(|&i| h.weights.0[i] > 0.0).collect();
+    let residual = &h.fit.raw_residual * system.channels_pm();
+    let rows: Vec<usize> = (0..path.readings.len()).filter(|&i| h.weights.counts(i)).collect();
     let mut groups: BTreeMap<(u32, u32, i64, i64, i64), Vec<usize>> = BTreeMap::new();
     for &i in &rows {
         let r = &path.readings[i];

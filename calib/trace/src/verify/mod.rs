@@ -8,6 +8,7 @@ pub mod holdout_check;
 pub mod listings;
 mod map_left_out;
 pub mod next;
+pub mod noise_report;
 pub mod physical;
 pub mod predictions;
 pub mod rival;

@@ -99,10 +99,10 @@ fn choice<'a>(rivals: &[&'a Hypothesis], found: &Found, weights: &Weights) -> Op
     let variance = found.best.fit.variance();
     let cost = |h: &Hypothesis| {
         let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
-        let kept = |v: &DMatrix<f64>| DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.0[i]);
+        let kept = |v: &DMatrix<f64>| DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.of(i));
         let mut basis = Basis::default();
         for column in h.fit.design.column_iter() {
-            let column: Vec<f64> = column.iter().zip(&weights.0).map(|(v, w)| v * w).collect();
+            let column: Vec<f64> = column.iter().zip(weights.relative()).map(|(v, w)| v * w).collect();
             for c in 0..channels {
                 basis.push(&in_channel(&column, c, channels));
             }
@@ -134,20 +134,19 @@ fn leave_out(
         .flat_map_iter(|&group| {
             let inside = |i: usize| readings[i].group == group && !readings[i].rest;
             let outside: Vec<f64> = (0..readings.len()).map(|i| f64::from(u8::from(!inside(i)))).collect();
-            let h = choice(rivals, found, &Weights(outside.clone())).unwrap_or(accepted);
-            let weights = Weights(outside.iter().zip(&h.weights.0).map(|(o, w)| o * w).collect());
+            let h = choice(rivals, found, &Weights::independent(outside.clone())).unwrap_or(accepted);
+            let weights = h.weights.masked(|i| !inside(i));
             let predicted = match labels {
                 // From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
                 None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
-                    let part =
-                        Hypothesis { fit: refit, weights: weights.clone(), flagged: h.flagged.clone() };
+                    let part = Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() };
                     let model = PhysicalModel::new(system, &part);
                     predict(system, &part, &model)
                 }),
                 Some(moments) => by_labels(system, moments, &weights),
             };
             (0..readings.len())
-                .filter(|&i| inside(i) && accepted.weights.0[i] > 0.0)
+                .filter(|&i| inside(i) && accepted.weights.counts(i))
                 .filter_map(|i| Some(of_reading(group, readings[i].shift_pm, &predicted.as_ref()?[i])))
                 .collect::<Vec<_>>()
         })
@@ -158,8 +157,8 @@ fn leave_out(
 fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Vec<Predicted>> {
     let n = moments.len();
     let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });
-    let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.0[i]);
-    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.0[i]);
+    let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.of(i));
+    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.of(i));
     let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
     let residual = &y - &w * &b;
     let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);

@@ -99,8 +99,7 @@ fn join(ids: &[String]) -> String {
 /// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first gate's family.
 fn removal_p(system: &WhiskerSystem, found: &Found, h: &Hypothesis, effect: usize) -> f64 {
     if Some(effect) == outliers(system) {
-        // Each flagged reading passed a level shared over all readings.
-        return 0.002;
+        return h.flag_p;
     }
     let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
     let Some(without) = crate::engine::fit::fit(system, &terms, &h.weights, 15) else { return 1.0 };

@@ -4,6 +4,7 @@ use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
 use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use super::listings::{Branch, PredictionRow, branches, isolability, prediction_rows, records};
+use super::noise_report::{noise_document, noise_sentences};
 use super::physical::PhysicalModel;
 use super::predictions::predict;
 use super::twin_check::{LabelReport, check_labels};
@@ -11,17 +12,19 @@ use super::unseal::{Errors, held_out_errors};
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next};
 use crate::candidate::System;
-use crate::engine::fit::{Weights, fit};
+use crate::engine::explain::{Explained, explain};
+use crate::engine::fit::Weights;
 use crate::engine::inference::in_class;
 use crate::engine::lasso::group_lasso;
 use crate::engine::linear::stack;
-use crate::engine::search::{Found, Hypothesis, Options, search};
+use crate::engine::noise_parts::Noise;
+use crate::engine::search::{Found, Hypothesis, Options, declared};
 use crate::error::TraceError;
 use crate::whisker::WhiskerSystem;
 use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{
-    HeldOutError, NoiseFloor, TwinCheck, VERIFY_FORMAT, Verdict, VerifyDocument,
+    FlaggedReading, HeldOutError, NoiseFloor, TwinCheck, VERIFY_FORMAT, Verdict, VerifyDocument,
 };
 use wcal_core::{InputFile, ResidualRecord};
 
@@ -83,9 +86,9 @@ fn unusable(data: &WhiskerData) -> Option<String> {
         .iter()
         .filter(|h| h.role == Role::Holdout)
         .filter(|h| {
-            data.rows
-                .iter()
-                .any(|r| r.role != Role::Rest && r.shift_pm == h.shift_pm && r.stage_mm == h.stage_mm)
+            data.rows.iter().any(|r| {
+                r.role != Role::Rest && r.shift_pm == h.shift_pm && r.stage_mm == h.stage_mm && r.t_s == h.t_s
+            })
         })
         .count();
     if copied > 0 {
@@ -93,13 +96,25 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             "{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing."
         ));
     }
-    let mut seen: BTreeMap<[u64; 2], usize> = BTreeMap::new();
-    for r in &data.rows {
-        *seen.entry(r.shift_pm.map(f64::to_bits)).or_default() += 1;
+    copied_rows(&data.rows)
+}
+
+/// Rows that repeat another in every column, clock included. Without a clock, rounded readings agree by chance: then copies are no evidence.
+fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
+    if rows.iter().any(|r| r.t_s.is_none()) && rows.iter().any(|r| r.replicate.is_none()) {
+        return None;
     }
-    let copies: usize = seen.values().filter(|c| **c > 1).map(|c| c - 1).sum();
-    // Wavelengths carry 1e-7 nm: two channels agreeing to the last digit by chance does not happen twice.
-    (copies >= 3).then(|| format!("{copies} readings repeat another to the last digit in both channels; copied rows are no replicates."))
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    for r in rows {
+        // The point is the row's name and the line its place: neither was measured.
+        let row =
+            WhiskerRow { point: 0, line: 0, role: Role::Calibration, source: String::new(), ..r.clone() };
+        *seen.entry(format!("{row:?}")).or_default() += 1;
+    }
+    let copies: usize = seen.values().map(|c| c - 1).sum();
+    (copies >= 3).then(|| {
+        format!("{copies} readings repeat another in every column, the clock included; copied rows are no replicates.")
+    })
 }
 
 /// Runs stages 0 to 11.
@@ -124,18 +139,19 @@ pub fn verify_whisker(
     let labels = check_labels(data, &system.path, &system.bench);
     // Stages 2-9: the points table only; the holdout stays sealed.
     let no_solution = || TraceError::NoEquilibrium(session.to_owned());
-    let weights = weights_of(&system);
-    let declared = fit(&system, &[], &weights, 15).ok_or_else(no_solution)?;
-    let mut system = system.apart(&declared);
-    let mut found = search(&system, &weights, &options.search).ok_or_else(no_solution)?;
-    let mut conclusion = conclude(&system, &found, &labels.faults);
+    let known = Weights::independent(system.noise_inputs().known);
+    let base = declared(&system, &known, seed).ok_or_else(no_solution)?;
+    let mut system = system.apart(&base.fit);
+    let mut explained = explain(&system, &options.search).ok_or_else(no_solution)?;
+    let mut conclusion = conclude(&system, &explained.found, &labels.faults);
     // An effect that was not declared hides how much noise the channels share.
     let again = system.clone().apart(&conclusion.accepted.fit);
     if again.mixture_change(&system) > MIXTURE_CHANGED {
         system = again;
-        found = search(&system, &weights, &options.search).ok_or_else(no_solution)?;
-        conclusion = conclude(&system, &found, &labels.faults);
+        explained = explain(&system, &options.search).ok_or_else(no_solution)?;
+        conclusion = conclude(&system, &explained.found, &labels.faults);
     }
+    let Explained { found, noise, .. } = explained;
     if !options.accept.is_empty() {
         conclusion.accept(&system, &found, &options.accept)?;
     }
@@ -170,6 +186,7 @@ pub fn verify_whisker(
         options,
         &system,
         &found,
+        &noise,
         &conclusion,
         &labels,
         floor,
@@ -193,20 +210,6 @@ pub fn verify_whisker(
     }))
 }
 
-/// Readings with larger known sample noise count less; the common part is not known yet, so only the worst ones feel it.
-fn weights_of(system: &WhiskerSystem) -> Weights {
-    let known = system.known_noise();
-    let mut sizes: Vec<f64> = known.row_iter().map(|r| r.norm()).collect();
-    let own = sizes.clone();
-    sizes.sort_by(f64::total_cmp);
-    let typical = sizes[sizes.len() / 2];
-    if typical <= 0.0 {
-        return Weights::equal(own.len());
-    }
-    // Sample noise is a small part of the point-to-point noise; readings with ten times the usual are averaged over far fewer samples.
-    Weights(own.iter().map(|s| if *s > 10.0 * typical { 10.0 * typical / s } else { 1.0 }).collect())
-}
-
 #[allow(clippy::too_many_arguments)]
 fn document(
     session: &str,
@@ -215,6 +218,7 @@ fn document(
     options: &VerifyOptions,
     system: &WhiskerSystem,
     found: &Found,
+    noise: &Noise,
     conclusion: &Conclusion,
     labels: &LabelReport,
     floor: Option<Floor>,
@@ -238,6 +242,7 @@ fn document(
             points.join(", ")
         ));
     }
+    notes.extend(noise_sentences(&noise_document(noise, "pm")));
     notes.push("Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned());
     notes.extend(cross_check(system, found));
     notes.extend(between_seatings(system, &conclusion.accepted.fit).map(|b| b.note()));
@@ -281,6 +286,15 @@ fn document(
             source: floor.map_or("none", |f| f.source).to_owned(),
             ..NoiseFloor::default()
         },
+        noise: Some(noise_document(noise, "pm")),
+        flagged: conclusion
+            .flagged
+            .iter()
+            .map(|&i| {
+                let row = &data.rows[system.path.rows[i]];
+                FlaggedReading { source: row.source.clone(), point: row.point }
+            })
+            .collect(),
         before: errors.before.clone(),
         after: errors.after.clone(),
         coverage95: errors.coverage95,

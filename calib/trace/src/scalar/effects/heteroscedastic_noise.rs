@@ -2,8 +2,8 @@
 
 use super::{HETEROSCEDASTIC_NOISE, law};
 use crate::candidate::{Candidate, Law};
+use crate::engine::spread::LEAST_READINGS;
 use crate::scalar::frame::Frame;
-use crate::scalar::spread::LEAST_READINGS;
 use crate::scalar::system::ScalarEffect;
 
 /// See the module.

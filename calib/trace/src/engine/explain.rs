@@ -1,0 +1,171 @@
+//! Stages 1 and 3 to 9: noise and explanation, each judged under the other.
+//!
+//! Noise that is correlated in time and an effect that is smooth in time take each other's place: whoever is asked first takes all. So the
+//! search starts with independent readings; what it finds must then hold against the noise model that would take its place:
+//!
+//! ```text
+//! S(M) = min over theta of  r' r |Sigma(theta)|^(1/N)          (concentrated likelihood, every coefficient of M refitted)
+//! F = (S(without) / S(with) - 1) (N - p) / d                    judged within the family that was searched
+//! ```
+//!
+//! with the noise theta estimated anew on both sides. What does not hold is dropped, and the search is made again under the noise that
+//! stands in its place.
+
+use super::fit::{Weights, fit};
+use super::gate::{CATALOGUE_LEVEL, DRIVER_LEVEL, DriverScore, Gate};
+use super::noise_parts::{MeanModel, Misfit, Noise, NoiseInputs, Sought, estimate, misfit};
+use super::null::{NullFamily, f_test};
+use super::search::{Found, Hypothesis, Options, declared, search};
+use crate::candidate::System;
+
+/// What the search found and the noise under which it holds.
+pub struct Explained {
+    /// Search under the final noise.
+    pub found: Found,
+    /// Noise of the accepted model's residuals.
+    pub noise: Noise,
+    /// Noise of the declared model's residuals.
+    pub declared_noise: Noise,
+    /// Weights that the final search used.
+    pub weights: Weights,
+}
+
+/// Searches under a noise that is not known beforehand.
+const MAX_SEARCHES: usize = 3;
+/// Generic drivers that are judged against correlated noise.
+const DRIVERS_JUDGED: usize = 10;
+/// Price of a parameter of the noise, in -2 log likelihood (Akaike).
+const NOISE_PRICE: f64 = 2.0;
+
+/// Estimates the noise of an explanation's residuals.
+pub struct Judge<'a> {
+    system: &'a dyn System,
+    inputs: NoiseInputs,
+    seed: u64,
+}
+
+impl<'a> Judge<'a> {
+    /// For a session.
+    #[must_use]
+    pub fn new(system: &'a dyn System, seed: u64) -> Self {
+        Self { system, inputs: system.noise_inputs(), seed }
+    }
+
+    /// Noise of the residuals of `h`, with further columns where there are some.
+    #[must_use]
+    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
+        let model = MeanModel::of(&h.fit).with(columns);
+        let noise = estimate(&model, &self.inputs, &h.weights, Sought::ALL, self.seed)?;
+        let m = misfit(&model, &noise.weights)?;
+        Some((noise, m))
+    }
+
+    /// p-value of `with` against `without` (both with their own noise), judged in `family`.
+    fn p_value(&self, without: &(Noise, Misfit), with: &(Noise, Misfit), family: &NullFamily) -> f64 {
+        let (a, b) = (&without.1, &with.1);
+        let price = NOISE_PRICE * (parameters(&without.0) - parameters(&with.0));
+        let lead = (a.plain - b.plain + price.max(0.0)) / a.values;
+        let extra = (a.dof - b.dof).max(1.0);
+        // Sums of squares in units of the better model's.
+        let worse = lead.exp();
+        family.adjusted(f_test(worse - 1.0, worse, a.dof, extra as usize))
+    }
+
+    /// The effects of `found.best` that hold against the noise which would stand in their place.
+    fn confirmed(&self, found: &Found) -> Option<Hypothesis> {
+        let mut best = found.best.clone();
+        while !best.fit.terms.is_empty() {
+            let with = self.noise(&best, &[])?;
+            let mut weakest: Option<(f64, Hypothesis)> = None;
+            for k in 0..best.fit.terms.len() {
+                let mut terms = best.fit.terms.clone();
+                terms.remove(k);
+                let Some(fit) = fit(self.system, &terms, &best.weights, 10) else { continue };
+                let without = Hypothesis { fit, ..best.clone() };
+                let p = self.p_value(&self.noise(&without, &[])?, &with, &found.first_gate.family);
+                if weakest.as_ref().is_none_or(|w| p > w.0) {
+                    weakest = Some((p, without));
+                }
+            }
+            match weakest {
+                Some((p, without)) if p > CATALOGUE_LEVEL => best = without,
+                _ => break,
+            }
+        }
+        Some(best)
+    }
+
+    /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.
+    fn driven(&self, h: &Hypothesis, gate: &Gate) -> Option<Vec<DriverScore>> {
+        let without = self.noise(h, &[])?;
+        let mut judged: Vec<(f64, DriverScore)> = Vec::new();
+        for driver in gate.drivers.iter().take(DRIVERS_JUDGED) {
+            let Some(with) = self.noise(h, &driver.columns) else { continue };
+            judged.push((self.p_value(&without, &with, &gate.driver_family), driver.clone()));
+        }
+        judged.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let holds = judged.first().is_some_and(|d| d.0 < DRIVER_LEVEL);
+        holds.then(|| judged.into_iter().map(|d| d.1).collect())
+    }
+}
+
+/// Parameters of a noise model beyond its size.
+fn parameters(noise: &Noise) -> f64 {
+    let shared = noise.weights.shared();
+    let correlated = shared.and_then(|s| s.correlated).map_or(0.0, |_| 2.0);
+    let pose = shared.map_or(0.0, |s| f64::from(u8::from(s.pose > 0.0)));
+    correlated + pose + noise.law.as_ref().map_or(0.0, |_| 1.0)
+}
+
+/// Whether two noise models whiten alike, within a quarter.
+fn alike(a: &Weights, b: &Weights) -> bool {
+    let near = |x: f64, y: f64| (x - y).abs() <= 0.25 * x.max(y).max(0.2);
+    let shared = match (a.shared(), b.shared()) {
+        (None, None) => true,
+        (Some(p), Some(q)) => {
+            near(p.pose, q.pose)
+                && match (p.correlated, q.correlated) {
+                    (None, None) => true,
+                    (Some(p), Some(q)) => near(p[0], q[0]) && near(p[1].ln(), q[1].ln()),
+                    _ => false,
+                }
+        }
+        _ => false,
+    };
+    let (a, b) = (a.unmasked(), b.unmasked());
+    shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
+}
+
+/// Runs the search under the noise that the readings themselves show.
+pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
+    let judge = Judge::new(system, options.seed);
+    let mut weights = Weights::independent(judge.inputs.known.clone());
+    let base = declared(system, &weights, options.seed)?;
+    let declared_noise = judge.noise(&base, &[])?.0;
+    let mut options = *options;
+    let mut found = search(system, &weights, &options)?;
+    for _ in 1..MAX_SEARCHES {
+        let kept = judge.confirmed(&found)?;
+        let (noise, _) = judge.noise(&kept, &[])?;
+        let dropped = kept.fit.terms.len() < found.best.fit.terms.len();
+        let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
+        let retail = tails_dof.is_some() && options.tails_dof.is_none() && found.something_left_or_found();
+        if !dropped && !retail && alike(&noise.weights, &weights) {
+            break;
+        }
+        // What correlated noise would swallow may be an effect that no catalogue has: the better description stands.
+        if !dropped
+            && found.last_gate.generic()
+            && let Some(drivers) = judge.driven(&kept, &found.last_gate)
+        {
+            found.last_gate.drivers = drivers;
+            break;
+        }
+        weights = noise.weights.unmasked();
+        options.tails_dof = tails_dof;
+        found = search(system, &weights, &options)?;
+    }
+    let columns = found.left().and_then(|g| g.drivers.first()).map_or(Vec::new(), |d| d.columns.clone());
+    let (noise, _) = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]))?;
+    Some(Explained { found, noise, declared_noise, weights })
+}

@@ -1,0 +1,209 @@
+//! Tails of the noise, and readings that no tails explain.
+//!
+//! Standardised residuals z are taken as Student's t with `nu` degrees of freedom and scale `sigma` (nu = infinity: Gaussian). To judge the
+//! k largest, the fit must not see how large they are and must not forget that they are there: they enter as censored at the largest of
+//! the others, c (type II censoring; Lawless, "Statistical Models and Methods for Lifetime Data", 2nd ed., ch. 3):
+//!
+//! ```text
+//! log L(nu, sigma) = sum over the others of log f(z / sigma) / sigma  +  k log P(|t_nu| > c / sigma)
+//! p_k = P(at least k of N values exceed the k-th largest) = binomial tail with P(|t_nu| > z_k / sigma)
+//! ```
+//!
+//! `nu` is not known: the heaviest tails that the likelihood allows (2 log L within 2.71 of its maximum, a one-sided 95 % bound) judge, so a
+//! sample that happens to look light-tailed flags nothing that heavier tails would have given.
+
+use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
+use statrs::function::gamma::ln_gamma;
+
+/// Degrees of freedom that are tried, heaviest tails first.
+const NU: [f64; 10] = [2.2, 3.0, 4.0, 5.0, 6.5, 8.5, 12.0, 20.0, 40.0, f64::INFINITY];
+/// One-sided 95 % bound of a likelihood.
+const BOUND: f64 = 2.71;
+/// Twice the log likelihood that t tails must gain over a Gaussian to be called heavy (chi-squared of 1, one-sided 0.5 %).
+const HEAVY: f64 = 6.63;
+
+/// Fitted tails.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tails {
+    /// Degrees of freedom; infinite for a Gaussian.
+    pub dof: f64,
+    /// Heaviest tails within the one-sided 95 % bound.
+    pub heaviest: f64,
+    /// Lightest tails within it.
+    pub lightest: f64,
+    /// Scale of the residuals at `dof`.
+    pub scale: f64,
+    /// Scale at `heaviest`.
+    pub heaviest_scale: f64,
+    /// Heavier than a Gaussian beyond doubt.
+    pub heavy: bool,
+}
+
+/// P(|t_nu| > x).
+fn beyond(nu: f64, x: f64) -> f64 {
+    if nu.is_infinite() {
+        2.0 * Normal::standard().sf(x)
+    } else {
+        StudentsT::new(0.0, 1.0, nu).map_or(1.0, |t| 2.0 * t.sf(x))
+    }
+}
+
+/// Log density of t_nu without the terms of x.
+fn log_norm(nu: f64) -> f64 {
+    if nu.is_infinite() {
+        -0.5 * std::f64::consts::TAU.ln()
+    } else {
+        ln_gamma(0.5 * (nu + 1.0)) - ln_gamma(0.5 * nu) - 0.5 * (nu * std::f64::consts::PI).ln()
+    }
+}
+
+/// Log likelihood of sorted sizes `z` (rising) with `censored` values beyond the last, and the scale that maximises it.
+fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
+    let last = z.last().copied().unwrap_or(0.0);
+    let at = |sigma: f64| -> f64 {
+        let body: f64 = if nu.is_infinite() {
+            -0.5 * z.iter().map(|v| v * v).sum::<f64>() / (sigma * sigma)
+        } else {
+            let inverse = 1.0 / (nu * sigma * sigma);
+            -0.5 * (nu + 1.0) * z.iter().map(|v| (v * v * inverse).ln_1p()).sum::<f64>()
+        };
+        let tail =
+            if censored == 0 { 0.0 } else { censored as f64 * beyond(nu, last / sigma).max(1e-300).ln() };
+        body + tail + z.len() as f64 * (log_norm(nu) - sigma.ln())
+    };
+    // One maximum in the logarithm of the scale: golden section about the median's scale.
+    let median = z[z.len() / 2].max(1e-300);
+    let (mut a, mut b) = ((0.6 * median).ln(), (4.0 * median).ln());
+    let golden = 0.5 * (5f64.sqrt() - 1.0);
+    let (mut x, mut y) = (b - golden * (b - a), a + golden * (b - a));
+    let (mut fx, mut fy) = (at(x.exp()), at(y.exp()));
+    for _ in 0..18 {
+        if fx > fy {
+            (b, y, fy) = (y, x, fx);
+            x = b - golden * (b - a);
+            fx = at(x.exp());
+        } else {
+            (a, x, fx) = (x, y, fy);
+            y = a + golden * (b - a);
+            fy = at(y.exp());
+        }
+    }
+    let sigma = (0.5 * (a + b)).exp();
+    (at(sigma), sigma)
+}
+
+/// Tails of standardised residuals whose `censored` largest are not to be believed.
+fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
+    let z = &sorted[..sorted.len() - censored];
+    let fits = NU.map(|nu| (nu, likelihood(nu, z, censored)));
+    let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
+    let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= BOUND;
+    let gaussian = fits[NU.len() - 1].1.0;
+    let top = fits.iter().max_by(|a, b| a.1.0.total_cmp(&b.1.0)).unwrap_or(&fits[NU.len() - 1]);
+    let heaviest = fits.iter().find(within).unwrap_or(top);
+    let lightest = fits.iter().rev().find(within).unwrap_or(top);
+    Tails {
+        dof: top.0,
+        scale: top.1.1,
+        heaviest: heaviest.0,
+        heaviest_scale: heaviest.1.1,
+        lightest: lightest.0,
+        heavy: 2.0 * (best - gaussian) > HEAVY,
+    }
+}
+
+/// Tails of standardised residuals (of readings that count); none of too few.
+#[must_use]
+pub fn tails(residuals: &[f64]) -> Option<Tails> {
+    let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
+    if sorted.len() < 20 {
+        return None;
+    }
+    sorted.sort_by(f64::total_cmp);
+    (sorted[sorted.len() / 2] > 0.0).then(|| fit_sorted(&sorted, 0))
+}
+
+/// The largest values that no tails explain, and their p-value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outlying {
+    /// Values above this size.
+    pub beyond: f64,
+    /// How many.
+    pub count: usize,
+    /// Chance that so many values of N lie so far out.
+    pub p_value: f64,
+}
+
+/// Looks for outlying values among `residuals`, at most `most` of them: from the most downwards, the first number whose p-value is below `level`.
+#[must_use]
+pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<Outlying> {
+    let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    if n < 20 || !(sorted[n / 2] > 0.0) {
+        return None;
+    }
+    for k in (1..=most.min(n / 4)).rev() {
+        // Values that a Gaussian gives without any effort need no fit.
+        let largest = sorted[n - k];
+        if largest < 3.0 * sorted[n / 2] / 0.674 {
+            continue;
+        }
+        let tails = fit_sorted(&sorted, k);
+        let single = beyond(tails.heaviest, largest / tails.heaviest_scale);
+        let p_value = Binomial::new(single.clamp(0.0, 1.0), n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
+        if p_value < level {
+            return Some(Outlying { beyond: largest, count: k, p_value: p_value.max(1e-300) });
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal, StudentT};
+
+    fn draws(nu: Option<f64>, n: usize, seed: u64) -> Vec<f64> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        match nu {
+            Some(nu) => StudentT::new(nu).unwrap().sample_iter(&mut rng).take(n).collect(),
+            None => (0..n).map(|_| StandardNormal.sample(&mut rng)).collect(),
+        }
+    }
+
+    /// Share of samples in which something is flagged although nothing was added.
+    fn flagged(nu: Option<f64>, n: usize) -> f64 {
+        let hits = (0..300).filter(|s| outlying(&draws(nu, n, *s), 8, 2e-3).is_some()).count();
+        hits as f64 / 300.0
+    }
+
+    #[test]
+    fn heavy_tails_are_not_flagged_and_a_gross_reading_is_alone() {
+        for nu in [Some(3.0), Some(5.0), Some(8.0), None] {
+            for n in [60, 600] {
+                let rate = flagged(nu, n);
+                // 300 samples at a level of 0.002 over eight looks: more than 8 hits would be beyond chance at 0.01.
+                assert!(rate <= 0.027, "{nu:?} {n}: {rate}");
+            }
+        }
+        for (seed, size) in [(1, 40.0), (2, 100.0), (3, 2000.0)] {
+            let mut z = draws(None, 72, seed);
+            z[17] += size;
+            let found = outlying(&z, 8, 2e-3).unwrap();
+            assert_eq!(found.count, 1, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn tails_are_named_where_they_are_heavy() {
+        let named = |nu, n| (0..100).filter(|s| tails(&draws(nu, n, *s)).unwrap().heavy).count();
+        assert!(
+            named(Some(4.0), 600) >= 90 && named(None, 600) <= 3,
+            "{} {}",
+            named(Some(4.0), 600),
+            named(None, 600)
+        );
+    }
+}

@@ -1,9 +1,12 @@
 //! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
 //!
 //! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
-//! `[--follow-up] [--mix null|single|pair|unknown|paper|confounded|adversarial|all] [--only EFFECT] [--json FILE] [--no-rivals]`
+//! `[--follow-up] [--mix MIX] [--only EFFECT] [--json FILE] [--no-rivals]`
 //! `[--keep DIR] [--write DIR]`
 //!
+//! MIX: `null`, `single`, `pair`, `unknown`, `paper`, `confounded`, `adversarial` (white normal noise, layouts of the practice
+//! sessions); `noise-null`, `noise-single` (every kind of noise, every layout, two wires); `scalar-null`, `scalar-single`
+//! (transducers and axes); `all`.
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
 
@@ -12,8 +15,9 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 
 use anyhow::{Context, bail};
-use wcal_plant::exam::{Examiner, Goal, Outcome, summarise};
-use wcal_plant::orders;
+use wcal_plant::Make;
+use wcal_plant::exam::{Examiner, Goal, NoiseRow, Outcome, by_noise, clopper_pearson, summarise};
+use wcal_plant::orders::{MIXES, Order, orders};
 
 struct Options {
     draws: usize,
@@ -29,8 +33,6 @@ struct Options {
     keep: Option<PathBuf>,
     write: Option<PathBuf>,
 }
-
-const MIXES: [&str; 8] = ["null", "single", "pair", "unknown", "paper", "confounded", "adversarial", "all"];
 
 fn options() -> anyhow::Result<Options> {
     // The program lies beside the folder of the examples.
@@ -104,10 +106,12 @@ fn main() -> anyhow::Result<ExitCode> {
     let table = summarise(&outcomes);
     println!();
     table.iter().for_each(|goal| println!("{}", row(goal)));
+    let noises = by_noise(&outcomes);
+    println!("\n{}", noise_table(&noises));
     if let Some(path) = &o.json {
         let document = serde_json::json!({
             "format": "wcal-exam/1", "draws": o.draws, "seed": o.seed, "mix": o.mix, "only": o.only,
-            "summary": table, "cases": outcomes,
+            "summary": table, "by_noise": noises, "cases": outcomes,
         });
         std::fs::write(path, serde_json::to_string_pretty(&document)?)
             .with_context(|| format!("writing {}", path.display()))?;
@@ -115,17 +119,21 @@ fn main() -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn write_only(folder: &std::path::Path, orders: &[wcal_plant::Request]) -> anyhow::Result<ExitCode> {
+fn write_only(folder: &std::path::Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
     let mut truth = serde_json::Map::new();
     for (i, order) in orders.iter().enumerate() {
         let name = format!("case-{:03}", i + 1);
-        let case = wcal_plant::draw(order).with_context(|| format!("drawing {name}: {order:?}"))?;
+        let case = order.draw().with_context(|| format!("drawing {name}: {order:?}"))?;
         case.write(&folder.join(&name))?;
+        let entry = case.truth()?;
         println!(
-            "{name} {:?} {} {:?} {:.1} sigma",
-            order.design, case.truth.label, case.truth.laws, case.truth.projected_size_in_noises
+            "{name} {} {} {} {:.1} sigma",
+            entry["design"].as_str().unwrap_or("line"),
+            entry["label"],
+            entry["noise"],
+            entry["projected_size_in_noises"].as_f64().unwrap_or(0.0)
         );
-        truth.insert(name, serde_json::to_value(&case.truth)?);
+        truth.insert(name, entry);
     }
     std::fs::write(folder.join("truth.json"), serde_json::to_string_pretty(&truth)?)?;
     Ok(ExitCode::SUCCESS)
@@ -135,9 +143,10 @@ fn line(o: &Outcome) -> String {
     let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.2}"));
     let coverage = o.covered.map(|(k, n)| k as f64 / n as f64);
     format!(
-        "{} {:5} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {:.2} cover {:>4} {:.1} s {}",
+        "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {:.2} cover {:>4} {:.1} s {}",
         o.name,
-        format!("{:?}", o.design).to_lowercase(),
+        o.design.map_or_else(|| "line".into(), |d| format!("{d:?}").to_lowercase()),
+        format!("{}{}", o.noise, if o.wire == Some(Make::Thin) { ", thin" } else { "" }),
         if o.laws.is_empty() { o.label.clone() } else { o.laws.join("+") },
         o.delta,
         number(o.rival_sigma),
@@ -150,15 +159,89 @@ fn line(o: &Outcome) -> String {
         o.oracle_ratio,
         number(coverage),
         o.seconds,
-        o.follow_up.as_ref().map_or(o.why.clone(), |f| format!(
-            "later: {} [{}] {:?}, stated power {:.2} {}",
-            f.verdict,
-            f.got.join(","),
-            f.kind,
-            f.expected_power,
-            f.why
-        ))
+        o.follow_up.as_ref().map_or_else(
+            || remarks(o),
+            |f| format!(
+                "later: {} [{}] {:?}, stated power {:.2} {}",
+                f.verdict,
+                f.got.join(","),
+                f.kind,
+                f.expected_power,
+                f.why
+            )
+        )
     )
+}
+
+/// Flags that are not right, parts of the noise as put in and as stated, and what went wrong.
+fn remarks(o: &Outcome) -> String {
+    let mut out = o.why.clone();
+    if o.flags_right == Some(false) {
+        out += " flags wrong";
+    }
+    for p in o.parts.iter().filter(|p| p.value.is_some()) {
+        out += &format!(" {} {:.2} of {:.2}", p.name, p.value.unwrap_or(f64::NAN), p.truth);
+    }
+    out
+}
+
+/// One row a kind of noise; shares as hits/trials.
+fn noise_table(rows: &[NoiseRow]) -> String {
+    let of = |c: (usize, usize)| if c.1 == 0 { "-".into() } else { format!("{}/{}", c.0, c.1) };
+    let number = |v: f64| if v.is_finite() { format!("{v:.2}") } else { "-".into() };
+    let mut out = format!(
+        "{:16} {:>7} {:14} {:>8} {:>7} {:>7} {:>7} {:>6} {:>5} {:13} {:>9} {:>9} {:>18} {:>7} {}\n",
+        "noise",
+        "false",
+        "names 95 %",
+        "adequate",
+        "unknown",
+        "refused",
+        "right",
+        "wrong",
+        "cover",
+        "95 %",
+        "after",
+        "oracle",
+        "stated/true floor",
+        "flags",
+        "parts: within 1.3 | inside interval"
+    );
+    for r in rows {
+        let bounds = r.false_names_bounds.map_or("-".into(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
+        let (k, n) = r.covered;
+        let (share, cover) = if n == 0 {
+            ("-".into(), "-".into())
+        } else {
+            let (a, b) = clopper_pearson(k, n);
+            (format!("{:.3}", k as f64 / n as f64), format!("[{a:.3}, {b:.3}]"))
+        };
+        let parts: Vec<String> = r
+            .parts
+            .iter()
+            .map(|(name, near, inside)| format!("{name} {} | {}", of(*near), of(*inside)))
+            .collect();
+        out += &format!(
+            "{:16} {:>7} {:14} {:>8} {:>7} {:>7} {:>7} {:>6} {:>5} {:13} {:>9} {:>9} {:>18} {:>7} {}\n",
+            r.noise,
+            of(r.false_names),
+            bounds,
+            of(r.adequate),
+            of(r.unknown),
+            of(r.refused),
+            of(r.right),
+            of(r.wrong),
+            share,
+            cover,
+            r.after_floor.map(number).join(" "),
+            r.oracle_floor.map(number).join(" "),
+            format!("{} ({})", r.stated_floor.map(number).join(" "), of(r.states_floor)),
+            of(r.flags),
+            parts.join("; ")
+        );
+    }
+    out + "after, oracle: held-out error over the true noise of a loaded reading at a new pose, median and 95th percentile\n\
+           stated/true floor: 5th percentile, median, 95th percentile (answers that state a floor)"
 }
 
 fn row(g: &Goal) -> String {

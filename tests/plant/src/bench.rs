@@ -8,10 +8,13 @@ use crate::table::Path;
 
 /// Microstep of the stage in mm; positions are read back in whole microsteps (as in the practice sessions).
 pub const MICROSTEP_MM: f64 = 4.7625e-5;
-/// Wire diameter in mm.
+/// Diameter of the usual wire in mm.
 pub const DIAMETER_MM: f64 = 0.3;
-/// Wire length in mm.
+/// Length of the usual wire in mm.
 pub const LENGTH_MM: f64 = 60.0;
+/// Diameter and length of the thin wire in mm.
+const THIN_DIAMETER_MM: f64 = 0.2;
+const THIN_LENGTH_MM: f64 = 40.0;
 /// Shift of every grating with temperature in pm per degC.
 pub const PM_PER_DEGC: f64 = 10.0;
 /// Temperature at which the gratings are at their nominal wavelengths, degC.
@@ -46,6 +49,10 @@ impl Thermal {
 /// Everything that is drawn per session and is no effect.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bench {
+    /// Wire diameter in mm.
+    pub diameter_mm: f64,
+    /// Wire length in mm.
+    pub length_mm: f64,
     /// Straight part of the wire in mm.
     pub straight_mm: f64,
     /// Radius of the arc in mm.
@@ -90,6 +97,8 @@ impl Bench {
             })
             .collect();
         Self {
+            diameter_mm: DIAMETER_MM,
+            length_mm: LENGTH_MM,
             straight_mm: pick(rng, &[28.0, 29.0, 30.0, 31.0, 32.0]),
             arc_radius_mm: pick(rng, &[18.0, 19.0, 20.0, 21.0, 22.0]),
             youngs_gpa,
@@ -104,11 +113,32 @@ impl Bench {
         }
     }
 
+    /// Draws a bench with a wire of another make: thinner, shorter, of other steps and of a gain that fits its moments.
+    pub fn draw_thin(rng: &mut impl Rng) -> Self {
+        let bench = Self::draw(rng);
+        // Moments go with d^4 / L; gratings see the strain, which goes with the moment over d^3.
+        let gain = rng.random_range(2.4..3.4);
+        Self {
+            diameter_mm: THIN_DIAMETER_MM,
+            length_mm: THIN_LENGTH_MM,
+            straight_mm: rng.random_range(18..=22_u32).into(),
+            arc_radius_mm: rng.random_range(13..=16_u32).into(),
+            youngs_gpa: rng.random_range(55.0..82.0_f64).round(),
+            k: bench.k.map(|row| row.map(|v| gain * v)),
+            ..bench
+        }
+        .with_shear()
+    }
+
+    fn with_shear(self) -> Self {
+        Self { shear_gpa: (1e4 * self.youngs_gpa / 2.6).round() / 1e4, ..self }
+    }
+
     /// The wire of this bench, as declared.
     pub fn wire(&self) -> Wire {
         Wire::new(
-            DIAMETER_MM,
-            LENGTH_MM,
+            self.diameter_mm,
+            self.length_mm,
             self.straight_mm,
             self.arc_radius_mm,
             self.youngs_gpa,
@@ -120,13 +150,16 @@ impl Bench {
     pub fn trajectories(&self) -> Vec<Trajectory> {
         let wire = self.wire();
         let mut out = Vec::new();
+        let scale = self.length_mm / LENGTH_MM;
         // Turn about the wire's own axis from the arc's plane, in degrees.
         let points = [(18.0, 5.0), (31.0, 9.0), (45.0, 13.0)];
         let holdout = [(23.0, 6.0), (38.0, 10.5)];
         for (first, places, turns) in
             [(1, &points[..], [0.0, -60.0, 60.0_f64]), (101, &holdout[..], [-25.0, -85.0, 35.0])]
         {
-            for (i, &(arclength_mm, reach_mm)) in places.iter().enumerate() {
+            for (i, place) in places.iter().enumerate() {
+                let arclength_mm = (10.0 * scale * place.0).round() / 10.0;
+                let reach_mm = scale * place.1;
                 let (origin_mm, tangent) = wire.rest(arclength_mm);
                 let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
                 for (j, turn) in turns.iter().map(|t| t.to_radians()).enumerate() {

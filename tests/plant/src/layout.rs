@@ -1,5 +1,6 @@
 //! Order and timing of the readings, in the structure of the practice sessions, and the stage's motion between them.
 
+use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use crate::bench::{MICROSTEP_MM, Trajectory};
@@ -12,6 +13,12 @@ pub enum Design {
     Paper,
     /// 360 rows: two replicates up and down, three dwells, two speeds, rests.
     Rich,
+    /// About 360 rows: every loaded pose read two or three times without moving.
+    Repeats,
+    /// About 340 rows: two rounds through the trajectories in random order, poses read once to three times.
+    Shuffled,
+    /// 369 rows: staircases up and down that come back to the same positions in the same way.
+    Staircase,
 }
 
 /// A row before it is measured.
@@ -59,6 +66,21 @@ impl Planner {
         self.push(to_mm, direction, 0.0, dwell_s, replicate, role);
     }
 
+    /// Reads once more without moving; the time since arrival goes on.
+    fn again(&mut self, wait_s: f64, replicate: usize, role: &'static str) {
+        let Some((direction, dwell_s)) = self.rows.last().map(|r| (r.direction, r.dwell_s)) else { return };
+        self.t_s += wait_s;
+        self.push(self.commanded_mm, direction, 0.0, dwell_s + wait_s, replicate, role);
+    }
+
+    /// A settled pose read `times` times.
+    fn visit(&mut self, to_mm: f64, dwell_s: f64, times: usize, first: usize, role: &'static str) {
+        self.settled(to_mm, dwell_s, first, role);
+        for k in 1..times {
+            self.again(1.5, first + k, "verification");
+        }
+    }
+
     fn moving(&mut self, to_mm: f64, speed_mm_s: f64) {
         let direction = if to_mm >= self.commanded_mm { 1 } else { -1 };
         self.t_s += (to_mm - self.commanded_mm).abs() / speed_mm_s;
@@ -99,16 +121,28 @@ impl Planner {
 /// Plans points and holdout rows; `trajectories` are those of [`crate::bench::Bench::trajectories`].
 pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<Planned> {
     let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
-    for (index, trajectory) in trajectories.iter().enumerate().filter(|(_, t)| t.id < 100) {
+    let fitted: Vec<(usize, f64)> = trajectories
+        .iter()
+        .enumerate()
+        .filter(|(_, t)| t.id < 100)
+        .map(|(index, t)| (index, t.reach_mm))
+        .collect();
+    if design == Design::Shuffled {
+        shuffled(&mut p, &fitted, rng);
+    }
+    let times = if design == Design::Repeats { rng.random_range(2..=3_usize) } else { 1 };
+    for (index, reach_mm) in fitted.into_iter().filter(|_| design != Design::Shuffled) {
         p.next_trajectory(index, if index == 0 { 0.0 } else { 20.0 });
         match design {
             Design::Paper => {
                 p.settled(0.0, 2.0, 1, "rest");
                 for share in [1.0 / 3.0, 2.0 / 3.0, 1.0] {
-                    p.settled(share * trajectory.reach_mm, 2.0, 1, "calibration");
+                    p.settled(share * reach_mm, 2.0, 1, "calibration");
                 }
             }
-            Design::Rich => rich(&mut p, trajectory.reach_mm, rng),
+            Design::Rich | Design::Shuffled => rich(&mut p, reach_mm, rng),
+            Design::Repeats => repeats(&mut p, index, reach_mm, times, rng),
+            Design::Staircase => staircase(&mut p, reach_mm),
         }
     }
     p.t_s += 60.0;
@@ -188,6 +222,75 @@ fn rich(p: &mut Planner, reach_mm: f64, rng: &mut impl Rng) {
         }
     }
     p.settled(0.0, 3.0, 3, "rest");
+}
+
+/// Up and down with every pose read `times` times; four poses more on the way up where two readings suffice.
+fn repeats(p: &mut Planner, index: usize, reach_mm: f64, times: usize, rng: &mut impl Rng) {
+    let shares = [0.2, 0.35, 0.5, 0.7, 0.85, 1.0];
+    p.settled(0.0, 3.0, 1, "rest");
+    for (i, share) in shares.iter().chain(shares.iter().rev().skip(1)).enumerate() {
+        let role = if [1, 3, 5].contains(&i) { "calibration" } else { "verification" };
+        let dwell = [1.5, 4.0, 12.0][rng.random_range(0..3_usize)];
+        p.visit(share * reach_mm, dwell, times, 1, role);
+    }
+    p.settled(0.0, 3.0, 2, "rest");
+    if times == 2 {
+        for low in [0.15, 0.4, 0.6, 0.8] {
+            p.visit((low + rng.random_range(0.0..0.15)) * reach_mm, 4.0, times, 3, "verification");
+        }
+    }
+    let speed = if index % 2 == 0 { 2.0 } else { 8.0 };
+    for share in [0.95, 0.75, 0.5, 0.25, 0.4, 0.65, 0.3] {
+        p.moving(share * reach_mm, speed);
+    }
+    p.settled(0.0, 3.0, 3, "rest");
+}
+
+/// Two rounds through the trajectories, each in an order of its own: four poses up, three down, once to three times each.
+fn shuffled(p: &mut Planner, trajectories: &[(usize, f64)], rng: &mut impl Rng) {
+    for round in 0..2 {
+        let mut order = trajectories.to_vec();
+        order.shuffle(rng);
+        for (index, reach_mm) in order {
+            p.next_trajectory(index, if p.rows.is_empty() { 0.0 } else { 20.0 });
+            p.settled(0.0, 3.0, 1 + 2 * round, "rest");
+            let first = 1 + 3 * round;
+            let up = [0.2, 0.45, 0.7, 0.92].map(|s| (s + rng.random_range(-0.08..0.08)) * reach_mm);
+            let down = [0.75, 0.5, 0.25].map(|s| (s + rng.random_range(-0.1..0.1)) * reach_mm);
+            for (i, x) in up.into_iter().chain(down).enumerate() {
+                let role = if round == 0 && (1..4).contains(&i) { "calibration" } else { "verification" };
+                let dwell = rng.random_range(1.0..10.0_f64).round();
+                p.visit(x, dwell, rng.random_range(1..=3_usize), first, role);
+            }
+            if round == 1 {
+                for (share, speed) in [(0.4, 3.0), (0.8, 3.0), (0.5, 3.0), (0.9, 7.0), (0.6, 7.0), (0.3, 7.0)]
+                {
+                    p.moving(share * reach_mm, speed);
+                }
+            }
+            p.settled(0.0, 3.0, 2 + 2 * round, "rest");
+        }
+    }
+}
+
+/// Three steps up and one down, then all the way down, twice with the same positions, dwells and directions.
+fn staircase(p: &mut Planner, reach_mm: f64) {
+    const STEPS: [f64; 15] = [1., 2., 3., 2., 3., 4., 5., 4., 5., 6., 5., 4., 3., 2., 1.];
+    p.settled(0.0, 3.0, 1, "rest");
+    for replicate in 1..=2 {
+        for (i, step) in STEPS.iter().enumerate() {
+            let role = if replicate == 1 && [1, 5, 9].contains(&i) { "calibration" } else { "verification" };
+            let dwell = [2.0, 8.0][i % 2];
+            p.settled(step / 6.0 * reach_mm, dwell, replicate, role);
+        }
+        p.settled(0.0, 3.0, replicate + 1, "rest");
+    }
+    for speed in [2.0, 8.0] {
+        for share in [0.4, 0.9, 0.6, 0.2] {
+            p.moving(share * reach_mm, speed);
+        }
+    }
+    p.settled(0.0, 3.0, 4, "rest");
 }
 
 /// One instant of the session: end of a small step of motion or of a dwell.

@@ -1,7 +1,8 @@
 //! Random whisker-bench sessions with effects that the session does not declare: the examiner's own physics.
 //!
 //! Nothing here is shared with the fitter: the wire is a discrete-energy rod ([`rod`]), the readings follow the
-//! session's true sequence and times ([`simulate`]), and several laws stand behind every effect ([`effects`]).
+//! session's true sequence and times ([`simulate`]), the noise is as instruments
+//! make it ([`noise`]), and several laws stand behind every effect ([`effects`]).
 //! All data made here are simulated.
 
 pub mod adversarial;
@@ -10,17 +11,21 @@ pub mod effects;
 pub mod exam;
 pub mod layout;
 pub mod memory;
+pub mod noise;
 pub mod orders;
 pub mod rivals;
 pub mod rod;
+pub mod scalar;
 pub mod session;
 pub mod simulate;
 pub mod table;
 
 pub use effects::{Effect, Kind};
 pub use layout::Design;
-pub use orders::orders;
-pub use session::{Case, Request, Truth, Want, draw};
+pub use noise::Noise;
+pub use orders::{Order, orders};
+pub use scalar::{ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+pub use session::{Case, Make, Request, Truth, Want, draw, draw_under};
 
 /// What can go wrong while drawing or writing a session.
 #[derive(Debug, thiserror::Error)]

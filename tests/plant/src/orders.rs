@@ -1,18 +1,96 @@
 //! Order books: which sessions an exam draws.
 
+use std::path::Path;
+
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::PlantError;
 use crate::adversarial::Trick;
 use crate::effects::Kind;
 use crate::layout::Design;
-use crate::session::{Request, Want};
+use crate::noise::Noise;
+use crate::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+use crate::session::{Case, Make, Request, Want, draw_under};
 
-/// A varied order book: `mix` is one of `null`, `single`, `pair`, `unknown`, `paper`, `confounded` (pairs on
-/// approach-only sessions), `adversarial`, `all`.
+/// One order of an exam.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Order {
+    /// A whisker's session with noise of a kind on a wire of a make.
+    Whisker(Request, Noise, Make),
+    /// A transducer's or an axis's session.
+    Scalar(ScalarRequest),
+}
+
+impl Order {
+    /// Draws it.
+    ///
+    /// # Errors
+    /// As [`draw_under`].
+    pub fn draw(&self) -> Result<Drawn, PlantError> {
+        Ok(match self {
+            Self::Whisker(request, noise, make) => {
+                Drawn::Whisker(Box::new(draw_under(request, *noise, *make)?))
+            }
+            Self::Scalar(request) => Drawn::Scalar(scalar::draw(request)),
+        })
+    }
+}
+
+/// A drawn session of any kind.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Drawn {
+    /// Of a whisker.
+    Whisker(Box<Case>),
+    /// Of a transducer or an axis.
+    Scalar(ScalarCase),
+}
+
+impl Drawn {
+    /// Writes the session into `folder`.
+    ///
+    /// # Errors
+    /// [`PlantError::Write`] with the file that could not be written.
+    pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
+        match self {
+            Self::Whisker(case) => case.write(folder),
+            Self::Scalar(case) => case.write(folder),
+        }
+    }
+
+    /// Its entry of truth.json.
+    ///
+    /// # Errors
+    /// Where the truth does not go into JSON.
+    pub fn truth(&self) -> serde_json::Result<serde_json::Value> {
+        match self {
+            Self::Whisker(case) => serde_json::to_value(&case.truth),
+            Self::Scalar(case) => serde_json::to_value(&case.truth),
+        }
+    }
+}
+
+/// Mixes that [`orders`] knows.
+pub const MIXES: [&str; 12] = [
+    "null",
+    "single",
+    "pair",
+    "unknown",
+    "paper",
+    "confounded",
+    "adversarial",
+    "noise-null",
+    "noise-single",
+    "scalar-null",
+    "scalar-single",
+    "all",
+];
+
+/// A varied order book. `mix` is one of [`MIXES`]: `confounded` are pairs on approach-only sessions, `noise-*` go through
+/// all kinds of noise, layouts and both wires, `scalar-*` through transducers and axes.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
-pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Request> {
+pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Order> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed);
     let kinds: Vec<Kind> = crate::effects::ALL
         .into_iter()
@@ -21,32 +99,44 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
     let catalogue: Vec<Kind> = kinds.iter().copied().filter(|k| !k.is_unknown()).collect();
     let unknown: Vec<Kind> = kinds.iter().copied().filter(|k| k.is_unknown()).collect();
     let targets = [8.0, 12.0, 20.0, 40.0];
+    let (mut noisy, mut scalars) = (0, 0);
     let (mut walked, offset) = (0, rng.random_range(0..50_usize));
     (0..draws)
         .map(|i| {
             let part = match mix {
-                "all" => [
-                    "null",
-                    "single",
-                    "single",
-                    "pair",
-                    "single",
-                    "unknown",
-                    "null",
-                    "single",
-                    "paper",
-                    "adversarial",
-                ][i % 10],
+                "all" => ALL_PARTS[i % ALL_PARTS.len()],
                 one => one,
             };
+            if let Some(effect) = part.strip_prefix("scalar-") {
+                scalars += 1;
+                return Order::Scalar(scalar_order(
+                    effect == "single",
+                    scalars - 1,
+                    seed_of(seed, i),
+                    &mut rng,
+                ));
+            }
             // Walk through the laws by turns (a stride prime to their number), so that few draws see many of them.
             let mut turn = |of: &[Kind]| -> Option<Kind> {
                 walked += 1;
                 of.get((walked * 7 + offset) % of.len().max(1)).copied()
             };
             let mut design = Design::Rich;
+            let (mut noise, mut make) = (Noise::Gaussian, Make::Usual);
+            if part.starts_with("noise-") {
+                noise = Noise::ALL[noisy % Noise::ALL.len()];
+                noisy += 1;
+                design = noisy_layout(noise, part == "noise-null", &mut rng);
+                make = if rng.random_bool(1.0 / 3.0) { Make::Thin } else { Make::Usual };
+            }
             let want = match part {
-                "single" => turn(&catalogue).map_or(Want::Null, |k| Want::Effects(vec![k])),
+                // Which reading is off is the truth already where the noise has gross readings.
+                "noise-single" if matches!(noise, Noise::OneGross | Noise::TwoGross) => {
+                    let of: Vec<Kind> =
+                        catalogue.iter().copied().filter(|k| *k != Kind::SlipOutliers).collect();
+                    turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k]))
+                }
+                "single" | "noise-single" => turn(&catalogue).map_or(Want::Null, |k| Want::Effects(vec![k])),
                 "pair" => pair(&catalogue, &mut rng),
                 "confounded" => {
                     design = Design::Paper;
@@ -63,19 +153,58 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                         turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k]))
                     }
                 }
-                "adversarial" => Want::Adversarial(Trick::ALL[(i / 10 + i) % Trick::ALL.len()]),
+                "adversarial" => Want::Adversarial(Trick::ALL[(i / 15 + i) % Trick::ALL.len()]),
                 _ => Want::Null,
             };
             let target_sigma = targets[rng.random_range(0..targets.len())];
-            Request {
-                seed: seed.wrapping_mul(1_000_003).wrapping_add(i as u64),
-                design,
-                want,
-                target_sigma,
-                rivals,
-            }
+            let seed = seed_of(seed, i);
+            Order::Whisker(Request { seed, design, want, target_sigma, rivals }, noise, make)
         })
         .collect()
+}
+
+/// Parts of the mix `all`, in turn.
+const ALL_PARTS: [&str; 15] = [
+    "null",
+    "single",
+    "noise-null",
+    "pair",
+    "single",
+    "scalar-null",
+    "unknown",
+    "noise-single",
+    "single",
+    "paper",
+    "noise-null",
+    "adversarial",
+    "single",
+    "scalar-single",
+    "noise-single",
+];
+
+fn seed_of(seed: u64, order: usize) -> u64 {
+    seed.wrapping_mul(1_000_003).wrapping_add(order as u64)
+}
+
+/// A layout on which a kind of noise can be drawn: scatter of poses is asked for where poses are read more than once.
+fn noisy_layout(noise: Noise, null: bool, rng: &mut impl Rng) -> Design {
+    let of: &[Design] = match (noise, null) {
+        (Noise::Pose, _) => &[Design::Repeats, Design::Shuffled],
+        (_, true) => &[Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase, Design::Paper],
+        (_, false) => &[Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase],
+    };
+    of[rng.random_range(0..of.len())]
+}
+
+fn scalar_order(single: bool, turn: usize, seed: u64, rng: &mut impl Rng) -> ScalarRequest {
+    let kinds = ScalarNoise::ALL.len();
+    ScalarRequest {
+        seed,
+        axis: (turn / kinds) % 2 == 1,
+        noise: ScalarNoise::ALL[turn % kinds],
+        effect: single.then(|| ScalarEffect::ALL[rng.random_range(0..ScalarEffect::ALL.len())]),
+        target_sigma: [8.0, 12.0, 20.0, 40.0][rng.random_range(0..4_usize)],
+    }
 }
 
 /// Two effects of different names.

@@ -1,13 +1,14 @@
 //! What an examiner who knows the physics can say beforehand: the oracle's error, and the nearest rival effect.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
 use crate::PlantError;
 use crate::effects::{Effect, Kind};
+use crate::noise::Gross;
 use crate::session::Reading;
-use crate::simulate::{Clean, Plant};
+use crate::simulate::{Clean, Plant, moments};
 
 /// The effect of the catalogue that comes nearest to a session's readings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -23,11 +24,10 @@ pub struct Rival {
 /// Distance (noises) within which data do not decide.
 const UNDECIDED: f64 = 3.0;
 
-/// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings exactly
-/// and fits only K and the zero on the points.
-pub fn oracle_error_nmm(plant: &Plant, clean: &[Clean], readings: &[Reading]) -> f64 {
-    let n = plant.rows.len();
-    let points: Vec<usize> = (0..n).filter(|&i| !plant.rows[i].holdout).collect();
+/// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings, the noise's
+/// covariance and the gross readings, and fits only K and the zero on the points.
+pub fn oracle_error_nmm(plant: &Plant, clean: &[Clean], readings: &[Reading], gross: &[Gross]) -> f64 {
+    let points = plant.covariance.rows();
     let moment = |i: usize| clean[i].moment_nmm;
     // Reading without the declared temperature term and without the effect's own part.
     let reading = |i: usize, c: usize| {
@@ -36,20 +36,19 @@ pub fn oracle_error_nmm(plant: &Plant, clean: &[Clean], readings: &[Reading]) ->
         let linear = plant.bench.shift_pm(moment(i))[c];
         1e3 * (r.fbg_nm[c] - plant.bench.nominal_nm[c]) - warm_pm - (clean[i].shift_pm[c] - linear)
     };
-    let base = DMatrix::from_fn(points.len(), 3, |i, j| if j == 0 { 1.0 } else { moment(points[i])[j - 1] });
-    let svd = base.svd(true, true);
-    let mut fit = [[0.0; 3]; 2];
-    for (c, fit) in fit.iter_mut().enumerate() {
-        let y = DVector::from_fn(points.len(), |i, _| reading(points[i], c));
-        let Ok(x) = svd.solve(&y, 1e-12) else { return f64::NAN };
-        *fit = [x[0], x[1], x[2]];
-    }
-    let det = fit[0][1] * fit[1][2] - fit[0][2] * fit[1][1];
+    let svd = plant.covariance.whiten(&moments(points, clean)).svd(true, true);
+    let y = DMatrix::from_fn(points.len(), 2, |i, c| reading(points[i], c));
+    let Ok(fit) = svd.solve(&plant.covariance.whiten(&y), 1e-12) else { return f64::NAN };
+    // Rows are channels.
+    let k = Matrix2::new(fit[(1, 0)], fit[(2, 0)], fit[(1, 1)], fit[(2, 1)]);
+    let Some(inverse) = k.try_inverse() else { return f64::NAN };
     let (mut sum, mut count) = (0.0, 0);
-    for i in (0..n).filter(|&i| plant.rows[i].role == "holdout") {
-        let d = [reading(i, 0) - fit[0][0], reading(i, 1) - fit[1][0]];
-        let m = [(fit[1][2] * d[0] - fit[0][2] * d[1]) / det, (fit[0][1] * d[1] - fit[1][1] * d[0]) / det];
-        sum += (m[0] - moment(i)[0]).powi(2) + (m[1] - moment(i)[1]).powi(2);
+    for i in (0..plant.rows.len()).filter(|&i| plant.rows[i].role == "holdout") {
+        if gross.iter().any(|g| g.row == i) {
+            continue;
+        }
+        let d = Vector2::new(reading(i, 0) - fit[(0, 0)], reading(i, 1) - fit[(0, 1)]);
+        sum += (inverse * d - Vector2::from(moment(i))).norm_squared();
         count += 2;
     }
     (sum / f64::from(count)).sqrt()
@@ -132,15 +131,15 @@ pub fn nearest(
     with: &[Clean],
     without: &[Clean],
 ) -> Result<Option<Rival>, PlantError> {
-    let rows: Vec<usize> = (0..plant.rows.len()).filter(|&i| !plant.rows[i].holdout).collect();
-    let noise = plant.bench.noise_pm;
-    let stack = |a: &[Clean]| -> DVector<f64> {
-        DVector::from_fn(2 * rows.len(), |i, _| {
-            let (row, c) = (rows[i / 2], i % 2);
-            (a[row].shift_pm[c] - without[row].shift_pm[c]) / noise
-        })
+    let rows = plant.covariance.rows().to_vec();
+    let n = rows.len();
+    // Both channels, whitened, one above the other.
+    let stack = |plant: &Plant, a: &[Clean]| -> DVector<f64> {
+        let d = DMatrix::from_fn(n, 2, |i, c| a[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
+        DVector::from_column_slice(plant.covariance.whiten(&d).as_slice())
     };
-    let effect = stack(with);
+    let effect = stack(plant, with);
+    let base = plant.covariance.whiten(&moments(&rows, without));
     let mut best: Option<Rival> = None;
     let mut close: BTreeSet<&str> = BTreeSet::new();
     let mut signatures = Vec::new();
@@ -154,16 +153,12 @@ pub fn nearest(
         }
     }
     for (id, answers) in signatures {
-        let columns: Vec<DVector<f64>> = answers.iter().map(|a| stack(a)).collect();
+        let columns: Vec<DVector<f64>> = answers.iter().map(|a| stack(plant, a)).collect();
         // K and the zero of each channel are six nuisance columns.
-        let design = DMatrix::from_fn(2 * rows.len(), 6 + columns.len(), |i, j| {
-            let (row, c) = (rows[i / 2], i % 2);
-            match j {
-                0..6 if j / 3 != c => 0.0,
-                0 | 3 => 1.0,
-                1..6 => without[row].moment_nmm[j % 3 - 1],
-                _ => columns[j - 6][i],
-            }
+        let design = DMatrix::from_fn(2 * n, 6 + columns.len(), |i, j| match j {
+            0..6 if j / 3 != i / n => 0.0,
+            0..6 => base[(i % n, j % 3)],
+            _ => columns[j - 6][i],
         });
         let svd = design.clone().svd(true, true);
         let Ok(x) = svd.solve(&effect, 1e-9) else { continue };

@@ -11,9 +11,10 @@ use serde_json::{Map, Value, json};
 
 use crate::PlantError;
 use crate::adversarial::{self, Trick};
-use crate::bench::{Bench, DIAMETER_MM, LENGTH_MM, PM_PER_DEGC, REFERENCE_DEGC};
+use crate::bench::{Bench, PM_PER_DEGC, REFERENCE_DEGC};
 use crate::effects::{Effect, Kind};
 use crate::layout::{Asked, Design, Planned, plan, plan_asked};
+use crate::noise::{self, Law, Noise};
 use crate::rivals::{Rival, nearest, oracle_error_nmm};
 use crate::simulate::{Clean, Plant};
 
@@ -26,6 +27,17 @@ pub enum Want {
     Effects(Vec<Kind>),
     /// No effect, but tampered with.
     Adversarial(Trick),
+}
+
+/// Make of the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Make {
+    /// 0.3 mm, 60 mm, as in the practice sessions.
+    #[default]
+    Usual,
+    /// 0.2 mm, 40 mm.
+    Thin,
 }
 
 /// One order to the plant.
@@ -41,6 +53,15 @@ pub struct Request {
     pub target_sigma: f64,
     /// Whether to look for the nearest rival of a single effect (a second or two more).
     pub rivals: bool,
+}
+
+/// A reading by its file and number.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Flag {
+    /// `points.csv` or `holdout.csv`.
+    pub source: String,
+    /// Number within its file.
+    pub point: usize,
 }
 
 /// One row as written.
@@ -71,10 +92,20 @@ pub struct Reading {
 pub struct Truth {
     /// Effects with their own parameters.
     pub effects: Map<String, Value>,
-    /// `paper` or `rich`.
+    /// `paper`, `rich`, `repeats`, `shuffled` or `staircase`.
     pub design: Design,
-    /// Point-to-point noise in pm.
+    /// Point-to-point noise of a rest reading in pm.
     pub noise_pm: f64,
+    /// How the noise is made.
+    pub noise: Law,
+    /// Noise of a loaded reading at a pose not visited before, compensated for temperature, over the rows of holdout.csv, pm.
+    pub new_pose_noise_pm: f64,
+    /// Noise of repeated readings at rest, pm.
+    pub repeat_noise_pm: f64,
+    /// Readings that are grossly off.
+    pub flagged: Vec<Flag>,
+    /// Make of the wire.
+    pub wire: Make,
     /// Sensitivity in pm per N mm.
     #[serde(rename = "K")]
     pub k: [[f64; 2]; 2],
@@ -125,29 +156,48 @@ pub struct Case {
     pub effects: Vec<Effect>,
 }
 
-/// Draws a session.
+/// Draws a session on the usual wire, with white normal noise.
 ///
 /// # Errors
 /// [`PlantError::NoEquilibrium`] when the rod does not settle for a bench or an amplitude.
 pub fn draw(request: &Request) -> Result<Case, PlantError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
-    let bench = Bench::draw(&mut rng);
-    drawn(request, bench, rng)
+    draw_under(request, Noise::Gaussian, Make::Usual)
 }
 
-/// Draws a session on a given bench.
+/// Draws a session with noise of a kind, on a wire of a make.
+///
+/// # Errors
+/// As [`draw`].
+pub fn draw_under(request: &Request, noise: Noise, wire: Make) -> Result<Case, PlantError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+    let bench = match wire {
+        Make::Usual => Bench::draw(&mut rng),
+        Make::Thin => Bench::draw_thin(&mut rng),
+    };
+    drawn(request, noise, wire, bench, rng)
+}
+
+/// Draws a session on a given bench, with white normal noise.
 ///
 /// # Errors
 /// As [`draw`].
 pub fn draw_on(request: &Request, bench: Bench) -> Result<Case, PlantError> {
-    drawn(request, bench, ChaCha8Rng::seed_from_u64(request.seed))
+    let rng = ChaCha8Rng::seed_from_u64(request.seed);
+    drawn(request, Noise::Gaussian, Make::Usual, bench, rng)
 }
 
-fn drawn(request: &Request, bench: Bench, mut rng: ChaCha8Rng) -> Result<Case, PlantError> {
+fn drawn(
+    request: &Request,
+    noise: Noise,
+    wire: Make,
+    bench: Bench,
+    mut rng: ChaCha8Rng,
+) -> Result<Case, PlantError> {
     let trajectories = bench.trajectories();
     let rows = plan(request.design, &trajectories, &mut rng);
     let end_s = rows.iter().rev().find(|r| !r.holdout).map_or(0.0, |r| r.t_s);
-    let mut plant = Plant::new(bench, trajectories, rows);
+    let law = Law::draw(noise, &bench, &rows, request.seed);
+    let mut plant = Plant::new(bench, trajectories, rows, &law);
     let without = plant.clean(&[])?;
 
     let kinds = match &request.want {
@@ -167,9 +217,14 @@ fn drawn(request: &Request, bench: Bench, mut rng: ChaCha8Rng) -> Result<Case, P
     let clean = if effects.is_empty() { without.clone() } else { plant.clean(&effects)? };
     let projected = plant.size(&clean, &without);
 
-    let readings = measure(&plant, &clean, &mut rng);
-    let mut truth = truth(request, &plant, &effects, &clean, projected, each, target_reached);
-    truth.oracle_after_nmm = oracle_error_nmm(&plant, &clean, &readings);
+    let readings = measure(&plant, &clean, &law, request.seed, &mut rng);
+    let mut truth = truth(request, &plant, &effects, &clean, law);
+    truth.wire = wire;
+    (truth.sizes_each, truth.target_reached) = (each, target_reached);
+    truth.projected_size_in_noises = (projected * 10.0).round() / 10.0;
+    truth.flagged = truth.noise.gross.iter().map(|g| flag(&readings[g.row])).collect();
+    truth.flagged.sort();
+    truth.oracle_after_nmm = oracle_error_nmm(&plant, &clean, &readings, &truth.noise.gross);
     if let ([one], true) = (effects.as_slice(), request.rivals) {
         truth.nearest_rival = nearest(&mut plant, one.kind.name().0, &clean, &without)?;
     }
@@ -178,6 +233,11 @@ fn drawn(request: &Request, bench: Bench, mut rng: ChaCha8Rng) -> Result<Case, P
         adversarial::tamper(&mut case, trick, &mut rng);
     }
     Ok(case)
+}
+
+fn flag(reading: &Reading) -> Flag {
+    let file = if reading.planned.holdout { "holdout.csv" } else { "points.csv" };
+    Flag { source: file.into(), point: reading.point }
 }
 
 /// Largest change of a zero when the whisker is seated anew, pm.
@@ -195,9 +255,11 @@ pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
     }
     let trajectories = bench.trajectories();
     let rows = plan_asked(asked, &trajectories);
-    let mut plant = Plant::new(bench, trajectories, rows);
+    // The noise is as before; what went grossly wrong in a reading does so once.
+    let law = Law { gross: Vec::new(), ..case.truth.noise.clone() };
+    let mut plant = Plant::new(bench, trajectories, rows, &law);
     let clean = plant.clean(&case.effects)?;
-    let readings = measure(&plant, &clean, &mut rng);
+    let readings = measure(&plant, &clean, &law, case.truth.seed ^ 0x1a7e, &mut rng);
     Ok(Case { bench: plant.bench, readings, ..case.clone() })
 }
 
@@ -242,8 +304,9 @@ fn scale(plant: &mut Plant, effect: &mut Effect, without: &[Clean], target: f64)
 }
 
 /// Turns noise-free answers into readings.
-fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
+fn measure(plant: &Plant, clean: &[Clean], law: &Law, seed: u64, rng: &mut impl Rng) -> Vec<Reading> {
     let bench = &plant.bench;
+    let series = law.series(&plant.rows, &plant.trajectories, seed);
     let mut normal = |sd: f64| -> f64 {
         let z: f64 = StandardNormal.sample(rng);
         sd * z
@@ -254,15 +317,17 @@ fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
         if i > 0 && row.holdout != plant.rows[i - 1].holdout {
             point = 0;
         }
-        let samples: usize = if row.speed_mm_s > 0.0 { 200 } else { 2000 };
+        let samples = noise::samples(row);
+        let gross = law.gross.iter().find(|g| g.row == i);
         let blur = bench.sample_sd_pm / (samples as f64).sqrt();
         let warm = bench.thermal.at(row.t_s);
         let trajectory = &plant.trajectories[row.trajectory];
         let groove = trajectory.path.origin_mm + trajectory.path.direction * row.commanded_mm;
         let fbg_nm = [0, 1].map(|c| {
-            let noise = normal(bench.noise_pm) + normal(blur);
+            let noise = normal(series.scale_pm[i][c]) + normal(blur) + series.add_pm[i][c];
             let shift_pm = bench.zero_pm[c] + answer.shift_pm[c] + PM_PER_DEGC * warm + noise;
-            bench.nominal_nm[c] + 1e-3 * shift_pm
+            let error_nm = gross.map_or(0.0, |g| g.error_nm[c]);
+            law.rounded(bench.nominal_nm[c] + 1e-3 * shift_pm + error_nm)
         });
         let sd_pm = [0, 1].map(|_| bench.sample_sd_pm * (1.0 + 0.02 * normal(1.0).clamp(-2.5, 2.5)));
         out.push(Reading {
@@ -271,7 +336,8 @@ fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
             trajectory_id: trajectory.id,
             groove_mm: [groove.x, groove.y, groove.z],
             temperature_degc: REFERENCE_DEGC + warm + normal(0.02),
-            reference_nm: bench.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + normal(blur)),
+            reference_nm: law
+                .rounded(bench.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + normal(blur))),
             fbg_nm,
             sd_pm,
             samples,
@@ -281,15 +347,7 @@ fn measure(plant: &Plant, clean: &[Clean], rng: &mut impl Rng) -> Vec<Reading> {
     out
 }
 
-fn truth(
-    request: &Request,
-    plant: &Plant,
-    effects: &[Effect],
-    clean: &[Clean],
-    projected: f64,
-    sizes_each: Map<String, Value>,
-    target_reached: bool,
-) -> Truth {
+fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[Clean], law: Law) -> Truth {
     let unknown = effects.iter().find(|e| e.kind.is_unknown());
     let driver = unknown.and_then(|e| e.kind.driver());
     let label = match (&request.want, effects) {
@@ -301,7 +359,16 @@ fn truth(
     let by_name = |f: &dyn Fn(&Effect) -> Value| -> Map<String, Value> {
         effects.iter().map(|e| (e.kind.name().0.to_owned(), f(e))).collect()
     };
-    let (laws, parameters) = (by_name(&|e| json!(e.kind.name().1)), by_name(&|e| e.parameters()));
+    let (laws, mut parameters) = (by_name(&|e| json!(e.kind.name().1)), by_name(&|e| e.parameters()));
+    if let Some(length) = parameters.get_mut("wire-taper").and_then(|v| v.get_mut("length_mm")) {
+        *length = json!(plant.bench.length_mm);
+    }
+    let variances: Vec<f64> = plant
+        .rows
+        .iter()
+        .filter(|r| r.role == "holdout")
+        .map(|r| law.new_pose_pm(&plant.bench, r, plant.trajectories[r.trajectory].reach_mm).powi(2))
+        .collect();
     let expected = match request.want {
         Want::Adversarial(trick) => trick.expected().iter().map(|s| (*s).to_owned()).collect(),
         _ => Vec::new(),
@@ -310,6 +377,11 @@ fn truth(
         effects: parameters,
         design: request.design,
         noise_pm: plant.bench.noise_pm,
+        new_pose_noise_pm: (variances.iter().sum::<f64>() / variances.len() as f64).sqrt(),
+        repeat_noise_pm: law.repeat_at_rest_pm(&plant.bench),
+        noise: law,
+        flagged: Vec::new(),
+        wire: Make::Usual,
         k: plant.bench.k,
         zero: plant.bench.zero_pm,
         label,
@@ -320,7 +392,7 @@ fn truth(
             s if s < 30.0 => 3,
             _ => 4,
         },
-        projected_size_in_noises: (projected * 10.0).round() / 10.0,
+        projected_size_in_noises: f64::NAN,
         holdout_moments_nmm: plant
             .rows
             .iter()
@@ -329,9 +401,9 @@ fn truth(
             .map(|(_, c)| c.moment_nmm.map(|m| (m * 1e6).round() / 1e6 + 0.0))
             .collect(),
         laws,
-        sizes_each,
+        sizes_each: Map::new(),
         target_sigma: request.target_sigma,
-        target_reached,
+        target_reached: true,
         driver: driver.map_or_else(Vec::new, |d| d.0.iter().map(|s| (*s).to_owned()).collect()),
         shape: driver.map(|d| d.1.to_owned()),
         expected,
@@ -343,16 +415,18 @@ fn truth(
 
 const HEADER: &str = "point,role,trajectory,replicate,t_s,stage_mm,direction,speed_mm_s,dwell_s,groove_x_mm,groove_y_mm,groove_z_mm,temperature_degc,fbg_ref_nm,fbg_1_nm,fbg_2_nm,fbg_1_sd_pm,fbg_2_sd_pm,samples\n";
 
+/// Writes a file.
+pub(crate) fn put(path: &Path, text: &str) -> Result<(), PlantError> {
+    std::fs::write(path, text)
+        .map_err(|source| PlantError::Write { path: path.display().to_string(), source })
+}
+
 impl Case {
     /// Writes `session.toml`, `points.csv` and `holdout.csv` into `folder` (made if missing); its name is the id.
     ///
     /// # Errors
     /// [`PlantError::Write`] with the file that could not be written.
     pub fn write(&self, folder: &Path) -> Result<(), PlantError> {
-        let put = |path: &Path, text: &str| {
-            std::fs::write(path, text)
-                .map_err(|source| PlantError::Write { path: path.display().to_string(), source })
-        };
         std::fs::create_dir_all(folder)
             .map_err(|source| PlantError::Write { path: folder.display().to_string(), source })?;
         let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
@@ -370,12 +444,13 @@ impl Case {
 
     fn table(&self, holdout: bool) -> String {
         let mut out = String::from(HEADER);
+        let decimals = self.truth.noise.decimals();
         for r in self.readings.iter().filter(|r| r.planned.holdout == holdout) {
             let p = &r.planned;
             let [x, y, z] = r.groove_mm.map(|v| v + 0.0);
             let _ = writeln!(
                 out,
-                "{},{},{},{},{:.3},{:.6},{},{:.3},{:.3},{x:.5},{y:.5},{z:.5},{:.3},{:.7},{:.7},{:.7},{:.4},{:.4},{}",
+                "{},{},{},{},{:.3},{:.6},{},{:.3},{:.3},{x:.5},{y:.5},{z:.5},{:.3},{:.decimals$},{:.decimals$},{:.decimals$},{:.4},{:.4},{}",
                 r.point,
                 p.role,
                 r.trajectory_id,
@@ -402,11 +477,13 @@ impl Case {
         let mut out = format!(
             "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"whisker\"\nmedium = \"air\"\ncreated = \"2026-11-20T09:00:00Z\"\n\n\
              [files]\npoints = \"points.csv\"\n{}\n\
-             [whisker]\ndiameter_mm = {DIAMETER_MM}\nlength_mm = {LENGTH_MM:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
+             [whisker]\ndiameter_mm = {}\nlength_mm = {:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
              youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
              [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\
              temperature_pm_per_degc = [10.0, 10.0]\nreference_temperature_pm_per_degc = 10.0\n\n",
             if self.has_holdout() { "holdout = \"holdout.csv\"\n" } else { "" },
+            b.diameter_mm,
+            b.length_mm,
             b.straight_mm,
             b.arc_radius_mm,
             b.youngs_gpa,

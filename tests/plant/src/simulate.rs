@@ -9,6 +9,7 @@ use crate::bench::{Bench, Trajectory};
 use crate::effects::{Effect, FBG_PM, Kind};
 use crate::layout::{Instant, Planned, motion};
 use crate::memory;
+use crate::noise::{Covariance, Law};
 use crate::rod::Wire;
 use crate::table::{Grip, Table, friction_drags};
 
@@ -20,6 +21,8 @@ pub struct Plant {
     pub trajectories: Vec<Trajectory>,
     /// Rows in order, points first.
     pub rows: Vec<Planned>,
+    /// True covariance of the readings of points.csv.
+    pub covariance: Covariance,
     motion: Vec<Instant>,
     cache: Option<(Geometry, Vec<Table>)>,
 }
@@ -42,10 +45,11 @@ pub struct Clean {
 }
 
 impl Plant {
-    /// A plant for a bench and a plan.
-    pub fn new(bench: Bench, trajectories: Vec<Trajectory>, rows: Vec<Planned>) -> Self {
+    /// A plant for a bench and a plan under a law of noise.
+    pub fn new(bench: Bench, trajectories: Vec<Trajectory>, rows: Vec<Planned>, law: &Law) -> Self {
         let motion = motion(&rows);
-        Self { bench, trajectories, rows, motion, cache: None }
+        let covariance = Covariance::new(law, &bench, &rows, &trajectories);
+        Self { bench, trajectories, rows, covariance, motion, cache: None }
     }
 
     /// Noise-free answers of all rows under `effects`.
@@ -253,21 +257,24 @@ impl Plant {
         }
     }
 
-    /// Size in noises of what K and the zero cannot absorb, over the rows of points.csv (as truth.json counts it).
+    /// Size in noises of what K and the zero cannot absorb, over the rows of points.csv (as truth.json counts it),
+    /// measured against the true covariance of the noise.
     pub fn size(&self, with: &[Clean], without: &[Clean]) -> f64 {
-        let rows: Vec<usize> = (0..self.rows.len()).filter(|&i| !self.rows[i].holdout).collect();
-        let base = DMatrix::from_fn(rows.len(), 3, |i, j| match j {
-            0 => 1.0,
-            _ => without[rows[i]].moment_nmm[j - 1],
-        });
-        let svd = base.clone().svd(true, true);
-        let mut total = 0.0;
-        for c in 0..2 {
-            let d =
-                DVector::from_fn(rows.len(), |i, _| with[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
-            let Ok(x) = svd.solve(&d, 1e-12) else { return f64::NAN };
-            total += (d - &base * x).norm_squared();
-        }
-        total.sqrt() / self.bench.noise_pm
+        let rows = self.covariance.rows();
+        let base = self.covariance.whiten(&moments(rows, without));
+        (0..2)
+            .map(|c| {
+                let d = DVector::from_fn(rows.len(), |i, _| {
+                    with[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]
+                });
+                self.covariance.left_over(&base, d).powi(2)
+            })
+            .sum::<f64>()
+            .sqrt()
     }
+}
+
+/// Columns that the zero and K take up: one, and both moments.
+pub fn moments(rows: &[usize], clean: &[Clean]) -> DMatrix<f64> {
+    DMatrix::from_fn(rows.len(), 3, |i, j| if j == 0 { 1.0 } else { clean[rows[i]].moment_nmm[j - 1] })
 }

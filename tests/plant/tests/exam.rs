@@ -3,7 +3,7 @@
 
 use serde_json::{Value, json};
 use wcal_plant::exam::{Examiner, Mark, clopper_pearson, score, summarise};
-use wcal_plant::{Case, Design, Kind, Request, Want, draw};
+use wcal_plant::{Case, Design, Kind, Make, Noise, Order, Request, Want, draw};
 
 fn case(want: Want) -> Case {
     draw(&Request { seed: 21, design: Design::Paper, want, target_sigma: 12.0, rivals: false }).unwrap()
@@ -70,7 +70,7 @@ fn held_out_errors_are_those_put_in() {
     let document = json!({"verdict": "adequate"});
     let o = score("c", &case, &document, &predictions(0.01, 0.006, 0), 0.0, Some(0));
     let k = case.truth.k;
-    let floor = case.truth.noise_pm / (k[0][0] * k[1][1] - k[0][1] * k[1][0]).abs().sqrt();
+    let floor = case.truth.new_pose_noise_pm / (k[0][0] * k[1][1] - k[0][1] * k[1][0]).abs().sqrt();
     assert!((o.after_ratio.unwrap() * floor - 0.01).abs() < 1e-9);
     assert!((o.before_ratio.unwrap() * floor - 0.02).abs() < 1e-9);
     assert_eq!(o.covered, Some((84, 84)));
@@ -106,15 +106,13 @@ fn exam_runs_a_program_and_sums_up() {
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     let examiner =
         Examiner { program, folder: folder.path().join("exam"), jobs: 2, timeout_s: 2.0, follow_up: false };
-    let orders: Vec<Request> = [Want::Null, Want::Null, Want::Null, Want::Effects(vec![Kind::DriftLinear])]
+    let orders: Vec<Order> = [Want::Null, Want::Null, Want::Null, Want::Effects(vec![Kind::DriftLinear])]
         .into_iter()
         .enumerate()
-        .map(|(i, want)| Request {
-            seed: i as u64,
-            design: Design::Paper,
-            want,
-            target_sigma: 12.0,
-            rivals: false,
+        .map(|(i, want)| {
+            let seed = i as u64;
+            let request = Request { seed, design: Design::Paper, want, target_sigma: 12.0, rivals: false };
+            Order::Whisker(request, Noise::Gaussian, Make::Usual)
         })
         .collect();
     let outcomes: Vec<_> = examiner.examine(&orders, &|_| {}).into_iter().map(Result::unwrap).collect();

@@ -4,7 +4,7 @@
 use wcal_plant::adversarial::Trick;
 use wcal_plant::effects::ALL;
 use wcal_plant::orders;
-use wcal_plant::{Case, Design, Kind, Request, Want, draw};
+use wcal_plant::{Case, Design, Kind, Order, Request, Want, draw};
 
 fn request(seed: u64, design: Design, want: Want, target_sigma: f64) -> Request {
     Request { seed, design, want, target_sigma, rivals: false }
@@ -79,7 +79,7 @@ fn every_law_draws_and_reaches_its_size_or_says_so() {
         }
         assert!(case.readings.iter().all(|r| r.fbg_nm.iter().all(|v| v.is_finite())), "{kind:?}");
         // An oracle is as good as the noise allows (84 values: 1 +- 0.25 at 3 sd).
-        let floor = t.noise_pm / (t.k[0][0] * t.k[1][1] - t.k[0][1] * t.k[1][0]).abs().sqrt();
+        let floor = t.new_pose_noise_pm / (t.k[0][0] * t.k[1][1] - t.k[0][1] * t.k[1][0]).abs().sqrt();
         assert!(
             (0.7..1.35).contains(&(t.oracle_after_nmm / floor)),
             "{kind:?} {}",
@@ -108,8 +108,8 @@ fn orders_cover_the_catalogue_and_repeat() {
     assert_eq!(all, orders("single", 66, 4, None, false));
     let mut names: Vec<&str> = all
         .iter()
-        .filter_map(|o| match &o.want {
-            Want::Effects(k) => Some(k[0].name().0),
+        .filter_map(|o| match o {
+            Order::Whisker(Request { want: Want::Effects(k), .. }, ..) => Some(k[0].name().0),
             _ => None,
         })
         .collect();
@@ -117,9 +117,10 @@ fn orders_cover_the_catalogue_and_repeat() {
     names.dedup();
     assert_eq!(names.len(), 16);
     let only = orders("single", 5, 4, Some("creep"), false);
-    assert!(
-        only.iter().all(|o| matches!(&o.want, Want::Effects(k) if k.len() == 1 && k[0].name().0 == "creep"))
-    );
+    assert!(only.iter().all(|o| matches!(
+        o,
+        Order::Whisker(Request { want: Want::Effects(k), .. }, ..) if k.len() == 1 && k[0].name().0 == "creep"
+    )));
 }
 
 #[test]

@@ -5,5 +5,5 @@ mod score;
 mod summary;
 
 pub use run::{Examiner, Paper, answer};
-pub use score::{FollowUp, Kind as Mark, Outcome, score};
-pub use summary::{Goal, clopper_pearson, summarise};
+pub use score::{FollowUp, Kind as Mark, Outcome, Part, score, score_scalar};
+pub use summary::{Goal, NoiseRow, by_noise, clopper_pearson, summarise};

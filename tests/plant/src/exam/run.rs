@@ -6,10 +6,11 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use super::score::{FollowUp, Kind, Outcome, crash, score};
+use super::score::{FollowUp, Kind, Outcome, crash, score, score_scalar};
 use crate::PlantError;
 use crate::layout::Asked;
-use crate::session::{Case, Request, draw, later};
+use crate::orders::{Drawn, Order};
+use crate::session::{Case, later};
 
 /// A drawn case with its name.
 #[derive(Debug, Clone)]
@@ -17,7 +18,7 @@ pub struct Paper {
     /// Folder name and id.
     pub name: String,
     /// Session and truth.
-    pub case: Case,
+    pub case: Drawn,
 }
 
 /// How to examine.
@@ -41,7 +42,7 @@ impl Examiner {
     /// Orders that the plant cannot draw come back as errors.
     pub fn examine(
         &self,
-        orders: &[Request],
+        orders: &[Order],
         report: &(dyn Fn(&Outcome) + Sync),
     ) -> Vec<Result<Outcome, PlantError>> {
         let next = AtomicUsize::new(0);
@@ -68,22 +69,24 @@ impl Examiner {
         done.into_iter().map(|(_, o)| o).collect()
     }
 
-    fn one(&self, index: usize, order: &Request) -> Result<Outcome, PlantError> {
+    fn one(&self, index: usize, order: &Order) -> Result<Outcome, PlantError> {
         let name = format!("case-{:03}", index + 1);
-        let case = draw(order)?;
+        let case = order.draw()?;
         let session = self.folder.join(&name);
         case.write(&session)?;
         let paper = Paper { name, case };
         let mut outcome = answer(&self.program, &paper, &session, self.timeout_s);
         let known = !matches!(outcome.label.as_str(), "null" | "unknown" | "adversarial");
-        if self.follow_up && known && outcome.verdict == "ambiguous" {
-            outcome.follow_up = self.follow_up(&paper, &session)?;
+        if let (true, Drawn::Whisker(case)) = (self.follow_up && known, &paper.case)
+            && outcome.verdict == "ambiguous"
+        {
+            outcome.follow_up = self.follow_up(&paper, case, &session)?;
         }
         Ok(outcome)
     }
 
     /// Makes the measurement that the answer in `session` asks for, and asks again with it; none where it asks for no poses.
-    fn follow_up(&self, paper: &Paper, session: &Path) -> Result<Option<FollowUp>, PlantError> {
+    fn follow_up(&self, paper: &Paper, case: &Case, session: &Path) -> Result<Option<FollowUp>, PlantError> {
         let text = std::fs::read_to_string(session.join("verify-out/verify.json")).unwrap_or_default();
         let Ok(verify) = serde_json::from_str::<serde_json::Value>(&text) else { return Ok(None) };
         let next = &verify["next_measurement"];
@@ -92,7 +95,7 @@ impl Examiner {
             return Ok(None);
         }
         let folder = session.with_file_name(format!("{}-later", paper.name));
-        later(&paper.case, &asked)?.write(&folder)?;
+        later(case, &asked)?.write(&folder)?;
         let second = answer_with(&self.program, paper, session, Some(&folder), self.timeout_s);
         Ok(Some(FollowUp {
             expected_power: next["expected_power"].as_f64().unwrap_or(0.0),
@@ -143,7 +146,10 @@ fn answer_with(
         Ok(verify) => {
             // A refused session may come without predictions.
             let predictions = std::fs::read_to_string(out.join("predictions.csv")).unwrap_or_default();
-            score(name, case, &verify, &predictions, seconds, code)
+            match case {
+                Drawn::Whisker(case) => score(name, case, &verify, &predictions, seconds, code),
+                Drawn::Scalar(case) => score_scalar(name, case, &verify, &predictions, seconds, code),
+            }
         }
         Err(e) => crash(name, case, format!("parsing verify.json: {e}"), seconds, code),
     }

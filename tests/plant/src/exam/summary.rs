@@ -3,8 +3,11 @@
 use serde::Serialize;
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::score::{FollowUp, Kind, Outcome};
+use super::score::{FollowUp, Kind, Outcome, Part};
 use crate::Design;
+use crate::noise::Noise;
+use crate::scalar::ScalarNoise;
+use crate::session::Make;
 
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -61,16 +64,21 @@ fn rate(score: &str, goal: &str, hits: usize, trials: usize, side: Side) -> Goal
     Goal { score: score.into(), goal: goal.into(), value, bounds, counts: (hits, trials), met }
 }
 
-fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
+/// Quantile of the finite values, linear between them; NaN where there is none.
+fn quantile_of(mut values: Vec<f64>, quantile: f64) -> f64 {
     values.retain(|v| v.is_finite());
     values.sort_by(f64::total_cmp);
-    let value = if values.is_empty() {
-        f64::NAN
-    } else {
-        let at = quantile * (values.len() - 1) as f64;
-        let (i, f) = (at.floor() as usize, at.fract());
-        values[i] + f * (values[(i + 1).min(values.len() - 1)] - values[i])
-    };
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let at = quantile * (values.len() - 1) as f64;
+    let (i, f) = (at.floor() as usize, at.fract());
+    values[i] + f * (values[(i + 1).min(values.len() - 1)] - values[i])
+}
+
+fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
+    values.retain(|v| v.is_finite());
+    let value = quantile_of(values.clone(), quantile);
     let met = (!values.is_empty() && most.is_finite()).then_some(value <= most);
     Goal {
         score: score.into(),
@@ -90,10 +98,211 @@ fn set_over_allowed(ambiguous: &[&Outcome]) -> Vec<f64> {
     if allowed == 0 { Vec::new() } else { vec![listed as f64 / allowed as f64] }
 }
 
-/// The table of issue 3's goals for a set of outcomes.
+/// White normal noise in the layouts of the practice sessions, on their wire.
+fn practice_like(o: &Outcome) -> bool {
+    o.noise == Noise::Gaussian.name()
+        && o.wire == Some(Make::Usual)
+        && matches!(o.design, Some(Design::Rich | Design::Paper))
+}
+
+/// The table of goals for a set of outcomes: first those of sessions like the practice sessions, then those of every kind
+/// of noise, then what holds for all.
 pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
+    let practice: Vec<Outcome> = outcomes.iter().filter(|o| practice_like(o)).cloned().collect();
+    let mut out = practice_goals(&practice);
+    out.extend(noise_goals(outcomes));
+    let seconds = |d: &[Design]| {
+        let of = outcomes.iter().filter(|o| o.design.is_some_and(|o| d.contains(&o)));
+        of.map(|o| o.seconds).collect::<Vec<_>>()
+    };
+    let all: Vec<&Outcome> = outcomes.iter().collect();
+    let long = [Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase];
+    out.push(share("crashes", "0", &all, |o| o.kind == Kind::Crash, Side::AtMost(0.0)));
+    out.push(number("slowest paper session, s", "<= 10", seconds(&[Design::Paper]), 1.0, 10.0));
+    out.push(number("slowest session of about 360 rows, s", "<= 60", seconds(&long), 1.0, 60.0));
+    out
+}
+
+fn names_something(o: &Outcome) -> bool {
+    matches!(o.verdict.as_str(), "effect" | "ambiguous") && o.kind != Kind::Right
+}
+
+fn refused(o: &Outcome) -> bool {
+    matches!(o.verdict.as_str(), "refused" | "twin-fault")
+}
+
+fn part_of<'a>(of: &[&'a Outcome], name: &str) -> Vec<&'a Part> {
+    of.iter().flat_map(|o| &o.parts).filter(|p| p.name == name).collect()
+}
+
+/// Factor within which a part of the noise counts as stated right.
+const PART_FACTOR: f64 = 1.3;
+
+/// Goals over all kinds of noise.
+fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
+    let honest = |o: &Outcome| o.label != "adversarial" && o.label != "unknown" && o.label != "pair";
+    let pick =
+        |f: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| honest(o) && f(o)).collect::<Vec<_>>();
+    let whisker = |o: &Outcome| o.design.is_some();
+    let nulls = pick(&|o| whisker(o) && o.label == "null");
+    let singles = pick(&|o| {
+        whisker(o) && o.design != Some(Design::Paper) && o.label != "null" && o.delta >= 0.97 * 8.0
+    });
+    let lines = pick(&|o| !whisker(o) && o.label == "null");
+    let line_singles = pick(&|o| !whisker(o) && o.label != "null");
+    let poses = part_of(&pick(&whisker), "pose");
+    let one_gross = pick(&|o| o.noise == Noise::OneGross.name());
+    let answered = pick(&|o| whisker(o) && (o.label == "null" || o.delta >= 6.0));
+    let right = |o: &Outcome| o.kind == Kind::Right;
+    let wrong = |o: &Outcome| matches!(o.kind, Kind::Wrong | Kind::Part);
+    let ratios = || answered.iter().filter_map(|o| o.after_ratio).collect::<Vec<_>>();
+    vec![
+        share(
+            "every noise: false names on nulls",
+            "upper bound <= 5 %",
+            &nulls,
+            names_something,
+            Side::UpperAtMost(0.05),
+        ),
+        share(
+            "every noise: nulls called unknown-effect",
+            "-",
+            &nulls,
+            |o| o.verdict == "unknown-effect",
+            Side::None,
+        ),
+        share("every noise: refused", "0", &answered, refused, Side::AtMost(0.0)),
+        share("every noise: singles >= 8 sigma right", ">= 93 %", &singles, right, Side::AtLeast(0.93)),
+        share("every noise: singles >= 8 sigma, wrong name", "<= 1 %", &singles, wrong, Side::AtMost(0.01)),
+        number("every noise: after / floor, median", "<= 1.03", ratios(), 0.5, 1.03),
+        number("every noise: after / floor, 95th percentile", "<= 1.2", ratios(), 0.95, 1.2),
+        rate(
+            "scatter of poses stated within a factor 1.3",
+            ">= 95 %",
+            poses.iter().filter(|p| p.within(PART_FACTOR)).count(),
+            poses.len(),
+            Side::AtLeast(0.95),
+        ),
+        share(
+            "one gross reading: it alone flagged",
+            ">= 98 %",
+            &one_gross,
+            |o| o.flags_right == Some(true),
+            Side::AtLeast(0.98),
+        ),
+        share("lines: false names on nulls", "<= 5 %", &lines, names_something, Side::AtMost(0.05)),
+        share(
+            "lines: nulls called unknown-effect",
+            "-",
+            &lines,
+            |o| o.verdict == "unknown-effect",
+            Side::None,
+        ),
+        share("lines: singles >= 8 sigma right", "-", &line_singles, right, Side::None),
+        share("lines: singles >= 8 sigma, wrong name", "-", &line_singles, wrong, Side::None),
+    ]
+}
+
+/// Hits of trials.
+type Count = (usize, usize);
+
+/// One kind of noise in the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NoiseRow {
+    /// Kind.
+    pub noise: String,
+    /// Nulls that name an effect.
+    pub false_names: Count,
+    /// Clopper-Pearson bounds of `false_names`.
+    pub false_names_bounds: Option<(f64, f64)>,
+    /// Nulls called adequate.
+    pub adequate: Count,
+    /// Nulls called unknown-effect.
+    pub unknown: Count,
+    /// Nulls and singles refused (or called a twin's fault).
+    pub refused: Count,
+    /// Singles of 8 sigma or more that are right.
+    pub right: Count,
+    /// Singles of 8 sigma or more with a wrong name.
+    pub wrong: Count,
+    /// Held-out values inside the stated 95 % intervals.
+    pub covered: Count,
+    /// Held-out error over the true noise: median and 95th percentile.
+    pub after_floor: [f64; 2],
+    /// The same of an oracle.
+    pub oracle_floor: [f64; 2],
+    /// Stated floor over the true noise at a new pose: 5th percentile, median and 95th percentile.
+    pub stated_floor: [f64; 3],
+    /// Answers that state a floor.
+    pub states_floor: Count,
+    /// Answers that flag just the readings that are off.
+    pub flags: Count,
+    /// For each part put in: stated within a factor 1.3, and inside the stated interval.
+    pub parts: Vec<(String, Count, Count)>,
+}
+
+/// One row a kind of noise that occurs, whiskers first; pairs, tampered sessions and effects outside the catalogue are left out.
+pub fn by_noise(outcomes: &[Outcome]) -> Vec<NoiseRow> {
+    let names = Noise::ALL.iter().map(|n| n.name()).chain(ScalarNoise::ALL.iter().map(|n| n.name()));
+    let of = |name: &str| -> Vec<&Outcome> {
+        let here = outcomes.iter().filter(|o| o.noise == name);
+        here.filter(|o| !matches!(o.label.as_str(), "pair" | "unknown" | "adversarial")).collect()
+    };
+    names
+        .map(|name| (name, of(name)))
+        .filter(|(_, of)| !of.is_empty())
+        .map(|(n, of)| noise_row(n, &of))
+        .collect()
+}
+
+fn noise_row(noise: &str, of: &[&Outcome]) -> NoiseRow {
+    let nulls: Vec<&Outcome> = of.iter().copied().filter(|o| o.label == "null").collect();
+    let singles: Vec<&Outcome> =
+        of.iter().copied().filter(|o| o.label != "null" && o.delta >= 0.97 * 8.0).collect();
+    let sizeable: Vec<&Outcome> =
+        of.iter().copied().filter(|o| o.label == "null" || o.delta >= 6.0).collect();
+    let count = |of: &[&Outcome], hit: &dyn Fn(&Outcome) -> bool| -> Count {
+        (of.iter().filter(|o| hit(o)).count(), of.len())
+    };
+    let quantiles = |f: &dyn Fn(&Outcome) -> Option<f64>, q: f64| {
+        quantile_of(sizeable.iter().filter_map(|o| f(o)).collect(), q)
+    };
+    let both = |f: &dyn Fn(&Outcome) -> Option<f64>| [0.5, 0.95].map(|q| quantiles(f, q));
+    let false_names = count(&nulls, &names_something);
+    let flagged: Vec<bool> = of.iter().filter_map(|o| o.flags_right).collect();
+    let mut parts: Vec<(String, Count, Count)> = Vec::new();
+    for part in of.iter().flat_map(|o| &o.parts) {
+        if !parts.iter().any(|p| p.0 == part.name) {
+            let all = part_of(of, &part.name);
+            let near = all.iter().filter(|p| p.within(PART_FACTOR)).count();
+            let inside: Vec<bool> = all.iter().filter_map(|p| p.inside).collect();
+            let hits = inside.iter().filter(|i| **i).count();
+            parts.push((part.name.clone(), (near, all.len()), (hits, inside.len())));
+        }
+    }
+    NoiseRow {
+        noise: noise.to_owned(),
+        false_names,
+        false_names_bounds: (false_names.1 > 0).then(|| clopper_pearson(false_names.0, false_names.1)),
+        adequate: count(&nulls, &|o| o.verdict == "adequate"),
+        unknown: count(&nulls, &|o| o.verdict == "unknown-effect"),
+        refused: count(of, &refused),
+        right: count(&singles, &|o| o.kind == Kind::Right),
+        wrong: count(&singles, &|o| matches!(o.kind, Kind::Wrong | Kind::Part)),
+        covered: of.iter().filter_map(|o| o.covered).fold((0, 0), |(a, b), (k, n)| (a + k, b + n)),
+        after_floor: both(&|o| o.after_ratio),
+        oracle_floor: both(&|o| Some(o.oracle_ratio)),
+        stated_floor: [0.05, 0.5, 0.95].map(|q| quantiles(&|o| o.floor_ratio, q)),
+        states_floor: count(of, &|o| o.floor_ratio.is_some()),
+        flags: (flagged.iter().filter(|f| **f).count(), flagged.len()),
+        parts,
+    }
+}
+
+/// Goals of sessions like the practice sessions.
+fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let pick = |f: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| f(o)).collect::<Vec<_>>();
-    let rich = |o: &Outcome| o.design == Design::Rich;
+    let rich = |o: &Outcome| o.design == Some(Design::Rich);
     let tampered = |o: &Outcome| o.label == "adversarial";
     let single = |o: &Outcome| o.laws.len() == 1 && o.label != "unknown";
     let right = |o: &Outcome| o.kind == Kind::Right;
@@ -121,8 +330,6 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     };
     let after = |o: &Outcome| o.after_ratio;
     let sizeable = pick(&|o| known.iter().any(|k| k.name == o.name) && (o.label == "null" || o.delta >= 6.0));
-    let seconds =
-        |d: Design| outcomes.iter().filter(|o| o.design == d).map(|o| o.seconds).collect::<Vec<_>>();
 
     vec![
         share(
@@ -270,14 +477,5 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
             right,
             Side::AtLeast(1.0),
         ),
-        share(
-            "crashes",
-            "0",
-            &outcomes.iter().collect::<Vec<_>>(),
-            |o| o.kind == Kind::Crash,
-            Side::AtMost(0.0),
-        ),
-        number("slowest paper session, s", "<= 10", seconds(Design::Paper), 1.0, 10.0),
-        number("slowest rich session, s", "<= 60", seconds(Design::Rich), 1.0, 60.0),
     ]
 }

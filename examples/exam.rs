@@ -8,6 +8,7 @@
 //! sessions); `noise-null`, `noise-single` (every kind of noise, every layout, two wires); `scalar-null`, `scalar-single`
 //! (transducers and axes); `all`.
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
+//! The table of goals has the rows for which there are data; below it stands one row a kind of noise.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
 
 use std::path::PathBuf;
@@ -105,7 +106,7 @@ fn main() -> anyhow::Result<ExitCode> {
     }
     let table = summarise(&outcomes);
     println!();
-    table.iter().for_each(|goal| println!("{}", row(goal)));
+    table.iter().filter(|goal| goal.counts.1 > 0).for_each(|goal| println!("{}", row(goal)));
     let noises = by_noise(&outcomes);
     println!("\n{}", noise_table(&noises));
     if let Some(path) = &o.json {
@@ -247,6 +248,6 @@ fn noise_table(rows: &[NoiseRow]) -> String {
 fn row(g: &Goal) -> String {
     let met = g.met.map_or("    ", |m| if m { "met " } else { "MISS" });
     let bounds = g.bounds.map_or(String::new(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
-    let value = if g.counts.1 == 0 { "no data".into() } else { format!("{:.3}", g.value) };
+    let value = format!("{:.3}", g.value);
     format!("{met} {:58} {value:>8} {bounds:16} {:>5}/{:<5} goal {}", g.score, g.counts.0, g.counts.1, g.goal)
 }

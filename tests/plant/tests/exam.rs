@@ -2,8 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use serde_json::{Value, json};
-use wcal_plant::exam::{Examiner, Mark, clopper_pearson, score, summarise};
-use wcal_plant::{Case, Design, Kind, Make, Noise, Order, Request, Want, draw};
+use wcal_plant::exam::{Examiner, Mark, by_noise, clopper_pearson, score, score_scalar, summarise};
+use wcal_plant::scalar;
+use wcal_plant::{
+    Case, Design, Kind, Make, Noise, Order, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
+    draw_under,
+};
 
 fn case(want: Want) -> Case {
     draw(&Request { seed: 21, design: Design::Paper, want, target_sigma: 12.0, rivals: false }).unwrap()
@@ -125,4 +129,157 @@ fn exam_runs_a_program_and_sums_up() {
     assert_eq!(line("crashes").met, Some(false));
     // Three nulls cannot show a rate below 5 %.
     assert_eq!(line("false attribution on nulls").met, Some(false));
+}
+
+#[test]
+fn answers_on_noise_are_scored_by_what_was_put_in() {
+    let noisy = |noise: Noise, seed: u64| {
+        let design = if noise == Noise::Pose { Design::Repeats } else { Design::Paper };
+        let request = Request { seed, design, want: Want::Null, target_sigma: 12.0, rivals: false };
+        draw_under(&request, noise, Make::Usual).unwrap()
+    };
+    let judge = |case: &Case, document: Value| score("c", case, &document, "", 0.0, Some(0));
+    // A gross reading: marked alone, by the list or by the note, or named as an outlier; not missed, not with others.
+    let gross = (0..).map(|s| noisy(Noise::OneGross, s)).find(|c| c.truth.flagged[0].source == "points.csv");
+    let gross = gross.unwrap();
+    let point = gross.truth.flagged[0].point;
+    let list = json!([{"source": "points.csv", "point": point}]);
+    let note =
+        json!([format!("Readings marked and left out of the fit (kept in the table): points {point}.")]);
+    let outliers = json!([{"id": "slip-outliers", "class": ["slip-outliers"]}]);
+    for (document, kind, flags) in [
+        (json!({"verdict": "adequate", "flagged": list}), Mark::Right, true),
+        (json!({"verdict": "adequate", "notes": note}), Mark::Right, true),
+        (json!({"verdict": "effect", "effects": outliers, "flagged": list}), Mark::Right, true),
+        (json!({"verdict": "adequate"}), Mark::Missed, false),
+        (json!({"verdict": "effect", "effects": [{"id": "creep"}], "flagged": list}), Mark::False, true),
+        (
+            json!({"verdict": "adequate", "flagged": [list[0], {"source": "points.csv", "point": point + 1}]}),
+            Mark::Right,
+            false,
+        ),
+        (
+            json!({"verdict": "adequate", "flagged": [{"source": "holdout.csv", "point": point}]}),
+            Mark::Right,
+            false,
+        ),
+    ] {
+        let o = judge(&gross, document.clone());
+        assert_eq!((o.kind, o.flags_right), (kind, Some(flags)), "{document}");
+    }
+    let plain = noisy(Noise::Gaussian, 3);
+    assert_eq!(judge(&plain, json!({"verdict": "effect", "effects": outliers})).kind, Mark::False);
+    assert_eq!(judge(&plain, json!({"verdict": "adequate", "flagged": list})).flags_right, Some(false));
+
+    // Parts and floor: as objects with intervals, bare, or not stated.
+    let pose = noisy(Noise::Pose, 4);
+    let t = &pose.truth;
+    let said = |factor: f64| {
+        let value = factor * t.noise.pose_pm;
+        json!({"verdict": "adequate", "noise_floor": {"wavelength_pm": t.new_pose_noise_pm}, "noise": {
+            "repeat": t.repeat_noise_pm, "pose": {"value": value, "interval95": [0.9 * value, 1.1 * value]}, "correlated": null}})
+    };
+    for (factor, near, inside) in
+        [(1.05, true, true), (1.25, true, false), (1.4, false, false), (0.7, false, false)]
+    {
+        let o = judge(&pose, said(factor));
+        let part = o.parts.iter().find(|p| p.name == "pose").unwrap();
+        assert_eq!((part.within(1.3), part.inside), (near, Some(inside)), "{factor}");
+        assert!(o.parts.iter().any(|p| p.name == "repeat" && p.within(1.001) && p.inside.is_none()));
+        assert!((o.floor_ratio.unwrap() - 1.0).abs() < 1e-9);
+    }
+    assert!((t.new_pose_noise_pm / t.noise.pose_pm.hypot(t.noise.repeat_pm) - 1.0).abs() < 0.01);
+    let silent = judge(&pose, json!({"verdict": "unknown-effect"}));
+    assert!(silent.floor_ratio.is_none() && silent.parts.iter().all(|p| !p.within(1.3)));
+
+    let rows = by_noise(&[
+        judge(&pose, said(1.0)),
+        judge(&pose, said(2.0)),
+        silent,
+        judge(&plain, outliers_named()),
+    ]);
+    let row = |name: &str| rows.iter().find(|r| r.noise == name).unwrap();
+    assert_eq!(row("pose").adequate, (2, 3));
+    assert_eq!((row("pose").unknown, row("pose").false_names), ((1, 3), (0, 3)));
+    let (_, near, inside) = row("pose").parts.iter().find(|p| p.0 == "pose").unwrap();
+    assert_eq!((*near, *inside), ((1, 3), (1, 2)));
+    assert_eq!(row("gaussian").false_names, (1, 1));
+}
+
+fn outliers_named() -> Value {
+    json!({"verdict": "effect", "effects": [{"id": "slip-outliers"}]})
+}
+
+#[test]
+fn held_out_scores_leave_gross_readings_out() {
+    let request =
+        |seed| Request { seed, design: Design::Paper, want: Want::Null, target_sigma: 12.0, rivals: false };
+    let held_out = |c: &Case| {
+        let off = &c.truth.flagged[0];
+        c.readings.iter().any(|r| {
+            off.source == "holdout.csv"
+                && r.planned.role == "holdout"
+                && r.planned.holdout
+                && r.point == off.point
+        })
+    };
+    let mut draws = (0..).map(|s| draw_under(&request(s), Noise::OneGross, Make::Usual).unwrap());
+    let case = draws.find(held_out).unwrap();
+    let mut text = String::from(
+        "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,moment_1_sd_nmm,moment_2_sd_nmm\n",
+    );
+    for (r, m) in case.readings.iter().filter(|r| r.planned.holdout).zip(&case.truth.holdout_moments_nmm) {
+        let off = if r.point == case.truth.flagged[0].point { 9.0 } else { 0.0 };
+        let [a, b] = [m[0] + off, m[1]];
+        text += &format!("holdout.csv,{},{},{a},{b},{a},{b},0.01,0.01\n", r.point, r.planned.role);
+    }
+    let o = score("c", &case, &json!({"verdict": "adequate"}), &text, 0.0, Some(0));
+    assert_eq!(o.covered, Some((82, 82)));
+    assert!(o.after_ratio.unwrap() < 1e-6);
+}
+
+#[test]
+fn answers_on_lines_are_scored() {
+    let draw = |effect| {
+        let noise = ScalarNoise::Correlated;
+        scalar::draw(&ScalarRequest { seed: 2, axis: false, noise, effect, target_sigma: 12.0 })
+    };
+    let (null, drift) = (draw(None), draw(Some(ScalarEffect::Drift)));
+    let mark = |case, document: Value| score_scalar("c", case, &document, "", 0.0, Some(0)).kind;
+    assert_eq!(mark(&null, json!({"verdict": "adequate"})), Mark::Right);
+    let periodic = json!({"verdict": "effect", "effects": [{"id": "periodic"}]});
+    assert_eq!(mark(&null, periodic.clone()), Mark::False);
+    assert_eq!(mark(&drift, periodic), Mark::Wrong);
+    assert_eq!(mark(&drift, json!({"verdict": "effect", "effects": [{"id": "drift"}]})), Mark::Right);
+    let both = json!({"verdict": "effect", "effects": [{"id": "drift"}, {"id": "periodic"}]});
+    assert_eq!(mark(&drift, both), Mark::Part);
+    assert_eq!(
+        mark(&drift, json!({"verdict": "ambiguous", "alternatives": [["step"], ["drift"]]})),
+        Mark::AmbiguousIn
+    );
+    assert_eq!(mark(&drift, json!({"verdict": "adequate"})), Mark::Missed);
+    let sd = null.truth.noise_sd;
+    let stated = json!({"verdict": "adequate", "noise_floor": {"response": sd}, "noise": {"correlated": {"sd": {"value": sd}}}});
+    let o = score_scalar("c", &null, &stated, "", 0.0, None);
+    assert_eq!(o.floor_ratio, Some(1.0));
+    assert!(o.parts.iter().any(|p| p.name == "correlated.sd" && p.within(1.01)));
+    // Held-out readings inside the stated deviations.
+    let with_holdout = (0..).map(|seed| {
+        let noise = ScalarNoise::White;
+        scalar::draw(&ScalarRequest { seed, axis: true, noise, effect: None, target_sigma: 12.0 })
+    });
+    let case = with_holdout.into_iter().find(|c| c.readings.iter().any(|r| r.holdout)).unwrap();
+    let table = |off: f64| {
+        let rows = case.readings.iter().filter(|r| r.holdout);
+        let lines: Vec<String> =
+            rows.map(|r| format!("holdout.csv,{},holdout,{},0,{},1.0,", r.point, r.y, r.y + off)).collect();
+        format!(
+            "source,point,role,error_um_measured,error_um_before,error_um_after,error_um_sd,rejected\n{}\n",
+            lines.join("\n")
+        )
+    };
+    let n = case.readings.iter().filter(|r| r.holdout).count();
+    let covered =
+        |off| score_scalar("c", &case, &json!({"verdict": "adequate"}), &table(off), 0.0, None).covered;
+    assert_eq!((covered(1.9), covered(2.0)), (Some((n, n)), Some((0, n))));
 }

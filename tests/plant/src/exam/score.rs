@@ -221,7 +221,8 @@ pub fn score(
         name: name.to_owned(),
         parts: parts(t, verify),
         floor_ratio: verify["noise_floor"]["wavelength_pm"].as_f64().map(|f| f / t.new_pose_noise_pm),
-        flags_right: (!slips).then(|| said == true_flags),
+        // A refused session flags nothing, which says something only where a reading is off.
+        flags_right: (!slips && (verdict != "refused" || !true_flags.is_empty())).then(|| said == true_flags),
         driver_right: (t.label == "unknown").then(|| driver_right(t, verify)),
         before_ratio: held.as_ref().map(|h| h.before / floor),
         after_ratio: held.as_ref().map(|h| h.after / floor),

@@ -156,6 +156,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let right = |o: &Outcome| o.kind == Kind::Right;
     let wrong = |o: &Outcome| matches!(o.kind, Kind::Wrong | Kind::Part);
     let ratios = || answered.iter().filter_map(|o| o.after_ratio).collect::<Vec<_>>();
+    let oracle = || answered.iter().map(|o| o.oracle_ratio).collect::<Vec<_>>();
     vec![
         share(
             "every noise: false names on nulls",
@@ -176,6 +177,8 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
         share("every noise: singles >= 8 sigma, wrong name", "<= 1 %", &singles, wrong, Side::AtMost(0.01)),
         number("every noise: after / floor, median", "<= 1.03", ratios(), 0.5, 1.03),
         number("every noise: after / floor, 95th percentile", "<= 1.2", ratios(), 0.95, 1.2),
+        number("every noise: the same of the oracle, median", "-", oracle(), 0.5, f64::INFINITY),
+        number("every noise: the same of the oracle, 95th percentile", "-", oracle(), 0.95, f64::INFINITY),
         rate(
             "scatter of poses stated within a factor 1.3",
             ">= 95 %",

@@ -144,7 +144,7 @@ fn line(o: &Outcome) -> String {
     let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.2}"));
     let coverage = o.covered.map(|(k, n)| k as f64 / n as f64);
     format!(
-        "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {:.2} cover {:>4} {:.1} s {}",
+        "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {} cover {:>4} {:.1} s {}",
         o.name,
         o.design.map_or_else(|| "line".into(), |d| format!("{d:?}").to_lowercase()),
         format!("{}{}", o.noise, if o.wire == Some(Make::Thin) { ", thin" } else { "" }),
@@ -157,7 +157,7 @@ fn line(o: &Outcome) -> String {
         o.set_size,
         number(o.before_ratio),
         number(o.after_ratio),
-        o.oracle_ratio,
+        number(Some(o.oracle_ratio).filter(|v| v.is_finite())),
         number(coverage),
         o.seconds,
         o.follow_up.as_ref().map_or_else(

@@ -204,6 +204,10 @@ fn answers_on_noise_are_scored_by_what_was_put_in() {
     let (_, near, inside) = row("pose").parts.iter().find(|p| p.0 == "pose").unwrap();
     assert_eq!((*near, *inside), ((1, 3), (1, 2)));
     assert_eq!(row("gaussian").false_names, (1, 1));
+    // What is named beside "unknown effect" is named.
+    let beside = json!({"verdict": "unknown-effect", "effects": [{"id": "creep"}]});
+    let row = &by_noise(&[judge(&plain, beside)])[0];
+    assert_eq!((row.false_names, row.unknown), ((1, 1), (1, 1)));
 }
 
 fn outliers_named() -> Value {

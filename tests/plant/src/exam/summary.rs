@@ -123,8 +123,9 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     out
 }
 
+/// An effect that was not put in is among those named, also beside "unknown effect", or several are offered.
 fn names_something(o: &Outcome) -> bool {
-    matches!(o.verdict.as_str(), "effect" | "ambiguous") && o.kind != Kind::Right
+    o.kind != Kind::Right && (o.extra > 0 || o.verdict == "ambiguous")
 }
 
 fn refused(o: &Outcome) -> bool {

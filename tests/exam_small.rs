@@ -23,8 +23,10 @@ fn examine(mix: &str, draws: usize, seed: u64) -> Vec<Outcome> {
 }
 
 fn told(outcomes: &[Outcome]) -> String {
-    let lines: Vec<String> =
-        outcomes.iter().map(|o| format!("{} {}: {} {:?}", o.name, o.label, o.verdict, o.kind)).collect();
+    let lines: Vec<String> = outcomes
+        .iter()
+        .map(|o| format!("{} {} {}: {} {:?} {:?}", o.name, o.noise, o.label, o.verdict, o.got, o.kind))
+        .collect();
     lines.join("\n")
 }
 
@@ -49,4 +51,18 @@ fn what_the_catalogue_lacks_is_called_unknown_and_tampered_sessions_get_no_name(
         "{}",
         told(&tampered)
     );
+}
+
+#[test]
+fn noise_as_instruments_make_it_is_no_effect() {
+    // Every kind of noise once; a gross reading is marked, and named as nothing but what it is.
+    let noisy = examine("noise-null", 11, 77);
+    let refused = |o: &Outcome| o.verdict == "refused" || o.kind == Mark::Crash;
+    let named = |o: &Outcome| o.kind != Mark::Right && (o.extra > 0 || o.verdict == "ambiguous");
+    assert!(!noisy.iter().any(|o| refused(o) || named(o)), "{}", told(&noisy));
+    let gross: Vec<&Outcome> = noisy.iter().filter(|o| o.noise.contains("gross")).collect();
+    assert!(gross.len() == 2 && gross.iter().all(|o| o.flags_right == Some(true)), "{}", told(&noisy));
+    // White, heavy-tailed and correlated along a line.
+    let lines = examine("scalar-null", 5, 77);
+    assert!(lines.iter().all(|o| o.kind == Mark::Right), "{}", told(&lines));
 }

@@ -239,7 +239,7 @@ fn repeats(p: &mut Planner, index: usize, reach_mm: f64, times: usize, rng: &mut
             p.visit((low + rng.random_range(0.0..0.15)) * reach_mm, 4.0, times, 3, "verification");
         }
     }
-    let speed = if index % 2 == 0 { 2.0 } else { 8.0 };
+    let speed = if index.is_multiple_of(2) { 2.0 } else { 8.0 };
     for share in [0.95, 0.75, 0.5, 0.25, 0.4, 0.65, 0.3] {
         p.moving(share * reach_mm, speed);
     }

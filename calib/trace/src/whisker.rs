@@ -211,6 +211,12 @@ impl WhiskerSystem {
         (fit.variance() * self.pm.norm_squared() / 2.0).sqrt()
     }
 
+    /// From the noise in the engine's channels to that of a compensated shift, pm: mean of both gratings.
+    #[must_use]
+    pub fn noise_factor(&self) -> f64 {
+        (self.pm.norm_squared() / 2.0).sqrt()
+    }
+
     /// Seatings in the points table.
     #[must_use]
     pub fn seatings(&self) -> u32 {

@@ -138,7 +138,7 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
         let atoms: Vec<_> =
             [SHELF, BEND].into_iter().flat_map(|e| of_candidate(&system, e, &f, &weights, &basis)).collect();
         let refs: Vec<_> = atoms.iter().collect();
-        let null = NullFamily::simulate(&refs, f.dof, 300, seed);
+        let null = NullFamily::simulate(&refs, f.dof, &Options { seed, draws: 300, ..Options::default() });
         let residual = stack(&f.residual);
         let p = |a| wcal_trace::engine::null::atom_p(a, a.gain(&residual), f.ssr, f.dof);
         let smallest = atoms.iter().map(p).fold(1.0, f64::min);
@@ -157,19 +157,25 @@ fn the_gate_lets_noise_pass_and_stops_an_effect() {
     let rejected = (0..trials)
         .filter(|&s| {
             let system = plain(2000 + s);
-            gate(&system, &base(&system), &weights, s, 500).rejected()
+            gate(&system, &base(&system), &weights, &Options { seed: s, draws: 500, ..Options::default() })
+                .rejected()
         })
         .count() as u64;
     assert!(rejected <= most(0.02, trials), "{rejected} of {trials} nulls");
     let system = shelved(6);
-    let g = gate(&system, &base(&system), &weights, 1, 500);
+    let g = gate(&system, &base(&system), &weights, &Options { seed: 1, draws: 500, ..Options::default() });
     assert!(g.rejected() && g.p_catalogue < 1e-3, "{}", g.p_catalogue);
 }
 
 #[test]
 fn a_wave_in_time_is_seen_with_its_driver() {
     let system = ToySystem::draw(7, |i, _| 0.4 * (i as f64 * std::f64::consts::TAU / 13.0).sin());
-    let g = gate(&system, &base(&system), &Weights::equal(READINGS), 1, 500);
+    let g = gate(
+        &system,
+        &base(&system),
+        &Weights::equal(READINGS),
+        &Options { seed: 1, draws: 500, ..Options::default() },
+    );
     assert!(g.generic());
     assert_eq!((g.drivers[0].driver.as_str(), g.drivers[0].shape), ("t_s", "sinusoid"));
     let period = g.drivers[0].period.unwrap();

@@ -11,6 +11,7 @@ use wcal_core::SessionData;
 use wcal_core::observation::WhiskerData;
 use wcal_trace::engine::fit::{Weights, fit};
 use wcal_trace::engine::gate::{Gate, gate};
+use wcal_trace::engine::search::Options;
 use wcal_trace::whisker::WhiskerSystem;
 
 /// Noise of every grating, pm: that of 2,000 samples of a good interrogator.
@@ -64,7 +65,10 @@ fn judged(data: &WhiskerData, seed: u64) -> (Gate, f64) {
     let declared = fit(&system, &[], &weights, 15).unwrap();
     let system = system.apart(&declared);
     let fit = fit(&system, &[], &weights, 15).unwrap();
-    (gate(&system, &fit, &weights, seed, 500), system.noise_sd_pm(&fit))
+    (
+        gate(&system, &fit, &weights, &Options { seed, draws: 500, ..Options::default() }),
+        system.noise_sd_pm(&fit),
+    )
 }
 
 /// How many sessions are not left alone.

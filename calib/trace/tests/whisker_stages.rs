@@ -8,6 +8,7 @@ use wcal_core::SessionData;
 use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_trace::candidate::{System, Term};
+use wcal_trace::engine::explain::Judge;
 use wcal_trace::engine::fit::{Weights, fit};
 use wcal_trace::engine::search::{Found, Hypothesis, Options, search};
 use wcal_trace::mechanics::Mechanics;
@@ -93,14 +94,18 @@ fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
 #[test]
 fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     let (_, rich, found) = null();
-    let floor = noise_floor(rich, &found.base).unwrap();
+    let noise_of = |system: &WhiskerSystem, h: &Hypothesis| Judge::new(system, 1).noise(h, &[]).unwrap().0;
+    let floor = noise_floor(rich, &found.base, &noise_of(rich, &found.base), false).unwrap();
     assert_eq!(floor.source, "replicates");
     // Nothing acts there: pure error and residual agree within their scatter.
     let ratio = floor.sd_pm / found.base.fit.variance().sqrt();
     assert!((ratio - 1.0).abs() < 0.15, "{ratio}");
     let single = data("whiskerfbg");
     let system = system(&single);
-    assert_eq!(noise_floor(&system, &fitted(&system, &[])).unwrap().source, "difference");
+    let h = fitted(&system, &[]);
+    let floor = noise_floor(&system, &h, &noise_of(&system, &h), false).unwrap();
+    assert_eq!(floor.source, "difference");
+    assert!(floor.remark().unwrap().contains("not known"));
 }
 
 // Stages 4, 9 and the order of verdicts.
@@ -157,7 +162,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         }
         let rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
         let whole = WhiskerSystem::new(&data, &rows).unwrap();
-        let model = PhysicalModel::new(system, &found.base);
+        let model = PhysicalModel::new(system, &found.base, 0.5);
         let after = predict(&whole, &found.base, &model).unwrap();
         holdout_p(&whole, &found.base, &after).unwrap()
     };

@@ -76,6 +76,32 @@ pub struct Estimated {
     pub interval95: [f64; 2],
 }
 
+/// How the spread of single readings follows a covariate: `h = exp(b (v - typical))`.
+#[derive(Debug, Clone)]
+pub struct SpreadLaw {
+    /// Covariate, by its name in [`NoiseInputs::spread`].
+    pub follows: String,
+    /// Test and exponent b.
+    pub spread: Spread,
+    /// The covariate at a typical loaded reading.
+    pub typical: f64,
+}
+
+/// Spreads beyond these factors of a typical one are not believed.
+const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
+
+impl SpreadLaw {
+    /// Relative standard deviations of readings.
+    #[must_use]
+    pub fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
+        let values = inputs.spread.iter().find(|(name, _)| *name == self.follows).map(|(_, v)| v);
+        let of = |v: &f64| {
+            (self.spread.exponent * (v - self.typical)).exp().clamp(SPREAD_RANGE[0], SPREAD_RANGE[1])
+        };
+        values.map_or_else(|| vec![1.0; inputs.settings.len()], |v| v.iter().map(of).collect())
+    }
+}
+
 /// The noise of a model's residuals.
 #[derive(Debug, Clone)]
 pub struct Noise {
@@ -87,12 +113,35 @@ pub struct Noise {
     pub pose: Option<Estimated>,
     /// Part correlated in time, and its time constant in units of the clock; none where the order in time is not known or none was found.
     pub correlated: Option<(Estimated, f64)>,
-    /// The spread's law and the covariate that it follows.
-    pub law: Option<(String, Spread)>,
+    /// The spread's law.
+    pub law: Option<SpreadLaw>,
     /// Tails of the standardised residuals.
     pub tails: Option<Tails>,
     /// Steps of the recorded values.
     pub step: Vec<Option<f64>>,
+}
+
+impl Noise {
+    /// Weights of other readings of the same session (sealed ones among them) under this noise; `upper` takes the upper ends of the shared
+    /// parts' intervals.
+    #[must_use]
+    pub fn weights_of(&self, inputs: &NoiseInputs, upper: bool) -> Weights {
+        let own =
+            self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
+        let relative = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
+        let size =
+            |e: &Estimated| if upper { e.interval95[1].max(e.value) } else { e.value } / self.repeat.value;
+        let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);
+        let pose = self.pose.as_ref().filter(|p| p.value > 0.0).map_or(0.0, size);
+        Weights::sharing(relative, inputs.shared(correlated, pose))
+    }
+
+    /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
+    #[must_use]
+    pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
+        let weights = self.weights_of(inputs, false);
+        (0..inputs.settings.len()).map(|i| self.repeat.value * weights.total_sd(i)).collect()
+    }
 }
 
 /// The mean model that residuals are left by: everything refitted at each theta.
@@ -251,13 +300,13 @@ fn descend<const K: usize>(
     (at, best)
 }
 
-/// Logarithms of time constants that the readings can show: half a typical spacing to half the whole time.
+/// Logarithms of time constants that the readings can show: a typical spacing to half the whole time.
 fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
     let mut gaps: Vec<f64> = clock.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
     gaps.sort_by(f64::total_cmp);
     let typical = *gaps.get(gaps.len() / 2)?;
     let whole = clock.last()? - clock.first()?;
-    let range = [(0.5 * typical).ln(), (0.5 * whole).ln()];
+    let range = [typical.ln(), (0.5 * whole).ln()];
     (range[1] > range[0]).then_some(range)
 }
 
@@ -277,8 +326,8 @@ pub fn estimate(
     let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { inputs.known[i] } else { 0.0 }).collect();
     let law =
         if sought.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
-    let relative = |law: &Option<(String, Spread)>| match law {
-        Some((_, s)) => mask.iter().zip(&s.relative_sd).map(|(m, sd)| m / sd).collect(),
+    let relative = |law: &Option<SpreadLaw>| match law {
+        Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
         None => mask.clone(),
     };
     let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), sought)?;
@@ -291,8 +340,8 @@ pub fn estimate(
         }
     }
     // The readings that do not count keep their spread, so that they can be taken back.
-    let every: Vec<f64> =
-        (0..n).map(|i| inputs.known[i] / law.as_ref().map_or(1.0, |(_, s)| s.relative_sd[i])).collect();
+    let own = law.as_ref().map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
+    let every: Vec<f64> = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
     let every = match weights.shared() {
         Some(shared) => Weights::sharing(every, shared.clone()),
         None => Weights::independent(every),
@@ -441,18 +490,18 @@ fn standardised_by_channel(model: &MeanModel, weights: &Weights, s: f64) -> Opti
 }
 
 /// The covariate that the spread follows, where it follows one beyond chance.
-fn law_of(model: &MeanModel, inputs: &NoiseInputs, weights: &Weights, seed: u64) -> Option<(String, Spread)> {
+fn law_of(model: &MeanModel, inputs: &NoiseInputs, weights: &Weights, seed: u64) -> Option<SpreadLaw> {
     if inputs.spread.is_empty() {
         return None;
     }
     let rows = standardised_by_channel(model, weights, 1.0)?;
     let channels = model.residual.ncols();
-    let mut best: Option<(f64, String, Spread)> = None;
+    let mut best: Option<(f64, SpreadLaw)> = None;
     for (name, values) in &inputs.spread {
         let u: Vec<f64> = rows.iter().flat_map(|(i, _)| vec![values[*i]; channels]).collect();
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
-        let Some(mut spread) = spread_test(&z, &vec![-1.0; u.len()], &u, PERMUTATIONS, seed) else {
+        let Some(spread) = spread_test(&z, &vec![-1.0; u.len()], &u, PERMUTATIONS, seed) else {
             continue;
         };
         if spread.p_value > SPREAD_LEVEL {
@@ -463,16 +512,15 @@ fn law_of(model: &MeanModel, inputs: &NoiseInputs, weights: &Weights, seed: u64)
             (0..values.len()).filter(|&i| inputs.posed[i]).map(|i| values[i]).collect();
         loaded.sort_by(f64::total_cmp);
         let typical = loaded.get(loaded.len() / 2).copied().unwrap_or(0.0);
-        spread.relative_sd =
-            values.iter().map(|v| (spread.exponent * (v - typical)).exp().clamp(0.02, 50.0)).collect();
-        let relative =
-            (0..values.len()).map(|i| if weights.counts(i) { 1.0 / spread.relative_sd[i] } else { 0.0 });
+        let law = SpreadLaw { follows: name.clone(), spread, typical };
+        let own = law.relative_sd(inputs);
+        let relative = (0..values.len()).map(|i| if weights.counts(i) { 1.0 / own[i] } else { 0.0 });
         let cost = misfit(model, &Weights::independent(relative.collect()))?.restricted;
         if best.as_ref().is_none_or(|b| cost < b.0) {
-            best = Some((cost, name.clone(), spread));
+            best = Some((cost, law));
         }
     }
-    best.map(|(_, name, spread)| (name, spread))
+    best.map(|(_, law)| law)
 }
 
 #[cfg(test)]
@@ -539,7 +587,7 @@ mod tests {
             let n = estimated(&simulated(0.0, Some([2.0, 400.0]), 1.0, seed));
             slow += usize::from(n.correlated.is_some_and(|(sd, _)| (0.8..5.0).contains(&sd.value)));
             let n = estimated(&simulated(0.0, None, 4.0, seed));
-            laws += usize::from(n.law.is_some_and(|(_, l)| (0.9..1.9).contains(&l.exponent)));
+            laws += usize::from(n.law.is_some_and(|l| (0.9..1.9).contains(&l.spread.exponent)));
             let n = estimated(&simulated(0.0, None, 1.0, seed));
             clean += usize::from(n.weights.shared().is_none() && n.law.is_none());
         }

@@ -4,21 +4,69 @@ use super::predictions::Predicted;
 use crate::candidate::System;
 use crate::engine::fit::{Weights, fit};
 use crate::engine::inference::covariance;
+use crate::engine::noise_parts::Noise;
 use crate::engine::search::Hypothesis;
+use crate::engine::tails::Tails;
 use crate::whisker::WhiskerSystem;
 use nalgebra::{DMatrix, DVector, RowVector2};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
 /// Level of the check: far below the gate's, since a memory effect's curvature is only linearised here.
 pub const HOLDOUT_LEVEL: f64 = 1e-4;
+/// The same where the noise has heavy tails: an F test takes them for misfit more often.
+const HEAVY_FACTOR: f64 = 0.01;
+/// Family-wise level of single held-out readings.
+const SINGLE_LEVEL: f64 = 1e-3;
+/// More of them than this share are no single readings.
+const MAX_SHARE: f64 = 0.08;
 
-/// p-value of the held-out residuals under the accepted model, parameter covariance included (prediction F test; Seber & Lee,
-/// "Linear Regression Analysis", 2nd ed., ch. 5). None without holdout, or where readings were flagged: single slips are no misfit.
+/// Held-out readings that no tails of the noise explain, as in the fit: single slips are no misfit.
 #[must_use]
-pub fn holdout_p(whole: &WhiskerSystem, accepted: &Hypothesis, after: &[Predicted]) -> Option<f64> {
+pub fn flagged(whole: &WhiskerSystem, noise: &Noise, after: &[Predicted]) -> Vec<usize> {
     let readings = &whole.path.readings;
     let rows: Vec<usize> = (0..readings.len()).filter(|&i| readings[i].holdout).collect();
-    if rows.is_empty() || !accepted.flagged.is_empty() {
+    let (sd, factor) = (noise.reading_sd(&whole.noise_inputs()), whole.noise_factor());
+    let size = |i: usize| {
+        let off = |c: usize| (readings[i].shift_pm[c] - after[i].shift_pm[c]).abs() / (sd[i] * factor);
+        off(0).max(off(1))
+    };
+    let tail = |x: f64| match noise.tails {
+        Some(t) if t.heaviest.is_finite() => {
+            let scaled = x * noise_scale(&t);
+            StudentsT::new(0.0, 1.0, t.heaviest).map_or(1.0, |d| 2.0 * d.sf(scaled))
+        }
+        _ => 2.0 * Normal::standard().sf(x),
+    };
+    let level = SINGLE_LEVEL / (2 * rows.len().max(1)) as f64;
+    let out: Vec<usize> = rows.iter().copied().filter(|&i| tail(size(i)) < level).collect();
+    if out.len() as f64 > MAX_SHARE * rows.len() as f64 + 1.0 { Vec::new() } else { out }
+}
+
+/// From standard deviations to the scale of the heaviest tails.
+fn noise_scale(tails: &Tails) -> f64 {
+    1.0 / tails.heaviest_scale.max(1e-3)
+}
+
+/// Level below which the held-out readings contradict the model.
+#[must_use]
+pub fn level(noise: &Noise) -> f64 {
+    if noise.tails.is_some_and(|t| t.heavy) { HOLDOUT_LEVEL * HEAVY_FACTOR } else { HOLDOUT_LEVEL }
+}
+
+/// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
+/// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
+#[must_use]
+pub fn holdout_p(
+    whole: &WhiskerSystem,
+    accepted: &Hypothesis,
+    noise: &Noise,
+    after: &[Predicted],
+    left_out: &[usize],
+) -> Option<f64> {
+    let readings = &whole.path.readings;
+    let rows: Vec<usize> =
+        (0..readings.len()).filter(|i| readings[*i].holdout && !left_out.contains(i)).collect();
+    if rows.is_empty() {
         return None;
     }
     // Tangents at the fitted values on every reading; the coefficients of this call are not used.
@@ -45,8 +93,11 @@ pub fn holdout_p(whole: &WhiskerSystem, accepted: &Hypothesis, after: &[Predicte
             residual[row] = left[c];
         }
     }
-    let shape = DMatrix::identity(count, count) + &jacobian * spread * jacobian.transpose();
+    // Both channels share one law of the noise; rows stand channel by channel within a reading.
+    let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
+    let own = DMatrix::from_fn(count, count, |a, b| if a % 2 == b % 2 { own[(a / 2, b / 2)] } else { 0.0 });
+    let shape = own + &jacobian * spread * jacobian.transpose();
     let whitened = shape.cholesky()?.solve(&residual);
-    let f = residual.dot(&whitened) / count as f64 / accepted.fit.variance();
+    let f = residual.dot(&whitened) / count as f64 / noise.repeat.value.powi(2);
     FisherSnedecor::new(count as f64, accepted.fit.dof.max(1.0)).ok().map(|d| d.sf(f))
 }

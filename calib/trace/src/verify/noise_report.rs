@@ -30,16 +30,11 @@ pub fn noise_document(noise: &Noise, unit: &str) -> NoiseDocument {
         }),
         rounding,
         tails_dof: heavy.map(|t| NoisePart { value: t.dof, interval95: [t.heaviest, t.lightest.min(1e3)] }),
-        law: noise.law.as_ref().map(|(follows, s)| {
-            let range = |f: fn(f64, f64) -> f64, start| s.relative_sd.iter().copied().fold(start, f);
-            let span =
-                (range(f64::max, 0.0) / range(f64::min, f64::INFINITY)).ln() / s.exponent.abs().max(1e-9);
-            let ratio = |b: f64| (b * span).exp();
-            NoiseLaw {
-                follows: follows.clone(),
-                ratio: ratio(s.exponent),
-                interval95: [ratio(s.interval95[0]), ratio(s.interval95[1])],
-            }
+        // Load and depth go from 0 to 1.
+        law: noise.law.as_ref().map(|l| NoiseLaw {
+            follows: l.follows.clone(),
+            ratio: l.spread.exponent.exp(),
+            interval95: l.spread.interval95.map(f64::exp),
         }),
         unit: unit.to_owned(),
     }

@@ -31,7 +31,7 @@ pub struct PhysicalModel {
     pub coefficients: Vec<[f64; 2]>,
     /// Covariance of the coefficients, channel by channel, and of the nonlinear values after them.
     pub covariance: Vec<Vec<f64>>,
-    /// Standard deviation of one reading, pm.
+    /// Standard deviation of a typical loaded reading at a pose set anew, pm.
     pub noise_sd_pm: f64,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
@@ -65,7 +65,7 @@ pub(super) const VALID_SHARE: f64 = 1.1;
 impl PhysicalModel {
     /// The model of an explanation.
     #[must_use]
-    pub fn new(system: &WhiskerSystem, h: &Hypothesis) -> Self {
+    pub fn new(system: &WhiskerSystem, h: &Hypothesis, noise_sd_pm: f64) -> Self {
         let fit = &h.fit;
         let effects = fit
             .terms
@@ -94,7 +94,7 @@ impl PhysicalModel {
         Self {
             coefficients: coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
             covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
-            noise_sd_pm: system.noise_sd_pm(fit),
+            noise_sd_pm,
             effects,
             seatings: system.seatings(),
             fbg: system.data.fbg.clone(),
@@ -130,6 +130,19 @@ impl PhysicalModel {
         path: &WhiskerPath,
         felt: &[[f64; 2]],
     ) -> DMatrix<f64> {
+        let columns = self.columns(terms, path, felt);
+        DMatrix::from_fn(felt.len(), 2, |i, c| {
+            columns.iter().zip(&self.coefficients).map(|(col, b)| col[i] * b[c]).sum()
+        })
+    }
+
+    /// Columns of the readout at `felt` moments, one value a reading each.
+    pub(super) fn columns(
+        &self,
+        terms: &[(Arc<dyn WhiskerEffect>, Term)],
+        path: &WhiskerPath,
+        felt: &[[f64; 2]],
+    ) -> Vec<Vec<f64>> {
         let mut columns = vec![
             vec![1.0; felt.len()],
             felt.iter().map(|m| m[0]).collect(),
@@ -139,9 +152,7 @@ impl PhysicalModel {
         for (effect, t) in terms {
             effect.columns(t.law, &t.values, path, felt, &mut columns);
         }
-        DMatrix::from_fn(felt.len(), 2, |i, c| {
-            columns.iter().zip(&self.coefficients).map(|(col, b)| col[i] * b[c]).sum()
-        })
+        columns
     }
 
     /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
@@ -150,13 +161,30 @@ impl PhysicalModel {
     /// Memory is a small correction, so plain fixed-point iteration undoes it.
     #[must_use]
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
+        self.infer_under(path, memory, &vec![self.noise_sd_pm; path.readings.len()])
+    }
+
+    /// The same where the noise of each reading is known, pm.
+    #[must_use]
+    pub fn infer_under(
+        &self,
+        path: &WhiskerPath,
+        memory: Option<&[[f64; 2]]>,
+        noise_sd_pm: &[f64],
+    ) -> Vec<Inferred> {
         let terms = self.terms();
         let n = path.readings.len();
         let Some(inverse) = self.sensitivity().try_inverse() else {
             return vec![Inferred { moment_nmm: [f64::NAN; 2], sd_nmm: [f64::NAN; 2], valid: false }; n];
         };
         let felt = self.felt(&terms, path, &inverse);
-        let sds: Vec<[f64; 2]> = felt.iter().map(|f| self.sd_nmm(&inverse, f)).collect();
+        let columns = self.columns(&terms, path, &felt);
+        let sds: Vec<[f64; 2]> = (0..n)
+            .map(|i| {
+                let row: Vec<f64> = columns.iter().map(|c| c[i]).collect();
+                self.sd_nmm(&inverse, &row, noise_sd_pm[i])
+            })
+            .collect();
         let base = match memory {
             Some(m) => felt.iter().zip(m).map(|(f, d)| [f[0] + d[0], f[1] + d[1]]).collect(),
             None => undo_memory(&terms, path, &felt, &sds),
@@ -227,11 +255,11 @@ impl PhysicalModel {
         felt
     }
 
-    /// Noise and coefficient covariance through the inverse sensitivity.
-    pub(super) fn sd_nmm(&self, inverse: &Matrix2<f64>, felt: &[f64; 2]) -> [f64; 2] {
+    /// Noise and the covariance of every coefficient, those of effects included, through the inverse sensitivity. `row` are the readout's
+    /// columns at the reading.
+    pub(super) fn sd_nmm(&self, inverse: &Matrix2<f64>, row: &[f64], noise_sd_pm: f64) -> [f64; 2] {
         let q = self.coefficients.len();
-        let row = [1.0, felt[0], felt[1]];
-        let mut cov = Matrix2::identity() * self.noise_sd_pm.powi(2);
+        let mut cov = Matrix2::identity() * noise_sd_pm.powi(2);
         for a in 0..2 {
             for b in 0..2 {
                 for (i, u) in row.iter().enumerate() {

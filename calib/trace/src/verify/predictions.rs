@@ -20,15 +20,20 @@ pub struct Predicted {
     pub pose_moment_nmm: [f64; 2],
 }
 
-/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere; none where the model has no solution.
+/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each, pm; none where the model has no solution.
 #[must_use]
-pub fn predict(system: &WhiskerSystem, h: &Hypothesis, model: &PhysicalModel) -> Option<Vec<Predicted>> {
+pub fn predict(
+    system: &WhiskerSystem,
+    h: &Hypothesis,
+    model: &PhysicalModel,
+    noise_sd_pm: &[f64],
+) -> Option<Vec<Predicted>> {
     let terms: &[Term] = &h.fit.terms;
     let design: DMatrix<f64> = system.design(terms)?;
     let shifts = design * &h.fit.coefficients * system.channels_pm();
     let (felt, base) = system.moments(terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&felt).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
-    let inferred = model.infer(&system.path, Some(&memory));
+    let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
     Some(
         inferred
             .iter()
@@ -44,16 +49,13 @@ pub fn predict(system: &WhiskerSystem, h: &Hypothesis, model: &PhysicalModel) ->
     )
 }
 
-/// The held-out readings among `predicted`.
+/// The held-out readings among `predicted`, but for single ones that are left out.
 #[must_use]
-pub fn held_out(system: &WhiskerSystem, predicted: &[Predicted]) -> Vec<HeldOut> {
-    system
-        .path
-        .readings
-        .iter()
-        .zip(predicted)
-        .filter(|(r, _)| r.holdout)
-        .map(|(r, p)| of_reading(r.group, r.shift_pm, p))
+pub fn held_out(system: &WhiskerSystem, predicted: &[Predicted], left_out: &[usize]) -> Vec<HeldOut> {
+    let readings = &system.path.readings;
+    (0..readings.len())
+        .filter(|i| readings[*i].holdout && !left_out.contains(i))
+        .map(|i| of_reading(readings[i].group, readings[i].shift_pm, &predicted[i]))
         .collect()
 }
 

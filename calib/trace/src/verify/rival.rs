@@ -64,7 +64,12 @@ fn fitted(x: &DMatrix<f64>, y: &DVector<f64>) -> Option<Fitted> {
 
 /// Held-out residuals of the rival. `before` holds every reading of `whole` under the declared model with sensitivity `k`, pm/(N mm).
 #[must_use]
-pub fn rival(whole: &WhiskerSystem, before: &[Predicted], k: &Matrix2<f64>) -> Vec<HeldOut> {
+pub fn rival(
+    whole: &WhiskerSystem,
+    before: &[Predicted],
+    k: &Matrix2<f64>,
+    left_out: &[usize],
+) -> Vec<HeldOut> {
     let readings = &whole.path.readings;
     let x = covariates(whole);
     let (train, test): (Vec<usize>, Vec<usize>) = (0..readings.len()).partition(|&i| !readings[i].holdout);
@@ -85,6 +90,7 @@ pub fn rival(whole: &WhiskerSystem, before: &[Predicted], k: &Matrix2<f64>) -> V
     }
     test.iter()
         .enumerate()
+        .filter(|(_, i)| !left_out.contains(i))
         .map(|(k, &i)| {
             let added = [channels[0][k], channels[1][k]];
             let corrected = [0, 1].map(|c| before[i].shift_pm[c] + added[c]);

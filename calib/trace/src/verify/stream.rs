@@ -77,7 +77,9 @@ impl MomentStream for PhysicalStream {
 
     fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments {
         let felt = self.felt(t_s, shift_pm, rise_degc);
-        let sd_nmm = self.model.sd_nmm(&self.inverse, &felt);
+        let columns = self.model.columns(&self.terms, &self.now, &[felt]);
+        let row: Vec<f64> = columns.iter().map(|c| c[0]).collect();
+        let sd_nmm = self.model.sd_nmm(&self.inverse, &row, self.model.noise_sd_pm);
         let dt_s = self.last_s.map(|last| t_s - last);
         self.last_s = Some(t_s);
         let mut base = felt;

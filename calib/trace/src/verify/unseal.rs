@@ -38,16 +38,18 @@ pub(super) fn held_out_errors(
     before: &[Predicted],
     after: &[Predicted],
     sensitivity: &Matrix2<f64>,
+    noise_sd_pm: f64,
+    left_out: &[usize],
     on_request: bool,
     seed: u64,
 ) -> Errors {
-    let rows = held_out(whole, after);
+    let rows = held_out(whole, after, left_out);
     if !rows.is_empty() {
         return Errors {
-            before: summarise(&held_out(whole, before), "holdout", seed),
+            before: summarise(&held_out(whole, before, left_out), "holdout", seed),
             after: summarise(&rows, "holdout", seed),
             coverage95: coverage95(&rows),
-            further: black_box(whole, before, sensitivity, seed),
+            further: black_box(whole, before, sensitivity, left_out, seed),
             remark: String::new(),
         };
     }
@@ -56,12 +58,12 @@ pub(super) fn held_out_errors(
     } else {
         std::iter::once(&found.base).chain(&found.refitted).collect()
     };
-    let left_out = leave_out(system, &conclusion.accepted, &rivals, found, None);
+    let folds = leave_out(system, &conclusion.accepted, &rivals, found, None, noise_sd_pm);
     let labelled = labelled_moments(data, &system.path);
-    let declared = leave_out(system, &found.base, &[], found, labelled.as_deref());
+    let declared = leave_out(system, &found.base, &[], found, labelled.as_deref(), noise_sd_pm);
     let mut further = Vec::new();
     if labelled.is_some() {
-        let repaired = leave_out(system, &found.base, &[], found, None);
+        let repaired = leave_out(system, &found.base, &[], found, None, noise_sd_pm);
         if let Some(e) = summarise(&repaired, "loto", seed) {
             further.push(("declared model, labels repaired by the rod".to_owned(), e));
         }
@@ -75,8 +77,8 @@ pub(super) fn held_out_errors(
             summarise(&declared, "loto", seed),
             &labelled.unwrap_or_else(|| of_pose(before)),
         ),
-        after: with_map(summarise(&left_out, "loto", seed), &of_pose(after)),
-        coverage95: coverage95(&left_out),
+        after: with_map(summarise(&folds, "loto", seed), &of_pose(after)),
+        coverage95: coverage95(&folds),
         further,
         remark: " Errors are leave-one-trajectory-out: the choice among the refitted explanations and every fitted value were made without the trajectory.".to_owned(),
     }
@@ -87,9 +89,10 @@ fn black_box(
     whole: &WhiskerSystem,
     before: &[Predicted],
     sensitivity: &Matrix2<f64>,
+    left_out: &[usize],
     seed: u64,
 ) -> Vec<(String, HeldOutError)> {
-    let rows = rival(whole, before, sensitivity);
+    let rows = rival(whole, before, sensitivity, left_out);
     let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
     summarise(&rows, "holdout", seed).map(|e| (name, e)).into_iter().collect()
 }
@@ -124,6 +127,7 @@ fn leave_out(
     rivals: &[&Hypothesis],
     found: &Found,
     labels: Option<&[[f64; 2]]>,
+    noise_sd_pm: f64,
 ) -> Vec<HeldOut> {
     let readings = &system.path.readings;
     let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
@@ -140,8 +144,8 @@ fn leave_out(
                 // From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
                 None => fit(system, &h.fit.terms, &weights, 2).and_then(|refit| {
                     let part = Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() };
-                    let model = PhysicalModel::new(system, &part);
-                    predict(system, &part, &model)
+                    let model = PhysicalModel::new(system, &part, noise_sd_pm);
+                    predict(system, &part, &model, &vec![noise_sd_pm; readings.len()])
                 }),
                 Some(moments) => by_labels(system, moments, &weights),
             };

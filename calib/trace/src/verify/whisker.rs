@@ -2,7 +2,7 @@
 
 use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
-use super::holdout_check::{HOLDOUT_LEVEL, holdout_p};
+use super::holdout_check::{self, holdout_p};
 use super::listings::{Branch, PredictionRow, branches, isolability, prediction_rows, records};
 use super::noise_report::{noise_document, noise_sentences};
 use super::physical::PhysicalModel;
@@ -156,15 +156,23 @@ pub fn verify_whisker(
         conclusion.accept(&system, &found, &options.accept)?;
     }
     // Stage 1 on the residuals of the accepted model.
-    let floor = noise_floor(&system, &conclusion.accepted);
-    let model_before = PhysicalModel::new(&system, &found.base);
-    let model_after = PhysicalModel::new(&system, &conclusion.accepted);
+    let floor = noise_floor(&system, &conclusion.accepted, &noise, found.left().is_some());
+    let noise_sd_pm = floor.map_or_else(|| noise.repeat.value * system.noise_factor(), |f| f.sd_pm);
+    let model_before = PhysicalModel::new(&system, &found.base, noise_sd_pm);
+    let model_after = PhysicalModel::new(&system, &conclusion.accepted, noise_sd_pm);
     // Stage 11: the seal is broken here, once.
     let all_rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
     let whole = WhiskerSystem::new(data, &all_rows)?.mixed_as(&system);
-    let before = predict(&whole, &found.base, &model_before).ok_or_else(no_solution)?;
-    let after = predict(&whole, &conclusion.accepted, &model_after).ok_or_else(no_solution)?;
-    if let Some(p) = holdout_p(&whole, &conclusion.accepted, &after).filter(|p| *p < HOLDOUT_LEVEL) {
+    let factor = whole.noise_factor();
+    let reading_sd_pm: Vec<f64> =
+        noise.reading_sd(&whole.noise_inputs()).into_iter().map(|sd| sd * factor).collect();
+    let before = predict(&whole, &found.base, &model_before, &reading_sd_pm).ok_or_else(no_solution)?;
+    let after =
+        predict(&whole, &conclusion.accepted, &model_after, &reading_sd_pm).ok_or_else(no_solution)?;
+    let left_out = holdout_check::flagged(&whole, &noise, &after);
+    if let Some(p) = holdout_p(&whole, &conclusion.accepted, &noise, &after, &left_out)
+        .filter(|p| *p < holdout_check::level(&noise))
+    {
         conclusion.contradicted(p, !options.accept.is_empty());
     }
     let errors = held_out_errors(
@@ -176,10 +184,12 @@ pub fn verify_whisker(
         &before,
         &after,
         &model_before.sensitivity(),
+        noise_sd_pm,
+        &left_out,
         !options.accept.is_empty(),
         seed,
     );
-    let document = document(
+    let mut document = document(
         session,
         data,
         inputs,
@@ -193,6 +203,10 @@ pub fn verify_whisker(
         &model_after,
         &errors,
     );
+    document.flagged.extend(left_out.iter().map(|&i| {
+        let row = all_rows[whole.path.rows[i]];
+        FlaggedReading { source: row.source.clone(), point: row.point }
+    }));
     let predictions = prediction_rows(&whole, &all_rows, &before, &after);
     let residuals = records(&whole, &all_rows, &before, &after, model_after.noise_sd_pm, &conclusion);
     let branches = branches(&system);
@@ -230,9 +244,10 @@ fn document(
     let mut reason = conclusion.reason.clone();
     if floor.is_none_or(|f| f.source != "replicates") {
         reason.push_str(
-            " Provisional: the session has no replicates, so the noise floor is an estimate from neighbours.",
+            " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.",
         );
     }
+    notes.extend(floor.and_then(|f| f.remark()));
     reason.push_str(&errors.remark);
     if !conclusion.flagged.is_empty() {
         let points: Vec<String> =

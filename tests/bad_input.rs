@@ -190,7 +190,7 @@ fn import_refuses_and_leaves_nothing() {
 }
 
 #[test]
-fn import_takes_good_tables_and_refuses_to_overwrite() {
+fn import_takes_good_tables_and_replaces_only_its_own() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21").unwrap();
     let mapped = [&["import", "t.csv", "--out", "new", "--temperature", "T", "--json"], LINEAR].concat();
@@ -203,7 +203,14 @@ fn import_takes_good_tables_and_refuses_to_overwrite() {
         points,
         "point,role,stimulus,response,temperature_degc\n1,calibration,1,2.5,20\n2,calibration,2,4.5,21\n"
     );
-    judge(&wcal(place.path(), &mapped), 1, &["new", "does not exist yet"]).unwrap();
+    // The same again takes the place of the first, whole; what is not of an import is kept.
+    fs::write(place.path().join("new/holdout.csv"), "of the first").unwrap();
+    judge(&wcal(place.path(), &mapped), 0, &[]).unwrap();
+    assert_eq!(listing(&place.path().join("new")), ["points.csv", "session.toml"]);
+    fs::write(place.path().join("new/notes.txt"), "mine").unwrap();
+    judge(&wcal(place.path(), &mapped), 1, &["new", "notes.txt", "--force"]).unwrap();
+    judge(&wcal(place.path(), &[&mapped[..], &["--force"]].concat()), 0, &[]).unwrap();
+    assert_eq!(listing(&place.path().join("new")), ["notes.txt", "points.csv", "session.toml"]);
     judge(
         &wcal(
             place.path(),
@@ -297,4 +304,94 @@ fn verify_and_fit_gpr_refuse_what_is_broken_and_leave_no_result() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Every command with a folder or a file as --out, on arguments that would fail later: what is there is looked at first.
+const OUTPUTS: &[&[&str]] = &[
+    &["verify", "s"],
+    &["fit-gpr", "s"],
+    &["import", "t.csv", "--kind", "axis", "--commanded", "c", "--measured", "m"],
+    &["stereo-calibrate", "left", "right", "--board", "9x6", "--square-mm", "6"],
+    &["stereo-shape", "left", "right", "--cameras", "stereo.json", "--rig", "rig.toml"],
+    &["fit-whisker", "shapes.json", "--rig", "rig.toml"],
+    &["simulate", "--object", "can", "--sweeps", "1"],
+    &["train", "sweeps"],
+    &["evaluate", "sweeps", "--model", "model"],
+    &["demo"],
+];
+
+#[test]
+fn every_out_folder_refuses_what_is_not_its_own_result() {
+    let mut wrong = Vec::new();
+    for arguments in OUTPUTS {
+        let place = tempfile::tempdir().unwrap();
+        fs::create_dir(place.path().join("o")).unwrap();
+        fs::write(place.path().join("o/thesis.txt"), "mine").unwrap();
+        fs::write(place.path().join("file"), "mine").unwrap();
+        let own = format!("wcal {}", arguments[0]);
+        for (out, says) in [("o", &["thesis.txt", "--force", &own][..]), ("file", &["expected a folder"])] {
+            let output = wcal(place.path(), &[*arguments, &["--out", out]].concat());
+            if let Err(why) = judge(&output, 1, says) {
+                wrong.push(format!("{} --out {out}: {why}", arguments[0]));
+            }
+        }
+        assert_eq!(listing(place.path()), ["file", "o"], "{}", arguments[0]);
+        assert_eq!(fs::read(place.path().join("o/thesis.txt")).unwrap(), b"mine", "{}", arguments[0]);
+        assert_eq!(listing(&place.path().join("o")), ["thesis.txt"], "{}", arguments[0]);
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_out_file_refuses_what_is_not_its_own_result() {
+    let mut wrong = Vec::new();
+    for arguments in [
+        &["predict", "t.csv", "--calibration", "c.json"][..],
+        &["twin", "s"],
+        &["track", "t.csv", "--calibration", "c.json", "--model", "m"],
+    ] {
+        let place = tempfile::tempdir().unwrap();
+        // Readings, labels of another simulator.
+        for text in ["point,fbg_1_nm,fbg_2_nm\n1,1545,1543\n", "point,moment_1_nmm,moment_2_nmm\n1,2,3\n"] {
+            fs::write(place.path().join("data.csv"), text).unwrap();
+            let output = wcal(place.path(), &[arguments, &["--out", "data.csv"]].concat());
+            if let Err(why) =
+                judge(&output, 1, &["--out data.csv", "--force", &format!("wcal {}", arguments[0])])
+            {
+                wrong.push(format!("{}: {why}", arguments[0]));
+            }
+            assert_eq!(fs::read_to_string(place.path().join("data.csv")).unwrap(), text);
+        }
+        if let Err(why) = judge(&wcal(place.path(), &[arguments, &["--out", "."]].concat()), 1, &["a folder"])
+        {
+            wrong.push(format!("{}: {why}", arguments[0]));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_table_in_place_of_a_session_is_told_how_to_become_one() {
+    let place = tempfile::tempdir().unwrap();
+    let transducer: String = (0..20).map(|k| format!("{k},{},{}\n", k % 5, 20 * (k % 5) + k)).collect();
+    fs::write(place.path().join("cell.csv"), format!("t_s,load_n,out v\n{transducer}")).unwrap();
+    for command in ["verify", "doctor", "fit-gpr"] {
+        let out = if command == "doctor" { &[][..] } else { &["--out", "o"] };
+        let run = wcal(place.path(), &[&[command, "cell.csv"], out].concat());
+        judge(&run, 1, &["cell.csv", "use wcal import", &format!("wcal {command} cell")]).unwrap();
+    }
+    assert_eq!(listing(place.path()), ["cell.csv"]);
+    // The command that is printed does it.
+    let run = wcal(place.path(), &["verify", "cell.csv"]);
+    let text = String::from_utf8_lossy(&run.stderr).into_owned();
+    let line = text.lines().find(|l| l.trim().starts_with("wcal import")).unwrap().trim().to_owned();
+    assert!(line.contains("--stimulus load_n --response 'out v'"), "{line}");
+    let script = format!("{} {}", env!("CARGO_BIN_EXE_wcal"), line.strip_prefix("wcal ").unwrap());
+    let done = Command::new("sh").args(["-c", &script]).current_dir(place.path()).output().unwrap();
+    judge(&done, 0, &["20 rows"]).unwrap();
+    judge(&wcal(place.path(), &["doctor", "cell"]), 0, &["20"]).unwrap();
+    // A session's own table: the folder is named.
+    judge(&wcal(place.path(), &["verify", "cell/points.csv"]), 1, &["wcal verify cell"]).unwrap();
+    fs::write(place.path().join("axis.csv"), "commanded_mm;measured_mm\n1;1\n").unwrap();
+    judge(&wcal(place.path(), &["verify", "axis.csv"]), 1, &["--separator semicolon --kind axis"]).unwrap();
 }

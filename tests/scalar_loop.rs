@@ -98,7 +98,7 @@ fn agreement(run: &Run) -> f64 {
 #[test]
 fn pontius_gets_its_quadratic_term_and_the_certified_numbers() {
     let run = verify(&fixture("pontius"));
-    assert_eq!((run.code, run.verdict()), (4, "effect"), "{}", run.verify["reason"]);
+    assert_eq!((run.code, run.verdict()), (0, "effect"), "{}", run.verify["reason"]);
     assert_eq!(run.effects(), ["nonlinearity-quadratic"]);
     assert!(agreement(&run) >= 12.0, "{}", agreement(&run));
     for (got, want) in run.polynomial("standard_errors").into_iter().zip(CERTIFIED_ERRORS) {
@@ -176,7 +176,7 @@ fn a_changed_pontius_does_not_pass() {
 #[test]
 fn loadcell_gets_its_quadratic_term() {
     let run = verify(&fixture("loadcell"));
-    assert_eq!((run.code, run.verdict()), (4, "effect"), "{}", run.verify["reason"]);
+    assert_eq!((run.code, run.verdict()), (0, "effect"), "{}", run.verify["reason"]);
     assert_eq!(run.effects(), ["nonlinearity-quadratic"]);
     // e-Handbook mpc365, printed with six digits.
     for (got, want) in run.polynomial("coefficients").into_iter().zip([-1.83980e-5, 0.10010249, 7.03187e-6]) {
@@ -217,7 +217,7 @@ fn berger_spread_grows_with_the_stimulus() {
 #[test]
 fn lew_is_periodic_and_not_steady() {
     let run = verify(&fixture("lew"));
-    assert_eq!(run.code, 4);
+    assert_eq!((run.code, run.verdict()), (0, "effect"));
     let effects = run.verify["effects"].as_array().unwrap();
     let periodic = effects.iter().find(|e| e["id"] == "periodic").unwrap();
     let parameters = periodic["parameters"].as_array().unwrap();
@@ -258,7 +258,7 @@ fn axis_table(n: usize, error_um: impl Fn(f64, f64) -> f64) -> String {
 #[test]
 fn an_axis_shows_its_backlash_and_predicts_with_it() {
     let run = verify(session(AXIS, &axis_table(120, |_, way| if way < 0.0 { 6.0 } else { 0.0 })).path());
-    assert_eq!((run.code, run.effects()), (4, vec!["backlash"]), "{}", run.verify["reason"]);
+    assert_eq!((run.code, run.effects()), (0, vec!["backlash"]), "{}", run.verify["reason"]);
     assert!(run.rmse("after", "error_rmse_um") < 0.3 * run.rmse("before", "error_rmse_um"));
     assert!(run.verify["noise_floor"]["error_um"].as_f64().unwrap() < 1.0);
     let place = run.out.path();
@@ -384,4 +384,199 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
     fs::write(folder.path().join("holdout.csv"), copied).unwrap();
     let run = verify(folder.path());
     assert_eq!((run.code, run.verdict()), (1, "refused"), "{}", run.verify["reason"]);
+}
+
+/// A table whose response bends, so that an effect is found and a calibration is verified.
+fn bent_table(rows: usize) -> String {
+    line_table(rows, "point,role,stimulus,response", |k, x, y| {
+        format!("{k},calibration,{x},{}", y + 0.02 * x * x)
+    })
+}
+
+#[test]
+fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
+    let sealed =
+        TRANSDUCER.replace("points = \"points.csv\"", "points = \"points.csv\"\nholdout = \"holdout.csv\"");
+    let folder = session(&sealed, &bent_table(40));
+    let holdout = line_table(12, "point,role,stimulus,response", |k, x, y| {
+        format!("{k},holdout,{},{}", x + 0.5, y + 0.1 + 0.02 * (x + 0.5) * (x + 0.5))
+    });
+    fs::write(folder.path().join("holdout.csv"), holdout).unwrap();
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("out");
+    let run = |more: &[&str]| {
+        let fixed = ["verify", folder.path().to_str().unwrap(), "--out", out.to_str().unwrap()];
+        wcal(&[&fixed[..], more].concat())
+    };
+    let names = || {
+        let mut names: Vec<String> = fs::read_dir(&out)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names.retain(|name| name != "unsealed.json");
+        names
+    };
+    let done = run(&[]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(names(), ["calibration.json", "predictions.csv", "report.html", "verify.json"]);
+    // Data that the checks refuse.
+    let good = fs::read_to_string(folder.path().join("points.csv")).unwrap();
+    let few: Vec<&str> = good.lines().take(6).collect();
+    fs::write(folder.path().join("points.csv"), few.join("\n")).unwrap();
+    assert_eq!(run(&[]).status.code(), Some(1));
+    assert_eq!(names(), ["report.html", "verify.json"]);
+    // A whole result again, then a table that cannot even be read.
+    fs::write(folder.path().join("points.csv"), &good).unwrap();
+    assert_eq!(run(&[]).status.code(), Some(0));
+    assert_eq!(names().len(), 4);
+    let text = fs::read_to_string(out.join("verify.json")).unwrap();
+    assert!(text.contains("unsealed before"), "the second look is known as one: {text}");
+    fs::write(folder.path().join("points.csv"), good.replace("calibration", "mystery")).unwrap();
+    assert_eq!(run(&[]).status.code(), Some(1));
+    assert_eq!(names(), ["verify.json"]);
+    // Negative control: a run that fails for its arguments changes nothing.
+    fs::write(folder.path().join("points.csv"), &good).unwrap();
+    assert_eq!(run(&[]).status.code(), Some(0));
+    assert_eq!(run(&["--accept", "creep"]).status.code(), Some(1));
+    assert_eq!(names().len(), 4);
+}
+
+#[test]
+fn warnings_about_the_session_are_exit_code_3() {
+    let folder = session(&TRANSDUCER.replace("[files]", "surprise = 1\n[files]"), &bent_table(40));
+    let run = verify(folder.path());
+    assert_eq!((run.code, run.verdict()), (3, "effect"), "{}", run.verify["reason"]);
+}
+
+/// Columns of a table by name.
+fn column(csv: &str, name: &str) -> Vec<f64> {
+    let header: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    let index = header.iter().position(|h| *h == name).unwrap_or_else(|| panic!("{name} in {header:?}"));
+    csv.lines().skip(1).map(|l| l.split(',').nth(index).unwrap().parse().unwrap_or(f64::NAN)).collect()
+}
+
+#[test]
+fn measured_values_stand_beside_their_residuals() {
+    let table = bent_table(40);
+    let run = verify(session(TRANSDUCER, &table).path());
+    let csv = fs::read_to_string(run.out.path().join("predictions.csv")).unwrap();
+    let [x, measured, before, after] =
+        ["stimulus", "response_measured", "response_before", "response_after"].map(|n| column(&csv, n));
+    assert_eq!((&x, &measured), (&column(&table, "stimulus"), &column(&table, "response")));
+    for (k, r) in column(&csv, "residual_after").into_iter().enumerate() {
+        assert!((r - (measured[k] - after[k])).abs() < 1e-12 && r.abs() < 0.05, "{r}");
+    }
+    for (k, r) in column(&csv, "residual_before").into_iter().enumerate() {
+        assert!((r - (measured[k] - before[k])).abs() < 1e-12, "{r}");
+    }
+    let axis = verify(session(AXIS, &axis_table(120, |_, way| if way < 0.0 { 6.0 } else { 0.0 })).path());
+    let csv = fs::read_to_string(axis.out.path().join("predictions.csv")).unwrap();
+    let given = axis_table(120, |_, way| if way < 0.0 { 6.0 } else { 0.0 });
+    assert_eq!(column(&csv, "commanded_mm"), column(&given, "commanded_mm"));
+    let (got, wanted) = (column(&csv, "measured_mm"), column(&given, "measured_mm"));
+    assert!(got.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-9), "{csv}");
+    assert!(column(&csv, "residual_um_after").iter().all(|r| r.abs() < 3.0), "{csv}");
+    // `predict` on tables with the measured value.
+    let predict = |run: &Run, text: &str| {
+        let [table, calibration, out] =
+            ["t.csv", "calibration.json", "p.csv"].map(|n| run.out.path().join(n));
+        fs::write(&table, text).unwrap();
+        let [t, c, o] = [&table, &calibration, &out].map(|p| p.to_str().unwrap());
+        let done = wcal(&["predict", t, "--calibration", c, "--out", o]);
+        assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+        fs::read_to_string(out).unwrap()
+    };
+    let csv = predict(&run, "stimulus,response\n3,1.25\n4,\n");
+    let (value, residual) = (column(&csv, "response"), column(&csv, "residual"));
+    assert!((residual[0] - (1.25 - value[0])).abs() < 1e-12 && residual[1].is_nan(), "{csv}");
+    assert_eq!(column(&csv, "response_measured")[0], 1.25);
+    // Negative control: without the value there are no such columns.
+    assert!(!predict(&run, "stimulus\n3\n").contains("residual"));
+    let csv =
+        predict(&axis, "commanded_mm,measured_mm,direction,t_s\n2,2.005,1,0\n5,5.004,1,1\n3,3.01,-1,2\n");
+    let (error, residual) = (column(&csv, "error_um"), column(&csv, "residual_um"));
+    assert!((residual[0] - (5.0 - error[0])).abs() < 1e-9, "{csv}");
+}
+
+/// Everything that `verify` says of a session: terminal, document, page and table.
+fn all_words(folder: &Path) -> String {
+    let out = tempfile::tempdir().unwrap();
+    let run = wcal(&["verify", folder.to_str().unwrap(), "--out", out.path().to_str().unwrap()]);
+    let mut text = String::from_utf8_lossy(&run.stdout).into_owned();
+    for name in ["verify.json", "report.html", "predictions.csv"] {
+        text += &fs::read_to_string(out.path().join(name)).unwrap();
+    }
+    text
+}
+
+#[test]
+fn an_axis_speaks_of_commanded_and_measured_positions() {
+    let backlash = axis_table(120, |_, way| if way < 0.0 { 6.0 } else { 0.0 });
+    let bent = axis_table(120, |x, _| 0.6 * (x - 5.0) * (x - 5.0));
+    for table in [backlash, bent] {
+        let text = all_words(session(AXIS, &table).path());
+        let words: Vec<&str> =
+            text.lines().filter(|l| l.contains("stimul") || l.contains("response")).take(5).collect();
+        assert!(words.is_empty(), "{words:?}");
+        assert!(text.contains("commanded"));
+    }
+    // Negative control: a transducer has both.
+    let text = all_words(session(TRANSDUCER, &bent_table(40)).path());
+    assert!(text.contains("stimulus") && text.contains("response") && !text.contains("commanded"));
+}
+
+#[test]
+fn units_are_composed_from_the_declared_ones() {
+    let unit_of = |stimulus: &str, response: &str| {
+        let toml = TRANSDUCER
+            .replace("stimulus_unit = \"N\"", &format!("stimulus_unit = \"{stimulus}\""))
+            .replace("response_unit = \"V\"", &format!("response_unit = \"{response}\""));
+        let folder = session(&toml, &bent_table(40));
+        let out = tempfile::tempdir().unwrap();
+        let run = wcal(&["verify", folder.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()]);
+        let v: Value = serde_json::from_slice(&fs::read(out.path().join("verify.json")).unwrap()).unwrap();
+        let unit = v["effects"][0]["parameters"][0]["unit"].as_str().unwrap_or_default().to_owned();
+        (unit, String::from_utf8_lossy(&run.stdout).into_owned())
+    };
+    for (stimulus, response, composed) in
+        [("1", "1", "1"), ("N", "V", "V/N^2"), ("1/m", "pm", "pm/(1/m)^2"), ("kPa", "1", "1/kPa^2")]
+    {
+        let (unit, text) = unit_of(stimulus, response);
+        assert_eq!(unit, composed, "{text}");
+        assert!(!text.contains("unit of the response"), "{text}");
+        assert_eq!(response == "V", text.contains(" V (") && text.contains("response_rmse V"), "{text}");
+    }
+}
+
+#[test]
+fn the_replicate_of_an_axis_is_its_cycle() {
+    let place = tempfile::tempdir().unwrap();
+    let table: Vec<String> = axis_table(120, |_, way| if way < 0.0 { 6.0 } else { 0.0 })
+        .lines()
+        .enumerate()
+        .map(|(k, line)| if k == 0 { format!("{line},run") } else { format!("{line},{}", 1 + (k - 1) / 40) })
+        .collect();
+    let file = place.path().join("t.csv");
+    fs::write(&file, table.join("\n")).unwrap();
+    let import = |out: &Path, more: &[&str]| {
+        let fixed =
+            ["import", file.to_str().unwrap(), "--kind", "axis", "--commanded", "commanded_mm", "--measured"];
+        wcal(&[&fixed[..], &["measured_mm", "--out", out.to_str().unwrap()], more].concat())
+    };
+    let (with, without) = (place.path().join("with"), place.path().join("without"));
+    let done = import(&with, &["--replicate", "run"]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let run = verify(&with);
+    assert_eq!(run.verify["after"]["split"], "loto", "{}", run.verify["reason"]);
+    assert!(run.verify["reason"].as_str().unwrap().contains("3 cycles"), "{}", run.verify["reason"]);
+    // A table by another hand that has the column.
+    let points = fs::read_to_string(with.join("points.csv")).unwrap();
+    let own = verify(session(AXIS, points.replacen("cycle", "replicate", 1).trim_end()).path());
+    assert_eq!((own.code, &own.verify["after"]["split"]), (0, &Value::from("loto")));
+    // Negative controls: no repetition is named; both names are.
+    assert_eq!(import(&without, &[]).status.code(), Some(0));
+    assert_eq!(verify(&without).verify["after"]["split"], "loo");
+    let both = import(&place.path().join("both"), &["--replicate", "run", "--cycle", "run"]);
+    assert!(String::from_utf8_lossy(&both.stderr).contains("--replicate"));
 }

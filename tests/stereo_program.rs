@@ -46,6 +46,14 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     assert!(!Path::new(&refused).join("stereo.json").exists());
     assert_eq!(wcal(&[&board[..], &["6", "--out", &refused]].concat()).0, 2);
 
+    // A side in metres is asked about, not believed.
+    let metres =
+        ["stereo-calibrate", &left, &right, "--square-mm", "0.006", "--board", "9x6", "--out", &refused];
+    let (code, _, text) = wcal(&metres);
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("is it 6 mm") && text.contains("--small-squares"), "{text}");
+    assert!(!Path::new(&refused).exists());
+
     let calibration = at("calibration");
     let (code, output, text) = wcal(&[&board[..], &["9x6", "--out", &calibration, "--json"]].concat());
     assert_eq!(code, 3, "a pair was left out: {text}");

@@ -1,6 +1,7 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
-use crate::verify::{print_text, verify_session};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::verify::{self, print_text, verify_session};
 use anyhow::Context;
 use clap::Args;
 use std::path::PathBuf;
@@ -18,6 +19,9 @@ pub struct DemoArgs {
     /// Folder for every result
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Seed of every random draw
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -54,37 +58,57 @@ const RECORDINGS: &[Recording] = &[
     ),
 ];
 
+/// Title of the first page, by which an earlier demonstration is told.
+const TITLE: &str = "wcal demo";
+
 /// Runs the command.
 ///
 /// # Errors
 /// A file that cannot be written.
 pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
+    let names: Vec<&str> = RECORDINGS.iter().map(|r| r.name).collect();
+    let own = ResultKind {
+        command: "demo",
+        document: "report.html",
+        says: TITLE,
+        files: &[],
+        kept: &names,
+        resumes: false,
+    };
+    own.check(&args.out, args.overwrite.force)?;
+    let kind = ResultKind { command: "demo", kept: &["session", "unsealed.json"], ..verify::RESULT };
+    // Before the first recording, not between two.
+    for name in &names {
+        kind.check(&args.out.join(name), args.overwrite.force)?;
+    }
     let mut entries = Vec::new();
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
-        let folder = args.out.join(r.name).join("session");
+        let out = args.out.join(r.name);
+        let mut results = OutputFolder::open(&kind, &out, args.overwrite.force)?;
+        let folder = out.join("session");
         std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
         for (name, content) in r.files {
             write_atomic(&folder.join(name), content.as_bytes())?;
         }
-        let out = args.out.join(r.name);
         // A demonstration starts afresh: its seal is that of the recording, not of an earlier run.
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
-        let mut report = verify_session(&session, &out, args.seed, &[])?;
+        let mut report = verify_session(&session, &mut results, args.seed, &[])?;
         if let Some(how) = r.simulated {
             report.simulated = Some(how.to_owned());
             report.facts.insert(0, Fact::new("data", "SIMULATED"));
-            write_atomic(&out.join("report.html"), wcal_report::render(&report).as_bytes())?;
+            results.put("report.html", wcal_report::render(&report));
         }
-        print_text(&report.verify, &out);
+        results.finish()?;
+        print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
     // The page starts with what was measured.
     entries.reverse();
     let introduction = ["Every recording that comes with the project, through the whole residual loop."];
     let page = args.out.join("report.html");
-    write_atomic(&page, render_index("wcal demo", &introduction, &entries).as_bytes())?;
+    write_atomic(&page, render_index(TITLE, &introduction, &entries).as_bytes())?;
     println!("report: {}", page.display());
     Ok(ExitCode::SUCCESS)
 }

@@ -27,6 +27,7 @@ pub struct DoctorArgs {
 /// # Errors
 /// Where the findings cannot be printed.
 pub fn run(args: &DoctorArgs) -> anyhow::Result<ExitCode> {
+    crate::session_folder::expect_session(&args.session, "doctor")?;
     let loaded = load(&args.session).and_then(|mut session| {
         if let Some(holdout) = &args.holdout {
             attach_holdout(&mut session, holdout)?;

@@ -4,7 +4,8 @@ mod report;
 mod tables;
 mod virtual_bench;
 
-use crate::picture_output::{provenance, write};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::picture_output::provenance;
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
 use clap::Args;
@@ -51,6 +52,9 @@ pub struct EvaluateArgs {
     /// Folder for evaluation.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -62,11 +66,21 @@ pub struct EvaluateArgs {
     pub json: bool,
 }
 
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "evaluate",
+    document: "evaluation.json",
+    says: "wcal-evaluation/",
+    files: &["report.html"],
+    kept: &[],
+    resumes: false,
+};
+
 /// Runs the command.
 ///
 /// # Errors
 /// Where model, sweeps or meshes cannot be used.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let (tracker, card) = load(&args.model, &burn_device())?;
     let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
         let names: Vec<String> = names.iter().take(args.objects).cloned().collect();
@@ -137,12 +151,9 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
             document[name] = table;
         }
     }
-    write(
-        &args.out,
-        "evaluation.json",
-        format!("{}\n", serde_json::to_string_pretty(&document)?).as_bytes(),
-    )?;
-    write(&args.out, "report.html", report::page(&document).as_bytes())?;
+    out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
+    out.put("report.html", report::page(&document));
+    out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {

@@ -2,6 +2,8 @@
 
 use crate::artefact::{CalibrationModel, provenance, seal};
 use crate::labels::{LabelSource, MomentLabels, moment_labels};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -9,7 +11,7 @@ use std::process::ExitCode;
 use wcal_core::map_document::MapDocument;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};
-use wcal_session::{load, write_atomic};
+use wcal_session::load;
 
 /// Arguments of `wcal fit-gpr`.
 #[derive(Debug, Args)]
@@ -25,6 +27,9 @@ pub struct FitGprArgs {
     /// Folder for calibration.json and fit-gpr.json
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Where the moments come from [default: twin where the session has twin.csv, else rod]
     #[arg(long, value_enum)]
     pub labels: Option<LabelSource>,
@@ -64,6 +69,15 @@ pub enum Hyperparameters {
     Loo,
 }
 
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "fit-gpr",
+    document: "fit-gpr.json",
+    says: "wcal-map/",
+    files: &["calibration.json"],
+    kept: &[],
+    resumes: false,
+};
+
 /// Runs the command.
 ///
 /// # Errors
@@ -72,6 +86,8 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     if !(args.margin.is_finite() && args.margin >= 0.0) {
         bail!("--margin: expected a share of at least 0, found {}", args.margin);
     }
+    expect_session(&args.session, "fit-gpr")?;
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let session = load(&args.session)?;
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
@@ -108,9 +124,9 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         Some(&data.whisker),
     )?;
 
-    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
-    write_atomic(&args.out.join("calibration.json"), &serde_json::to_vec_pretty(&calibration)?)?;
-    write_atomic(&args.out.join("fit-gpr.json"), &serde_json::to_vec_pretty(&result)?)?;
+    out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);
+    out.put("fit-gpr.json", serde_json::to_vec_pretty(&result)?);
+    out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);
     } else {

@@ -17,7 +17,8 @@ mod document;
 mod dynamics;
 mod stiffness;
 
-use crate::picture_output::{provenance, write};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::picture_output::provenance;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use document::{Geometry, Root, WhiskerDocument, curvature, described, rest_models};
@@ -67,6 +68,9 @@ pub struct FitWhiskerArgs {
     /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Print the result as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -83,11 +87,21 @@ pub enum RestChoice {
     FreeCurvature,
 }
 
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "fit-whisker",
+    document: "whisker.toml",
+    says: "wcal-whisker/",
+    files: &["whisker.xml", "dynamics.csv", "dynamics.html"],
+    kept: &[],
+    resumes: false,
+};
+
 /// Runs the command: 0, or 3 where shapes were left out or residuals are past what is stated.
 ///
 /// # Errors
 /// Where the files cannot be read or no geometry comes out.
 pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let text = std::fs::read_to_string(&args.shapes)
         .with_context(|| format!("reading {}", args.shapes.display()))?;
     let document: ShapesDocument = serde_json::from_str(&text).with_context(|| {
@@ -186,7 +200,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     };
     let mut options = MjcfOptions::default();
     if args.dynamics.dynamics {
-        let (found, fitted) = dynamics(&args.dynamics, &fitted, &args.out)?;
+        let (found, fitted) = dynamics(&args.dynamics, &fitted, &mut out)?;
         (result.dynamics, options) = (Some(found), fitted);
     }
     let options = MjcfOptions {
@@ -195,8 +209,9 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         provenance: stated(&result.provenance),
         ..options
     };
-    write(&args.out, "whisker.xml", mjcf(&fitted, &options)?.as_bytes())?;
-    let path = write(&args.out, "whisker.toml", toml::to_string(&result)?.as_bytes())?;
+    out.put("whisker.xml", mjcf(&fitted, &options)?);
+    out.put("whisker.toml", toml::to_string(&result)?);
+    out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);
     } else {
@@ -225,7 +240,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.rms_over_sd
         );
     }
-    eprintln!("fit-whisker: {}", path.display());
+    eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
     Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
 }
 

@@ -3,6 +3,7 @@
 mod columns;
 mod description;
 
+use crate::output::{OutputFolder, Overwrite, ResultKind};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -24,9 +25,12 @@ pub struct ImportArgs {
     /// Kind of the session
     #[arg(long, value_enum)]
     pub kind: Kind,
-    /// Folder of the new session; must not exist yet
+    /// Folder of the new session
     #[arg(long, value_name = "SESSION")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Identifier of the session [default: the folder's name]
     #[arg(long)]
     pub id: Option<String>,
@@ -77,7 +81,7 @@ pub struct ImportArgs {
     /// Column of the cycle (axis)
     #[arg(long, value_name = "COL")]
     pub cycle: Option<String>,
-    /// Column of the repetition
+    /// Column of the repetition; of an axis it is the cycle
     #[arg(long, value_name = "COL")]
     pub replicate: Option<String>,
     /// Column of the point number [default: the order of the rows]
@@ -153,11 +157,22 @@ fn name_of(value: impl ValueEnum) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
 
+/// An imported session: its description says which command made it.
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "import",
+    document: "session.toml",
+    says: "command = [\"import\"",
+    files: &["points.csv", "holdout.csv", "rest_shape.csv"],
+    kept: &["unsealed.json"],
+    resumes: false,
+};
+
 /// Runs the command: exit code 0, or 3 where the new session carries warnings.
 ///
 /// # Errors
 /// Where the table or the resulting session cannot be used; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let layout = layout(args);
     let table = read_text_table(&args.file, &layout)?;
     let mut files = SessionFiles::default();
@@ -171,8 +186,15 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let (text, more) = description::write(args, &sources)?;
     files.session_toml = text;
     files.tables.extend(more);
-    let session = write_session(&args.out, &files)
+    // Every check on a copy first.
+    let trial = tempfile::tempdir().context("making a folder to check the session in")?;
+    let session = write_session(&trial.path().join("session"), &files)
         .with_context(|| format!("importing {} as a session", args.file.display()))?;
+    for (name, bytes) in files.tables {
+        out.put(&name, bytes);
+    }
+    out.put("session.toml", files.session_toml);
+    out.finish()?;
     let rows = table.rows.len();
     if args.json {
         let kind = name_of(args.kind);

@@ -3,6 +3,7 @@
 mod scalar;
 
 use crate::artefact::{CalibrationModel, read_calibration, standing};
+use crate::output::{check_file, write_file};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_map::{MapArtefact, MapPredictor};
-use wcal_session::{load_table, write_atomic};
+use wcal_session::load_table;
 use wcal_trace::path::WhiskerPath;
 use wcal_trace::verify::PhysicalModel;
 
@@ -21,6 +22,7 @@ use wcal_trace::verify::PhysicalModel;
 
 For a whisker TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present. For a
 transducer it needs stimulus (the response follows) or response alone (the stimulus follows); for an axis commanded_mm.
+Where the table has the measured value too (response beside stimulus, measured_mm), it is repeated with its residual.
 Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
 Exit code 4: readings outside the valid region (written, and marked), or a calibration that expired or failed
 verification; --force turns these into warnings.")]
@@ -33,7 +35,7 @@ pub struct PredictArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Exit with 0 although the calibration does not vouch for the result
+    /// Exit with 0 although the calibration does not vouch for the result, and write although --out is another file
     #[arg(long)]
     pub force: bool,
     /// Print a summary as JSON on stdout
@@ -46,12 +48,20 @@ pub struct PredictArgs {
 /// # Errors
 /// A table or calibration that cannot be read, or a file that cannot be written.
 pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
+    check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
     match &file.model {
         CalibrationModel::Map(artefact) => by_map(args, &file, artefact),
         CalibrationModel::Physical(model) => by_model(args, &file, model),
         CalibrationModel::Scalar(model) => scalar::by_scalar(args, &file, model),
     }
+}
+
+/// Whether a table with this first line is a result of `predict`.
+fn is_prediction(first: &str) -> bool {
+    let has = |name: &str| first.split(',').any(|column| column == name);
+    // A track has moments and the mark, too, and the time.
+    first.starts_with("point,") && has("outside_valid_region") && !has("t_s")
 }
 
 /// Through a fitted map.
@@ -90,7 +100,7 @@ fn by_map(
             p.outside_by_pm
         )?;
     }
-    write_atomic(&args.out, csv.as_bytes())?;
+    write_file(&args.out, csv.as_bytes())?;
     let outside = first.map(|(line, by_pm)| {
         format!(
             "{outside} of {} readings lie outside the valid region, first in line {line} by {by_pm:.1} pm",
@@ -125,7 +135,7 @@ fn by_model(
         )?;
     }
     let outside = rows.iter().filter(|r| !r.valid).count();
-    write_atomic(&args.out, csv.as_bytes())?;
+    write_file(&args.out, csv.as_bytes())?;
     let doubt = (outside > 0).then(|| {
         format!("{outside} of {} readings ask for moments beyond those that were fitted", rows.len())
     });

@@ -83,9 +83,13 @@ pub fn of_scalar(
         Declared::Polynomial(1) => "response = b0 + b1 stimulus".to_owned(),
         Declared::Polynomial(_) => "response = b0 + b1 stimulus + b2 stimulus^2".to_owned(),
     };
+    let units = match data.declared() {
+        Declared::Axis => format!("commanded and measured {stimulus}, error {response}"),
+        Declared::Polynomial(_) => format!("stimulus {stimulus}, response {response}"),
+    };
     let mut facts = vec![
         Fact::new("declared model", model),
-        Fact::new("units", format!("stimulus {stimulus}, response {response}")),
+        Fact::new("units", units),
         Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed.len())),
     ];
     for (name, p) in [("declared", &done.declared), ("accepted", &done.accepted)] {
@@ -111,10 +115,12 @@ pub fn of_scalar(
     }
     if let Some(s) = &done.spread {
         gate.push(GateTest {
-            name: "spread against stimulus".to_owned(),
+            name: data.declared().worded("spread against stimulus"),
             statistic: Some(s.correlation),
             p_value: Some(s.p_value),
-            detail: "correlation of the residuals' size with the stimulus, by permutation".to_owned(),
+            detail: data
+                .declared()
+                .worded("correlation of the residuals' size with the stimulus, by permutation"),
         });
     }
     if let Some(s) = &done.steadiness {
@@ -130,11 +136,20 @@ pub fn of_scalar(
         facts,
         residuals: done.residuals.clone(),
         gate,
-        evidence: evidence(&done.evidence),
+        evidence: evidence_of(data, &done.evidence),
         explanations: explanations(&done.evidence),
         versions: versions(),
         ..ReportInput::new(done.document.clone(), provenance)
     }
+}
+
+/// Evidence with the laws in the words of the session's kind.
+fn evidence_of(data: ScalarData<'_>, found: &[Evidence]) -> Vec<EvidenceRow> {
+    let mut rows = evidence(found);
+    if data.declared() == Declared::Axis {
+        rows.iter_mut().for_each(|row| row.law = row.law.replace("stimulus", "position"));
+    }
+    rows
 }
 
 /// The gate's families on the declared and on the accepted model.

@@ -5,6 +5,7 @@ mod inputs;
 mod report;
 mod slurm;
 
+use crate::output::{Overwrite, ResultKind};
 use crate::picture_output::write;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -66,6 +67,9 @@ pub struct SimulateArgs {
     /// Folder for the shards
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Write report.html: counts by verdict and event, objects, sweeps of each kind drawn; no network needed
     #[arg(long)]
     pub report: bool,
@@ -86,12 +90,23 @@ pub enum Engine {
     Mujoco,
 }
 
+/// Shards and what lies beside them; a second run goes on with them.
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "simulate",
+    document: "*.json",
+    says: "\"wcal-sweeps/",
+    files: &["*.parquet", "report.html"],
+    kept: &["convex", "slurm"],
+    resumes: true,
+};
+
 /// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds shards missing.
 ///
 /// # Errors
 /// Where nothing can be simulated, or the folder cannot be written.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let share = share(&args.shard)?;
+    RESULT.check(&args.out, args.overwrite.force)?;
     ensure!(args.sweeps > 0, "--sweeps: expected 1 or more, found 0");
     let (whisker, options) = (whisker(args.whisker.as_deref())?, mjcf_options(args.whisker.as_deref())?);
     let plan = match &args.plan {

@@ -33,7 +33,7 @@ pub struct StageSweepArgs {
     /// Plan file
     #[arg(long, value_name = "plan.toml")]
     pub plan: PathBuf,
-    /// Session folder to make
+    /// Session folder to make; what was measured before is never replaced
     #[arg(long, value_name = "SESSION", required_unless_present_any = ["resume", "dry_run"])]
     pub out: Option<PathBuf>,
     /// Go on with a session that was stopped
@@ -78,6 +78,9 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         (None, Some(folder)) => (false, folder.clone()),
         (None, None) => return Err(anyhow!("expected --out SESSION or --resume SESSION, found neither")),
     };
+    if !resume {
+        crate::output::check_new(&folder, " (or --resume SESSION)")?;
+    }
     let interrupt = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupt);
     ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
@@ -89,7 +92,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         resume,
         home: arguments.home,
         live: arguments.live,
-        created: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+        created: created(),
         command: std::env::args().collect(),
     };
     let mut view = View::new();
@@ -97,6 +100,11 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))
+}
+
+/// Now, to the microsecond: the session's identifier is made of it, and two sessions of one second have different ones.
+fn created() -> String {
+    jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.6fZ").to_string()
 }
 
 /// Puts the addresses of a virtual bench into a rig.
@@ -268,5 +276,18 @@ impl View {
         if self.live {
             let _ = std::io::stderr().write_all(b"\n");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::created;
+
+    #[test]
+    fn the_time_of_creation_tells_sessions_of_one_second_apart() {
+        let first = created();
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        assert_ne!(first, created());
+        assert!(first.parse::<jiff::Timestamp>().is_ok(), "{first}");
     }
 }

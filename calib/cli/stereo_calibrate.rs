@@ -1,6 +1,7 @@
 //! `wcal stereo-calibrate`: both cameras from pairs of pictures of a board.
 
-use crate::picture_output::{provenance, write};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::picture_output::provenance;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -40,6 +41,9 @@ pub struct StereoCalibrateArgs {
     /// Side of a square, mm (for an AprilGrid: of a tag)
     #[arg(long, value_name = "MM")]
     pub square_mm: f64,
+    /// The squares are smaller than 0.5 mm: without this such a number is taken for metres and refused
+    #[arg(long)]
+    pub small_squares: bool,
     /// What is on the board
     #[arg(long, value_enum, default_value_t = PatternName::Chessboard)]
     pub pattern: PatternName,
@@ -56,6 +60,9 @@ pub struct StereoCalibrateArgs {
     /// Folder for stereo.json and its exports
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Print stereo.json on stdout
     #[arg(long)]
     pub json: bool,
@@ -71,6 +78,18 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
     Ok(size)
 }
 
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "stereo-calibrate",
+    document: "stereo.json",
+    says: "wcal-stereo/",
+    files: &["opencv.yml", "kalibr-camchain.yaml", "ros-*.yaml"],
+    kept: &[],
+    resumes: false,
+};
+
+/// Boards with smaller squares than this, mm, are made of glass; other programs ask for metres.
+const SMALL_SQUARE_MM: f64 = 0.5;
+
 /// Runs the command: 0, or 3 where views were left out or warnings matter.
 ///
 /// # Errors
@@ -81,6 +100,14 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         "--square-mm: expected a length > 0, found {}",
         args.square_mm
     );
+    anyhow::ensure!(
+        args.square_mm >= SMALL_SQUARE_MM || args.small_squares,
+        "--square-mm {}: expected millimetres, found less than {SMALL_SQUARE_MM}: is it {} mm, given in metres? If the squares are that small, \
+         say so with --small-squares",
+        args.square_mm,
+        1e3 * args.square_mm
+    );
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let marker = || args.marker_mm.context("--marker-mm is needed for this pattern");
     let pattern = match args.pattern {
         PatternName::Chessboard => Pattern::Chessboard,
@@ -107,11 +134,11 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         document.warnings.extend(differences(&document, reference));
     }
     let text = serde_json::to_string_pretty(&document)?;
-    // The exports first: where stereo.json lies, all of them do.
     for (name, content) in wcal_vision::exchange::exports(&document)? {
-        write(&args.out, &name, content.as_bytes())?;
+        out.put(&name, content);
     }
-    write(&args.out, "stereo.json", text.as_bytes())?;
+    out.put("stereo.json", text.as_str());
+    out.finish()?;
     for view in &document.rejected_views {
         eprintln!("stereo-calibrate: {} left out: {}", view.view, view.why);
     }

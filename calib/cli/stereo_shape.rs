@@ -1,8 +1,9 @@
 //! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
 
-use crate::picture_output::{provenance, write};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::picture_output::provenance;
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::imports::read_cameras;
 use wcal_vision::overlay::overlay_png;
@@ -37,6 +38,9 @@ pub struct StereoShapeArgs {
     /// Folder for shapes.json and the overlays
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Draw what was found into the pictures (overlay-*.png beside shapes.json)
     #[arg(long)]
     pub overlays: bool,
@@ -48,11 +52,21 @@ pub struct StereoShapeArgs {
     pub json: bool,
 }
 
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "stereo-shape",
+    document: "shapes.json",
+    says: "wcal-shapes/",
+    files: &["report.html", "overlay-*.png"],
+    kept: &[],
+    resumes: false,
+};
+
 /// Runs the command: 0, or 3 where pairs were rejected or warnings matter.
 ///
 /// # Errors
 /// Where the files cannot be read or no pair can be used.
 pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
     let rig = Rig::read(&args.rig)?;
     let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
@@ -76,13 +90,14 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     let read = args.cameras.iter().chain([&args.rig]).chain(pictures).chain(&backgrounds);
     result.document.provenance = provenance(read.map(PathBuf::as_path));
     let text = serde_json::to_string_pretty(&result.document)?;
-    let path = write(&args.out, "shapes.json", text.as_bytes())?;
+    out.put("shapes.json", text.as_str());
     if args.overlays {
-        write_overlays(&result, &files, &args.out)?;
+        put_overlays(&result, &files, &mut out)?;
     }
     if args.report {
-        write_report(&result, &files, &args.out)?;
+        put_report(&result, &files, &mut out)?;
     }
+    out.finish()?;
     let mut clean = result.document.warnings.is_empty();
     for warning in &result.document.warnings {
         eprintln!("stereo-shape: warning: {warning}");
@@ -109,7 +124,7 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     anyhow::ensure!(
         good > 0,
         "expected at least one usable pair, found none; {} states each reason",
-        path.display()
+        args.out.join("shapes.json").display()
     );
     Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
 }
@@ -132,20 +147,24 @@ fn empty_scene(source: &str, size_px: [usize; 2], files: &mut Vec<PathBuf>) -> a
 }
 
 /// Overlays of every usable pair: `overlay-NAME-left.png` and `-right.png`.
-fn write_overlays(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyhow::Result<()> {
+fn put_overlays(
+    result: &ShapesResult,
+    files: &[PairFiles],
+    out: &mut OutputFolder<'_>,
+) -> anyhow::Result<()> {
     for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
         let Some(fit) = fit else { continue };
         for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
             let Some(source) = source else { continue };
             let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
-            write(out, &format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), &png)?;
+            out.put(&format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), png);
         }
     }
     Ok(())
 }
 
 /// `report.html`, one section a usable pair.
-fn write_report(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyhow::Result<()> {
+fn put_report(result: &ShapesResult, files: &[PairFiles], out: &mut OutputFolder<'_>) -> anyhow::Result<()> {
     let mut sections = Vec::new();
     for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
         if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
@@ -153,6 +172,6 @@ fn write_report(result: &ShapesResult, files: &[PairFiles], out: &Path) -> anyho
             sections.push(pair_section(&pictures, &result.stereo, fit, pair)?);
         }
     }
-    write(out, "report.html", page(&result.document, &sections).as_bytes())?;
+    out.put("report.html", page(&result.document, &sections));
     Ok(())
 }

@@ -96,7 +96,7 @@ pub struct TrackArgs {
     /// Scans that may wait for the tracker; more are dropped, counted and flagged
     #[arg(long, value_name = "SCANS", default_value_t = 20_000)]
     pub queue: usize,
-    /// Track although calibration or model do not vouch for it; every row says so
+    /// Track although calibration or model do not vouch for it (every row says so), or although --out is another file
     #[arg(long)]
     pub force: bool,
     /// Write the contacts as a cloud (-cloud.ply) and the surface through them (-surface.ply) beside the table; the base's pose or speed must
@@ -120,6 +120,7 @@ enum Source {
 /// # Errors
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
+    crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),

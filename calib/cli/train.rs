@@ -1,5 +1,6 @@
 //! `wcal train`: the contact tracker, trained on simulated sweeps.
 
+use crate::output::{Overwrite, ResultKind};
 use crate::simulate::whisker;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -72,6 +73,9 @@ pub struct TrainArgs {
     /// Folder for the model
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Print the card as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -86,11 +90,22 @@ pub enum SplitKind {
     Sweeps,
 }
 
+/// A model, its small transformer (`evaluate --baseline`) and what a second run goes on from.
+const RESULT: ResultKind<'_> = ResultKind {
+    command: "train",
+    document: "model.json",
+    says: "wcal-model/",
+    files: &["model.safetensors", "report.html"],
+    kept: &["checkpoint", "baseline"],
+    resumes: true,
+};
+
 /// Runs the command.
 ///
 /// # Errors
 /// Where the sweeps cannot be used or the model cannot be written.
 pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
+    RESULT.check(&args.out, args.overwrite.force)?;
     let device = wcal_track::device(&args.device)?;
     let whisker = whisker(args.whisker.as_deref())?;
     for folder in std::iter::once(&args.sweeps).chain(&args.beside) {

@@ -2,6 +2,8 @@
 
 mod mujoco;
 
+use crate::output::{Overwrite, check_file, write_file};
+use crate::session_folder::expect_session;
 use anyhow::{bail, ensure};
 use clap::{Args, ValueEnum};
 use nalgebra::Vector3;
@@ -45,6 +47,9 @@ pub struct TwinArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 /// Models of the wire.
@@ -65,11 +70,16 @@ pub enum Preset {
     Paper,
 }
 
+/// First line of the table; labels of another simulator have fewer columns.
+const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled";
+
 /// Runs the command: 0, or 3 where some reading has no moment.
 ///
 /// # Errors
 /// A session of another kind, or a file that cannot be read or written.
 pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
+    expect_session(&args.session, "twin")?;
+    check_file(&args.out, "twin", |first| first == COLUMNS, args.overwrite.force)?;
     let session = load(&args.session)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);
@@ -91,7 +101,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
             lines
         }
     };
-    let mut text = String::from("point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,branch,settled\n");
+    let mut text = format!("{COLUMNS}\n");
     let mut missing = Vec::new();
     for (row, line) in data.rows.iter().zip(lines) {
         let (line, held) = match line {
@@ -104,7 +114,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         }
         writeln!(text, "{},{line}", row.point)?;
     }
-    wcal_session::write_atomic(&args.out, text.as_bytes())?;
+    write_file(&args.out, text.as_bytes())?;
     eprintln!(
         "twin: {} readings, {} without a moment; {}",
         data.rows.len(),

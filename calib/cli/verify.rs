@@ -1,16 +1,19 @@
 //! `wcal verify`: the residual loop on a session.
 
 use crate::artefact::{CalibrationModel, provenance, read_calibration, seal};
+use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
+use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
 use clap::Args;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::verify_document::{Verdict, VerifyDocument};
 use wcal_core::{InputFile, Provenance, ResidualRecord, SessionData, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
-use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load, write_atomic};
+use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::engine::search::Options;
 use wcal_trace::scalar::{ScalarData, ScalarOptions, verify_scalar};
 use wcal_trace::verify::listings::PredictionRow;
@@ -25,7 +28,9 @@ use wcal_trace::verify::{VerifyOptions, verify_whisker};
   wcal verify session --add next-measurement --out out2
   wcal verify session --accept groove-friction,creep
 
-Exit code 0: adequate; 1: refused, or an error; 4: every other verdict, also when the effect was found and added.")]
+A table that is no session yet: wcal import TABLE.csv ... --out SESSION first.
+
+Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session was read with warnings; 4: ambiguous, unknown-effect or twin-fault.")]
 pub struct VerifyArgs {
     /// Session folder
     pub session: PathBuf,
@@ -44,6 +49,9 @@ pub struct VerifyArgs {
     /// Folder for verify.json, predictions.csv, report.html and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
+    /// Write over what is no earlier result
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Print verify.json on stdout
     #[arg(long)]
     pub json: bool,
@@ -52,15 +60,29 @@ pub struct VerifyArgs {
     pub seed: u64,
 }
 
+/// What `verify` leaves; `unsealed.json` outlives it, so that a second look at a holdout is known as one.
+pub const RESULT: ResultKind<'_> = ResultKind {
+    command: "verify",
+    document: "verify.json",
+    says: "wcal-verify/",
+    files: &["predictions.csv", "report.html", "calibration.json"],
+    kept: &["unsealed.json"],
+    resumes: false,
+};
+
 /// Runs the command.
 ///
 /// # Errors
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
+    expect_session(&args.session, "verify")?;
+    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let mut session = match load(&args.session) {
         Ok(session) => session,
-        Err(why) => return Err(refuse_unusable(args, why)),
+        Err(why) => return Err(refuse_unusable(args, out, why)),
     };
+    // What joining sessions says by itself is no reason to doubt the result.
+    let doubtful = !session.warnings.is_empty();
     for later in &args.add {
         add_session(&mut session, later)?;
     }
@@ -74,41 +96,43 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         refuse_seen_holdout(path, &session)?;
     }
     let spinner = crate::progress::spinner(&format!("verifying {}", session.id));
-    let done = verify_session(&session, &args.out, args.seed, &args.accept)?;
+    let done = verify_session(&session, &mut out, args.seed, &args.accept)?;
+    out.finish()?;
     spinner.finish_and_clear();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&done.verify)?);
     } else {
-        print_text(&done.verify, &args.out);
+        print_text(&done, &args.out);
     }
-    Ok(exit_code(done.verify.verdict))
+    Ok(exit_code(done.verify.verdict, doubtful))
 }
 
-/// Data that cannot be used still get a `verify.json` that says so, beside the error.
-fn refuse_unusable(args: &VerifyArgs, why: SessionError) -> anyhow::Error {
+/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result.
+fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionError) -> anyhow::Error {
+    let SessionError::Content(_) = &why else { return why.into() };
     let kind = std::fs::read_to_string(args.session.join("session.toml"))
         .ok()
         .and_then(|text| text.parse::<toml::Table>().ok())
         .and_then(|t| Some(t.get("kind")?.as_str()?.to_owned()));
-    if let (Some(kind), SessionError::Content(_)) = (kind, &why) {
-        let name = args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
-        let written = std::fs::create_dir_all(&args.out).map_err(anyhow::Error::from).and_then(|()| {
-            Ok(write_atomic(&args.out.join("verify.json"), &serde_json::to_vec_pretty(&document)?)?)
-        });
-        if let Err(e) = written {
-            return anyhow::Error::from(why).context(format!("and verify.json could not be written: {e}"));
-        }
+    let name = args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let kind = kind.unwrap_or_else(|| "unknown".to_owned());
+    let document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
+    let written = serde_json::to_vec_pretty(&document).map_err(anyhow::Error::from).and_then(|text| {
+        out.put("verify.json", text);
+        out.finish()
+    });
+    match written {
+        Ok(()) => why.into(),
+        Err(e) => anyhow::Error::from(why).context(format!("and verify.json could not be written: {e}")),
     }
-    why.into()
 }
 
-/// Exit code of a verdict.
-pub fn exit_code(verdict: Verdict) -> ExitCode {
+/// Exit code of a verdict; `doubtful` where the session was read with warnings.
+pub fn exit_code(verdict: Verdict, doubtful: bool) -> ExitCode {
     ExitCode::from(match verdict {
-        Verdict::Adequate => 0,
         Verdict::Refused => 1,
-        _ => 4,
+        Verdict::Ambiguous | Verdict::UnknownEffect | Verdict::TwinFault => 4,
+        Verdict::Adequate | Verdict::Effect => u8::from(doubtful) * 3,
     })
 }
 
@@ -121,15 +145,14 @@ struct Outcome {
     model: Option<CalibrationModel>,
 }
 
-/// Runs the loop and writes every result; shared with `demo`.
+/// Runs the loop and gathers every result; shared with `demo`.
 pub fn verify_session(
     session: &LoadedSession,
-    out: &Path,
+    out: &mut OutputFolder<'_>,
     seed: u64,
     accept: &[String],
 ) -> anyhow::Result<ReportInput> {
-    std::fs::create_dir_all(out).with_context(|| format!("creating {}", out.display()))?;
-    let seen = note_unsealing(session, out)?;
+    let seen = note_unsealing(session, out.folder())?;
     let provenance = provenance(&session.inputs, seed);
     let search = Options { seed, ..Options::default() };
     let Outcome { mut report, predictions, model } = match &session.data {
@@ -150,7 +173,7 @@ pub fn verify_session(
     add_notes(&mut report.verify, session, seen);
     report.verify.inputs = session.inputs.clone();
     if let Some(csv) = predictions {
-        write_atomic(&out.join("predictions.csv"), csv.as_bytes())?;
+        out.put("predictions.csv", csv);
     }
     let verified = match report.verify.verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
@@ -163,10 +186,10 @@ pub fn verify_session(
             _ => None,
         };
         let file = seal(&session.id, VerificationStatus::Verified, model, provenance, whisker)?;
-        write_atomic(&out.join("calibration.json"), &serde_json::to_vec_pretty(&file)?)?;
+        out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
-    write_atomic(&out.join("verify.json"), &serde_json::to_vec_pretty(&report.verify)?)?;
-    write_atomic(&out.join("report.html"), wcal_report::render(&report).as_bytes())?;
+    out.put("verify.json", serde_json::to_vec_pretty(&report.verify)?);
+    out.put("report.html", wcal_report::render(&report));
     Ok(report)
 }
 
@@ -213,7 +236,7 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
     }
 }
 
-/// Records by hash that the holdout was opened; says whether it had been opened before.
+/// Records by hash that the holdout was opened, at once and for good; says whether it had been opened before.
 fn note_unsealing(session: &LoadedSession, out: &Path) -> anyhow::Result<bool> {
     let sealed: Vec<&InputFile> = session.inputs.iter().filter(|i| i.path.contains("holdout")).collect();
     if sealed.is_empty() {
@@ -228,7 +251,7 @@ fn note_unsealing(session: &LoadedSession, out: &Path) -> anyhow::Result<bool> {
     known.extend(sealed.iter().map(|i| i.sha256.clone()));
     known.sort();
     known.dedup();
-    write_atomic(&path, &serde_json::to_vec_pretty(&known)?)?;
+    crate::output::write_file(&path, &serde_json::to_vec_pretty(&known)?)?;
     Ok(seen)
 }
 
@@ -269,21 +292,43 @@ fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
     Ok(csv)
 }
 
-/// Every reading with what both models say of it, in the session's unit.
+/// Every reading with what both models say of it, in the session's units; a residual is measured less predicted.
 fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
-    let name = if matches!(data, ScalarData::Axis(_)) { "error_um" } else { "response" };
-    let mut csv =
-        format!("source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected\n");
+    let axis = matches!(data, ScalarData::Axis(_));
+    // Of an axis the model's response is the error, measured less commanded.
+    let (name, place, residual) = if axis {
+        ("error_um", "commanded_mm,measured_mm", "residual_um")
+    } else {
+        ("response", "stimulus", "residual")
+    };
+    let mut csv = format!(
+        "source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected,{place},{residual}_before,{residual}_after\n"
+    );
+    let (rows, sealed) = data.rows();
+    let places: BTreeMap<(&str, usize), f64> =
+        rows.iter().chain(&sealed).map(|r| ((r.origin.0.as_str(), r.origin.1), r.x)).collect();
     for r in records {
         let why = r.rejected.as_deref().unwrap_or_default();
         let values = [r.measured, r.predicted_before, r.predicted_after, r.noise_sd].map(|v| v.to_string());
-        csv += &format!("{},{},{},{},{why}\n", r.source, r.point, r.role, values.join(","));
+        let x = places.get(&(r.source.as_str(), r.line)).copied().unwrap_or(f64::NAN);
+        let place = if axis { format!("{x},{}", x + 1e-3 * r.measured) } else { x.to_string() };
+        let [before, after] = [r.predicted_before, r.predicted_after].map(|p| r.measured - p);
+        csv += &format!(
+            "{},{},{},{},{why},{place},{before},{after}\n",
+            r.source,
+            r.point,
+            r.role,
+            values.join(",")
+        );
     }
     csv
 }
 
 /// The result as a person reads it.
-pub fn print_text(v: &VerifyDocument, out: &Path) {
+pub fn print_text(report: &ReportInput, out: &Path) {
+    let v = &report.verify;
+    // Of a transducer the session declares the unit; the other kinds have theirs in the names.
+    let unit = report.residuals.first().map_or("", |r| r.unit.as_str()).trim();
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
     println!("{}: {}", v.session, verdict.as_str().unwrap_or_default());
     println!("  {}", v.reason);
@@ -297,7 +342,7 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
             .iter()
             .map(|p| {
                 let [low, high] = p.interval95.map(readable);
-                format!("{} = {} [{low}, {high}] {}", p.name, readable(p.value), p.unit)
+                named(&format!("{} = {} [{low}, {high}]", p.name, readable(p.value)), &p.unit)
             })
             .collect();
         println!(
@@ -312,6 +357,7 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
         println!("  held-out error ({}, {} readings):        before      after", a.split, a.points);
         for (name, before) in &b.rmse {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
+            let name = if name == "response_rmse" { named(name, unit) } else { name.clone() };
             println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
         }
         if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
@@ -325,16 +371,20 @@ pub fn print_text(v: &VerifyDocument, out: &Path) {
         }
     }
     let n = &v.noise_floor;
-    for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, "(unit of the response)"), (n.error_um, "um")]
-    {
+    for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
         if let Some(floor) = floor {
-            println!("  noise floor {} {unit} ({})", readable(floor), n.source);
+            println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
     }
     if let Some(n) = &v.next_measurement {
         println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
     }
     println!("  written to {}", out.display());
+}
+
+/// A name or number with its unit; "1" is no unit.
+fn named(what: &str, unit: &str) -> String {
+    if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
 }
 
 /// Four decimals, or an exponent where these would hide the number.

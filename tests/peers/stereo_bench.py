@@ -51,10 +51,10 @@ def main():
                           f"{board['cols']}x{board['rows']}", "--square-mm", board["square"], "--out", out)
         # The best of three: what else the machine does only adds.
         shape = (wcal, "stereo-shape", folder / "scene/left", folder / "scene/right", "--cameras", f"{out}/stereo.json",
-                 "--rig", folder / "rig.toml", "--out", out)
+                 "--rig", folder / "rig.toml", "--out", f"{out}/shapes")
         seconds, said = min((run(*shape) for _ in range(3)), key=lambda r: sum(stages(r[1]).values()))
         stereo = json.loads(pathlib.Path(out, "stereo.json").read_text())
-        pairs = json.loads(pathlib.Path(out, "shapes.json").read_text())["pairs"]
+        pairs = json.loads(pathlib.Path(out, "shapes", "shapes.json").read_text())["pairs"]
     drawn = {row["name"]: row for row in truth["scene"]}
     base_from_left = np.array(truth["cameras"]["left"]["T"])
     rows, inside = {k: [] for k in ("wire_rms_mm", "tip_mm", "groove_mm", "arc_mm", "base_mm", "base_deg")}, []

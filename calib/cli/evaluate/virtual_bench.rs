@@ -6,8 +6,9 @@
 use crate::artefact::{CalibrationModel, read_calibration};
 use crate::fit_gpr::training_set;
 use crate::labels::{LabelSource, moment_labels};
+use crate::output::OutputFolder;
 use crate::predict::{moments_of_map, moments_of_model};
-use crate::verify::verify_session;
+use crate::verify::{self, verify_session};
 use anyhow::{Context, bail};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -103,7 +104,9 @@ impl VirtualBench {
             Ok((kind.name(), CalibrationModel::Map(fit_map(&training, &options)?.artefact)))
         };
         let maps = Candidate::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
-        let report = verify_session(&session, &folder.join("verify"), seed, &[])?;
+        let mut out = OutputFolder::open(&verify::RESULT, &folder.join("verify"), false)?;
+        let report = verify_session(&session, &mut out, seed, &[])?;
+        out.finish()?;
         let calibration = folder.join("verify/calibration.json");
         let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
         let whisker = WhiskerSpec {

@@ -1,6 +1,6 @@
 //! Damping and contact of the MuJoCo model, by trials in MuJoCo itself.
 
-use crate::picture_output::write;
+use crate::output::OutputFolder;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
@@ -67,11 +67,11 @@ pub struct Dynamics {
     why: Vec<String>,
 }
 
-/// Fits, writes dynamics.csv and dynamics.html, and gives the model's options.
+/// Fits, adds dynamics.csv and dynamics.html, and gives the model's options.
 pub fn dynamics(
     args: &DynamicsArgs,
     whisker: &WhiskerSpec,
-    out: &Path,
+    out: &mut OutputFolder<'_>,
 ) -> anyhow::Result<(Dynamics, MjcfOptions)> {
     ensure!(
         args.bounce_ratio > 0.0 && args.bounce_ratio <= 1.0,
@@ -102,8 +102,8 @@ pub fn dynamics(
     })?;
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);
-    write(out, "dynamics.csv", table(&fit.trials)?.as_bytes())?;
-    write(out, "dynamics.html", page(&fit, &why).as_bytes())?;
+    out.put("dynamics.csv", table(&fit.trials)?);
+    out.put("dynamics.html", page(&fit, &why));
     let dynamics = Dynamics {
         simulated: true,
         damping_s: fit.options.damping_s,

@@ -117,6 +117,17 @@ fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Sou
 
 /// Name in the session and name in the foreign table of every column to import.
 fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, String)>> {
+    // Of an axis the repetition of a stroke is its cycle.
+    let axis = args.kind == Kind::Axis;
+    ensure!(
+        !(axis && args.cycle.is_some() && args.replicate.is_some()),
+        "--replicate: expected --cycle or --replicate for an axis (the repetition of a stroke is its cycle), found both"
+    );
+    let (cycle, replicate) = if axis {
+        (args.cycle.clone().or_else(|| args.replicate.clone()), None)
+    } else {
+        (args.cycle.clone(), args.replicate.clone())
+    };
     let flags = [
         ("point", &args.point),
         ("role", &args.role),
@@ -127,8 +138,8 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         ("t_s", &args.time),
         ("direction", &args.direction),
         ("temperature_degc", &args.temperature),
-        ("cycle", &args.cycle),
-        ("replicate", &args.replicate),
+        ("cycle", &cycle),
+        ("replicate", &replicate),
     ];
     let given = flags.iter().filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
     let mut wanted: Vec<(String, String)> = given.collect();

@@ -2,12 +2,13 @@
 
 use super::{PredictArgs, finish};
 use crate::artefact::CalibrationModel;
+use crate::output::write_file;
 use anyhow::{Context, bail};
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_core::observation::Role;
-use wcal_session::{TextTable, TextTableLayout, read_text_table, write_atomic};
+use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow};
 
 /// A column of numbers; none where the table has no such column.
@@ -32,6 +33,12 @@ fn column(table: &TextTable, name: &str, required: bool) -> anyhow::Result<Optio
     Ok(Some(values))
 }
 
+/// Numbers of a column that may have gaps; none where the table has no such column.
+fn gappy_column(table: &TextTable, name: &str) -> anyhow::Result<Option<Vec<Option<f64>>>> {
+    let Some(index) = table.columns.iter().position(|c| c == name) else { return Ok(None) };
+    Ok(Some((0..table.rows.len()).map(|row| table.number(row, index)).collect::<Result<_, _>>()?))
+}
+
 /// Through a transducer's or an axis's accepted model.
 pub(super) fn by_scalar(
     args: &PredictArgs,
@@ -41,8 +48,14 @@ pub(super) fn by_scalar(
     let table = read_text_table(&args.table, &TextTableLayout::default())?;
     let axis = model.session_kind == "axis";
     let stimulus = column(&table, if axis { "commanded_mm" } else { "stimulus" }, axis)?;
-    let response = column(&table, "response", stimulus.is_none())?;
     let inverse = stimulus.is_none();
+    let response = if inverse { column(&table, "response", true)? } else { None };
+    // What was measured at the places that are predicted stands beside the prediction.
+    let measured = match (inverse, axis) {
+        (true, _) => None,
+        (false, true) => gappy_column(&table, "measured_mm")?,
+        (false, false) => gappy_column(&table, "response")?,
+    };
     let [t_s, temperature, direction, point] =
         ["t_s", "temperature_degc", "direction", "point"].map(|name| column(&table, name, false));
     let (t_s, temperature, direction, point) = (t_s?, temperature?, direction?, point?);
@@ -71,26 +84,39 @@ pub(super) fn by_scalar(
     let predicted = if inverse { model.invert(&rows) } else { model.predict(&rows) };
     let predicted = predicted.with_context(|| table.file.clone())?;
     let mut csv = match (axis, inverse) {
-        (true, _) => "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region\n",
-        (false, false) => "point,stimulus,response,response_half95,outside_valid_region\n",
-        (false, true) => "point,response,stimulus,stimulus_half95,outside_valid_region\n",
+        (true, _) => "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region",
+        (false, false) => "point,stimulus,response,response_half95,outside_valid_region",
+        (false, true) => "point,response,stimulus,stimulus_half95,outside_valid_region",
     }
     .to_owned();
-    for (row, p) in rows.iter().zip(&predicted) {
+    csv += match (&measured, axis) {
+        (None, _) => "\n",
+        (Some(_), true) => ",measured_mm,residual_um\n",
+        (Some(_), false) => ",response_measured,residual\n",
+    };
+    for (k, (row, p)) in rows.iter().zip(&predicted).enumerate() {
         let given = if inverse { row.y } else { row.x };
         write!(csv, "{},{given},{},{}", row.origin.2, p.value, p.half95)?;
         if axis {
             write!(csv, ",{}", row.x + 1e-3 * p.value)?;
         }
-        writeln!(csv, ",{}", u8::from(!p.valid))?;
+        write!(csv, ",{}", u8::from(!p.valid))?;
+        match measured.as_ref().map(|m| m[k]) {
+            None => {}
+            Some(None) => csv.push_str(",,"),
+            Some(Some(v)) if axis => write!(csv, ",{v},{}", 1e3 * (v - row.x) - p.value)?,
+            Some(Some(v)) => write!(csv, ",{v},{}", v - p.value)?,
+        }
+        csv.push('\n');
     }
-    write_atomic(&args.out, csv.as_bytes())?;
+    write_file(&args.out, csv.as_bytes())?;
     let outside = predicted.iter().filter(|p| !p.valid).count();
     let [low, high] = model.stimulus_range;
     let doubt = (outside > 0).then(|| {
         format!(
-            "{outside} of {} readings lie outside the fitted stimuli, {low} to {high} {}",
+            "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",
             rows.len(),
+            model.declared.worded("stimuli"),
             model.stimulus_unit
         )
     });

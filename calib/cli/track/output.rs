@@ -22,6 +22,14 @@ const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,
 const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
      ring_hz,ring_q,ring_amplitude_nmm,doubts";
 
+/// Files beside the table, by their endings.
+const BESIDE: [&str; 4] = [".json", "-events.csv", "-cloud.ply", "-surface.ply"];
+
+/// Whether a table with this first line is a track, of this version or an earlier one.
+pub fn is_track(first: &str) -> bool {
+    first.starts_with("point,t_s,moment_1_nmm,moment_2_nmm,")
+}
+
 /// A row of a track.
 pub struct TrackRow<'a> {
     /// Number of the reading or of the scan.
@@ -150,6 +158,12 @@ impl TrackFiles {
     /// # Errors
     /// Where one cannot be made.
     pub fn create(out: &Path, events: bool) -> Result<Self> {
+        // Nothing of an earlier track stays beside the new one.
+        if out.is_file() && is_track(&crate::output::first_line(out)?) {
+            for path in BESIDE.map(|ending| beside(out, ending)).into_iter().filter(|path| path.is_file()) {
+                std::fs::remove_file(&path).with_context(|| format!("replacing {}", path.display()))?;
+            }
+        }
         let open = |path: &Path, columns: &str| -> Result<BufWriter<File>> {
             let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
             let mut file = BufWriter::new(file);

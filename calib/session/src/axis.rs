@@ -17,7 +17,12 @@ pub(crate) fn read_rows(
     let (point, role) = (table.required("point")?, table.required("role")?);
     let (commanded, measured) = (table.required("commanded_mm")?, table.required("measured_mm")?);
     let (t_s, direction) = (table.optional("t_s")?, table.optional("direction")?);
-    let (cycle, temperature) = (table.optional("cycle")?, table.optional("temperature_degc")?);
+    // The repetition of a stroke is its cycle.
+    let cycle = match table.optional("cycle")? {
+        None => table.optional("replicate")?,
+        cycle => cycle,
+    };
+    let temperature = table.optional("temperature_degc")?;
     warnings.extend(unused_columns(&table));
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
     while let Some(row) = table.next_row()? {

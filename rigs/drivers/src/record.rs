@@ -227,6 +227,12 @@ fn save(path: &Path, text: &str) -> Result<(), RecordingError> {
     write_atomic(path, text.as_bytes()).map_err(|e| RecordingError::Recorder(e.to_string()))
 }
 
+/// Rig, plan and time of creation, to the fraction of a second that it states.
+fn session_id(rig: &str, plan: &str, created: &str) -> String {
+    let stamp: String = created.chars().filter(char::is_ascii_digit).collect();
+    format!("{rig}-{plan}-{stamp}")
+}
+
 /// Writes run.json; the same facts go into the recording.
 fn describe(
     order: &Order,
@@ -234,10 +240,9 @@ fn describe(
     plan: &Plan,
     devices: BTreeMap<String, wcal_core::device::DeviceIdentity>,
 ) -> Result<BTreeMap<String, String>, RecordingError> {
-    let stamp: String = order.created.chars().filter(char::is_ascii_digit).take(14).collect();
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),
-        id: format!("{}-{}-{stamp}", rig.name, plan.name),
+        id: session_id(&rig.name, &plan.name, &order.created),
         medium: plan.medium.clone(),
         created: order.created.clone(),
         program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
@@ -258,4 +263,16 @@ fn describe(
         ("rig".to_owned(), order.rig.clone()),
         ("plan".to_owned(), order.plan.clone()),
     ]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::session_id;
+
+    #[test]
+    fn sessions_of_one_second_have_different_identifiers() {
+        let id = |created| session_id("bench", "paper-27", created);
+        assert_eq!(id("2026-11-24T22:12:36.000125Z"), "bench-paper-27-20261124221236000125");
+        assert_ne!(id("2026-11-24T22:12:36.000125Z"), id("2026-11-24T22:12:36.000126Z"));
+    }
 }

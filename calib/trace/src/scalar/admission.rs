@@ -28,7 +28,10 @@ pub(super) fn refusal(
     x.sort_by(f64::total_cmp);
     x.dedup();
     if x.len() < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
-        return Some(format!("{} different stimuli do not determine {parameters} coefficients", x.len()));
+        let count = x.len();
+        return Some(
+            declared.worded(&format!("{count} different stimuli do not determine {parameters} coefficients")),
+        );
     }
     clock_fault(rows.iter().map(|r| r.t_s)).or_else(|| copied_holdout(rows, sealed))
 }

@@ -1,6 +1,7 @@
 //! What this session could have shown: the smallest size of every effect found with 90 % probability.
 
 use super::effects::HETEROSCEDASTIC_NOISE;
+use super::frame::Declared;
 use super::parameters::{Names, physical};
 use super::system::ScalarSystem;
 use crate::candidate::System;
@@ -22,6 +23,15 @@ fn critical(gate: &Gate, level: f64) -> f64 {
     low.exp()
 }
 
+/// Name of a law as a reader of this kind of session has it; calibration.json keeps the catalogue's.
+fn law_name(system: &ScalarSystem, name: &str) -> String {
+    if system.frame.declared == Declared::Axis {
+        name.replace("stimulus", "position")
+    } else {
+        name.to_owned()
+    }
+}
+
 /// One row an effect; sizes at the shape that this session shows best. `gate` is the gate on `fit`.
 #[must_use]
 pub fn table(system: &ScalarSystem, fit: &Fit, gate: &Gate, names: &Names) -> Vec<Detectable> {
@@ -38,7 +48,7 @@ pub fn table(system: &ScalarSystem, fit: &Fit, gate: &Gate, names: &Names) -> Ve
         .map(|e| {
             let candidate = &system.catalogue()[e];
             if let Some(why) = system.not_observable(e) {
-                return entry(e, "not-observable", None, "1".into(), why);
+                return entry(e, "not-observable", None, "1".into(), system.frame.declared.worded(&why));
             }
             if candidate.id() == HETEROSCEDASTIC_NOISE {
                 let why = "tested by the trend of the squared residuals";
@@ -73,6 +83,7 @@ pub fn table(system: &ScalarSystem, fit: &Fit, gate: &Gate, names: &Names) -> Ve
             match best {
                 Some((_, _, smallest, unit, share, law)) => {
                     let left = 100.0 * share;
+                    let law = law_name(system, law);
                     let why = format!("law {law}; {left:.0} % of its signature is left beside the fitted model");
                     entry(e, "testable", Some(smallest), unit, why)
                 }

@@ -22,6 +22,20 @@ pub enum Declared {
     Axis,
 }
 
+impl Declared {
+    /// A sentence about stimulus and response in the words of the session's kind: an axis has commanded and measured positions.
+    #[must_use]
+    pub fn worded(self, sentence: &str) -> String {
+        match self {
+            Self::Polynomial(_) => sentence.to_owned(),
+            Self::Axis => sentence
+                .replace("stimuli", "commanded positions")
+                .replace("stimulus", "commanded position")
+                .replace("response", "measured position"),
+        }
+    }
+}
+
 /// One reading; `y` is the response, or measured - commanded in um.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScalarRow {

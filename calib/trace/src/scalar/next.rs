@@ -42,5 +42,6 @@ pub fn next_measurement(system: &ScalarSystem, c: &Conclusion) -> Option<NextMea
             power(MOST_REPEATS + 1),
         ),
     };
+    let instruction = system.frame.declared.worded(&instruction);
     Some(NextMeasurement { separates, instruction, poses: Vec::new(), expected_power })
 }

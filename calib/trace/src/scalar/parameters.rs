@@ -43,6 +43,27 @@ pub struct Names {
     pub covariates: Vec<String>,
 }
 
+/// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.
+#[must_use]
+pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
+    let plain = |unit: &str| matches!(unit.trim(), "" | "1");
+    let whole = |unit: &str| {
+        let unit = unit.trim();
+        if unit.contains(['/', '*', '^', ' ', '\u{b7}']) { format!("({unit})") } else { unit.to_owned() }
+    };
+    let below: Vec<&(&str, i32)> = denominators.iter().filter(|(unit, _)| !plain(unit)).collect();
+    let mut out = match (plain(numerator), below.is_empty()) {
+        (true, _) => "1".to_owned(),
+        (false, true) => return numerator.to_owned(),
+        (false, false) => whole(numerator),
+    };
+    for (unit, power) in below {
+        let exponent = if *power > 1 { format!("^{power}") } else { String::new() };
+        out += &format!("/{}{exponent}", whole(unit));
+    }
+    out
+}
+
 /// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of `cross-axis`.
 #[must_use]
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
@@ -54,11 +75,10 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
     if let Some(power) = unit.strip_prefix("response/half-range") {
         let (power, rest) = match power {
             "" => (1, ""),
-            "/degc" => (1, "/degc"),
+            "/degc" => (1, "degc"),
             p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
         };
-        let exponent = if power > 1 { format!("^{power}") } else { String::new() };
-        return (value / half.powi(power), format!("{response}/{stimulus}{exponent}{rest}"));
+        return (value / half.powi(power), ratio(response, &[(stimulus, power), (rest, 1)]));
     }
     match unit {
         "half-range" => (value * half, stimulus.clone()),
@@ -72,15 +92,15 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
         "period:time" => (duration / value, "s".to_owned()),
         "period:order" => (readings / value, "readings".to_owned()),
         "response" => (value, response.clone()),
-        "response/degc" => (value, format!("{response}/degc")),
+        "response/degc" => (value, ratio(response, &[("degc", 1)])),
         "response/duration" => match s.time {
-            Some(_) => (value / duration, format!("{response}/s")),
-            None => (value / readings, format!("{response}/reading")),
+            Some(_) => (value / duration, ratio(response, &[("s", 1)])),
+            None => (value / readings, ratio(response, &[("reading", 1)])),
         },
         "response/covariate" => {
             let half = s.covariates.get(law).map_or(1.0, |c| c[1]);
             let name = names.covariates.get(law).map_or("covariate", String::as_str);
-            (value / half, format!("{response}/{name}"))
+            (value / half, ratio(response, &[(name, 1)]))
         }
         other => (value, other.to_owned()),
     }
@@ -143,7 +163,7 @@ fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance:
     out.push(EffectParameter {
         name: "frequency".to_owned(),
         value: 1.0 / period.value,
-        unit: format!("1/{}", period.unit),
+        unit: ratio("1", &[(&period.unit, 1)]),
         interval95: ordered(period.interval95.map(|v| 1.0 / v)),
     });
     let (s, c) = (fit.coefficients[(column, 0)], fit.coefficients[(column + 1, 0)]);
@@ -164,5 +184,24 @@ fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance:
             unit,
             interval95: [(size - half).max(0.0), size + half],
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ratio;
+
+    #[test]
+    fn units_are_composed_and_ones_leave_no_trace() {
+        for (numerator, denominators, composed) in [
+            ("1", &[("1", 2)][..], "1"),
+            ("V", &[("1", 1), ("", 1)], "V"),
+            ("V", &[("kPa", 2), ("degc", 1)], "V/kPa^2/degc"),
+            ("pm", &[("1/m", 2)], "pm/(1/m)^2"),
+            ("um/mm", &[("N", 1)], "(um/mm)/N"),
+            ("1", &[("s", 1)], "1/s"),
+        ] {
+            assert_eq!(ratio(numerator, denominators), composed);
+        }
     }
 }

@@ -99,7 +99,7 @@ fn named(system: &ScalarSystem, found: &Found, names: &Names) -> Vec<NamedEffect
                 class,
                 p_value: removal_p(system, found, best, e),
                 parameters: of_effect(system, &best.fit, e, names),
-                sentence: candidate.sentence().to_owned(),
+                sentence: system.frame.declared.worded(candidate.sentence()),
             }
         })
         .collect()
@@ -122,7 +122,7 @@ fn named_spread(system: &ScalarSystem, spread: &Spread) -> NamedEffect {
             unit: "1".to_owned(),
             interval95: spread.interval95,
         }],
-        sentence: sentence.to_owned(),
+        sentence: system.frame.declared.worded(sentence),
     }
 }
 

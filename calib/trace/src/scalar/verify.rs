@@ -255,8 +255,13 @@ pub fn verify_scalar(
     let sealed = mask.iter().any(|m| *m).then_some((&all, mask.as_slice()));
     let ([before, after], split, words) = held_out(&system, sealed, &found, &c.accepted, spread.as_ref());
     let key = if declared == Declared::Axis { "error_rmse_um" } else { "response_rmse" };
-    let mut doc =
-        document(session, &data, seed, c.verdict, format!("{} Held-out errors: {words}.", c.reason));
+    let mut doc = document(
+        session,
+        &data,
+        seed,
+        c.verdict,
+        format!("{} Held-out errors: {}.", c.reason, declared.worded(&words)),
+    );
     doc.before = summarise(&before, split, key, seed);
     doc.after = summarise(&after, split, key, seed);
     doc.coverage95 = coverage95(&after);
@@ -286,7 +291,9 @@ pub fn verify_scalar(
         [total, every],
     );
     if spread.is_none() {
-        doc.notes.extend(remark(test_spread(&system.frame, &c.accepted, options)));
+        doc.notes.extend(
+            remark(test_spread(&system.frame, &c.accepted, options)).map(|note| declared.worded(&note)),
+        );
     }
     doc.effects = c.effects.clone();
     doc.alternatives = c.alternatives.clone();

@@ -1,0 +1,359 @@
+//! Where a result goes: one rule for every `--out`.
+//!
+//! - What does not exist, or is empty, is made.
+//! - What the same command wrote before is replaced whole: a file that the new result does not have does not stay.
+//! - Anything else is refused, before anything is computed. With `--force` the result is written there all the same: files of the
+//!   result's names are replaced, files of other names stay.
+//!
+//! A result is collected in memory and reaches the disk when it is complete. Every file goes into a hidden folder inside the output folder
+//! first; then the earlier files go, the command's document first, and the new ones are renamed into their places, the document last: where
+//! the document lies, the whole result does. The output folder itself stays the same one, so that a shell inside it, or a mount, is not cut
+//! off. Commands that go on where they stopped write in place and use the check alone ([`ResultKind::check`]).
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use std::fs;
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use wcal_session::write_atomic;
+
+/// Consent to write where something else is.
+#[derive(Debug, Args)]
+pub struct Overwrite {
+    /// Write to --out although something else is there: files of the result's names are replaced, files of other names stay
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// How an earlier result of a command is told from other files. In names one `*` stands for any text.
+#[derive(Debug, Clone, Copy)]
+pub struct ResultKind<'a> {
+    /// Name of the command.
+    pub command: &'a str,
+    /// Name of the document that makes a folder a result.
+    pub document: &'a str,
+    /// What the document contains.
+    pub says: &'a str,
+    /// Names of the other files.
+    pub files: &'a [&'a str],
+    /// Names that belong to the result and are never removed.
+    pub kept: &'a [&'a str],
+    /// The command goes on where it stopped: files without a document are its own, too.
+    pub resumes: bool,
+}
+
+impl ResultKind<'_> {
+    /// Refuses what is neither new, nor empty, nor an earlier result.
+    ///
+    /// # Errors
+    /// Where something else is there without `force`, or nothing can be written.
+    pub fn check(&self, folder: &Path, force: bool) -> Result<()> {
+        match fs::metadata(folder) {
+            Err(e) if e.kind() == ErrorKind::NotFound => {}
+            Err(e) => return Err(e).with_context(|| format!("--out {}", folder.display())),
+            Ok(about) => {
+                ensure!(about.is_dir(), "--out {}: expected a folder, found a file", folder.display());
+                if let Some(name) = self.foreign(folder)?.filter(|_| !force) {
+                    bail!(
+                        "--out {}: expected a new folder or an earlier result of `wcal {}`, found {name}; choose another folder, or write \
+                         there all the same with --force",
+                        folder.display(),
+                        self.command
+                    );
+                }
+            }
+        }
+        writable(folder)
+    }
+
+    /// The first entry that is not of an earlier result.
+    fn foreign(&self, folder: &Path) -> Result<Option<String>> {
+        let (mut told, mut others) = (false, None);
+        for name in entries(folder)? {
+            if matches(self.document, &name) {
+                let text = fs::read_to_string(folder.join(&name)).unwrap_or_default();
+                let own = text.contains(self.says);
+                // A damaged document of a command that goes on is one that it makes again.
+                if !own && (!self.resumes || text.contains("\"format\"")) {
+                    return Ok(Some(name));
+                }
+                told |= own;
+            } else if self.files.iter().any(|own| matches(own, &name)) {
+                others.get_or_insert(name);
+            } else if !self.kept.contains(&name.as_str()) {
+                return Ok(Some(name));
+            }
+        }
+        Ok(others.filter(|_| !told && !self.resumes))
+    }
+
+    /// Whether a file of this name is replaced with the result.
+    fn owns(&self, name: &str) -> bool {
+        matches(self.document, name) || self.files.iter().any(|own| matches(own, name))
+    }
+}
+
+/// `pattern` with at most one `*`.
+fn matches(pattern: &str, name: &str) -> bool {
+    match pattern.split_once('*') {
+        None => pattern == name,
+        Some((first, last)) => {
+            name.len() >= first.len() + last.len() && name.starts_with(first) && name.ends_with(last)
+        }
+    }
+}
+
+/// Names in a folder, sorted; what a killed run left half-written is nobody's.
+fn entries(folder: &Path) -> Result<Vec<String>> {
+    let read = || -> std::io::Result<Vec<String>> {
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+    };
+    let mut names = read().with_context(|| format!("reading {}", folder.display()))?;
+    names.retain(|name| !(name.starts_with(".wcal-") && name.ends_with(".tmp")));
+    names.sort();
+    Ok(names)
+}
+
+/// Says now, not after an hour, that nothing can be written there.
+fn writable(path: &Path) -> Result<()> {
+    let here = Path::new(".");
+    let mut place = path;
+    while !place.exists() && place != here {
+        place = place.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(here);
+    }
+    let tried = tempfile::tempfile_in(place).with_context(|| format!("writing into {}", place.display()));
+    tried.map(drop)
+}
+
+/// A result on its way into a folder.
+pub struct OutputFolder<'a> {
+    kind: &'a ResultKind<'a>,
+    folder: PathBuf,
+    files: Vec<(String, Vec<u8>)>,
+}
+
+impl<'a> OutputFolder<'a> {
+    /// Begins a result; nothing is written yet.
+    ///
+    /// # Errors
+    /// See [`ResultKind::check`].
+    pub fn open(kind: &'a ResultKind<'a>, folder: &Path, force: bool) -> Result<Self> {
+        kind.check(folder, force)?;
+        Ok(Self { kind, folder: folder.to_owned(), files: Vec::new() })
+    }
+
+    /// The folder that `--out` names.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Adds a file, in place of one of the same name.
+    pub fn put(&mut self, name: &str, bytes: impl Into<Vec<u8>>) {
+        debug_assert!(self.kind.owns(name), "{name} is not declared as a file of {}", self.kind.command);
+        self.files.retain(|(known, _)| known != name);
+        self.files.push((name.to_owned(), bytes.into()));
+    }
+
+    /// Brings the result into the folder in place of the earlier one.
+    ///
+    /// # Errors
+    /// When the disk does not take it; before the first file is replaced in every case but a failed rename.
+    pub fn finish(mut self) -> Result<()> {
+        let folder = self.folder.as_path();
+        let fail = |doing: &str| format!("{doing} {}", folder.display());
+        fs::create_dir_all(folder).with_context(|| fail("creating"))?;
+        let staging = tempfile::Builder::new().prefix(".wcal-").suffix(".tmp").tempdir_in(folder);
+        let staging = staging.with_context(|| fail("writing into"))?;
+        for (name, bytes) in &self.files {
+            write_atomic(&staging.path().join(name), bytes)?;
+        }
+        let document = |name: &str| matches(self.kind.document, name);
+        let mut old: Vec<String> = entries(folder)?.into_iter().filter(|name| self.kind.owns(name)).collect();
+        old.sort_by_key(|name| !document(name));
+        for name in &old {
+            fs::remove_file(folder.join(name))
+                .with_context(|| format!("replacing {name} in {}", folder.display()))?;
+        }
+        self.files.sort_by_key(|(name, _)| document(name));
+        for (name, _) in &self.files {
+            fs::rename(staging.path().join(name), folder.join(name)).with_context(|| fail("writing into"))?;
+        }
+        // A rename is only durable once the folder is.
+        if cfg!(unix) {
+            fs::File::open(folder).and_then(|f| f.sync_all()).with_context(|| fail("writing"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a `--out FILE` that is neither new, nor empty, nor a table of the same command, told by its first line.
+///
+/// # Errors
+/// Where something else is there without `force`, or nothing can be written.
+pub fn check_file(path: &Path, command: &str, own: impl Fn(&str) -> bool, force: bool) -> Result<()> {
+    let shown = path.display();
+    match fs::metadata(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => {}
+        Err(e) => return Err(e).with_context(|| format!("--out {shown}")),
+        Ok(about) if about.is_dir() => bail!("--out {shown}: expected a file, found a folder"),
+        // A rename would put a file in the device's place.
+        Ok(about) if !about.is_file() => bail!("--out {shown}: expected a file, found a device or pipe"),
+        Ok(about) => {
+            ensure!(
+                force || about.len() == 0 || own(&first_line(path)?),
+                "--out {shown}: expected a new file or an earlier result of `wcal {command}`, found another file; choose another name, or \
+                 replace it with --force"
+            );
+        }
+    }
+    writable(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+}
+
+/// First line of a file, in full where it is not longer than 4 kB.
+///
+/// # Errors
+/// Where it cannot be read.
+pub fn first_line(path: &Path) -> Result<String> {
+    let mut start = Vec::new();
+    let read = fs::File::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
+    read.with_context(|| format!("reading {}", path.display()))?;
+    Ok(String::from_utf8_lossy(&start).lines().next().unwrap_or_default().to_owned())
+}
+
+/// Writes a file whole; its folder is made where it is missing.
+///
+/// # Errors
+/// When the disk does not take it.
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    }
+    Ok(write_atomic(path, bytes)?)
+}
+
+/// Refuses a folder that holds anything: measured data are never replaced.
+///
+/// # Errors
+/// Where something is there.
+pub fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
+    let found = match fs::metadata(folder) {
+        Ok(about) if about.is_dir() => entries(folder)?.into_iter().next(),
+        Ok(_) => Some("a file".to_owned()),
+        Err(_) => None,
+    };
+    if let Some(found) = found {
+        bail!("--out {}: expected a new folder{otherwise}, found {found}", folder.display());
+    }
+    writable(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+    use super::*;
+
+    const KIND: ResultKind<'_> = ResultKind {
+        command: "verify",
+        document: "verify.json",
+        says: "wcal-verify/",
+        files: &["calibration.json", "overlay-*.png"],
+        kept: &["unsealed.json"],
+        resumes: false,
+    };
+
+    fn names(folder: &Path) -> Vec<String> {
+        entries(folder).unwrap()
+    }
+
+    fn result(folder: &Path, files: &[&str]) -> Result<()> {
+        let mut out = OutputFolder::open(&KIND, folder, false)?;
+        files.iter().for_each(|name| out.put(name, *name));
+        out.put("verify.json", r#"{"format":"wcal-verify/1"}"#);
+        out.finish()
+    }
+
+    #[test]
+    fn a_result_is_replaced_whole_and_the_record_survives() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("deep/out");
+        result(&folder, &["calibration.json", "overlay-a.png"]).unwrap();
+        fs::write(folder.join("unsealed.json"), "seen").unwrap();
+        result(&folder, &["overlay-b.png"]).unwrap();
+        assert_eq!(names(&folder), ["overlay-b.png", "unsealed.json", "verify.json"]);
+        assert_eq!(fs::read(folder.join("unsealed.json")).unwrap(), b"seen");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "nothing hidden is left");
+    }
+
+    #[test]
+    fn anything_else_is_refused_and_survives_force() {
+        for (name, text) in [
+            ("notes.txt", "mine"),
+            ("verify.json", r#"{"format":"other/1"}"#),
+            ("calibration.json", "of another command"),
+        ] {
+            let place = tempfile::tempdir().unwrap();
+            fs::write(place.path().join(name), text).unwrap();
+            let why = result(place.path(), &[]).unwrap_err().to_string();
+            assert!(why.contains(name) && why.contains("--force") && why.contains("wcal verify"), "{why}");
+            assert_eq!(fs::read_to_string(place.path().join(name)).unwrap(), text);
+            let mut out = OutputFolder::open(&KIND, place.path(), true).unwrap();
+            out.put("verify.json", "wcal-verify/1");
+            out.finish().unwrap();
+            assert_eq!(place.path().join("notes.txt").exists(), name == "notes.txt", "{name}");
+        }
+        // Beside a result, too.
+        let place = tempfile::tempdir().unwrap();
+        result(place.path(), &[]).unwrap();
+        fs::write(place.path().join("notes.txt"), "mine").unwrap();
+        assert!(result(place.path(), &[]).is_err());
+    }
+
+    #[test]
+    fn what_goes_on_takes_its_own_damaged_documents_and_no_others() {
+        let kind = ResultKind {
+            document: "*.json",
+            says: "wcal-sweeps/",
+            files: &["*.parquet"],
+            resumes: true,
+            ..KIND
+        };
+        let place = tempfile::tempdir().unwrap();
+        let check = |name: &str, text: &str| {
+            fs::write(place.path().join(name), text).unwrap();
+            kind.check(place.path(), false)
+        };
+        check("can-0.sweeps.parquet", "").unwrap();
+        check("can-0.json", r#"{"form"#).unwrap();
+        check("can-1.json", r#"{"format":"wcal-sweeps/1"}"#).unwrap();
+        assert!(check("calibration.json", r#"{"format":"wcal-calibration/1"}"#).is_err());
+    }
+
+    #[test]
+    fn a_result_that_is_not_finished_changes_nothing() {
+        let place = tempfile::tempdir().unwrap();
+        result(place.path(), &["calibration.json"]).unwrap();
+        let mut out = OutputFolder::open(&KIND, place.path(), false).unwrap();
+        out.put("verify.json", "half");
+        drop(out);
+        assert_eq!(names(place.path()), ["calibration.json", "verify.json"]);
+        assert!(fs::read_to_string(place.path().join("verify.json")).unwrap().contains("wcal-verify/1"));
+    }
+
+    #[test]
+    fn files_are_told_by_their_first_line() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("t.csv");
+        let check = |force| check_file(&path, "twin", |line| line == "point,branch", force);
+        check(false).unwrap();
+        fs::write(&path, "").unwrap();
+        check(false).unwrap();
+        fs::write(&path, "point,branch\n1,held\n").unwrap();
+        check(false).unwrap();
+        fs::write(&path, "point,moment\n1,2\n").unwrap();
+        assert!(check(false).unwrap_err().to_string().contains("--force"));
+        check(true).unwrap();
+        assert!(check_file(place.path(), "twin", |_| true, true).is_err(), "a folder");
+        #[cfg(unix)]
+        assert!(check_file(Path::new("/dev/null"), "twin", |_| true, true).is_err(), "a device");
+    }
+}

@@ -1,0 +1,90 @@
+//! The argument SESSION: a folder, not the table that may become one.
+
+use anyhow::{Result, bail};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Columns that an import takes by their names, or that say when or how and not what was measured.
+const BESIDE: &[&str] = &[
+    "point",
+    "role",
+    "stimulus",
+    "response",
+    "t_s",
+    "direction",
+    "temperature_degc",
+    "replicate",
+    "cycle",
+    "samples",
+];
+
+/// Refuses a table where a session is wanted, with the command line that makes one of it.
+///
+/// # Errors
+/// Where `session` is a file other than `session.toml`.
+pub fn expect_session(session: &Path, command: &str) -> Result<()> {
+    if !session.is_file() || session.file_name().is_some_and(|n| n == "session.toml") {
+        return Ok(());
+    }
+    let shown = session.display();
+    if let Some(folder) = session.parent().filter(|f| f.join("session.toml").is_file()) {
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        bail!(
+            "{shown}: expected a session folder, found a table of one; use wcal {command} {}",
+            folder.display()
+        );
+    }
+    let header = std::fs::read_to_string(session).unwrap_or_default();
+    let header = header.trim_start_matches('\u{feff}').lines().next().unwrap_or_default().to_owned();
+    bail!(
+        "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",
+        import_line(session, &header),
+        target(session)
+    )
+}
+
+/// `cell.csv` becomes the session `cell`.
+fn target(table: &Path) -> String {
+    let name = table.file_stem().map_or_else(|| "session".into(), |s| s.to_string_lossy().into_owned());
+    if Path::new(&name).exists() { name + "-session" } else { name }
+}
+
+/// The command that imports a table with this header; what the header does not tell is left in capitals.
+fn import_line(table: &Path, header: &str) -> String {
+    let separator = ['\t', ';', ','].into_iter().max_by_key(|s| header.matches(*s).count()).unwrap_or(',');
+    let cells: Vec<&str> = header.split(separator).map(str::trim).collect();
+    let headless = cells.iter().all(|c| c.replace(',', ".").parse::<f64>().is_ok());
+    let has = |name: &str| cells.contains(&name);
+    let mut line = format!("wcal import {}", quoted(&table.display().to_string()));
+    match separator {
+        ';' => line += " --separator semicolon",
+        '\t' => line += " --separator tab",
+        _ => {}
+    }
+    if has("commanded_mm") && has("measured_mm") {
+        line += " --kind axis --commanded commanded_mm --measured measured_mm";
+    } else if cells.iter().any(|c| c.starts_with("fbg_1_")) {
+        line += " --kind whisker --meta META.toml";
+    } else {
+        let mut values = cells.iter().filter(|c| !headless && !c.is_empty() && !BESIDE.contains(c));
+        let mut column = |own: &str, unknown: &str| {
+            if has(own) { own.to_owned() } else { quoted(values.next().map_or(unknown, |c| *c)) }
+        };
+        if headless {
+            line += " --columns STIMULUS,RESPONSE";
+        }
+        let (stimulus, response) = (column("stimulus", "STIMULUS"), column("response", "RESPONSE"));
+        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response} --model linear");
+    }
+    format!("{line} --out {}", quoted(&target(table)))
+}
+
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "._-/=+:@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}

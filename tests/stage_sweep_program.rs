@@ -322,6 +322,9 @@ fn recorded_with_gaps(folder: &Path) {
             ..FbgReading::default()
         };
         recorder.scan(&reading).expect("recorded");
+        if serial % 500 == 0 {
+            recorder.flush().expect("flushed");
+        }
         if serial % 10 == 0 {
             let clocks = Clocks { host_s: 1e9 + t_s, device_s: None };
             let measured_mm = 20.0 + (t_s / 10.0).floor();
@@ -399,7 +402,7 @@ fn a_damaged_recording_is_reduced_as_far_as_it_can_be_read() {
     recorded_with_gaps(folder.path());
     let recording = folder.path().join("recording.mcap");
     let bytes = std::fs::read(&recording).expect("recording");
-    // The second chunk (operation code 6, then its length) from the front.
+    // Chunks have operation code 6, then their length.
     let length = |at: usize| u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("8 bytes"));
     let (mut at, mut chunks) = (8, Vec::new());
     while bytes[at] != 2 {
@@ -416,7 +419,8 @@ fn a_damaged_recording_is_reduced_as_far_as_it_can_be_read() {
     let long = damaged(&|b| b[at + 1..at + 9].copy_from_slice(&(1_u64 << 44).to_le_bytes()));
     assert_eq!(long.status.code(), Some(3), "{}", text(&long.stderr));
     assert!(text(&long.stderr).contains("1 recordings cut off"), "{}", text(&long.stderr));
-    let bit = damaged(&|b| b[chunks[1] + 200] ^= 1);
+    let middle = chunks[chunks.len() / 2];
+    let bit = damaged(&|b| b[middle + length(middle) as usize / 2] ^= 1);
     assert_eq!(bit.status.code(), Some(3), "{}", text(&bit.stderr));
     assert!(
         text(&bit.stderr).contains("1 damaged chunks of the recording left out"),

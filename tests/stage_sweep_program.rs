@@ -390,8 +390,7 @@ fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
     assert_eq!((&stream["lost_scans"], &stream["late_scans"]), (&34.into(), &200.into()));
     assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
     let loaded = wcal_session::load(folder.path()).expect("loads");
-    for expected in ["scans are missing in the averaging window of points 1", "had fallen behind of points 2"]
-    {
+    for expected in ["points 1: scans are missing in the averaging window", "points 2: scans came late"] {
         assert!(loaded.warnings.iter().any(|w| w.contains(expected)), "{expected}: {:?}", loaded.warnings);
     }
 }

@@ -164,9 +164,9 @@ fn stream_warning(name: &str, word: &str, points: &[i64]) -> Option<String> {
     let what = if word == "lost" {
         "scans are missing in the averaging window"
     } else {
-        "scans came late: the bench or the recording computer had fallen behind"
+        "scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen behind"
     };
-    Some(format!("{name}: {what} of points {}", named.join(", ")))
+    Some(format!("{name}: points {}: {what}", named.join(", ")))
 }
 
 pub(crate) fn unused_columns(table: &Table) -> Vec<String> {

@@ -22,9 +22,13 @@ pub fn late_s(clock_scale: f64) -> f64 {
     (LATE_WALL_S * clock_scale).min(LATE_BENCH_S)
 }
 
+/// Error of the clocks' alignment that does no harm (wall time), s: what a busy host delays by.
+const ALIGNED_S: f64 = 0.02;
+
 /// Host and device time of one stream.
 #[derive(Debug, Clone)]
 pub struct ClockPair {
+    clock_scale: f64,
     late_s: f64,
     origin: Option<(f64, f64)>,
     /// The least delayed pair of all.
@@ -76,7 +80,14 @@ impl ClockPair {
     #[must_use]
     pub fn new(clock_scale: f64) -> Self {
         let earliest = (0.0, f64::NEG_INFINITY);
-        Self { late_s: late_s(clock_scale), origin: None, earliest, best: Vec::new(), current: None }
+        Self {
+            clock_scale,
+            late_s: late_s(clock_scale),
+            origin: None,
+            earliest,
+            best: Vec::new(),
+            current: None,
+        }
     }
 
     /// Adds the arrival of a reading.
@@ -128,6 +139,15 @@ impl ClockPair {
     #[must_use]
     pub fn is_late(&self, host_s: f64, device_s: f64) -> bool {
         self.delay_s(host_s, device_s) > self.late_s
+    }
+
+    /// Whether host times cannot be told in device times: the line drifts more than a working clock does, by a harmful amount. A stream
+    /// that falls behind more and more looks like this, too: nothing tells it from a slow clock.
+    #[must_use]
+    pub fn is_unaligned(&self) -> bool {
+        let Some(fit) = self.fit() else { return false };
+        let last_s = self.current.map_or(0.0, |(_, x, _)| x);
+        (fit.drift.abs() - BROKEN_CLOCK) * last_s / 2.0 > ALIGNED_S * self.clock_scale
     }
 
     /// The fit; `None` without any pair.
@@ -254,6 +274,18 @@ mod tests {
         let mut good = ClockPair::new(1.0);
         (0..10_800).for_each(|s| good.add(f64::from(s), f64::from(s) * (1.0 - 250e-6)));
         assert!((0..10_800).all(|s| !good.is_late(f64::from(s), f64::from(s) * (1.0 - 250e-6))));
+    }
+
+    #[test]
+    fn a_stream_that_falls_behind_more_and_more_cannot_be_aligned() {
+        let run = |behind: f64| {
+            let mut pair = ClockPair::new(60.0);
+            (0..13_000).map(|k| f64::from(k) * 0.01).for_each(|t| pair.add(t * (1.0 + behind), t));
+            pair.is_unaligned()
+        };
+        assert!(run(0.6) && run(0.1));
+        // Controls: nothing behind, and what a crystal may drift.
+        assert!(!run(0.0) && !run(200e-6));
     }
 
     #[test]

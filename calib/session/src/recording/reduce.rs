@@ -86,7 +86,7 @@ impl Reduction {
             (
                 *marked != [0; 2],
                 format!(
-                    "{} rows with scans missing and {} with late scans, marked in the column `stream`",
+                    "{} rows with scans missing and {} with late scans or clocks that cannot be aligned, marked in the column `stream`",
                     marked[0], marked[1]
                 ),
             ),
@@ -210,6 +210,8 @@ fn reduce_part(
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
+    // Where the stage was is told by its host times: without aligned clocks no row can say.
+    let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     read(path, |message| {
         let Message::Scan(scan) = message else { return };
@@ -252,7 +254,7 @@ fn reduce_part(
     }
     for window in windows {
         let event = &events[window.event];
-        let stream = match window.late {
+        let stream = match window.late || unaligned {
             true => Stream::Late,
             false if missing_share(&window, &lost) > MAX_MISSING => Stream::Lost,
             false => Stream::Whole,

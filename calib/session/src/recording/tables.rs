@@ -43,7 +43,8 @@ pub enum Stream {
     Whole,
     /// Scans are missing.
     Lost,
-    /// Scans came late: the bench or the recording computer had fallen behind.
+    /// Scans came late (the bench or the recording computer had fallen behind), or the clocks cannot be aligned: where the stage was is not
+    /// known.
     Late,
 }
 

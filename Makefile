@@ -10,8 +10,9 @@ setup:
 	if [ -n "$$missing" ]; then $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
 	calib/mujoco/engine/fetch.sh
 
+# With the engine beside it, so that `wcal twin --engine mujoco` works afterwards.
 demo: setup
-	cargo build --release --locked --bin wcal
+	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
 
 test: setup
@@ -28,25 +29,11 @@ exam:
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
 # Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal, PyTorch and the stage maker's client in one run each; prints tables and writes
-# peers-*.json. YCB=FOLDER of STL files: also the paper's whole sweep set.
+# peers-*.json. One that fails does not stop the others: its JSON and the exit status say so. YCB=FOLDER of STL files: also the paper's whole
+# sweep set. PEERS="rod map": these alone.
 peers: setup
-	for p in python3-venv mrcal; do dpkg -s $$p >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends $$p >/dev/null; done
+	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
+	dpkg -s mrcal >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends mrcal >/dev/null || echo "peers: without mrcal"
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
 	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless pandas pyarrow mujoco==3.17.0
-	tests/peers/.venv/bin/python tests/peers/rod_peers.py --json peers-rod.json
-	tests/peers/.venv/bin/python tests/peers/map_peers.py --out peers-map.json
-	cargo build --release --locked -p wcal-mujoco --example write_mjcf
-	tests/peers/.venv/bin/python tests/peers/mujoco_statics.py target/release/examples/write_mjcf --json peers-mujoco.json
-	test -x tests/peers/.venv-released/bin/python || python3 -m venv tests/peers/.venv-released
-	tests/peers/.venv-released/bin/pip install -q numpy mujoco==3.1.6
-	for p in .venv-released .venv; do tests/peers/$$p/bin/python tests/peers/released_labels.py; done
-	cargo build --release --locked -p wcal-mujoco -p wcal-mujoco-engine --bin wcal-mujoco --example write_world --example compare_engines
-	tests/peers/.venv/bin/python tests/peers/mujoco_rate.py target/release/examples/write_world target/release/wcal-mujoco --json peers-mujoco-rate.json
-	target/release/examples/compare_engines target/convex 4
-	cargo build --release --locked -p wcal -p wcal-vision --bin wcal --example solve_corners
-	tests/peers/.venv/bin/python tests/peers/stereo.py target/release/wcal target/release/examples/solve_corners peers-stereo.json
-	tests/peers/.venv/bin/python tests/peers/stereo_bench.py target/release/wcal
-	cargo build --release --locked -p wcal-track --example network_time
-	python3 tests/peers/network_peers.py target/release/examples/network_time --json peers-network.json
-	if [ -n "$(YCB)" ]; then tests/peers/.venv/bin/python tests/peers/ycb_sweeps.py target/release/wcal "$(YCB)" --json peers-sweeps.json; fi
-	cargo test --locked -p wcal-drivers --test vendor_client -- --ignored --nocapture
+	python3 tests/peers/run_all.py $(if $(YCB),--ycb "$(YCB)") $(PEERS)

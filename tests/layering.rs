@@ -93,3 +93,65 @@ fn a_wrong_direction_is_seen() {
     let found = violations(&graph);
     assert_eq!(found, ["wcal-core -> wcal-trace", "wcal-mujoco -> mujoco-rs", "wcal-report -> opencv"]);
 }
+
+/// What `make peers` runs is there: scripts, packages and examples; an example that was deleted stopped it at its first row once.
+#[test]
+fn every_command_of_the_peers_refers_to_something_that_exists() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let run = |arguments: &[&str]| {
+        let mut command = std::process::Command::new("python3");
+        command.current_dir(root.join("tests/peers")).args(arguments).output().expect("python3 runs")
+    };
+    let listed = run(&["run_all.py", "--list", "--ycb", "meshes"]);
+    assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
+    let all: serde_json::Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    let all: std::collections::BTreeMap<String, Vec<Vec<String>>> =
+        serde_json::from_value(all).expect("commands");
+    let manifests: Vec<std::path::PathBuf> = ["calib", "rigs", "tests", "calib/mujoco"]
+        .iter()
+        .flat_map(|d| std::fs::read_dir(root.join(d)).expect("a folder"))
+        .map(|entry| entry.expect("an entry").path())
+        .chain([root.to_owned()])
+        .filter(|folder| folder.join("Cargo.toml").exists())
+        .collect();
+    let example = |name: &str| manifests.iter().any(|m| m.join(format!("examples/{name}.rs")).exists());
+    let package = |name: &str| {
+        let line = format!("name = {name:?}");
+        let text =
+            |m: &std::path::PathBuf| std::fs::read_to_string(m.join("Cargo.toml")).expect("a manifest");
+        manifests.iter().any(|m| text(m).lines().any(|l| l == line))
+    };
+    let (mut examples, mut scripts) = (0, 0);
+    for command in all.values().flatten() {
+        for pair in command.windows(2) {
+            match pair[0].as_str() {
+                "--example" => assert!(example(&pair[1]), "example {}", pair[1]),
+                "-p" | "--bin" => assert!(package(&pair[1]), "package or program {}", pair[1]),
+                "--test" => assert!(root.join(format!("rigs/drivers/tests/{}.rs", pair[1])).exists()),
+                _ => {}
+            }
+            examples += usize::from(pair[0] == "--example");
+        }
+        for word in command.iter().filter(|w| w.ends_with(".py")) {
+            assert!(std::path::Path::new(word).exists(), "{word}");
+            scripts += 1;
+        }
+    }
+    assert!(all.len() >= 10 && examples >= 6 && scripts >= 9, "{examples} examples, {scripts} scripts");
+    assert!(!example("deleted") && !package("deleted"), "control");
+    // One that fails is noted, and the next one runs.
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let program = format!(
+        "import sys, pathlib, run_all\nsys.argv = ['x']\nrun_all.ROOT = pathlib.Path({:?})\n\
+         run_all.comparisons = lambda ycb: iter([('bad', [['sh', '-c', 'echo torn >&2; exit 7']]), ('good', [['true']])])\n\
+         sys.exit(run_all.main())",
+        folder.path()
+    );
+    let failed = run(&["-c", &program]);
+    assert_eq!(failed.status.code(), Some(1), "{}", String::from_utf8_lossy(&failed.stderr));
+    let said = String::from_utf8_lossy(&failed.stdout).into_owned();
+    assert!(said.contains("== good"), "{said}");
+    let noted = std::fs::read_to_string(folder.path().join("peers-bad.json")).expect("its JSON");
+    assert!(noted.contains("exit status 7: torn") && noted.contains("\"met\": false"), "{noted}");
+    assert!(!folder.path().join("peers-good.json").exists());
+}

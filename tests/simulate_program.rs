@@ -45,6 +45,36 @@ fn a_dataset_is_made_and_a_second_run_finds_it_there() {
     let second: serde_json::Value = serde_json::from_slice(&wcal(&args).stdout).unwrap();
     assert_eq!(second["kept"], json["kept"]);
     assert!(second.get("sweeps_per_core_s").is_none(), "nothing was to be made: {second}");
+    // Another dataset into the same folder is refused by name, also by a check, and nothing is replaced.
+    let read = |name: &str| std::fs::read(out.join(name)).unwrap();
+    let before = [read("can-000000.samples.parquet"), read("dataset.json")];
+    for (more, words) in [
+        (&["--seed", "2"][..], "seed: there 1, asked for 2"),
+        (&["--seed", "2", "--check"], "seed: there 1, asked for 2"),
+        (&["--object", "vase"], "object vase: not there"),
+    ] {
+        let other = wcal(&[&args[..], more].concat());
+        let said = text(&other.stderr);
+        assert!(other.status.code() == Some(1) && said.contains(words), "{more:?}: {said}");
+    }
+    assert!(before == [read("can-000000.samples.parquet"), read("dataset.json")]);
+    // A mixture from elsewhere is not trained on.
+    let foreign = folder.path().join("foreign");
+    let seed =
+        ["simulate", "--object", "can", "--sweeps", "3", "--seed", "2", "--out", foreign.to_str().unwrap()];
+    assert_eq!(wcal(&seed).status.code(), Some(0));
+    for file in [
+        "can-000000.json",
+        "can-000000.sweeps.parquet",
+        "can-000000.samples.parquet",
+        "can-000000.contacts.parquet",
+    ] {
+        std::fs::copy(foreign.join(file), out.join(file)).unwrap();
+    }
+    let model = folder.path().join("model");
+    let train = wcal(&["train", out.to_str().unwrap(), "--out", model.to_str().unwrap()]);
+    let said = text(&train.stderr);
+    assert!(train.status.code() == Some(1) && said.contains("shard can-000000: made from another"), "{said}");
 }
 
 #[test]

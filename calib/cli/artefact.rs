@@ -33,6 +33,18 @@ pub fn provenance(inputs: &[InputFile], seed: u64) -> Provenance {
     }
 }
 
+impl CalibrationModel {
+    /// Checks effects, laws, versions and sizes by name, before anything is computed with them: the one place for every command.
+    fn check(&self) -> anyhow::Result<()> {
+        match self {
+            Self::Map(map) => map.check()?,
+            Self::Physical(model) => model.check()?,
+            Self::Scalar(model) => model.check()?,
+        }
+        Ok(())
+    }
+}
+
 /// A calibration with its content hash; `whisker` is the wire that it was made with.
 pub fn seal(
     session: &str,
@@ -64,15 +76,20 @@ pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<Calibrati
     }
 }
 
-/// Reads the file and checks its format; says so where the content is not what was sealed.
+/// Reads the file and checks its format and its model; says so where the content is not what was sealed.
 pub fn read_unsealed(path: &Path) -> anyhow::Result<(CalibrationFile<CalibrationModel>, Option<String>)> {
     let name = path.display();
     let bytes = std::fs::read(path).with_context(|| format!("reading {name}"))?;
-    let raw: CalibrationFile<serde_json::Value> =
+    let value: serde_json::Value =
         serde_json::from_slice(&bytes).with_context(|| format!("{name}: expected a calibration in JSON"))?;
-    if raw.format != CALIBRATION_FORMAT {
-        bail!("{name}: field `format`: expected {CALIBRATION_FORMAT:?}, found {:?}", raw.format);
+    // The format before anything else: another version may have other fields.
+    let format = value.get("format").and_then(serde_json::Value::as_str);
+    if format != Some(CALIBRATION_FORMAT) {
+        let found = format.map_or_else(|| "nothing".to_owned(), |f| format!("{f:?}"));
+        bail!("{name}: field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
     }
+    let raw: CalibrationFile<serde_json::Value> =
+        serde_json::from_value(value).with_context(|| format!("{name}: expected a calibration"))?;
     let found = raw.compute_hash()?;
     let changed = (found != raw.content_sha256).then(|| {
         format!(
@@ -80,8 +97,9 @@ pub fn read_unsealed(path: &Path) -> anyhow::Result<(CalibrationFile<Calibration
             raw.content_sha256
         )
     });
-    let file = serde_json::from_slice(&bytes)
+    let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
         .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))?;
+    file.model.check().with_context(|| name.to_string())?;
     Ok((file, changed))
 }
 

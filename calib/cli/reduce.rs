@@ -41,7 +41,9 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
     if as_json {
         let document = json!({
             "format": "wcal-reduction/1", "rows": result.rows, "holdout": result.holdout,
-            "scans": result.scans, "lost_scans": result.lost, "outliers": result.outliers,
+            "scans": result.scans, "lost_scans": result.lost, "gaps": result.gaps, "outliers": result.outliers,
+            "late_scans": result.late, "longest_delay_s": result.longest_delay_s, "rows_lost": result.marked[0],
+            "rows_late": result.marked[1], "empty_windows": result.empty_windows, "damaged_chunks": result.damaged_chunks,
             "cut_off": result.cut_off, "lag_s": result.lag_s, "warnings": result.warnings(),
             "camera_pairs": result.pairs[0], "camera_pairs_refused": result.pairs[1],
             "clocks": result.clocks.iter().map(|c| clock(c, None)).collect::<Vec<_>>(),

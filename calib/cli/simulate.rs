@@ -26,7 +26,8 @@ use wcal_mujoco::{Dataset, Missing, SweepEngine, SweepPlan};
   wcal simulate --meshes ycb/meshes --sweeps 200 --out /shared/sweeps --slurm --slurm-partition long --slurm-time 1:00:00
 
 Writes for every 25 sweeps over an object three Parquet tables (sweeps, samples, contacts) and a manifest with their checksums, and
-dataset.json. A second run with the same arguments goes on where the first stopped. With --engine mujoco the rod runs on the same sweeps:
+dataset.json. A second run with the same arguments goes on where the first stopped; one with another seed, plan, whisker, engine or other
+objects is refused: one folder, one dataset (recipe.json says which). With --engine mujoco the rod runs on the same sweeps:
 how far moments and contacts are from it, by speed, is printed and goes into dataset.json (against_rod) and the report, with the error of the
 links alone and how far the convex parts are from each mesh. Everything here is SIMULATED. Exit code 3: made, with objects left out, meshes
 that are not closed or not in millimetres, objects without a usable sweep, or an engine that died; with --check, 4: shards are missing or damaged.")]
@@ -135,6 +136,8 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         ensure!(jobs > 0, "--jobs: expected 1 or more, found 0");
         rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global().context("starting threads")?;
     }
+    // Before a job is handed in, and before a check writes its dataset.json over another's.
+    dataset.check_folder(&args.out)?;
     let mut check = args.check;
     if args.slurm.slurm {
         match slurm::submit(&args.slurm, &args.out, &dataset)? {

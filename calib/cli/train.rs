@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_mujoco::read::manifests;
+use wcal_mujoco::recipe::check_one_dataset;
 use wcal_mujoco::{Mesh, objects};
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_session::TextTableLayout;
@@ -110,6 +111,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let whisker = whisker(args.whisker.as_deref())?;
     for folder in std::iter::once(&args.sweeps).chain(&args.beside) {
         same_whisker(folder, &format!("{whisker:?}"))?;
+        check_one_dataset(folder)?;
     }
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
     ensure!(args.reuse > 0, "--reuse: expected 1 or more, found 0");

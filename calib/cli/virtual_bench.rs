@@ -15,7 +15,8 @@ use wcal_plant::table::{Path as GroovePath, Table};
 #[derive(Debug, Args)]
 #[command(
     after_help = "Prints one JSON line of addresses and runs until its input closes. Lines of input are faults: stall, reset,
-unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md)."
+unplug-stage, {\"kind\":\"lost-samples\",\"count\":50}, ... (firmware-notes/virtual-bench.md).
+Exit code 0: good; 1: the scenario or a port cannot be used; 3: the bench fell behind its own clock (lower --speed)."
 )]
 pub struct VirtualBenchArgs {
     /// Scenario file
@@ -29,7 +30,7 @@ pub struct VirtualBenchArgs {
     pub seed: Option<u64>,
 }
 
-/// Prints one JSON line of addresses, then obeys fault commands from its input until that closes.
+/// Prints one JSON line of addresses, then obeys fault commands from its input until that closes. Exit code 3: the bench fell behind.
 ///
 /// # Errors
 /// When the scenario cannot be used or a port cannot be opened.
@@ -65,6 +66,15 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
             Ok(fault) => bench.inject(fault),
             Err(e) => writeln!(std::io::stderr(), "virtual-bench: {e}")?,
         }
+    }
+    if let Some(behind_s) = bench.fell_behind_s() {
+        let speed = bench.addresses().speed;
+        writeln!(
+            std::io::stderr(),
+            "virtual-bench: warning: fell behind its clock by up to {behind_s:.1} s of bench time at {speed} times real time: \
+             rows recorded then are marked `late`; use a lower speed"
+        )?;
+        return Ok(ExitCode::from(3));
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -4,7 +4,7 @@
 Usage: tests/peers/.venv/bin/python tests/peers/rod_peers.py [--json OUT] [--binary PATH]
 Set-up: python3 -m venv tests/peers/.venv && tests/peers/.venv/bin/pip install numpy scipy
 
-Poses, moments and times of the rod come from `cargo run --release -p wcal-rod --example peer_poses`. The peer is
+Poses, moments and times of the rod come from `cargo run --release -p wcal-rod --example peer_poses` (calib/rod/examples). The peer is
 scipy.integrate.solve_bvp on the same boundary value problem: straight part and arc as two stacked segments (so that the jump of the
 rest curvature sits on a mesh border), 14 states (quaternion, position twice), four unknown parameters (force, contact arc length).
 It starts, like the rod, from the pose 0.3 mm before. Its tolerance is the loosest power of ten whose moment is as close to the rod's

@@ -19,7 +19,7 @@ use wcal_drivers::HostClock;
 use wcal_drivers::bench_files::{open_interrogator, open_stage};
 use wcal_session::recording::message::StagePosition;
 use wcal_session::recording::recorder::{LiveView, Recorder};
-use wcal_session::recording::replay::{End, Message, read};
+use wcal_session::recording::replay::{Message, read};
 use wcal_session::recording::rig::Rig;
 use wcal_session::recording::tracks::TrackChannels;
 
@@ -145,8 +145,8 @@ pub fn replay(
         if scans == 0 && !ended {
             return Err(anyhow!("{}: expected scans of an interrogator, found none", part.display()));
         }
-        if let End::CutOff(why) = end {
-            eprintln!("warning: {}: cut off ({why}); tracked to there", part.display());
+        if !end.is_whole() {
+            eprintln!("warning: {}: {end}; the readable part is tracked", part.display());
             cut_off.push(part.display().to_string());
         }
     }

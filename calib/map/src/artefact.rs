@@ -12,6 +12,8 @@ use wcal_core::FbgSpec;
 
 /// Version of [`MapArtefact`] that this program writes.
 pub const ARTEFACT_VERSION: u32 = 1;
+/// Most readings of a map: its factors take their square in memory.
+const MAX_READINGS: usize = 10_000;
 
 /// A wavelength-to-moment map that can be evaluated without a refit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -108,7 +110,14 @@ impl MapArtefact {
         };
         let scale = self.scale_pm;
         require(scale.is_finite() && scale > 0.0, "`scale_pm` above 0", scale.to_string())?;
-        require(!self.training_pm.is_empty(), "`training_pm` with readings", "none".into())?;
+        let readings = self.training_pm.len();
+        require(
+            (1..=MAX_READINGS).contains(&readings),
+            &format!("`training_pm` with 1 to {MAX_READINGS} readings"),
+            readings.to_string(),
+        )?;
+        let kind = &self.valid_region.kind;
+        require(kind == "hull", "`valid_region.kind` \"hull\"", format!("{kind:?}"))?;
         let numbers =
             || self.training_pm.iter().chain(&self.valid_region.vertices_pm).chain([&self.centre_pm]);
         require(finite(numbers().flatten().copied()), "finite shifts", "NaN or infinity".into())?;

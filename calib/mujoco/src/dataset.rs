@@ -142,7 +142,7 @@ impl Dataset {
     }
 
     /// SHA-256 of what an object's tables follow from.
-    fn made_from(&self, mesh: &Mesh) -> String {
+    pub(crate) fn made_from(&self, mesh: &Mesh) -> String {
         let engine = match &self.engine {
             SweepEngine::Rod => format!("rod {LINKS} {SOLVED}"),
             SweepEngine::Mujoco(options) => format!("mujoco {options:?} beside rod {LINKS} {SOLVED}"),
@@ -192,7 +192,7 @@ impl Dataset {
     /// Makes what is missing in `folder`; `progress` hears of every shard: sweeps done and in all.
     ///
     /// # Errors
-    /// Where the plan or wire cannot be, or the folder cannot be written.
+    /// Where the plan or wire cannot be, the folder holds another dataset, or cannot be written.
     pub fn make(
         &self,
         folder: &Path,
@@ -206,7 +206,7 @@ impl Dataset {
             }
             MujocoEngine::start()?;
         }
-        std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
+        self.claim(folder)?;
         let engine = RodEngine::new(&self.whisker, LINKS)?;
         let made_from: Vec<String> = self.objects.par_iter().map(|mesh| self.made_from(mesh)).collect();
         let parts: Vec<Parts> = self.objects.iter().map(|_| Parts::default()).collect();

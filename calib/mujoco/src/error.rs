@@ -39,6 +39,14 @@ pub enum TwinError {
     /// The MuJoCo engine ended while it was asked.
     #[error("MuJoCo engine: {0}")]
     EngineDied(String),
+    /// A folder that holds another dataset, or several.
+    #[error("{}: expected one dataset, found another or a mixture ({differences}); use another folder", folder.display())]
+    Mixture {
+        /// Which.
+        folder: PathBuf,
+        /// What differs.
+        differences: String,
+    },
     /// A shard that is damaged.
     #[error("shard {}: {detail}", path.display())]
     Shard {

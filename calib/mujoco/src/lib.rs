@@ -20,6 +20,7 @@ pub mod mjcf;
 pub mod objects;
 pub mod physics;
 pub mod read;
+pub mod recipe;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::recipe::check_one_dataset;
 use wcal_mujoco::{Dataset, Mesh, SweepPlan, objects, shard};
 
 fn dataset(seed: u64) -> Dataset {
@@ -44,10 +45,63 @@ fn shards_do_not_depend_on_threads_or_shares_and_go_on_where_they_stopped() {
     let again = dataset(1).make(one.path(), |_, _| {}).unwrap();
     assert_eq!([again["can"].made, again["wedge"].made], [2, 0]);
     assert!(whole == tables(one.path()));
-    // Negative control: another seed is another dataset, also in the same folder.
-    let other = dataset(2).make(one.path(), |_, _| {}).unwrap();
-    assert_eq!([other["can"].made, other["wedge"].made], [27, 27]);
-    assert!(whole != tables(one.path()));
+    // Negative control: another seed is another dataset.
+    let other = tempfile::tempdir().unwrap();
+    dataset(2).make(other.path(), |_, _| {}).unwrap();
+    assert!(whole != tables(other.path()));
+}
+
+/// One folder, one dataset: what differs is named, and nothing is replaced.
+#[test]
+fn a_folder_takes_no_other_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Dataset { sweeps: 2, ..dataset(1) };
+    own.make(folder.path(), |_, _| {}).unwrap();
+    let before = tables(folder.path());
+    let refused = |other: Dataset| other.make(folder.path(), |_, _| {}).unwrap_err().to_string();
+    let plan = SweepPlan { rate_hz: 3.0, ..own.plan.clone() };
+    let whisker = WhiskerSpec { youngs_gpa: 60.0, ..WhiskerSpec::nominal() };
+    let objects = |names: &[&str]| names.iter().map(|n| objects::built_in(n).unwrap()).collect::<Vec<_>>();
+    let mut renamed = objects::built_in("ball").unwrap();
+    renamed.name = "wedge".to_owned();
+    for (other, words) in [
+        (Dataset { seed: 2, ..own.clone() }, ["seed: there 1, asked for 2", "use another folder"]),
+        (Dataset { plan, ..own.clone() }, ["plan.rate_hz: there 2.0, asked for 3.0", "expected one dataset"]),
+        (Dataset { whisker, ..own.clone() }, ["whisker: there", "youngs_gpa: 60.0"]),
+        (Dataset { objects: objects(&["can"]), ..own.clone() }, ["object wedge: there, not asked for", ""]),
+        (
+            Dataset { objects: objects(&["can", "wedge", "ball"]), ..own.clone() },
+            ["object ball: not there", ""],
+        ),
+        (
+            Dataset { objects: [objects(&["can"]), vec![renamed]].concat(), ..own.clone() },
+            ["object wedge: there with another mesh", ""],
+        ),
+    ] {
+        let error = refused(other);
+        assert!(words.iter().all(|w| error.contains(w)), "{words:?}: {error}");
+    }
+    assert!(before == tables(folder.path()), "nothing was replaced");
+    // A folder from before there was a recipe: its shards say as much as they can.
+    std::fs::remove_file(folder.path().join("recipe.json")).unwrap();
+    let error = refused(Dataset { seed: 2, ..own.clone() });
+    assert!(error.contains("shard can-000000: made from another wire"), "{error}");
+    // Control: the same dataset goes on, and may grow.
+    own.make(folder.path(), |_, _| {}).unwrap();
+    let grown = Dataset { sweeps: 3, ..own.clone() }.make(folder.path(), |_, _| {}).unwrap();
+    assert_eq!(grown["can"].sweeps, 3);
+    // What a mixture was made of is told by whoever trains on it.
+    check_one_dataset(folder.path()).unwrap();
+    let other = tempfile::tempdir().unwrap();
+    Dataset { seed: 2, ..own }.make(other.path(), |_, _| {}).unwrap();
+    for file in std::fs::read_dir(other.path()).unwrap().map(|f| f.unwrap().path()) {
+        let name = file.file_name().unwrap().to_string_lossy().into_owned();
+        if name.starts_with("can-") {
+            std::fs::copy(&file, folder.path().join(name)).unwrap();
+        }
+    }
+    let error = check_one_dataset(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("shard can-000000") && !error.contains("wedge"), "{error}");
 }
 
 #[test]
@@ -66,11 +120,10 @@ fn a_wrong_byte_is_told_by_the_checksum() {
     std::fs::write(&table, bytes).unwrap();
     let error = shard::check(folder.path(), &manifest).unwrap_err().to_string();
     assert!(error.contains("can-000000.samples.parquet") && error.contains("SHA-256"), "{error}");
-    // It is made again, and that is said; so is a shard of another seed that goes.
+    // It is made again, and that is said.
     let said = make(1);
     assert!(said.starts_with("can-000000: ") && said.contains("SHA-256"), "{said}");
     assert!(shard::check(folder.path(), &manifest).is_ok() && make(1).is_empty());
-    assert!(make(2).contains("made from another wire, plan, mesh or seed"));
 }
 
 fn stl(path: &Path, corners: &[[f32; 3]], triangles: &[[usize; 3]]) {

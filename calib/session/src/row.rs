@@ -128,6 +128,17 @@ impl Row<'_> {
         }
     }
 
+    /// What the stream did in the reading's averaging window: `lost` or `late`; none where it was whole or the table does not say.
+    pub(crate) fn stream(&self, column: Option<Column>) -> Outcome<Option<&'static str>> {
+        let Some(column) = column else { return Ok(None) };
+        match self.text(column.index)? {
+            "" | "ok" => Ok(None),
+            "lost" => Ok(Some("lost")),
+            "late" => Ok(Some("late")),
+            other => Err(self.defect(column.name, "ok, lost or late", quote(other))),
+        }
+    }
+
     /// Temperature, deg C; a value that can only be kelvin is refused.
     pub(crate) fn temperature(&self, column: Option<Column>) -> Outcome<Option<f64>> {
         let value = self.number(column)?;

@@ -4,7 +4,7 @@ use crate::document::{self, Section};
 use crate::error::{Defect, SessionError, quote};
 use crate::whisker::{self, Demand};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::{AxisData, InputFile, Role, SessionData, SessionKind, TransducerData, WhiskerData};
 
@@ -122,11 +122,15 @@ fn read_medium(root: &Section<'_>, kind: SessionKind, warnings: &mut Vec<String>
 fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, Defect> {
     let section = root.section("files")?;
     let section = section.ok_or_else(|| root.defect("files", "a table [files]", "nothing"))?;
-    let relative = |key: &str| match section.text(key)? {
-        Some(name) if Path::new(&name).is_absolute() || name.is_empty() => {
-            Err(section.defect(key, "a path relative to the session's folder", quote(&name)))
+    let relative = |key: &str| -> Result<Option<String>, Defect> {
+        let Some(name) = section.text(key)? else { return Ok(None) };
+        match outside(folder, &name) {
+            Some(found) => {
+                let expected = "a file in the session's folder, its path relative to it and without \"..\"";
+                Err(section.defect(key, expected, found))
+            }
+            None => Ok(Some(name)),
         }
-        name => Ok(name),
     };
     let points = relative("points")?
         .ok_or_else(|| section.defect("points", "the name of the points table", "nothing"))?;
@@ -143,6 +147,23 @@ fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> 
     }
     whisker_meta::warn_unknown(&section, warnings);
     Ok(files)
+}
+
+/// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.
+/// A file that is not there is no matter of this check.
+fn outside(folder: &Path, name: &str) -> Option<String> {
+    let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    if name.is_empty() || !Path::new(name).components().all(plain) {
+        return Some(quote(name));
+    }
+    let path = folder.join(name);
+    // Links are followed here, once, before anything is opened. The folder of a bare "session.toml" is "".
+    let root = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let (Ok(target), Ok(root)) = (path.canonicalize(), root.canonicalize()) else { return None };
+    if !target.starts_with(root) {
+        return Some(format!("{}, a link to {}", quote(name), target.display()));
+    }
+    (!target.is_file()).then(|| format!("{}, which is not a regular file", quote(name)))
 }
 
 fn load_whisker(

@@ -60,6 +60,7 @@ struct Columns {
     temperature: Option<Column>,
     sd: [Option<Column>; 2],
     samples: Option<Column>,
+    stream: Option<Column>,
 }
 
 enum Wavelengths {
@@ -95,6 +96,8 @@ fn find_columns(table: &mut Table, fbg: &FbgSpec, demand: Demand) -> Result<Colu
         temperature: table.optional("temperature_degc")?,
         sd: [table.optional("fbg_1_sd_pm")?, table.optional("fbg_2_sd_pm")?],
         samples: table.optional("samples")?,
+        // A free table may use the word for something else.
+        stream: if in_session { table.optional("stream")? } else { None },
     })
 }
 
@@ -130,16 +133,40 @@ pub(crate) fn read_rows(
     let mut warnings = unused_columns(&table);
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
+    let mut marked = [("lost", Vec::new()), ("late", Vec::new())];
     while let Some(row) = table.next_row()? {
         let order = i64::try_from(rows.len()).unwrap_or(i64::MAX);
         let reading = read_row(&row, &columns, fbg, &known, demand, order)?;
         points.note(&row, reading.point)?;
         clock.note(row.line, reading.t_s);
+        if let Some(word) = row.stream(columns.stream)? {
+            marked.iter_mut().filter(|m| m.0 == word).for_each(|m| m.1.push(reading.point));
+        }
         rows.push(reading);
     }
+    warnings.extend(marked.iter().filter_map(|(word, points)| stream_warning(name, word, points)));
     warnings.extend(clock.warning(name));
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
+}
+
+/// Readings whose averaging windows met a stream that was not whole.
+fn stream_warning(name: &str, word: &str, points: &[i64]) -> Option<String> {
+    /// More points are counted, not named.
+    const MAX_NAMED: usize = 20;
+    if points.is_empty() {
+        return None;
+    }
+    let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();
+    if points.len() > MAX_NAMED {
+        named.push(format!("and {} more", points.len() - MAX_NAMED));
+    }
+    let what = if word == "lost" {
+        "scans are missing in the averaging window"
+    } else {
+        "scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen behind"
+    };
+    Some(format!("{name}: points {}: {what}", named.join(", ")))
 }
 
 pub(crate) fn unused_columns(table: &Table) -> Vec<String> {

@@ -39,6 +39,27 @@ fn each_broken_session_gives_its_error() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// A session that was handed on reads nothing but its own folder, whatever its links say.
+#[test]
+fn links_that_lead_out_of_the_folder_are_refused() {
+    let (outer, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    Base::Whisker.write(outer.path());
+    Base::Whisker.write(folder.path());
+    let points = folder.path().join("points.csv");
+    let link = |to: &Path| {
+        fs::remove_file(&points).unwrap();
+        std::os::unix::fs::symlink(to, &points).unwrap();
+        load(folder.path()).map(|_| ()).map_err(|e| e.to_string())
+    };
+    let out = link(&outer.path().join("points.csv")).unwrap_err();
+    assert!(out.contains("files.points") && out.contains("a link to"), "{out}");
+    let device = link(Path::new("/dev/zero")).unwrap_err();
+    assert!(device.contains("/dev/zero"), "{device}");
+    // Control: a link that stays inside is a file of the folder.
+    fs::write(folder.path().join("real.csv"), WHISKER_POINTS).unwrap();
+    assert_eq!(link(Path::new("real.csv")), Ok(()));
+}
+
 fn whisker_with(edit: impl Fn(&str) -> String) -> (tempfile::TempDir, LoadedSession) {
     let folder = tempfile::tempdir().unwrap();
     Base::Whisker.write(folder.path());

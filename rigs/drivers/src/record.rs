@@ -18,7 +18,7 @@ use wcal_session::recording::recorder::Recorder;
 use wcal_session::recording::reduce::{Reduction, recordings, reduce};
 use wcal_session::recording::replay::completed_steps;
 use wcal_session::recording::rig::Rig;
-use wcal_session::recording::run_file::{RUN_FORMAT, RunFile};
+use wcal_session::recording::run_file::{RUN_FORMAT, RunFile, RunOutcome};
 use wcal_session::recording::sweep::{Ending, Mount, Progress, SweepBench, SweepReport, acquire, run};
 use wcal_session::recording::tables::temperature_ratio;
 use wcal_session::write_atomic;
@@ -61,9 +61,15 @@ impl Recorded {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let mut all = self.sweep.warnings();
-        all.extend(self.reduction.iter().flat_map(Reduction::clock_warnings));
-        all
+        match &self.reduction {
+            // The tables know of every run of the session, the sweep of its own.
+            Ok(reduction) => {
+                let mut all = reduction.stream_warnings();
+                all.extend(self.sweep.signal_warnings());
+                all
+            }
+            Err(_) => self.sweep.warnings(),
+        }
     }
 
     /// 0 good, 1 stopped or without tables, 3 finished with warnings.
@@ -130,9 +136,9 @@ pub fn record(
     let about = describe(order, &rig, &plan, devices)?;
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
-    let recorder = Recorder::create(&order.folder.join(name), about)?;
+    let recorder = Recorder::create(&order.folder.join(&name), about)?;
     let _live = order.live.map(|address| recorder.serve(address)).transpose()?;
-    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig)));
+    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
     let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { Ok(open_stage(&rig.stage, clock)?.0) };
     let mut sweep = std::thread::scope(|scope| {
@@ -158,7 +164,33 @@ pub fn record(
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
     let reduction = reduce(&order.folder);
     let repeats = chain.map_or(0, |c| c.borrow().repeats());
-    Ok(Recorded { sweep, reduction, repeats })
+    let recorded = Recorded { sweep, reduction, repeats };
+    add_outcome(&order.folder, name, &recorded)?;
+    Ok(recorded)
+}
+
+/// Adds to run.json what came of this run.
+fn add_outcome(folder: &Path, recording: String, recorded: &Recorded) -> Result<(), RecordingError> {
+    let path = folder.join("run.json");
+    let io = |source| RecordingError::Io { action: "reading", path: path.clone(), source };
+    let mut run = RunFile::parse(&std::fs::read_to_string(&path).map_err(io)?)?;
+    let (ending, cause) = match &recorded.sweep.ending {
+        Ending::Finished => ("finished", None),
+        Ending::Stopped { cause, .. } => ("stopped", Some(cause.to_string())),
+    };
+    run.runs.push(RunOutcome {
+        recording,
+        ending: ending.to_owned(),
+        cause,
+        scans: recorded.sweep.counts.scans,
+        lost_scans: recorded.sweep.counts.lost,
+        warnings: recorded.warnings(),
+    });
+    save(&path, &as_text(&run)?)
+}
+
+fn as_text(run: &RunFile) -> Result<String, RecordingError> {
+    serde_json::to_string_pretty(run).map_err(|e| RecordingError::Recorder(e.to_string()))
 }
 
 /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
@@ -251,8 +283,9 @@ fn describe(
         plan_sha256: sha256_hex(order.plan.as_bytes()),
         devices,
         clock_scale: rig.clock_scale,
+        runs: Vec::new(),
     };
-    let text = serde_json::to_string_pretty(&run).map_err(|e| RecordingError::Recorder(e.to_string()))?;
+    let text = as_text(&run)?;
     let path = order.folder.join("run.json");
     // A resumed session keeps the identity it was begun with.
     if !path.exists() {

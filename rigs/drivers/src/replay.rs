@@ -47,7 +47,7 @@ impl Interrogator for ReplayInterrogator {
         Ok(DeviceIdentity {
             driver: "replay".to_owned(),
             model: format!("{} scans", self.scans.len()),
-            settings: vec![("end".to_owned(), format!("{:?}", self.end))],
+            settings: vec![("end".to_owned(), self.end.to_string())],
             ..DeviceIdentity::default()
         })
     }

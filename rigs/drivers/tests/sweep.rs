@@ -5,8 +5,12 @@ mod common;
 use common::{NoMount, PLAN, bench, go, order, rows};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use wcal_core::Role;
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
+use wcal_drivers::bench::VirtualBench;
+use wcal_drivers::bench::faults::Fault;
+use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scenario::Scenario;
 use wcal_drivers::record::{Order, record};
 use wcal_drivers::replay::ReplayInterrogator;
@@ -14,6 +18,7 @@ use wcal_session::recording::assign::ChannelMap;
 use wcal_session::recording::monitor::Monitor;
 use wcal_session::recording::recorder::Recorder;
 use wcal_session::recording::rig::Rig;
+use wcal_session::recording::run_file::RunFile;
 use wcal_session::recording::sweep::{Ending, acquire};
 
 #[test]
@@ -67,7 +72,11 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let mut order = order(&bench, PLAN, dir.path());
     let interrupt = AtomicBool::new(false);
+    let mut lost = false;
     let first = record(&order, &mut NoMount, &interrupt, &mut |p| {
+        if p.step >= 4 && !std::mem::replace(&mut lost, true) {
+            bench.inject(Fault::LostSamples { count: 37 });
+        }
         interrupt.store(p.step >= 5, Ordering::SeqCst);
     })
     .unwrap();
@@ -78,6 +87,17 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     order.resume = true;
     let second = go(&order).unwrap();
     assert_eq!(second.sweep.ending, Ending::Finished, "{second:?}");
+    // What the first run lost is still lost: the exit code, run.json and session.toml say so.
+    assert_eq!((second.sweep.counts.lost, second.exit_code()), (0, 3), "{:?}", second.warnings());
+    assert!(second.warnings().iter().any(|w| w == "37 scans lost in 1 gaps"), "{:?}", second.warnings());
+    let run = std::fs::read_to_string(order.folder.join("run.json")).unwrap();
+    let runs = RunFile::parse(&run).unwrap().runs;
+    let [stopped, finished] = &runs[..] else { panic!("{runs:?}") };
+    assert_eq!((stopped.ending.as_str(), stopped.lost_scans), ("stopped", 37), "{runs:?}");
+    assert_eq!((finished.ending.as_str(), finished.recording.as_str()), ("finished", "recording-2.mcap"));
+    assert_eq!(finished.warnings, second.warnings());
+    let session = std::fs::read_to_string(order.folder.join("session.toml")).unwrap();
+    assert!(session.contains("lost_scans = 37") && session.contains("37 scans lost in 1 gaps"), "{session}");
     let data = rows(&order.folder);
     assert_eq!(data.rows.len(), 6, "{before} rows before");
     assert!(before < 6 && second.sweep.done < 8);
@@ -112,7 +132,7 @@ fn a_recording_is_an_interrogator_again() {
     let rig = Rig::parse("rig.toml", &order.rig).unwrap();
     let mut replay = ReplayInterrogator::open(&order.folder.join("recording.mcap")).unwrap();
     assert!((replay.rate_hz() - 500.0).abs() < 1.0, "{}", replay.rate_hz());
-    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), [1.0, 1.0]));
+    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), [1.0, 1.0], rig.clock_scale));
     let again = Recorder::create(&dir.path().join("again.mcap"), Default::default()).unwrap();
     acquire(&mut replay, &monitor, &again, &AtomicBool::new(false));
     again.finish().unwrap();
@@ -121,4 +141,33 @@ fn a_recording_is_an_interrogator_again() {
     assert_eq!(monitor.fault().unwrap().kind, Kind::Disconnected, "the end of a recording is an end");
     assert!(monitor.latest().usable().is_some());
     assert!(ReplayInterrogator::open(&dir.path().join("none.mcap")).is_err());
+}
+
+/// A plant that takes its time, once.
+struct Slow(bool);
+
+impl Plant for Slow {
+    fn moment_nmm(&mut self, _: u32, _: f64) -> [f64; 2] {
+        if !std::mem::replace(&mut self.0, true) {
+            std::thread::sleep(Duration::from_millis(700));
+        }
+        [0.0; 2]
+    }
+}
+
+/// At a hundred times real time 0.7 s are 70 s of the bench: longer than it remembers where its stage was.
+#[test]
+fn a_bench_that_falls_behind_its_clock_knows_it() {
+    let behind = |slow: bool| {
+        let text = "format = \"wcal-scenario/1\"\nspeed = 100.0\n[interrogator]\nrate_hz = 100\n[cameras]\ncount = 0\n";
+        let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Some(Box::new(Slow(!slow)))).unwrap();
+        let start = Instant::now();
+        while bench.now_s() < 100.0 && start.elapsed() < Duration::from_secs(5) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        bench.fell_behind_s()
+    };
+    let found = behind(true);
+    assert!(found.is_some_and(|s| s > 60.0), "{found:?}");
+    assert_eq!(behind(false), None, "control");
 }

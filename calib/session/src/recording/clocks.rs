@@ -3,17 +3,36 @@
 //!
 //! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can (Moon, Skelly,
 //! Towsley, "Estimation and removal of clock skew from network delay measurements", 1999): the edge of their upper convex
-//! hull over the middle of the recording.
+//! hull over the middle of the recording. What comes seconds late says nothing of the clocks and is left out of the line: a stream
+//! that falls behind for half a recording would tilt it.
 
+/// A reading that arrives this much later than others did (wall time) says that the bench, or this computer, falls behind, s.
+const LATE_WALL_S: f64 = 2.0;
+/// On a bench faster than real time also one that is this late by the bench's own time: a virtual bench remembers a minute of where its
+/// stage was, s.
+const LATE_BENCH_S: f64 = 50.0;
 /// Pairs are thinned to the best of each interval of this length, s.
 const INTERVAL_S: f64 = 1.0;
 /// Intervals that count as recent: a crystal drifts by a millisecond in them, a busy host recovers.
 const RECENT: usize = 10;
 
+/// Lateness (bench time, s) from which on a reading is called late, on a bench that runs `clock_scale` times as fast as real time.
+#[must_use]
+pub fn late_s(clock_scale: f64) -> f64 {
+    (LATE_WALL_S * clock_scale).min(LATE_BENCH_S)
+}
+
+/// Error of the clocks' alignment that does no harm (wall time), s: what a busy host delays by.
+const ALIGNED_S: f64 = 0.02;
+
 /// Host and device time of one stream.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct ClockPair {
+    clock_scale: f64,
+    late_s: f64,
     origin: Option<(f64, f64)>,
+    /// The least delayed pair of all.
+    earliest: (f64, f64),
     best: Vec<(f64, f64)>,
     current: Option<(i64, f64, f64)>,
 }
@@ -50,11 +69,34 @@ impl ClockFit {
     }
 }
 
+impl Default for ClockPair {
+    fn default() -> Self {
+        Self::new(1.0)
+    }
+}
+
 impl ClockPair {
+    /// No pair yet; host times run `clock_scale` times as fast as real time.
+    #[must_use]
+    pub fn new(clock_scale: f64) -> Self {
+        let earliest = (0.0, f64::NEG_INFINITY);
+        Self {
+            clock_scale,
+            late_s: late_s(clock_scale),
+            origin: None,
+            earliest,
+            best: Vec::new(),
+            current: None,
+        }
+    }
+
     /// Adds the arrival of a reading.
     pub fn add(&mut self, host_s: f64, device_s: f64) {
         let (host0, device0) = *self.origin.get_or_insert((host_s, device_s));
         let (x, y) = (host_s - host0, device_s - device0 - (host_s - host0));
+        if y > self.earliest.1 {
+            self.earliest = (x, y);
+        }
         let interval = (x / INTERVAL_S).floor() as i64;
         match &mut self.current {
             // The least delayed arrival has the largest device minus host time.
@@ -82,12 +124,39 @@ impl ClockPair {
         Some(self.fit()?.device_s(host_s).max(host_s - host0 + device0 + offset))
     }
 
+    /// How much later a reading arrived than the least delayed one, s, less what a working clock may have drifted between the two.
+    #[must_use]
+    pub fn delay_s(&self, host_s: f64, device_s: f64) -> f64 {
+        let Some((host0, device0)) = self.origin else { return 0.0 };
+        self.delay_of((host_s - host0, device_s - device0 - (host_s - host0)))
+    }
+
+    fn delay_of(&self, (x, y): (f64, f64)) -> f64 {
+        self.earliest.1 - y - BROKEN_CLOCK * (x - self.earliest.0).abs()
+    }
+
+    /// Whether a reading came so late that the bench or this computer had fallen behind.
+    #[must_use]
+    pub fn is_late(&self, host_s: f64, device_s: f64) -> bool {
+        self.delay_s(host_s, device_s) > self.late_s
+    }
+
+    /// Whether host times cannot be told in device times: the line drifts more than a working clock does, by a harmful amount. A stream
+    /// that falls behind more and more looks like this, too: nothing tells it from a slow clock.
+    #[must_use]
+    pub fn is_unaligned(&self) -> bool {
+        let Some(fit) = self.fit() else { return false };
+        let last_s = self.current.map_or(0.0, |(_, x, _)| x);
+        (fit.drift.abs() - BROKEN_CLOCK) * last_s / 2.0 > ALIGNED_S * self.clock_scale
+    }
+
     /// The fit; `None` without any pair.
     #[must_use]
     pub fn fit(&self) -> Option<ClockFit> {
         let (host0, device0) = self.origin?;
         let mut points = self.best.clone();
         points.extend(self.current.map(|(_, x, y)| (x, y)));
+        points.retain(|p| self.delay_of(*p) <= self.late_s);
         let n = points.len() as f64;
         let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;
         let sxx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
@@ -188,6 +257,35 @@ mod tests {
             pair.add(host + f64::from(k * 37 % 11) * 2e-3, host + (host - 25.0).max(0.0) * 0.02);
         }
         assert!(pair.fit().unwrap().broken());
+    }
+
+    /// A bench that falls behind for the second half of a recording: the line stays that of the first, and every late reading is known.
+    #[test]
+    fn a_stream_that_falls_behind_moves_neither_the_line_nor_hides() {
+        let mut pair = ClockPair::new(1.0);
+        let late = |k: u32| if k < 5000 { 0.0 } else { 5.0 + f64::from(k - 5000) * 0.005 };
+        let at = |k: u32| (f64::from(k) * 0.01 + late(k), f64::from(k) * 0.01 * (1.0 + 50e-6));
+        (0..10_000).for_each(|k| pair.add(at(k).0, at(k).1));
+        let fit = pair.fit().unwrap();
+        assert!((fit.drift - 50e-6).abs() < 5e-6, "{fit:?}");
+        let found = (0..10_000).filter(|k| pair.is_late(at(*k).0, at(*k).1));
+        assert!(found.eq(5000..10_000));
+        // Control: what a working clock drifts in three hours is no delay.
+        let mut good = ClockPair::new(1.0);
+        (0..10_800).for_each(|s| good.add(f64::from(s), f64::from(s) * (1.0 - 250e-6)));
+        assert!((0..10_800).all(|s| !good.is_late(f64::from(s), f64::from(s) * (1.0 - 250e-6))));
+    }
+
+    #[test]
+    fn a_stream_that_falls_behind_more_and_more_cannot_be_aligned() {
+        let run = |behind: f64| {
+            let mut pair = ClockPair::new(60.0);
+            (0..13_000).map(|k| f64::from(k) * 0.01).for_each(|t| pair.add(t * (1.0 + behind), t));
+            pair.is_unaligned()
+        };
+        assert!(run(0.6) && run(0.1));
+        // Controls: nothing behind, and what a crystal may drift.
+        assert!(!run(0.0) && !run(200e-6));
     }
 
     #[test]

@@ -56,9 +56,10 @@ struct Block {
 }
 
 impl Monitor {
-    /// `temperature_ratio`: shift of each sensing grating per shift of the reference, at constant load.
+    /// `temperature_ratio`: shift of each sensing grating per shift of the reference, at constant load. `clock_scale`: host seconds per
+    /// wall second.
     #[must_use]
-    pub fn new(map: ChannelMap, temperature_ratio: [f64; 2]) -> Self {
+    pub fn new(map: ChannelMap, temperature_ratio: [f64; 2], clock_scale: f64) -> Self {
         Self {
             map,
             temperature_ratio,
@@ -68,7 +69,7 @@ impl Monitor {
             latest: Assigned::default(),
             blocks: VecDeque::new(),
             unusable_run: 0,
-            clocks: ClockPair::default(),
+            clocks: ClockPair::new(clock_scale),
             fault: None,
         }
     }
@@ -82,7 +83,7 @@ impl Monitor {
             self.counts.gaps += 1;
             self.counts.lost += reading.serial - expected;
         }
-        self.next_serial = Some(reading.serial + 1);
+        self.next_serial = Some(reading.serial.saturating_add(1));
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.latest_s = Some(device_s);
         self.clocks.add(reading.clocks.host_s, device_s);
@@ -234,7 +235,7 @@ mod tests {
     use wcal_core::device::{Clocks, InterrogatorHealth};
 
     fn monitor() -> Monitor {
-        Monitor::new(ChannelMap::new(&Rig::parse("r", RIG).unwrap()), [1.0, 1.0])
+        Monitor::new(ChannelMap::new(&Rig::parse("r", RIG).unwrap()), [1.0, 1.0], 1.0)
     }
 
     fn scan(serial: u64, drift_pm_s: f64, heat_pm_s: f64) -> FbgReading {

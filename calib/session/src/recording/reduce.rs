@@ -5,10 +5,10 @@ use super::clocks::{ClockFit, ClockPair};
 use super::error::RecordingError;
 use super::lag;
 use super::message::{StagePosition, SweepEvent};
-use super::replay::{End, Message, read};
+use super::replay::{Message, read};
 use super::rig::Rig;
 use super::run_file::RunFile;
-use super::tables::{self, Row};
+use super::tables::{self, Row, Stream};
 use super::windows::Samples;
 use crate::write_atomic;
 use std::collections::BTreeMap;
@@ -16,6 +16,10 @@ use std::path::{Path, PathBuf};
 
 /// Length of the window of a row on the fly, s.
 const MOVING_WINDOW_S: f64 = 0.02;
+/// A row whose window misses more than this share of its scans is marked.
+const MAX_MISSING: f64 = 0.1;
+/// Rows of one move; a move that states more is a damaged one.
+const MAX_MOVING_ROWS: f64 = 1e6;
 
 /// What a reduction made.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -28,10 +32,22 @@ pub struct Reduction {
     pub scans: u64,
     /// Scans missing by their running number.
     pub lost: u64,
+    /// Jumps of the running number.
+    pub gaps: u64,
+    /// Scans that came so late that the bench or the recording computer had fallen behind.
+    pub late: u64,
+    /// Longest time that a scan came late by, s of the bench's time.
+    pub longest_delay_s: f64,
+    /// Rows by what their windows met: scans missing, scans late.
+    pub marked: [usize; 2],
+    /// Windows without the two usable scans that a row needs.
+    pub empty_windows: usize,
     /// Marked samples.
     pub outliers: usize,
     /// Recordings that were cut off.
     pub cut_off: usize,
+    /// Chunks of the recordings that could not be read.
+    pub damaged_chunks: u64,
     /// Camera pairs recorded, and refused.
     pub pairs: [u64; 2],
     /// Delay of the interrogator behind the stage at each sync move, s.
@@ -46,18 +62,39 @@ impl Reduction {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let mut all = Vec::new();
-        if self.lost > 0 {
-            all.push(format!("{} scans lost", self.lost));
-        }
+        let mut all = self.stream_warnings();
         if self.cut_off > 0 {
-            all.push(format!("{} recordings cut off", self.cut_off));
+            all.insert(0, format!("{} recordings cut off", self.cut_off));
         }
-        if self.pairs[1] > 0 {
-            all.push(format!("{} camera pairs refused", self.pairs[1]));
-        }
-        all.extend(self.clock_warnings());
         all
+    }
+
+    /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
+    #[must_use]
+    pub fn stream_warnings(&self) -> Vec<String> {
+        let Self { lost, gaps, late, longest_delay_s, marked, empty_windows, damaged_chunks, .. } = self;
+        let refused = self.pairs[1];
+        let all = [
+            (*damaged_chunks > 0, format!("{damaged_chunks} damaged chunks of the recording left out")),
+            (*lost > 0, format!("{lost} scans lost in {gaps} gaps")),
+            (
+                *late > 0,
+                format!(
+                    "{late} scans late, by up to {longest_delay_s:.1} s of the bench's time: the bench or this computer fell behind"
+                ),
+            ),
+            (
+                *marked != [0; 2],
+                format!(
+                    "{} rows with scans missing and {} with late scans or clocks that cannot be aligned, marked in the column `stream`",
+                    marked[0], marked[1]
+                ),
+            ),
+            (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
+            (refused > 0, format!("{refused} camera pairs refused")),
+        ];
+        let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
+        all.chain(self.clock_warnings()).collect()
     }
 
     /// Clocks that no crystal explains.
@@ -101,6 +138,10 @@ pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
     for part in &parts {
         reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?;
     }
+    result.holdout = rows.iter().filter(|r| r.sealed).count();
+    result.rows = rows.len() - result.holdout;
+    result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
+    result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let files = tables::write_tables(&rig, &rows)?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes).map_err(|e| RecordingError::Recorder(e.to_string()))?;
@@ -111,9 +152,6 @@ pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
     let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
     write_atomic(&folder.join("session.toml"), session.as_bytes())
         .map_err(|e| RecordingError::Recorder(e.to_string()))?;
-    result.holdout = rows.iter().filter(|r| r.sealed).count();
-    result.rows = rows.len() - result.holdout;
-    result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
     Ok(result)
 }
 
@@ -123,6 +161,8 @@ struct Window {
     end_s: f64,
     event: usize,
     samples: Samples,
+    /// A scan of it came late.
+    late: bool,
 }
 
 fn reduce_part(
@@ -133,7 +173,7 @@ fn reduce_part(
     result: &mut Reduction,
 ) -> Result<(), RecordingError> {
     // First pass: what was done, where the stage was, how the clocks ran.
-    let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::default());
+    let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures) = (None::<u64>, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
     let end = read(path, |message| match message {
@@ -141,8 +181,10 @@ fn reduce_part(
             clocks.add(scan.host_s, scan.device_s);
             origin_s.get_or_insert(scan.device_s);
             result.scans += 1;
-            result.lost += next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
-            next_serial = Some(scan.serial + 1);
+            let missing = next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
+            result.lost = result.lost.saturating_add(missing);
+            result.gaps += u64::from(missing > 0);
+            next_serial = Some(scan.serial.saturating_add(1));
         }
         Message::Stage(reading) => stage.push(reading),
         Message::Event(event) => {
@@ -156,7 +198,8 @@ fn reduce_part(
         Message::Other(..) => {}
     })?;
     result.pairs[0] += pictures / 2;
-    result.cut_off += usize::from(end != End::Closed);
+    result.cut_off += usize::from(end.cut_off.is_some());
+    result.damaged_chunks += end.damaged_chunks;
     result.camera_clocks.extend(cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))));
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(()) };
     result.clocks.push(fit);
@@ -167,9 +210,19 @@ fn reduce_part(
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
+    // Where the stage was is told by its host times: without aligned clocks no row can say.
+    let unaligned = clocks.is_unaligned();
+    let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     read(path, |message| {
         let Message::Scan(scan) = message else { return };
         let t_s = scan.device_s;
+        if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1)) {
+            lost.push([last_s, t_s]);
+        }
+        last = Some((scan.serial, t_s));
+        let late = clocks.is_late(scan.host_s, t_s);
+        result.late += u64::from(late);
+        result.longest_delay_s = result.longest_delay_s.max(clocks.delay_s(scan.host_s, t_s));
         for (sync, signal) in syncs.iter().zip(&mut sync_signals) {
             if (sync.begin_s..=sync.end_s).contains(&t_s)
                 && let Some([a, b]) = map.assign(&scan.reading()).usable()
@@ -183,6 +236,7 @@ fn reduce_part(
             if t_s > window.end_s {
                 continue;
             }
+            window.late |= late;
             let assigned = map.assign(&scan.reading());
             match assigned.usable() {
                 Some(sensing) => {
@@ -200,9 +254,25 @@ fn reduce_part(
     }
     for window in windows {
         let event = &events[window.event];
-        rows.extend(row_of(rig, event, &window, &track, origin_s));
+        let stream = match window.late || unaligned {
+            true => Stream::Late,
+            false if missing_share(&window, &lost) > MAX_MISSING => Stream::Lost,
+            false => Stream::Whole,
+        };
+        match row_of(rig, event, &window, &track, origin_s) {
+            Some(row) => rows.push(Row { stream, ..row }),
+            None => result.empty_windows += 1,
+        }
     }
     Ok(())
+}
+
+/// Share of a window that lies in gaps of the stream; `lost` in order of time.
+fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
+    let from = lost.partition_point(|gap| gap[1] <= window.begin_s);
+    let gaps = lost[from..].iter().take_while(|gap| gap[0] < window.end_s);
+    let missing_s: f64 = gaps.map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s)).sum();
+    missing_s / (window.end_s - window.begin_s)
 }
 
 fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
@@ -214,8 +284,12 @@ fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
                 end_s: event.end_s,
                 event: index,
                 samples: Samples::default(),
+                late: false,
             }),
-            "moving" if event.rows_hz > 0.0 => {
+            "moving"
+                if event.rows_hz > 0.0
+                    && (event.end_s - event.begin_s) * event.rows_hz <= MAX_MOVING_ROWS =>
+            {
                 let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
                 let mut centre_s = event.begin_s + half_s;
                 while centre_s + half_s <= event.end_s {
@@ -224,6 +298,7 @@ fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
                         end_s: centre_s + half_s,
                         event: index,
                         samples: Samples::default(),
+                        late: false,
                     });
                     centre_s += 1.0 / event.rows_hz;
                 }
@@ -257,6 +332,7 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
         dwell_s: if moving { 0.0 } else { window.end_s - event.arrived_s },
         groove_mm: rig.trajectory(event.trajectory).filter(|_| loaded).map(|t| t.groove_mm(stage_mm)),
         settled: event.settled || moving,
+        stream: Stream::Whole,
         unusable: window.samples.unusable,
         serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
         mean,

@@ -2,9 +2,11 @@
 
 use super::error::RecordingError;
 use super::message::{Scan, StagePosition, SweepEvent, topic};
-use mcap::sans_io::linear_reader::LinearReaderOptions;
-use mcap::sans_io::message_reader::{MessageReadEvent, MessageReader};
+use mcap::records::op;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
+use std::collections::HashMap;
+use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -24,41 +26,188 @@ pub enum Message {
     Other(String, f64),
 }
 
-/// How a recording ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum End {
-    /// Closed properly.
-    Closed,
-    /// Cut off; everything before was given.
-    CutOff(String),
+/// How a recording ended, and what of it could not be read.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct End {
+    /// Why reading stopped before the end of the file; everything before was given.
+    pub cut_off: Option<String>,
+    /// Chunks that were left out: their checksum is wrong, or their content makes no sense.
+    pub damaged_chunks: u64,
 }
 
-/// Gives every message in file order to `take`.
+impl End {
+    /// Closed properly, and all of it read.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl fmt::Display for End {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.damaged_chunks, &self.cut_off) {
+            (0, None) => write!(f, "closed"),
+            (0, Some(why)) => write!(f, "cut off ({why})"),
+            (n, None) => write!(f, "{n} damaged chunks left out"),
+            (n, Some(why)) => write!(f, "{n} damaged chunks left out, then cut off ({why})"),
+        }
+    }
+}
+
+/// Longest record that is read, bytes: a chunk of ours holds half a megabyte, or one picture. A longer one is a damaged length.
+const MAX_RECORD_BYTES: u64 = 256 << 20;
+
+/// Gives every message in file order to `take`. A chunk whose checksum is wrong is left out whole; where a length is wrong, what follows
+/// cannot be found and reading stops. Neither is an error: the result says what was lost.
 ///
 /// # Errors
-/// When the file cannot be opened, is no MCAP file, or holds a message that cannot be decoded.
+/// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, RecordingError> {
     let mut file = File::open(path).map_err(RecordingError::io("opening", path))?;
-    // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
-    let mut reader =
-        MessageReader::new_with_options(LinearReaderOptions::default().with_prevalidate_chunk_crcs(true));
+    let size = file.metadata().map_err(RecordingError::io("opening", path))?.len();
+    // No record is longer than its file, whatever its length says.
+    let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
+    let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
+    let mut reader = LinearReader::new_with_options(options);
+    let (mut end, mut topics) = (End::default(), Topics::default());
     while let Some(event) = reader.next_event() {
         match event {
-            Ok(MessageReadEvent::ReadRequest(need)) => {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
                 let count = file.read(reader.insert(need)).map_err(RecordingError::io("reading", path))?;
                 reader.notify_read(count);
             }
-            Ok(MessageReadEvent::Message(message)) => {
-                take(decode(path, &message)?);
+            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => match Chunk::parse(data) {
+                // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
+                Some(Chunk::Records(records)) => {
+                    let mut whole = true;
+                    for (opcode, body) in records {
+                        whole &= topics.give(path, opcode, body, &mut take)?;
+                    }
+                    end.damaged_chunks += u64::from(!whole);
+                }
+                Some(Chunk::Compressed(name)) => {
+                    let expected = "chunks without compression, as wcal records them";
+                    return Err(RecordingError::input(path.display().to_string(), expected, name));
+                }
+                None => end.damaged_chunks += 1,
+            },
+            Ok(LinearReadEvent::Record { opcode, data }) => {
+                end.damaged_chunks += u64::from(!topics.give(path, opcode, data, &mut take)?);
             }
             // A recorder that was killed before its first flush leaves an empty file, no other bytes.
             Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
                 return Err(RecordingError::input(path.display().to_string(), "an MCAP file", "other bytes"));
             }
-            Err(e) => return Ok(End::CutOff(e.to_string())),
+            Err(e) => {
+                end.cut_off = Some(e.to_string());
+                break;
+            }
         }
     }
-    Ok(End::Closed)
+    Ok(end)
+}
+
+/// A chunk of the file (MCAP specification, "Chunk (op=0x06)").
+enum Chunk<'a> {
+    /// Operation code and body of each record.
+    Records(Vec<(u8, &'a [u8])>),
+    /// Compressed by this algorithm.
+    Compressed(&'static str),
+}
+
+impl<'a> Chunk<'a> {
+    /// None where it is damaged.
+    fn parse(mut chunk: &'a [u8]) -> Option<Self> {
+        // Start and end time of its messages, uncompressed size, checksum, compression, size, records.
+        cut(&mut chunk, 24)?;
+        let checksum = number(cut(&mut chunk, 4)?);
+        let length = number(cut(&mut chunk, 4)?);
+        match cut(&mut chunk, length)? {
+            b"" => {}
+            b"zstd" => return Some(Self::Compressed("zstd")),
+            b"lz4" => return Some(Self::Compressed("lz4")),
+            _ => return None,
+        }
+        let size = number(cut(&mut chunk, 8)?);
+        let mut rest = cut(&mut chunk, size)?;
+        // 0: the writer made no checksum.
+        if checksum != 0 && checksum != u64::from(crc32fast::hash(rest)) {
+            return None;
+        }
+        let mut records = Vec::new();
+        while !rest.is_empty() {
+            let opcode = cut(&mut rest, 1)?[0];
+            let length = number(cut(&mut rest, 8)?);
+            records.push((opcode, cut(&mut rest, length)?));
+        }
+        Some(Self::Records(records))
+    }
+}
+
+/// Takes `count` bytes off the front; none where there are fewer.
+fn cut<'a>(bytes: &mut &'a [u8], count: u64) -> Option<&'a [u8]> {
+    let (own, rest) = bytes.split_at_checked(usize::try_from(count).ok()?)?;
+    *bytes = rest;
+    Some(own)
+}
+
+/// Up to eight bytes as a little-endian number.
+fn number(bytes: &[u8]) -> u64 {
+    bytes.iter().rev().fold(0, |all, b| all << 8 | u64::from(*b))
+}
+
+/// Topics of the channels met so far.
+#[derive(Default)]
+struct Topics(HashMap<u64, String>);
+
+impl Topics {
+    /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor of a known channel (its channel stood in
+    /// a damaged chunk).
+    fn give(
+        &mut self,
+        path: &Path,
+        opcode: u8,
+        body: &[u8],
+        take: &mut impl FnMut(Message),
+    ) -> Result<bool, RecordingError> {
+        match opcode {
+            op::CHANNEL => {
+                let found = channel(body);
+                let whole = found.is_some();
+                self.0.extend(found);
+                Ok(whole)
+            }
+            op::MESSAGE => match message(body) {
+                Some((id, log_time, data)) => match self.0.get(&id) {
+                    Some(topic) => {
+                        take(decode(path, topic, log_time, data)?);
+                        Ok(true)
+                    }
+                    None => Ok(false),
+                },
+                None => Ok(false),
+            },
+            _ => Ok(true),
+        }
+    }
+}
+
+/// Number and topic of a channel record.
+fn channel(mut body: &[u8]) -> Option<(u64, String)> {
+    let id = number(cut(&mut body, 2)?);
+    // The schema's number is not needed: topics say what their messages are.
+    cut(&mut body, 2)?;
+    let length = number(cut(&mut body, 4)?);
+    Some((id, String::from_utf8(cut(&mut body, length)?.to_vec()).ok()?))
+}
+
+/// Channel, time (ns) and content of a message record.
+fn message(mut body: &[u8]) -> Option<(u64, u64, &[u8])> {
+    let id = number(cut(&mut body, 2)?);
+    cut(&mut body, 4)?;
+    let log_time = number(cut(&mut body, 8)?);
+    cut(&mut body, 8)?;
+    Some((id, log_time, body))
 }
 
 /// Whether as much of the magic bytes is there as the file's length allows.
@@ -70,9 +219,7 @@ fn begins_like_mcap(path: &Path) -> Result<bool, RecordingError> {
     Ok(mcap::MAGIC.starts_with(&start))
 }
 
-fn decode(path: &Path, message: &mcap::Message<'_>) -> Result<Message, RecordingError> {
-    let topic = message.channel.topic.as_str();
-    let bytes = &*message.data;
+fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, RecordingError> {
     let bad = |e: prost::DecodeError| {
         RecordingError::input(
             format!("{}: {topic}", path.display()),
@@ -85,7 +232,7 @@ fn decode(path: &Path, message: &mcap::Message<'_>) -> Result<Message, Recording
         topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
         topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
         other => {
-            let host_s = message.log_time as f64 * 1e-9;
+            let host_s = log_time as f64 * 1e-9;
             match other.strip_prefix(topic::CAMERA) {
                 Some(name) => {
                     let at = PictureTime::decode(bytes).map_err(bad)?.timestamp.unwrap_or_default();

@@ -1,4 +1,4 @@
-//! `run.json`: who recorded a session, with what, and when. Written before the first move.
+//! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
 
 use super::error::RecordingError;
 use serde::{Deserialize, Serialize};
@@ -31,6 +31,27 @@ pub struct RunFile {
     pub devices: BTreeMap<String, DeviceIdentity>,
     /// Host seconds per wall second; other than 1: recorded on a virtual bench.
     pub clock_scale: f64,
+    /// What came of each run, one a recording; a run that was killed has none.
+    #[serde(default)]
+    pub runs: Vec<RunOutcome>,
+}
+
+/// What came of one run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunOutcome {
+    /// File of its raw streams.
+    pub recording: String,
+    /// `finished` or `stopped`.
+    pub ending: String,
+    /// Why it stopped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    /// Scans received.
+    pub scans: u64,
+    /// Scans that were lost.
+    pub lost_scans: u64,
+    /// What was lost or not as it should be in the session up to here; each was a reason for exit code 3.
+    pub warnings: Vec<String>,
 }
 
 impl RunFile {

@@ -90,12 +90,22 @@ impl SweepReport {
     /// What was lost or not as it should be although the sweep went on; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let StreamCounts { lost, gaps, pairs_refused, unusable, .. } = self.counts;
+        let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;
         let all = [
             (lost > 0, format!("{lost} scans lost in {gaps} gaps")),
-            (self.unsettled > 0, format!("{} windows whose signal did not settle", self.unsettled)),
-            (unusable > 0, format!("{unusable} scans with a lost or crossing peak")),
             (pairs_refused > 0, format!("{pairs_refused} camera pairs refused")),
+        ];
+        let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
+        all.chain(self.signal_warnings()).collect()
+    }
+
+    /// The warnings that the recording alone does not tell.
+    #[must_use]
+    pub fn signal_warnings(&self) -> Vec<String> {
+        let (unsettled, unusable) = (self.unsettled, self.counts.unusable);
+        let all = [
+            (unsettled > 0, format!("{unsettled} windows whose signal did not settle")),
+            (unusable > 0, format!("{unusable} scans with a lost or crossing peak")),
         ];
         all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text).collect()
     }

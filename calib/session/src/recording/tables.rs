@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use toml::{Table, Value};
 
 /// Columns of points.csv and holdout.csv.
-const COLUMNS: [&str; 19] = [
+const COLUMNS: [&str; 20] = [
     "point",
     "role",
     "trajectory",
@@ -30,10 +30,35 @@ const COLUMNS: [&str; 19] = [
     "fbg_1_sd_pm",
     "fbg_2_sd_pm",
     "samples",
+    "stream",
 ];
 /// Columns of compensation.csv: shifts with temperature taken out, and the uncertainty of the mean.
 const COMPENSATION: [&str; 8] =
     ["file", "point", "fbg_1_pm", "fbg_1_u_pm", "fbg_2_pm", "fbg_2_u_pm", "settled", "unusable_scans"];
+
+/// What the stream did in the averaging window of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stream {
+    /// Its scans are there, and came in time.
+    Whole,
+    /// Scans are missing.
+    Lost,
+    /// Scans came late (the bench or the recording computer had fallen behind), or the clocks cannot be aligned: where the stage was is not
+    /// known.
+    Late,
+}
+
+impl Stream {
+    /// As in the column `stream`.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Whole => "ok",
+            Self::Lost => "lost",
+            Self::Late => "late",
+        }
+    }
+}
 
 /// A reduced reading.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,6 +85,8 @@ pub struct Row {
     pub groove_mm: Option<Vector3<f64>>,
     /// Whether the drift gate opened.
     pub settled: bool,
+    /// What the stream did.
+    pub stream: Stream,
     /// Scans of the window with a lost or crossing peak.
     pub unusable: u32,
     /// Numbers of the marked scans.
@@ -137,6 +164,7 @@ fn table(rows: &[&Row]) -> Result<Vec<u8>, RecordingError> {
                 format!("{:.4}", row.mean.sensing_sd_pm[0]),
                 format!("{:.4}", row.mean.sensing_sd_pm[1]),
                 row.mean.samples.to_string(),
+                row.stream.word().to_owned(),
             ])?;
         }
         Ok(())
@@ -261,6 +289,14 @@ fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<T
     let mut stream = Table::new();
     stream.insert("scans".to_owned(), Value::Integer(result.scans as i64));
     stream.insert("lost_scans".to_owned(), Value::Integer(result.lost as i64));
+    stream.insert("gaps".to_owned(), Value::Integer(result.gaps as i64));
+    stream.insert("late_scans".to_owned(), Value::Integer(result.late as i64));
+    stream.insert("longest_delay_s".to_owned(), Value::Float(result.longest_delay_s));
+    stream.insert("damaged_chunks".to_owned(), Value::Integer(result.damaged_chunks as i64));
+    stream.insert(
+        "warnings".to_owned(),
+        Value::Array(result.warnings().into_iter().map(Value::String).collect()),
+    );
     stream
         .insert("recordings".to_owned(), Value::Array(recordings.iter().map(|r| r.clone().into()).collect()));
     if result.pairs != [0; 2] {

@@ -11,6 +11,7 @@ use crate::engine::search::Hypothesis;
 use crate::engine::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use wcal_core::observation::Role;
 
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations, cycles).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -86,7 +87,9 @@ pub struct ScalarPrediction {
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 pub enum ModelError {
     /// The file names an effect or law that this program does not have.
-    #[error("using the calibration: expected an effect of the catalogue, found {effect} ({law})")]
+    #[error(
+        "using the calibration: expected an effect and a law of this version's catalogue, found effect {effect:?} with law {law:?}"
+    )]
     UnknownEffect {
         /// Effect.
         effect: String,
@@ -94,12 +97,14 @@ pub enum ModelError {
         law: String,
     },
     /// Numbers of the file do not belong together.
-    #[error("using the calibration: expected {expected} coefficients, found {found}")]
+    #[error("using the calibration: `{what}`: expected {expected}, found {found}")]
     Shape {
+        /// Field.
+        what: String,
         /// Wanted.
-        expected: usize,
+        expected: String,
         /// There.
-        found: usize,
+        found: String,
     },
     /// A column that an accepted effect needs.
     #[error("predicting with {effect}: expected {needs}, found none")]
@@ -111,7 +116,75 @@ pub enum ModelError {
     },
 }
 
+impl ModelError {
+    /// A field that does not hold what its neighbours ask for.
+    pub(crate) fn shape(what: impl Into<String>, expected: impl ToString, found: impl ToString) -> Self {
+        Self::Shape { what: what.into(), expected: expected.to_string(), found: found.to_string() }
+    }
+}
+
+/// Largest degree of a declared model (constant, linear, quadratic).
+const MAX_DEGREE: usize = 2;
+
 impl ScalarModel {
+    /// Checks that the parts belong together and every effect is of this version's catalogue, before anything is computed with them.
+    ///
+    /// # Errors
+    /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let declared = match self.declared {
+            Declared::Polynomial(degree) if degree > MAX_DEGREE => {
+                return Err(ModelError::shape(
+                    "declared",
+                    format!("a degree of at most {MAX_DEGREE}"),
+                    degree,
+                ));
+            }
+            Declared::Polynomial(degree) => degree + 1,
+            Declared::Axis => 1,
+        };
+        let kind = if self.declared == Declared::Axis { "axis" } else { "transducer" };
+        if self.session_kind != kind {
+            return Err(ModelError::shape("session_kind", kind, &self.session_kind));
+        }
+        if self.declared == Declared::Axis && self.offset == 0.0 {
+            return Err(ModelError::shape("offset", "a number other than 0", self.offset));
+        }
+        let [low, high] = self.stimulus_range;
+        if low > high {
+            return Err(ModelError::shape("stimulus_range", "the lower end first", format!("{low}, {high}")));
+        }
+        if self.variance < 0.0 {
+            return Err(ModelError::shape("variance", "0 or more", self.variance));
+        }
+        let (names, scales) = (self.covariates.len(), self.scaling.covariates.len());
+        if names != scales {
+            return Err(ModelError::shape("scaling.covariates", names, scales));
+        }
+        // Laws do not depend on the rows: one row at the middle stands for any.
+        let row = ScalarRow {
+            origin: (String::new(), 0, 0),
+            role: Role::Verification,
+            x: self.scaling.mid,
+            y: 0.0,
+            t_s: None,
+            temperature_degc: None,
+            direction: None,
+            cycle: None,
+            covariates: vec![0.0; names],
+        };
+        let frame = Frame::of_new_rows(vec![row], &self.scaling, self.declared);
+        let system = ScalarSystem::new(frame, &self.covariates);
+        let terms = self.terms(&system)?;
+        let linear = |t: &Term| system.catalogue()[t.effect].law(t.law).linear.len();
+        let columns = declared + terms.iter().map(linear).sum::<usize>();
+        if self.coefficients.len() != columns {
+            return Err(ModelError::shape("coefficients", columns, self.coefficients.len()));
+        }
+        let slots = columns + terms.iter().map(|t| t.values.len()).sum::<usize>();
+        square(&self.covariance, slots, slots)
+    }
+
     /// The model of an accepted explanation; `polynomial` and lack of fit are carried for the reader.
     #[must_use]
     pub fn of(
@@ -171,10 +244,8 @@ impl ScalarModel {
                 let laws = system.catalogue()[effect].laws();
                 let law = laws.iter().position(|l| l.name == t.law).ok_or_else(unknown)?;
                 if laws[law].parameters.len() != t.values.len() {
-                    return Err(ModelError::Shape {
-                        expected: laws[law].parameters.len(),
-                        found: t.values.len(),
-                    });
+                    let what = format!("values of {} ({})", t.id, t.law);
+                    return Err(ModelError::shape(what, laws[law].parameters.len(), t.values.len()));
                 }
                 Ok(Term { effect, law, values: t.values.clone() })
             })
@@ -222,9 +293,7 @@ impl ScalarModel {
         let system = ScalarSystem::new(frame, &self.covariates).with_offset(self.offset);
         let terms = self.terms(&system)?;
         let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
-        if self.covariance.len() != slots || self.covariance.iter().any(|r| r.len() != slots) {
-            return Err(ModelError::Shape { expected: slots, found: self.covariance.len() });
-        }
+        square(&self.covariance, slots, slots)?;
         let fitted = Fitted {
             terms,
             coefficients: self.coefficients.clone(),
@@ -236,8 +305,9 @@ impl ScalarModel {
             Some(s) => relative_sd_at(&system.frame, s.law, s.exponent, s.centre),
             None => vec![1.0; rows.len()],
         };
-        let shape = |found| ModelError::Shape { expected: self.coefficients.len(), found };
-        let (values, half) = predict(&system, &fitted, &relative).ok_or_else(|| shape(0))?;
+        let no_design =
+            || ModelError::shape("coefficients", "a design of as many columns", "none at these rows");
+        let (values, half) = predict(&system, &fitted, &relative).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
         let slack = 1e-9 * (high - low);
         let mut out = vec![ScalarPrediction { value: f64::NAN, half95: f64::NAN, valid: false }; rows.len()];
@@ -305,6 +375,25 @@ impl ScalarModel {
                 }
             })
             .collect())
+    }
+}
+
+/// Refuses a covariance that is not square with a size from `least` to `most`.
+pub(crate) fn square(covariance: &[Vec<f64>], least: usize, most: usize) -> Result<(), ModelError> {
+    let size = covariance.len();
+    let expected = || {
+        let range = if least == most { format!("{least}") } else { format!("{least} to {most}") };
+        format!("{range} rows of as many numbers")
+    };
+    if !(least..=most).contains(&size) {
+        return Err(ModelError::shape("covariance", expected(), format!("{size} rows")));
+    }
+    match covariance.iter().position(|row| row.len() != size) {
+        Some(k) => {
+            let found = format!("{} numbers in row {}", covariance[k].len(), k + 1);
+            Err(ModelError::shape("covariance", expected(), found))
+        }
+        None => Ok(()),
     }
 }
 

@@ -4,6 +4,8 @@ use crate::candidate::{System, Term};
 use crate::engine::inference::covariance;
 use crate::engine::search::Hypothesis;
 use crate::path::WhiskerPath;
+use crate::scalar::ModelError;
+use crate::scalar::model::square;
 use crate::whisker::{WhiskerEffect, WhiskerSystem};
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -106,6 +108,49 @@ impl PhysicalModel {
     #[must_use]
     pub fn sensitivity(&self) -> Matrix2<f64> {
         Matrix2::from_fn(|c, j| self.coefficients[j + 1][c])
+    }
+
+    /// Checks that the parts belong together and every effect is of this version's catalogue, before anything is computed with them.
+    ///
+    /// # Errors
+    /// [`ModelError::UnknownEffect`] or [`ModelError::Shape`], by name.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let catalogue = crate::effects::whisker_catalogue();
+        let (mut columns, mut values) = (3, 0);
+        for a in &self.effects {
+            let unknown = || ModelError::UnknownEffect { effect: a.id.clone(), law: a.law.clone() };
+            let effect = catalogue.iter().find(|e| e.id() == a.id).ok_or_else(unknown)?;
+            let laws = effect.laws().into_iter().chain(effect.refinements());
+            let law = laws.into_iter().find(|l| l.name == a.law).ok_or_else(unknown)?;
+            if a.values.len() != law.parameters.len() {
+                let what = format!("values of {} ({})", a.id, a.law);
+                return Err(ModelError::shape(what, law.parameters.len(), a.values.len()));
+            }
+            columns += law.linear.len();
+            values += a.values.len();
+        }
+        // Each seating after the first has a column of its own: a count that its coefficients do not bear out is absurd.
+        let count = self.coefficients.len();
+        let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
+        if seatings.is_none() {
+            return Err(ModelError::shape("coefficients", format!("at least {columns} rows"), count));
+        }
+        if seatings != usize::try_from(self.seatings.max(1)).ok() {
+            let expected = format!("{}, as the coefficients have it", seatings.unwrap_or(0));
+            return Err(ModelError::shape("seatings", expected, self.seatings));
+        }
+        square(&self.covariance, 2 * count, 2 * count + values)?;
+        if self.sensitivity().try_inverse().is_none() {
+            return Err(ModelError::shape(
+                "coefficients",
+                "a sensitivity that can be inverted",
+                "a singular one",
+            ));
+        }
+        if self.noise_sd_pm < 0.0 {
+            return Err(ModelError::shape("noise_sd_pm", "0 or more", self.noise_sd_pm));
+        }
+        Ok(())
     }
 
     /// The catalogue's effects with their terms.

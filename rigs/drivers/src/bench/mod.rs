@@ -28,6 +28,7 @@ use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
+use wcal_session::recording::clocks::late_s;
 use world::Shared;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
@@ -109,6 +110,14 @@ impl VirtualBench {
     pub fn true_stage(&self) -> (f64, f64) {
         let t_s = self.shared.clock.now_s();
         self.shared.world().units.first().map_or((0.0, 0.0), |u| u.axis.at(t_s))
+    }
+
+    /// Longest time by which the bench fell behind its own clock, s of bench time, where that is too long: its readings then came late,
+    /// and those of a stage that had moved on since may be wrong.
+    #[must_use]
+    pub fn fell_behind_s(&self) -> Option<f64> {
+        let behind_s = self.shared.behind_s();
+        (behind_s > late_s(self.shared.clock.speed())).then_some(behind_s)
     }
 
     /// Bench time, s.

@@ -36,6 +36,8 @@ pub struct World {
     skip: u64,
     schedule: VecDeque<ScheduledFault>,
     scanned: u64,
+    /// Longest time by which a scan was made too late, s.
+    behind_s: f64,
 }
 
 /// Scans kept for clients that are behind.
@@ -107,6 +109,7 @@ impl Shared {
             skip: 0,
             schedule: schedule.into(),
             scanned: 0,
+            behind_s: 0.0,
         };
         Arc::new(Self {
             clock: BenchClock::start(scenario.speed),
@@ -157,6 +160,12 @@ impl Shared {
         *guard(&self.pause_until_s)
     }
 
+    /// Longest time by which the bench fell behind its own clock so far, s.
+    #[must_use]
+    pub fn behind_s(&self) -> f64 {
+        self.world().behind_s
+    }
+
     /// What the interrogator's clock shows at bench time `t_s`, s since 1970.
     #[must_use]
     pub fn device_s(&self, t_s: f64) -> f64 {
@@ -201,6 +210,8 @@ impl Shared {
         let mut fresh = Vec::new();
         {
             let mut world = self.world();
+            let behind_s = now_s - world.scanned as f64 * period_s;
+            world.behind_s = world.behind_s.max(behind_s);
             while world.scanned as f64 * period_s <= now_s && fresh.len() < 20_000 {
                 let serial = world.scanned;
                 let scan = world.scan(serial, serial as f64 * period_s, &self.scenario);

@@ -1,0 +1,214 @@
+//! `recipe.json`: what the shards of a folder follow from, written before the first of them, so that a folder holds one dataset and no mixture.
+
+use crate::rod_engine::LINKS;
+use crate::{Dataset, Mesh, SweepEngine, TwinError, shard};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+use wcal_core::provenance::sha256_hex;
+
+/// Name of the file.
+const FILE: &str = "recipe.json";
+/// Its format.
+const FORMAT: &str = "wcal-sweep-recipe/1";
+/// Differences that are named; more are counted.
+const MAX_NAMED: usize = 8;
+
+/// What a dataset follows from; the number of sweeps is none of it, a dataset may grow.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Recipe {
+    format: String,
+    engine: String,
+    seed: u64,
+    plan: Value,
+    whisker: String,
+    objects: BTreeMap<String, Source>,
+}
+
+/// What an object's shards follow from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Source {
+    /// SHA-256 of the mesh.
+    mesh: String,
+    /// As in the manifests of its shards.
+    made_from: String,
+}
+
+impl Recipe {
+    fn of(dataset: &Dataset) -> Result<Self, TwinError> {
+        let source = |mesh: &Mesh| {
+            let mut bytes = Vec::new();
+            for point in mesh.points() {
+                point.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+            }
+            mesh.triangles().iter().flatten().for_each(|k| bytes.extend(k.to_le_bytes()));
+            (mesh.name.clone(), Source { mesh: sha256_hex(&bytes), made_from: dataset.made_from(mesh) })
+        };
+        let recipe = Self {
+            format: FORMAT.to_owned(),
+            engine: match &dataset.engine {
+                SweepEngine::Rod => format!("rod, {LINKS} links"),
+                SweepEngine::Mujoco(options) => format!("mujoco, {options:?}"),
+            },
+            seed: dataset.seed,
+            plan: serde_json::to_value(&dataset.plan).map_err(|e| written_wrong(&e))?,
+            whisker: format!("{:?}", dataset.whisker),
+            objects: dataset.objects.iter().map(source).collect(),
+        };
+        // Through text once: numbers are then those that a file gives back.
+        let text = serde_json::to_string(&recipe).map_err(|e| written_wrong(&e))?;
+        serde_json::from_str(&text).map_err(|e| written_wrong(&e))
+    }
+
+    /// That of a folder; none where it has none.
+    fn read(folder: &Path) -> Result<Option<Self>, TwinError> {
+        let path = folder.join(FILE);
+        let text = match std::fs::read_to_string(&path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            other => other.map_err(TwinError::io("reading", &path))?,
+        };
+        let recipe = serde_json::from_str(&text);
+        recipe.map(Some).map_err(|e| TwinError::Shard { path, detail: e.to_string() })
+    }
+
+    fn write(&self, folder: &Path) -> Result<(), TwinError> {
+        let path = folder.join(FILE);
+        let bytes = serde_json::to_vec_pretty(self).map_err(|e| written_wrong(&e))?;
+        std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
+        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(TwinError::io("creating", folder))?;
+        file.write_all(&bytes).map_err(TwinError::io("writing", &path))?;
+        file.persist(&path).map(drop).map_err(|e| TwinError::io("writing", &path)(e.error))
+    }
+
+    /// What in `found` is not as here, by name.
+    fn differences(&self, found: &Self) -> Vec<String> {
+        let mut all = Vec::new();
+        let mut note = |name: &str, found: &str, own: &str| {
+            if found != own {
+                all.push(format!("{name}: there {found}, asked for {own}"));
+            }
+        };
+        note("engine", &found.engine, &self.engine);
+        note("seed", &found.seed.to_string(), &self.seed.to_string());
+        note("whisker", &found.whisker, &self.whisker);
+        differences_in("plan", &found.plan, &self.plan, &mut all);
+        for (name, own) in &self.objects {
+            match found.objects.get(name) {
+                None => all.push(format!("object {name}: not there")),
+                Some(there) if there.mesh != own.mesh => {
+                    all.push(format!("object {name}: there with another mesh"));
+                }
+                // Everything else may be equal and the way of solving not.
+                Some(there) if there.made_from != own.made_from && all.is_empty() => {
+                    all.push(format!("object {name}: there made by another version of the engine"));
+                }
+                Some(_) => {}
+            }
+        }
+        let more = found.objects.keys().filter(|name| !self.objects.contains_key(*name));
+        all.extend(more.map(|name| format!("object {name}: there, not asked for")));
+        all
+    }
+}
+
+/// Keys whose values differ, those of tables one by one.
+fn differences_in(name: &str, found: &Value, own: &Value, all: &mut Vec<String>) {
+    match (found, own) {
+        (Value::Object(found), Value::Object(own)) => {
+            let keys: std::collections::BTreeSet<&String> = found.keys().chain(own.keys()).collect();
+            for key in keys {
+                let at = |table: &serde_json::Map<String, Value>| table.get(key).cloned().unwrap_or_default();
+                differences_in(&format!("{name}.{key}"), &at(found), &at(own), all);
+            }
+        }
+        _ if found == own => {}
+        _ => all.push(format!("{name}: there {found}, asked for {own}")),
+    }
+}
+
+fn written_wrong(error: &serde_json::Error) -> TwinError {
+    TwinError::Shard { path: FILE.into(), detail: error.to_string() }
+}
+
+/// Manifests of a folder by the shards' names, their tables unread.
+fn shards_of(folder: &Path) -> Result<Vec<(String, shard::Manifest)>, TwinError> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(Vec::new()) };
+    let names = entries.filter_map(|e| e.ok()?.file_name().into_string().ok());
+    let mut names: Vec<String> =
+        names.filter_map(|n| n.strip_suffix(".sweeps.parquet").map(str::to_owned)).collect();
+    names.sort_unstable();
+    // A shard whose manifest is not there or not whole is made again: it says nothing.
+    let manifest =
+        |name: String| Some((name.clone(), shard::read_manifest(&folder.join(format!("{name}.json"))).ok()?));
+    Ok(names.into_iter().filter_map(manifest).collect())
+}
+
+fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), TwinError> {
+    if differences.is_empty() {
+        return Ok(());
+    }
+    let more = differences.len().saturating_sub(MAX_NAMED);
+    differences.truncate(MAX_NAMED);
+    if more > 0 {
+        differences.push(format!("{more} more differences"));
+    }
+    Err(TwinError::Mixture { folder: folder.to_owned(), differences: differences.join("; ") })
+}
+
+impl Dataset {
+    /// Refuses a folder that holds another dataset, naming what differs: seed, plan, whisker, engine or objects. Nothing is written.
+    ///
+    /// # Errors
+    /// [`TwinError::Mixture`], or where the folder cannot be read.
+    pub fn check_folder(&self, folder: &Path) -> Result<(), TwinError> {
+        let own = Recipe::of(self)?;
+        let mut differences = match Recipe::read(folder)? {
+            Some(found) => own.differences(&found),
+            None => Vec::new(),
+        };
+        // Folders from before there was a recipe, and mixtures that were made then.
+        if differences.is_empty() {
+            let made_from = |object: &str| own.objects.get(object).map(|s| s.made_from.as_str());
+            let foreign = shards_of(folder)?.into_iter();
+            let foreign = foreign.filter(|(_, m)| made_from(&m.object) != Some(m.made_from.as_str()));
+            differences.extend(foreign.map(|(name, _)| {
+                format!("shard {name}: made from another wire, plan, mesh, seed or engine")
+            }));
+        }
+        refuse(folder, differences)
+    }
+
+    /// As [`Self::check_folder`], and says in the folder what it holds from now on.
+    pub(crate) fn claim(&self, folder: &Path) -> Result<(), TwinError> {
+        self.check_folder(folder)?;
+        let own = Recipe::of(self)?;
+        if Recipe::read(folder)?.is_none() { own.write(folder) } else { Ok(()) }
+    }
+}
+
+/// Refuses a folder whose shards are not of one dataset; those from before there was a recipe are compared object by object.
+///
+/// # Errors
+/// [`TwinError::Mixture`] with the shards, or where the folder cannot be read.
+pub fn check_one_dataset(folder: &Path) -> Result<(), TwinError> {
+    let shards = shards_of(folder)?;
+    let recipe = Recipe::read(folder)?;
+    let mut first: BTreeMap<&str, &str> = BTreeMap::new();
+    let mut differences = Vec::new();
+    for (name, manifest) in &shards {
+        let expected = match &recipe {
+            Some(recipe) => recipe.objects.get(&manifest.object).map(|s| s.made_from.as_str()),
+            None => Some(*first.entry(&manifest.object).or_insert(&manifest.made_from)),
+        };
+        match expected {
+            None => differences.push(format!("shard {name}: of an object that {FILE} does not name")),
+            Some(expected) if expected != manifest.made_from => differences.push(format!(
+                "shard {name}: made from another wire, plan, mesh, seed or engine than the others"
+            )),
+            Some(_) => {}
+        }
+    }
+    refuse(folder, differences)
+}

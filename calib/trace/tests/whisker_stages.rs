@@ -162,9 +162,10 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         }
         let rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
         let whole = WhiskerSystem::new(&data, &rows).unwrap();
+        let noise = Judge::new(system, 1).noise(&found.base, &[]).unwrap().0;
         let model = PhysicalModel::new(system, &found.base, 0.5);
-        let after = predict(&whole, &found.base, &model).unwrap();
-        holdout_p(&whole, &found.base, &after).unwrap()
+        let after = predict(&whole, &found.base, &model, &vec![0.5; whole.path.readings.len()]).unwrap();
+        holdout_p(&whole, &found.base, &noise, &after, &[]).unwrap()
     };
     assert!(p_of(0.0) > 0.01);
     assert!(p_of(5.0) < HOLDOUT_LEVEL);

@@ -145,8 +145,9 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
     let mut options = *options;
     let mut found = search(system, &weights, &options)?;
     for _ in 1..MAX_SEARCHES {
-        let kept = judge.confirmed(&found)?;
-        let (noise, _) = judge.noise(&kept, &[])?;
+        // A model that is degenerate under another noise is judged under the one that it was found with.
+        let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());
+        let Some((noise, _)) = judge.noise(&kept, &[]) else { break };
         let dropped = kept.fit.terms.len() < found.best.fit.terms.len();
         let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
         let retail = tails_dof.is_some() && options.tails_dof.is_none() && found.something_left_or_found();
@@ -166,6 +167,7 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
         found = search(system, &weights, &options)?;
     }
     let columns = found.left().and_then(|g| g.drivers.first()).map_or(Vec::new(), |d| d.columns.clone());
-    let (noise, _) = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]))?;
+    let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
+    let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
     Some(Explained { found, noise, declared_noise, weights })
 }

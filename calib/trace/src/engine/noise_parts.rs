@@ -136,6 +136,13 @@ impl Noise {
         Weights::sharing(relative, inputs.shared(correlated, pose))
     }
 
+    /// Variance of what readings share, in units of the repeat noise's.
+    #[must_use]
+    pub fn shared_variance(&self) -> f64 {
+        let of = |e: &Estimated| (e.value / self.repeat.value).powi(2);
+        self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
+    }
+
     /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
     #[must_use]
     pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
@@ -187,6 +194,9 @@ pub struct Misfit {
     pub plain: f64,
 }
 
+/// Guards columns of unit length that depend on each other.
+const RIDGE: f64 = 1e-9;
+
 /// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
 #[must_use]
 pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
@@ -207,7 +217,7 @@ pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
             log_scale += 2.0 * norm.ln();
         }
     }
-    let gram = (x.transpose() * &x) + DMatrix::identity(q, q) * 1e-11;
+    let gram = (x.transpose() * &x) + DMatrix::identity(q, q) * RIDGE;
     let chol = gram.cholesky()?;
     let log_det: f64 = chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum();
     let off = |m: &DMatrix<f64>| m - &x * chol.solve(&(x.transpose() * m));
@@ -219,7 +229,7 @@ pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
         let t: Vec<DMatrix<f64>> = model.tangents.iter().map(|t| off(&weights.apply(t))).collect();
         let size: Vec<f64> = t.iter().map(|t| t.norm().max(1e-300)).collect();
         let small = DMatrix::from_fn(m, m, |a, b| t[a].dot(&t[b]) / (size[a] * size[b]))
-            + DMatrix::identity(m, m) * 1e-9;
+            + DMatrix::identity(m, m) * RIDGE;
         let right = DVector::from_fn(m, |a, _| t[a].dot(&r) / size[a]);
         let chol = small.cholesky()?;
         ssr -= right.dot(&chol.solve(&right));
@@ -476,7 +486,7 @@ fn standardised_by_channel(model: &MeanModel, weights: &Weights, s: f64) -> Opti
     let (n, channels) = model.residual.shape();
     let norms: Vec<f64> = x.column_iter().map(|c| c.norm().max(1e-300)).collect();
     let x = DMatrix::from_fn(n, x.ncols(), |i, j| x[(i, j)] / norms[j]);
-    let gram = x.transpose() * &x + DMatrix::identity(x.ncols(), x.ncols()) * 1e-11;
+    let gram = x.transpose() * &x + DMatrix::identity(x.ncols(), x.ncols()) * RIDGE;
     let chol = gram.cholesky()?;
     let y = weights.apply(model.residual);
     let r = &y - &x * chol.solve(&(x.transpose() * &y));

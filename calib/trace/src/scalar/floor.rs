@@ -37,19 +37,21 @@ pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
 
 /// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
 #[must_use]
-pub fn noise_floor(frame: &Frame, h: &Hypothesis) -> Option<Floor> {
+pub fn noise_floor(frame: &Frame, h: &Hypothesis, shared: f64) -> Option<Floor> {
+    // Residuals are whitened: what readings share is no part of their scatter, but of a new reading's.
+    let whole = (1.0 + shared).sqrt();
     let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
     let keys = replicate_keys(frame);
     let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.counts(i)).collect();
     if let Some(l) = super::polynomial::lack_of_fit(&residual, &keys, h.weights.relative(), 0)
         && l.pure_dof >= LEAST_DOF as f64
     {
-        return Some(Floor { sd: l.pure_sd, source: "replicates" });
+        return Some(Floor { sd: l.pure_sd * whole, source: "replicates" });
     }
     if frame.declared != Declared::Polynomial(0) {
         rows.sort_by(|&a, &b| frame.u[a].total_cmp(&frame.u[b]));
     }
     let pairs = rows.len().saturating_sub(1);
     let sum: f64 = rows.windows(2).map(|p| (residual[p[1]] - residual[p[0]]).powi(2) / 2.0).sum();
-    (pairs >= LEAST_DOF).then(|| Floor { sd: (sum / pairs as f64).sqrt(), source: "difference" })
+    (pairs >= LEAST_DOF).then(|| Floor { sd: (sum / pairs as f64).sqrt() * whole, source: "difference" })
 }

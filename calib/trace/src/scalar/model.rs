@@ -191,6 +191,7 @@ impl ScalarModel {
         system: &ScalarSystem,
         accepted: &Hypothesis,
         spread: Option<&Spread>,
+        shared: f64,
         names: &Names,
         polynomial: Option<Polynomial>,
         lack_of_fit: [Option<LackOfFit>; 2],
@@ -220,7 +221,7 @@ impl ScalarModel {
                 .collect(),
             coefficients: fitted.coefficients.clone(),
             covariance: fitted.covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
-            variance: fitted.variance,
+            variance: fitted.variance * (1.0 + shared),
             dof: fitted.dof,
             offset: system.offset(),
             spread: spread.map(|s| {

@@ -8,13 +8,24 @@ use crate::engine::spread::{Spread, SpreadLaw};
 use wcal_core::observation::Role;
 use wcal_core::residual::ResidualRecord;
 
-/// Relative standard deviation of the noise at every row of `all`, by the law found on the rows of `fitted`.
+/// Standard deviation of the noise at every row of `all` in units of the repeat noise, by the law found on the rows of `fitted` and with
+/// what readings share (its variance `shared`).
 #[must_use]
-pub fn relative_sd(all: &ScalarSystem, fitted: &ScalarSystem, spread: Option<&Spread>) -> Vec<f64> {
-    let Some(s) = spread else { return vec![1.0; all.frame.rows.len()] };
-    let own = s.law.scale(&fitted.frame);
-    let centre = own.iter().sum::<f64>() / own.len() as f64;
-    relative_sd_at(&all.frame, s.law, s.exponent, centre)
+pub fn relative_sd(
+    all: &ScalarSystem,
+    fitted: &ScalarSystem,
+    spread: Option<&Spread>,
+    shared: f64,
+) -> Vec<f64> {
+    let own = match spread {
+        None => vec![1.0; all.frame.rows.len()],
+        Some(s) => {
+            let scale = s.law.scale(&fitted.frame);
+            let centre = scale.iter().sum::<f64>() / scale.len() as f64;
+            relative_sd_at(&all.frame, s.law, s.exponent, centre)
+        }
+    };
+    own.into_iter().map(|sd| (sd * sd + shared).sqrt()).collect()
 }
 
 /// Relative standard deviation at every row of `frame`; one at `centre`.
@@ -41,6 +52,7 @@ pub fn records(
     base: &Hypothesis,
     accepted: &Hypothesis,
     spread: Option<&Spread>,
+    shared: f64,
     unit: &str,
 ) -> Vec<ResidualRecord> {
     let predict = |h: &Hypothesis| {
@@ -49,7 +61,7 @@ pub fn records(
             .map(|p| p.add_scalar(-all.offset()))
     };
     let (Some(before), Some(after)) = (predict(base), predict(accepted)) else { return Vec::new() };
-    let relative = relative_sd(all, fitted, spread);
+    let relative = relative_sd(all, fitted, spread, shared);
     let sd = accepted.fit.variance().sqrt();
     let axis = all.frame.declared == Declared::Axis;
     let covariates = all.covariates();

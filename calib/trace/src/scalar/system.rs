@@ -3,6 +3,7 @@
 use super::effects;
 use super::frame::{Declared, Frame};
 use crate::candidate::{Candidate, System, Term};
+use crate::engine::noise_parts::NoiseInputs;
 use nalgebra::DMatrix;
 use std::sync::Arc;
 
@@ -30,6 +31,8 @@ pub struct ScalarSystem {
     catalogue: Vec<Arc<dyn Candidate>>,
     measured: DMatrix<f64>,
     known: DMatrix<f64>,
+    /// 1 / relative standard deviation of each reading, where the spread follows the stimulus.
+    weights: Vec<f64>,
     covariate_names: Vec<String>,
     /// The axis's known part enters with this far offset, see `design`.
     offset: f64,
@@ -53,6 +56,7 @@ impl ScalarSystem {
         Self {
             measured: DMatrix::from_fn(n, 1, |i, _| frame.rows[i].y + offset),
             known: DMatrix::zeros(n, 1),
+            weights: vec![1.0; n],
             covariate_names: covariate_names.to_vec(),
             frame,
             effects,
@@ -75,11 +79,28 @@ impl ScalarSystem {
         self
     }
 
+    /// The same rows whose noise has these relative standard deviations.
+    #[must_use]
+    pub fn with_spread(mut self, relative_sd: &[f64]) -> Self {
+        self.weights = relative_sd.iter().map(|sd| 1.0 / sd).collect();
+        self
+    }
+
     /// What is added to every measured value inside the system (0 for transducers).
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset
     }
+}
+
+/// Coarsest decimal step of which all values are multiples; none where it is fine beside their range, as noise then hides it.
+fn step(values: &[f64]) -> Option<f64> {
+    let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if !(largest > 0.0) {
+        return None;
+    }
+    let on = |step: f64| values.iter().all(|v| ((v / step) - (v / step).round()).abs() < 1e-6);
+    (0..8).map(|k| 10f64.powi(largest.log10().floor() as i32 - k)).find(|s| on(*s))
 }
 
 impl System for ScalarSystem {
@@ -154,5 +175,23 @@ impl System for ScalarSystem {
 
     fn known_noise(&self) -> &DMatrix<f64> {
         &self.known
+    }
+
+    fn noise_inputs(&self) -> NoiseInputs {
+        let frame = &self.frame;
+        let n = frame.rows.len();
+        let values: Vec<f64> = frame.rows.iter().map(|r| r.y).collect();
+        // The order of the rows stands in for a clock where nothing speaks against it; a break between sweeps shows in the time constant.
+        let clock = if frame.rows.iter().all(|r| r.t_s.is_some()) {
+            Some(frame.rows.iter().filter_map(|r| r.t_s).collect())
+        } else {
+            frame.ordered.then(|| (0..n).map(|k| k as f64).collect())
+        };
+        NoiseInputs {
+            clock: clock.map(Arc::new),
+            known: self.weights.clone(),
+            step: vec![step(&values)],
+            ..NoiseInputs::none(n)
+        }
     }
 }

@@ -14,11 +14,12 @@ use super::verdict::{Conclusion, conclude};
 use super::{detect, next, records};
 use crate::candidate::System;
 use crate::engine::atoms::nuisance;
-use crate::engine::fit::Weights;
-use crate::engine::search::{Evidence, Found, Hypothesis, Options, search};
+use crate::engine::explain::{Explained, explain};
+use crate::engine::search::{Evidence, Found, Hypothesis, Options};
 use crate::engine::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
+use crate::verify::noise_report::{noise_document, noise_sentences};
 use wcal_core::residual::ResidualRecord;
-use wcal_core::verify_document::{Verdict, VerifyDocument};
+use wcal_core::verify_document::{FlaggedReading, Verdict, VerifyDocument};
 
 /// Settings of the loop.
 #[derive(Debug, Clone, Copy)]
@@ -111,19 +112,24 @@ fn test_spread(frame: &Frame, h: &Hypothesis, options: &ScalarOptions) -> Option
 }
 
 /// Search with equal weights; where the spread turns out to follow the stimulus, again with the readings weighted by it.
-fn look(system: &ScalarSystem, options: &ScalarOptions) -> Option<(Found, Option<Spread>)> {
-    let n = system.frame.rows.len();
-    let plain = search(system, &Weights::equal(n), &options.search)?;
-    let Some(spread) = test_spread(&system.frame, &plain.best, options).filter(|s| s.p_value <= SPREAD_LEVEL)
-    else {
-        return Some((plain, None));
+fn look(system: ScalarSystem, options: &ScalarOptions) -> Option<(ScalarSystem, Explained, Option<Spread>)> {
+    let plain = explain(&system, &options.search)?;
+    let of = |e: &Explained, frame: &Frame| {
+        test_spread(frame, &e.found.best, options).filter(|s| s.p_value <= SPREAD_LEVEL)
     };
-    let weights = Weights::independent(spread.relative_sd.iter().map(|s| 1.0 / s).collect());
-    let weighted = search(system, &weights, &options.search)?;
+    let Some(spread) = of(&plain, &system.frame) else { return Some((system, plain, None)) };
+    let weighted_system = system.with_spread(&spread.relative_sd);
+    let weighted = explain(&weighted_system, &options.search)?;
     // The trend must outlive the effects that the weighted search adds.
-    match test_spread(&system.frame, &weighted.best, options).filter(|s| s.p_value <= SPREAD_LEVEL) {
-        Some(again) => Some((weighted, Some(Spread { relative_sd: spread.relative_sd, ..again }))),
-        None => Some((plain, None)),
+    match of(&weighted, &weighted_system.frame) {
+        Some(again) => {
+            let spread = Spread { relative_sd: spread.relative_sd, ..again };
+            Some((weighted_system, weighted, Some(spread)))
+        }
+        None => {
+            let n = weighted_system.frame.rows.len();
+            Some((weighted_system.with_spread(&vec![1.0; n]), plain, None))
+        }
     }
 }
 
@@ -180,10 +186,11 @@ fn held_out(
     found: &Found,
     accepted: &Hypothesis,
     spread: Option<&Spread>,
+    shared: f64,
 ) -> ([Vec<HeldOut>; 2], &'static str, String) {
     if let Some((all, mask)) = sealed {
         // The sealed readings' spread follows the same law of the stimulus.
-        let relative = records::relative_sd(all, system, spread);
+        let relative = records::relative_sd(all, system, spread, shared);
         let rows = [&found.base.fit, &accepted.fit].map(|f| on_sealed(all, f, mask, &relative));
         return (rows, "holdout", "on the sealed readings".to_owned());
     }
@@ -232,8 +239,10 @@ pub fn verify_scalar(
     let mask: Vec<bool> = all.frame.rows.iter().map(|r| origins.contains(&&r.origin)).collect();
 
     // Search, spread, verdict.
-    let no_fit = || ScalarError::NoFit { rows: system.frame.rows.len() };
-    let (mut found, spread) = look(&system, options).ok_or_else(no_fit)?;
+    let rows = system.frame.rows.len();
+    let no_fit = || ScalarError::NoFit { rows };
+    let (system, explained, spread) = look(system, options).ok_or_else(no_fit)?;
+    let Explained { mut found, noise, .. } = explained;
     let exact = exactly_fits(&system, &found.base);
     if exact {
         found.best = found.base.clone();
@@ -252,8 +261,10 @@ pub fn verify_scalar(
     let lack_of_fit_after = lack(&c.accepted);
 
     // Held-out errors, floor, table of detectable sizes.
+    let shared = if exact { 0.0 } else { noise.shared_variance() };
     let sealed = mask.iter().any(|m| *m).then_some((&all, mask.as_slice()));
-    let ([before, after], split, words) = held_out(&system, sealed, &found, &c.accepted, spread.as_ref());
+    let ([before, after], split, words) =
+        held_out(&system, sealed, &found, &c.accepted, spread.as_ref(), shared);
     let key = if declared == Declared::Axis { "error_rmse_um" } else { "response_rmse" };
     let mut doc = document(
         session,
@@ -265,7 +276,7 @@ pub fn verify_scalar(
     doc.before = summarise(&before, split, key, seed);
     doc.after = summarise(&after, split, key, seed);
     doc.coverage95 = coverage95(&after);
-    let floor = noise_floor(&system.frame, &c.accepted);
+    let floor = noise_floor(&system.frame, &c.accepted, shared);
     doc.noise_floor.source = floor.map_or("none", |f| f.source).to_owned();
     let sd = floor.map(|f| f.sd);
     if declared == Declared::Axis {
@@ -278,6 +289,20 @@ pub fn verify_scalar(
     } else {
         &found.first_gate
     };
+    if !exact {
+        let parts = noise_document(&noise, &names.response);
+        doc.notes.extend(noise_sentences(&parts));
+        doc.noise = Some(parts);
+    }
+    doc.flagged = c
+        .accepted
+        .flagged
+        .iter()
+        .map(|&i| {
+            let origin = &system.frame.rows[i].origin;
+            FlaggedReading { source: origin.0.clone(), point: origin.2 }
+        })
+        .collect();
     doc.detectable = detect::table(&system, &c.accepted.fit, gate, &names);
     doc.next_measurement = next::next_measurement(&system, &c);
     let steadiness = steadiness(&system, &c.accepted);
@@ -316,12 +341,14 @@ pub fn verify_scalar(
             &found.base,
             &c.accepted,
             spread.as_ref(),
+            shared,
             &names.response,
         ),
         model: Some(ScalarModel::of(
             &system,
             &c.accepted,
             spread.as_ref(),
+            shared,
             &names,
             accepted
                 .clone()

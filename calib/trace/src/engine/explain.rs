@@ -13,7 +13,7 @@
 
 use super::fit::{Weights, fit};
 use super::gate::{CATALOGUE_LEVEL, DRIVER_LEVEL, DriverScore, Gate};
-use super::noise_parts::{MeanModel, Misfit, Noise, NoiseInputs, Sought, estimate, misfit};
+use super::noise_parts::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
 use super::null::{NullFamily, f_test};
 use super::search::{Found, Hypothesis, Options, declared, search};
 use crate::candidate::System;
@@ -34,8 +34,8 @@ pub struct Explained {
 const MAX_SEARCHES: usize = 3;
 /// Generic drivers that are judged against correlated noise.
 const DRIVERS_JUDGED: usize = 10;
-/// Price of a parameter of the noise, in -2 log likelihood (Akaike).
-const NOISE_PRICE: f64 = 2.0;
+/// Price of a law of the spread, in -2 log likelihood (Akaike).
+const LAW_PRICE: f64 = 2.0;
 
 /// Estimates the noise of an explanation's residuals.
 pub struct Judge<'a> {
@@ -51,20 +51,21 @@ impl<'a> Judge<'a> {
         Self { system, inputs: system.noise_inputs(), seed }
     }
 
-    /// Noise of the residuals of `h`, with further columns where there are some.
+    /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
     #[must_use]
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
         let noise = estimate(&model, &self.inputs, &h.weights, Sought::ALL, self.seed)?;
-        let m = misfit(&model, &noise.weights)?;
+        let m = best_misfit(&model, &self.inputs, &noise)?;
         Some((noise, m))
     }
 
     /// p-value of `with` against `without` (both with their own noise), judged in `family`.
     fn p_value(&self, without: &(Noise, Misfit), with: &(Noise, Misfit), family: &NullFamily) -> f64 {
         let (a, b) = (&without.1, &with.1);
-        let price = NOISE_PRICE * (parameters(&without.0) - parameters(&with.0));
-        let lead = (a.plain - b.plain + price.max(0.0)) / a.values;
+        // Both sides have had every shared part; a law of the spread is one parameter.
+        let law = |n: &Noise| if n.law.is_some() { LAW_PRICE } else { 0.0 };
+        let lead = (a.plain + law(&without.0) - b.plain - law(&with.0)) / a.values;
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
         let worse = lead.exp();
@@ -107,14 +108,6 @@ impl<'a> Judge<'a> {
         let holds = judged.first().is_some_and(|d| d.0 < DRIVER_LEVEL);
         holds.then(|| judged.into_iter().map(|d| d.1).collect())
     }
-}
-
-/// Parameters of a noise model beyond its size.
-fn parameters(noise: &Noise) -> f64 {
-    let shared = noise.weights.shared();
-    let correlated = shared.and_then(|s| s.correlated).map_or(0.0, |_| 2.0);
-    let pose = shared.map_or(0.0, |s| f64::from(u8::from(s.pose > 0.0)));
-    correlated + pose + noise.law.as_ref().map_or(0.0, |_| 1.0)
 }
 
 /// Whether two noise models whiten alike, within a quarter.

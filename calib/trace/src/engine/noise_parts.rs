@@ -375,6 +375,41 @@ pub fn estimate(
 /// A shared part's estimate.
 type Parts = (Weights, Option<(Estimated, f64)>, Option<Estimated>);
 
+/// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
+/// the spread and is where nothing suits better.
+#[must_use]
+pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<Misfit> {
+    let relative = noise.weights.relative().to_vec();
+    let at = |v: &[f64; 3]| {
+        let shared = inputs.shared(Some([v[0].exp(), v[1].exp()]), v[2].exp());
+        misfit(model, &Weights::sharing(relative.clone(), shared))
+    };
+    let plain = misfit(model, &noise.weights)?;
+    let independent = Weights::independent(relative.clone());
+    let can_pose = inputs.held_repeats(&independent) >= LEAST_HELD_REPEATS;
+    let clock = inputs.clock.as_ref().filter(|_| independent.active() >= LEAST_CORRELATED);
+    let Some(tau) = clock.and_then(|c| time_constants(c)) else { return Some(plain) };
+    let ratio = RATIOS.map(f64::ln);
+    let shared = noise.weights.shared();
+    let pose = shared.map_or(0.0, |s| s.pose).max(RATIOS[0]).ln();
+    let known = shared
+        .and_then(|s| s.correlated)
+        .map(|c| [c[0].max(RATIOS[0]).ln(), c[1].ln().clamp(tau[0], tau[1])]);
+    let cost = |v: &[f64; 3]| at(v).map_or(f64::INFINITY, |m| m.plain);
+    let place = |k: f64| tau[0] + (tau[1] - tau[0]) * k;
+    let starts: Vec<[f64; 3]> = match known {
+        Some([r, t]) => vec![[r, t, pose]],
+        None => [0.15, 0.45, 0.8].iter().flat_map(|k| [-1.0, 0.5].map(|r| [r, place(*k), pose])).collect(),
+    };
+    let start = starts.into_iter().map(|v| (cost(&v), v)).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+    let (low, high) = (
+        [ratio[0], tau[0], if can_pose { ratio[0] } else { pose }],
+        [ratio[1], tau[1], if can_pose { ratio[1] } else { pose }],
+    );
+    let (best, _) = descend(start, [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }], low, high, &cost);
+    at(&best).filter(|m| m.plain < plain.plain).or(Some(plain))
+}
+
 /// What readings share, by restricted likelihood, one part after the other.
 fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: Sought) -> Option<Parts> {
     let at = |correlated: Option<[f64; 2]>, pose: f64| {

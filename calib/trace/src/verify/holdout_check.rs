@@ -13,8 +13,6 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
 /// Level of the check: far below the gate's, since a memory effect's curvature is only linearised here.
 pub const HOLDOUT_LEVEL: f64 = 1e-4;
-/// The same where the noise has heavy tails: an F test takes them for misfit more often.
-const HEAVY_FACTOR: f64 = 0.01;
 /// Family-wise level of single held-out readings.
 const SINGLE_LEVEL: f64 = 1e-3;
 /// More of them than this share are no single readings.
@@ -45,12 +43,6 @@ pub fn flagged(whole: &WhiskerSystem, noise: &Noise, after: &[Predicted]) -> Vec
 /// From standard deviations to the scale of the heaviest tails.
 fn noise_scale(tails: &Tails) -> f64 {
     1.0 / tails.heaviest_scale.max(1e-3)
-}
-
-/// Level below which the held-out readings contradict the model.
-#[must_use]
-pub fn level(noise: &Noise) -> f64 {
-    if noise.tails.is_some_and(|t| t.heavy) { HOLDOUT_LEVEL * HEAVY_FACTOR } else { HOLDOUT_LEVEL }
 }
 
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
@@ -97,7 +89,15 @@ pub fn holdout_p(
     let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
     let own = DMatrix::from_fn(count, count, |a, b| if a % 2 == b % 2 { own[(a / 2, b / 2)] } else { 0.0 });
     let shape = own + &jacobian * spread * jacobian.transpose();
-    let whitened = shape.cholesky()?.solve(&residual);
-    let f = residual.dot(&whitened) / count as f64 / noise.repeat.value.powi(2);
+    let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&residual)? / noise.repeat.value;
+    if let Some(tails) = noise.tails.filter(|t| t.heavy && t.heaviest.is_finite()) {
+        // Each value as far out as a Gaussian would have it with the same chance.
+        let (t, normal) = (StudentsT::new(0.0, 1.0, tails.heaviest).ok()?, Normal::standard());
+        let scale = noise_scale(&tails);
+        whitened.apply(|w| {
+            *w = w.signum() * normal.inverse_cdf(1.0 - t.sf(w.abs() * scale).clamp(1e-300, 0.5)).min(30.0)
+        });
+    }
+    let f = whitened.norm_squared() / count as f64;
     FisherSnedecor::new(count as f64, accepted.fit.dof.max(1.0)).ok().map(|d| d.sf(f))
 }

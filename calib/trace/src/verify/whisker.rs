@@ -171,7 +171,7 @@ pub fn verify_whisker(
         predict(&whole, &conclusion.accepted, &model_after, &reading_sd_pm).ok_or_else(no_solution)?;
     let left_out = holdout_check::flagged(&whole, &noise, &after);
     if let Some(p) = holdout_p(&whole, &conclusion.accepted, &noise, &after, &left_out)
-        .filter(|p| *p < holdout_check::level(&noise))
+        .filter(|p| *p < holdout_check::HOLDOUT_LEVEL)
     {
         conclusion.contradicted(p, !options.accept.is_empty());
     }

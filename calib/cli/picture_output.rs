@@ -18,6 +18,7 @@ pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
     let hash = |path: &Path| {
         let bytes = std::fs::read(path).ok()?;
         Some(InputFile {
+            purpose: wcal_core::Purpose::Description,
             path: path.display().to_string(),
             sha256: wcal_core::provenance::sha256_hex(&bytes),
         })

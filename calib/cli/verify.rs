@@ -6,12 +6,15 @@ use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
 use clap::Args;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::verify_document::{Verdict, VerifyDocument};
-use wcal_core::{InputFile, Provenance, ResidualRecord, SessionData, VerificationStatus, WhiskerData};
+use wcal_core::{
+    InputFile, Provenance, Purpose, ResidualRecord, SessionData, VerificationStatus, WhiskerData,
+};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::engine::search::Options;
@@ -152,8 +155,8 @@ pub fn verify_session(
     seed: u64,
     accept: &[String],
 ) -> anyhow::Result<ReportInput> {
-    let seen = note_unsealing(session, out.folder())?;
     let provenance = provenance(&session.inputs, seed);
+    let seen = note_unsealing(session, out.folder(), &provenance)?;
     let search = Options { seed, ..Options::default() };
     let Outcome { mut report, predictions, model } = match &session.data {
         SessionData::Whisker(data) => {
@@ -229,39 +232,85 @@ fn of_scalar_session(
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
     document.notes.extend(session.warnings.iter().cloned());
     if seen {
-        document.notes.push(
-            "This holdout was unsealed before in this output folder: its error is no longer a first look."
-                .to_owned(),
-        );
+        document
+            .notes
+            .push("This holdout was unsealed before: its error is no longer a first look.".to_owned());
     }
 }
 
-/// Records by hash that the holdout was opened, at once and for good; says whether it had been opened before.
-fn note_unsealing(session: &LoadedSession, out: &Path) -> anyhow::Result<bool> {
-    let sealed: Vec<&InputFile> = session.inputs.iter().filter(|i| i.path.contains("holdout")).collect();
+/// A held-out file that was opened.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Unsealed {
+    /// Hash of the file.
+    sha256: String,
+    /// Its path then.
+    path: String,
+    /// When, RFC 3339, UTC.
+    when: String,
+    /// By which version of the program.
+    program: String,
+}
+
+/// `unsealed.json`: every held-out file that was opened, with when and by what.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct UnsealedFile {
+    format: String,
+    opened: Vec<Unsealed>,
+}
+
+/// Record of unsealing in a folder. Version 0 was a list of hashes.
+fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
+    let Ok(bytes) = std::fs::read(path) else { return Ok(Vec::new()) };
+    if let Ok(hashes) = serde_json::from_slice::<Vec<String>>(&bytes) {
+        let of =
+            |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
+        return Ok(hashes.into_iter().map(of).collect());
+    }
+    let file: UnsealedFile =
+        serde_json::from_slice(&bytes).with_context(|| format!("reading {}", path.display()))?;
+    Ok(file.opened)
+}
+
+/// Records that held-out files are opened, at once and for good: beside the session, so that another output folder does not forget it, or
+/// in the output folder where the session cannot be written to. Says whether one had been opened before.
+fn note_unsealing(session: &LoadedSession, out: &Path, provenance: &Provenance) -> anyhow::Result<bool> {
+    const NAME: &str = "unsealed.json";
+    let sealed: Vec<&InputFile> = session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout).collect();
     if sealed.is_empty() {
         return Ok(false);
     }
-    let path = out.join("unsealed.json");
-    let mut known: Vec<String> = match std::fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("reading {}", path.display()))?,
-        Err(_) => Vec::new(),
+    let places = [session.folder.join(NAME), out.join(NAME)];
+    let known = places.iter().map(|p| read_unsealed(p)).collect::<anyhow::Result<Vec<_>>>()?;
+    let seen = sealed.iter().any(|i| known.iter().flatten().any(|u| u.sha256 == i.sha256));
+    let record = |known: &[Unsealed]| -> anyhow::Result<Vec<u8>> {
+        let mut opened = known.to_vec();
+        for input in sealed.iter().filter(|i| known.iter().all(|u| u.sha256 != i.sha256)) {
+            opened.push(Unsealed {
+                sha256: input.sha256.clone(),
+                path: input.path.clone(),
+                when: provenance.created.clone(),
+                program: provenance.program.clone(),
+            });
+        }
+        Ok(serde_json::to_vec_pretty(&UnsealedFile { format: "wcal-unsealed/1".to_owned(), opened })?)
     };
-    let seen = sealed.iter().any(|i| known.contains(&i.sha256));
-    known.extend(sealed.iter().map(|i| i.sha256.clone()));
-    known.sort();
-    known.dedup();
-    crate::output::write_file(&path, &serde_json::to_vec_pretty(&known)?)?;
+    if crate::output::write_file(&places[0], &record(&known[0])?).is_err() {
+        eprintln!(
+            "verify: {} cannot be written; that the holdout was opened is recorded in {} only",
+            places[0].display(),
+            places[1].display()
+        );
+        crate::output::write_file(&places[1], &record(&known[1])?)?;
+    }
     Ok(seen)
 }
 
-/// A holdout whose file was among the calibration's inputs proves nothing.
+/// A holdout whose file was fitted for the calibration proves nothing.
 fn refuse_seen_holdout(path: &Path, session: &LoadedSession) -> anyhow::Result<()> {
     let file = read_calibration(path)?;
-    for sealed in session.inputs.iter().filter(|i| i.path.contains("holdout")) {
-        if let Some(same) =
-            file.provenance.inputs.iter().find(|i| i.sha256 == sealed.sha256 && !i.path.contains("holdout"))
-        {
+    let fitted = || file.provenance.inputs.iter().filter(|i| i.purpose != Purpose::Holdout);
+    for sealed in session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout) {
+        if let Some(same) = fitted().find(|i| i.sha256 == sealed.sha256) {
             bail!(
                 "{}: expected a holdout that was not in the fit, found {} among the inputs of {}",
                 sealed.path,

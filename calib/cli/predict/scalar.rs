@@ -78,6 +78,7 @@ pub(super) fn by_scalar(
                 direction: at(&direction),
                 cycle: None,
                 covariates: covariates.iter().map(|c| at(c).unwrap_or(0.0)).collect(),
+                place: None,
             }
         })
         .collect();

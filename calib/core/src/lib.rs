@@ -17,5 +17,5 @@ pub use observation::{
     AxisData, AxisRow, FbgSpec, MomentAxes, Role, SessionData, SessionKind, Trajectory, TransducerData,
     TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow, WhiskerSpec,
 };
-pub use provenance::{InputFile, Provenance};
+pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;

@@ -241,6 +241,9 @@ pub struct WhiskerRow {
     pub samples: Option<u32>,
     /// 0 for the session itself; added sessions count up. The whisker was seated anew, so the gratings' zero may differ.
     pub seating: u32,
+    /// Counts among the held-out readings, whatever its role says.
+    #[serde(default)]
+    pub sealed: bool,
 }
 
 impl WhiskerRow {

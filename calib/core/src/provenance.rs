@@ -10,6 +10,30 @@ pub struct InputFile {
     pub path: String,
     /// SHA-256 of the content, lower-case hex.
     pub sha256: String,
+    /// What it is read for.
+    #[serde(default, skip_serializing_if = "Purpose::is_description")]
+    pub purpose: Purpose,
+}
+
+/// What a file is read for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Purpose {
+    /// Describing the session.
+    #[default]
+    Description,
+    /// Readings that are fitted.
+    Fit,
+    /// Held out: no fit sees it.
+    Holdout,
+}
+
+impl Purpose {
+    /// No readings.
+    #[must_use]
+    pub fn is_description(&self) -> bool {
+        *self == Self::Description
+    }
 }
 
 /// Program and command that made an artefact.

@@ -5,7 +5,8 @@ use crate::session::{LoadedSession, check_covariates, load};
 use crate::whisker::{self, Demand};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
-use wcal_core::{SessionData, WhiskerData, WhiskerRow};
+use wcal_core::observation::Role;
+use wcal_core::{InputFile, Purpose, SessionData, WhiskerData, WhiskerRow};
 
 const PM_PER_NM: f64 = 1000.0;
 
@@ -21,7 +22,7 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
     let before = session.inputs.len();
     if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
         let other = load(path)?;
-        attach_session(session, other, Use::Holdout)?;
+        attach_session(session, other, Purpose::Holdout)?;
     } else {
         attach_table(session, path)?;
     }
@@ -38,15 +39,8 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
 pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), SessionError> {
     let before = session.inputs.len();
     let other = load(folder)?;
-    attach_session(session, other, Use::Fit)?;
+    attach_session(session, other, Purpose::Fit)?;
     refuse_reuse(session, before)
-}
-
-/// What the rows of another session are for.
-#[derive(Clone, Copy, PartialEq)]
-enum Use {
-    Holdout,
-    Fit,
 }
 
 /// Pause between sessions, s: creep of the wire has died out.
@@ -64,13 +58,16 @@ fn place_after(data: &WhiskerData, added: &mut WhiskerData) {
     }
 }
 
-/// The same bytes cannot be fitted and held out.
+/// The same bytes cannot be fitted and held out, nor fitted twice.
 fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionError> {
-    let (fitted, added) = session.inputs.split_at(before);
-    let points = fitted.iter().find(|input| input.path == session.points_file);
-    match points.and_then(|points| added.iter().find(|input| input.sha256 == points.sha256)) {
-        Some(input) => {
-            let found = format!("the content of {}, which is fitted", session.points_file);
+    let (known, added) = session.inputs.split_at(before);
+    let mut fitted = known.iter().filter(|input| input.purpose == Purpose::Fit);
+    let readings = |input: &&InputFile| input.purpose != Purpose::Description;
+    let same =
+        fitted.find_map(|f| added.iter().filter(readings).find(|a| a.sha256 == f.sha256).map(|a| (f, a)));
+    match same {
+        Some((fitted, input)) => {
+            let found = format!("the content of {}, which is fitted", fitted.path);
             Err(Defect::new(&input.path, "readings that no fit has seen", found).into())
         }
         None => Ok(()),
@@ -87,7 +84,8 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             whisker_checks::check_stage(&table.rows, &data.trajectories, &mut session.warnings)?;
             whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&data.whisker.rest_shape))?;
             session.warnings.extend(table.warnings);
-            data.holdout.extend(table.rows);
+            data.holdout
+                .extend(table.rows.into_iter().map(|r| WhiskerRow { sealed: r.role != Role::Rest, ..r }));
             table.input
         }
         SessionData::Transducer(data) => {
@@ -102,14 +100,14 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             input
         }
     };
-    session.inputs.push(input);
+    session.inputs.push(InputFile { purpose: Purpose::Holdout, ..input });
     Ok(())
 }
 
 fn attach_session(
     session: &mut LoadedSession,
     other: LoadedSession,
-    purpose: Use,
+    purpose: Purpose,
 ) -> Result<(), SessionError> {
     let folder = other.folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let renamed = |name: &str| format!("{folder}/{name}");
@@ -131,12 +129,16 @@ fn attach_session(
             for row in added.rows.iter_mut().chain(&mut added.holdout) {
                 row.source = renamed(&row.source);
             }
-            if purpose == Use::Fit {
+            if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
                     session.warnings.push(format!("{folder}: labels of its twin are not used"));
                 }
                 place_after(data, &mut added);
                 data.rows.append(&mut added.rows);
+            }
+            // Of a session that is held out every row counts, whatever its role says.
+            if purpose == Purpose::Holdout {
+                added.rows.iter_mut().chain(&mut added.holdout).for_each(|r| r.sealed = true);
             }
             data.holdout.extend(added.rows.into_iter().chain(added.holdout));
         }
@@ -147,7 +149,7 @@ fn attach_session(
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
             for row in added.rows {
                 let row = wcal_core::TransducerRow { source: renamed(&row.source), ..row };
-                if purpose == Use::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+                if purpose == Purpose::Fit { data.rows.push(row) } else { data.holdout.push(row) }
             }
             for row in added.holdout {
                 data.holdout.push(wcal_core::TransducerRow { source: renamed(&row.source), ..row });
@@ -156,7 +158,7 @@ fn attach_session(
         (SessionData::Axis(data), SessionData::Axis(added)) => {
             for row in added.rows {
                 let row = wcal_core::AxisRow { source: renamed(&row.source), ..row };
-                if purpose == Use::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+                if purpose == Purpose::Fit { data.rows.push(row) } else { data.holdout.push(row) }
             }
             for row in added.holdout {
                 data.holdout.push(wcal_core::AxisRow { source: renamed(&row.source), ..row });
@@ -167,6 +169,9 @@ fn attach_session(
     session.warnings.extend(other.warnings.iter().map(|w| renamed(w)));
     session.inputs.extend(other.inputs.into_iter().map(|mut input| {
         input.path = renamed(&input.path);
+        if purpose == Purpose::Holdout && input.purpose == Purpose::Fit {
+            input.purpose = Purpose::Holdout;
+        }
         input
     }));
     Ok(())

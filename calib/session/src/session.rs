@@ -6,7 +6,7 @@ use crate::whisker::{self, Demand};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
-use wcal_core::{AxisData, InputFile, Role, SessionData, SessionKind, TransducerData, WhiskerData};
+use wcal_core::{AxisData, InputFile, Purpose, Role, SessionData, SessionKind, TransducerData, WhiskerData};
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
@@ -59,7 +59,8 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let root = Section::root(NAME, &meta);
     check_format(&root)?;
     let mut warnings = Vec::new();
-    let mut inputs = vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes) }];
+    let mut inputs =
+        vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Description }];
     let id = root.required_text("id", "a session identifier")?;
     let kind = read_kind(&root)?;
     let created = root.text("created")?;
@@ -177,21 +178,23 @@ fn load_whisker(
     let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
     inputs.append(&mut meta.inputs);
     let length_mm = whisker_checks::length_mm(&meta.whisker.rest_shape);
-    let mut read = |name: &str| -> Result<Vec<_>, SessionError> {
+    let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
         let table = whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, Demand::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &meta.trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
-        inputs.push(table.input);
+        inputs.push(InputFile { purpose, ..table.input });
         warnings.extend(table.warnings);
         Ok(table.rows)
     };
-    let mut rows = read(&files.points)?;
+    let mut rows = read(&files.points, Purpose::Fit)?;
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        holdout.extend(read(name)?);
+        holdout.extend(read(name, Purpose::Holdout)?);
     }
+    // Where nothing was loaded there is nothing to predict but the zero.
+    holdout.iter_mut().for_each(|r| r.sealed = r.role != Role::Rest);
     require_unsealed(&files.points, rows.len())?;
     let mut twin = Vec::new();
     if let Some(name) = &files.twin {
@@ -213,13 +216,13 @@ fn load_transducer(
 ) -> Result<TransducerData, SessionError> {
     let meta = transducer::read_meta(root, warnings)?;
     let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
-    inputs.push(table.input);
+    inputs.push(InputFile { purpose: Purpose::Fit, ..table.input });
     let (mut rows, covariates) = (table.rows, table.covariates);
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
         let sealed = transducer::read_rows(&folder.join(name), name, warnings)?;
         check_covariates(name, &covariates, &sealed.covariates)?;
-        inputs.push(sealed.input);
+        inputs.push(InputFile { purpose: Purpose::Holdout, ..sealed.input });
         holdout.extend(sealed.rows);
     }
     require_unsealed(&files.points, rows.len())?;
@@ -243,15 +246,15 @@ fn load_axis(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<String>,
 ) -> Result<AxisData, SessionError> {
-    let mut read = |name: &str| -> Result<Vec<_>, SessionError> {
+    let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;
-        inputs.push(input);
+        inputs.push(InputFile { purpose, ..input });
         Ok(rows)
     };
-    let mut rows = read(&files.points)?;
+    let mut rows = read(&files.points, Purpose::Fit)?;
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        holdout.extend(read(name)?);
+        holdout.extend(read(name, Purpose::Holdout)?);
     }
     require_unsealed(&files.points, rows.len())?;
     Ok(AxisData { rows, holdout })

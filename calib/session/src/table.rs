@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use wcal_core::InputFile;
+use wcal_core::{InputFile, Purpose};
 
 /// A column that was found.
 #[derive(Debug, Clone, Copy)]
@@ -141,7 +141,7 @@ impl Table {
         }
         let digest = self.lines.digest.finalize();
         let sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
-        Ok(InputFile { path: self.file, sha256 })
+        Ok(InputFile { path: self.file, sha256, purpose: Purpose::Description })
     }
 }
 

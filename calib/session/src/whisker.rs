@@ -217,6 +217,7 @@ fn read_row(
         shift_sd_pm: if let [Some(a), Some(b)] = sd { Some([a, b]) } else { None },
         samples: row.count(columns.samples, 1)?,
         seating: 0,
+        sealed: false,
     })
 }
 

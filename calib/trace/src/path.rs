@@ -167,7 +167,7 @@ impl WhiskerPath {
                     sample_sd_pm: sd.map(|s| s / root),
                     group: r.trajectory.unwrap_or(0),
                     replicate: r.replicate.unwrap_or(0),
-                    holdout: r.role == Role::Holdout,
+                    holdout: r.sealed,
                     seating: r.seating,
                 }
             })

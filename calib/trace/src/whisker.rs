@@ -78,6 +78,19 @@ pub struct WhiskerSystem {
     pm: Matrix2<f64>,
 }
 
+/// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
+fn rates(readings: &[crate::path::Reading]) -> Vec<f64> {
+    const SIDE: usize = 3;
+    (0..readings.len())
+        .map(|i| {
+            let (a, b) = (i.saturating_sub(SIDE), (i + SIDE).min(readings.len() - 1));
+            let dt_s = readings[b].t_s - readings[a].t_s;
+            let rise = readings[b].rise_by_others_degc - readings[a].rise_by_others_degc;
+            if dt_s > 0.0 { rise / dt_s } else { 0.0 }
+        })
+        .collect()
+}
+
 /// Density of the medium, kg/m^3.
 fn fluid_kg_m3(medium: &str) -> f64 {
     match medium {
@@ -283,6 +296,9 @@ impl System for WhiskerSystem {
         }
         if self.path.columns.temperature {
             out.push(("temperature_degc".to_owned(), column(&|r| r.rise_by_others_degc)));
+            if self.path.columns.time {
+                out.push(("temperature_rate_degc_s".to_owned(), rates(r)));
+            }
         }
         if self.path.columns.both_directions {
             out.push(("direction".to_owned(), column(&|r| if r.rest { 0.0 } else { r.direction })));
@@ -293,6 +309,8 @@ impl System for WhiskerSystem {
         let arclength = |r: &crate::path::Reading| {
             r.line.filter(|_| !r.rest).and_then(|l| self.bench.arclength_mm(l, r.x_mm)).unwrap_or(0.0)
         };
+        out.push(("fbg_1_pm".to_owned(), column(&|r| r.shift_pm[0])));
+        out.push(("fbg_2_pm".to_owned(), column(&|r| r.shift_pm[1])));
         out.push(("contact_arclength_mm".to_owned(), column(&arclength)));
         out
     }

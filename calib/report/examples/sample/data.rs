@@ -183,6 +183,7 @@ fn detectable(id: &str, smallest: Option<f64>, unit: &str, status: &str, why: &s
 
 fn provenance(session: &str) -> Provenance {
     let file = |path: &str| InputFile {
+        purpose: wcal_core::Purpose::Description,
         path: format!("{session}/{path}"),
         sha256: wcal_core::provenance::sha256_hex(path.as_bytes()),
     };

@@ -47,6 +47,12 @@ impl Candidate for Hysteresis {
                 .shape("width_nmm", "N mm", width, &[0.02, 0.06, 0.2])
                 .amplitude("second_loop_nmm", "N mm", size, 0.01)
                 .shape("second_width_nmm", "N mm", width, &[0.06, 0.2, 0.6]),
+            // Prandtl-Ishlinskii: a stack of plays whose widths cover what a bond shows, each with a size of its own.
+            law("prandtl-ishlinskii")
+                .amplitude("play_1_nmm", "N mm", size, 0.01)
+                .amplitude("play_2_nmm", "N mm", size, 0.01)
+                .amplitude("play_3_nmm", "N mm", size, 0.01)
+                .amplitude("play_4_nmm", "N mm", size, 0.01),
         ]
     }
     fn sentence(&self) -> &'static str {
@@ -59,11 +65,20 @@ impl Candidate for Hysteresis {
 
 impl WhiskerEffect for Hysteresis {
     fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
-        let loops: Vec<(f64, f64)> = values.chunks(2).map(|p| (p[0], p[1])).collect();
+        let loops: Vec<(f64, f64)> = if law == STACK {
+            values.iter().copied().zip(STACK_WIDTHS_NMM).collect()
+        } else {
+            values.chunks(2).map(|p| (p[0], p[1])).collect()
+        };
         let states = vec![[0.0; 2]; loops.len()];
         Some(Box::new(Loops { law, loops, states, before: [0.0; 2] }))
     }
 }
+
+/// Index of the stack of plays among the laws.
+const STACK: usize = 5;
+/// Half widths of its plays, N mm.
+const STACK_WIDTHS_NMM: [f64; 4] = [0.04, 0.1, 0.25, 0.6];
 
 /// Sizes and widths of the loops with their states.
 struct Loops {

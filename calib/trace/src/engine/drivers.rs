@@ -153,6 +153,15 @@ pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &Weights, nuisance
                     &[values.iter().map(|v| v.signum() * f64::from(u8::from(v.abs() > 1e-9))).collect()],
                 );
             }
+            // An interferometer's error repeats with the wavelength itself.
+            _ if name.starts_with("fbg_") => {
+                for half in 3..=24 {
+                    let cycles = 0.5 * f64::from(half);
+                    let phase = std::f64::consts::TAU * cycles;
+                    let waves = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
+                    maker.add(name, "sinusoid", Some(span / cycles), &waves);
+                }
+            }
             "contact_arclength_mm" => maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5))),
             _ => maker.add(name, "linear", None, &[map(&|u| u)]),
         }

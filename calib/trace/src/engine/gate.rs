@@ -110,6 +110,20 @@ fn serial(system: &dyn System, fit: &Fit, weights: &Weights) -> f64 {
     Normal::standard().sf(z)
 }
 
+/// Share of a label's gain from which a continuous covariate does as well.
+const AS_WELL: f64 = 0.6;
+
+/// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where no continuous covariate does as well.
+fn behind_continuous(scores: &mut [DriverScore]) {
+    let is_label = |s: &DriverScore| s.driver == "trajectory";
+    let Some(label) = scores.iter().position(is_label) else { return };
+    let gain = scores[label].gain;
+    let last = scores.iter().rposition(|s| !is_label(s) && s.gain >= AS_WELL * gain);
+    if let Some(last) = last.filter(|l| *l > label) {
+        scores[label..=last].rotate_left(1);
+    }
+}
+
 fn generic(
     system: &dyn System,
     fit: &Fit,
@@ -145,7 +159,8 @@ fn generic(
     }
     // Where two p-values underflow, the larger gain decides.
     scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
-    let p = scores.first().map_or(1.0, |s| family.adjusted(s.p_single));
+    behind_continuous(&mut scores);
+    let p = scores.iter().map(|s| s.p_single).min_by(f64::total_cmp).map_or(1.0, |p| family.adjusted(p));
     (p, scores, family)
 }
 

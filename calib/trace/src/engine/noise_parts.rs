@@ -223,21 +223,23 @@ pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
     let off = |m: &DMatrix<f64>| m - &x * chol.solve(&(x.transpose() * m));
     let r = off(&y);
     let mut log_x = channels as f64 * (log_det + log_scale);
-    let m = model.tangents.len();
     let mut ssr = r.norm_squared();
+    // A tangent may be nothing at all: the place of a step moves no reading at first.
+    let tangents: Vec<DMatrix<f64>> = model.tangents.iter().map(|t| off(&weights.apply(t))).collect();
+    let live: Vec<&DMatrix<f64>> = tangents.iter().filter(|t| t.norm_squared() > 1e-200).collect();
+    let m = live.len();
     if m > 0 {
-        let t: Vec<DMatrix<f64>> = model.tangents.iter().map(|t| off(&weights.apply(t))).collect();
-        let size: Vec<f64> = t.iter().map(|t| t.norm().max(1e-300)).collect();
-        let small = DMatrix::from_fn(m, m, |a, b| t[a].dot(&t[b]) / (size[a] * size[b]))
+        let size: Vec<f64> = live.iter().map(|t| t.norm()).collect();
+        let small = DMatrix::from_fn(m, m, |a, b| live[a].dot(live[b]) / (size[a] * size[b]))
             + DMatrix::identity(m, m) * RIDGE;
-        let right = DVector::from_fn(m, |a, _| t[a].dot(&r) / size[a]);
+        let right = DVector::from_fn(m, |a, _| live[a].dot(&r) / size[a]);
         let chol = small.cholesky()?;
         ssr -= right.dot(&chol.solve(&right));
         log_x += chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum::<f64>()
             + size.iter().map(|s| 2.0 * s.ln()).sum::<f64>();
     }
     let values = (weights.active() * channels) as f64;
-    let dof = values - (q * channels + m) as f64;
+    let dof = values - (q * channels + model.tangents.len()) as f64;
     if !(dof >= 1.0 && ssr > 0.0) {
         return None;
     }

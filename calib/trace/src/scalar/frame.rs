@@ -57,6 +57,8 @@ pub struct ScalarRow {
     pub cycle: Option<u32>,
     /// Further covariates.
     pub covariates: Vec<f64>,
+    /// Place among all readings of the session, where not all of them are fitted; none: as they come.
+    pub place: Option<usize>,
 }
 
 impl From<&TransducerRow> for ScalarRow {
@@ -71,6 +73,7 @@ impl From<&TransducerRow> for ScalarRow {
             direction: r.direction,
             cycle: r.replicate,
             covariates: r.covariates.clone(),
+            place: None,
         }
     }
 }
@@ -87,6 +90,7 @@ impl From<&AxisRow> for ScalarRow {
             direction: r.direction,
             cycle: r.cycle,
             covariates: Vec::new(),
+            place: None,
         }
     }
 }
@@ -159,7 +163,7 @@ pub struct Scaling {
     pub temperature: Option<f64>,
     /// Middle and half range of each further covariate.
     pub covariates: Vec<[f64; 2]>,
-    /// Readings fitted.
+    /// Readings of the points table, those that the search left out among them.
     pub count: usize,
 }
 
@@ -305,7 +309,7 @@ impl Frame {
         Self {
             u: rows.iter().map(|r| (r.x - scaling.mid) / half).collect(),
             zero_u: -scaling.mid / half,
-            order: (0..rows.len()).map(|k| k as f64 / span).collect(),
+            order: rows.iter().enumerate().map(|(k, r)| r.place.unwrap_or(k) as f64 / span).collect(),
             time: scaling.time.filter(|_| timed).map(|[first, duration]| {
                 rows.iter().map(|r| (r.t_s.unwrap_or(first) - first) / duration).collect()
             }),

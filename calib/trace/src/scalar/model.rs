@@ -172,6 +172,7 @@ impl ScalarModel {
             direction: None,
             cycle: None,
             covariates: vec![0.0; names],
+            place: None,
         };
         let frame = Frame::of_new_rows(vec![row], &self.scaling, self.declared);
         let system = ScalarSystem::new(frame, &self.covariates);

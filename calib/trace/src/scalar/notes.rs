@@ -14,12 +14,14 @@ pub(super) fn notes(
     steadiness: Option<&Steadiness>,
     spread: Option<&Spread>,
     lack: [Option<&LackOfFit>; 2],
-    [total, every]: [usize; 2],
+    total: usize,
 ) {
-    if every > 1 {
-        let used = system.frame.rows.len();
-        doc.notes
-            .push(format!("The search used {used} of {total} readings, every {every}th; all are predicted."));
+    let used = system.frame.rows.len();
+    if used < total {
+        doc.notes.push(format!(
+            "The search used {used} of {total} readings, chosen evenly by stimulus, direction and cycle; all are predicted, and places and \
+             periods are in rows of the table."
+        ));
     }
     if let Some(s) = steadiness.filter(|s| s.z > UNSTEADY) {
         let note = format!(

@@ -34,6 +34,12 @@ fn moment(rows: &[&HeldOut]) -> f64 {
     rms(rows.iter().flat_map(|r| r.moment_nmm))
 }
 
+/// Error of the wavelengths of held-out readings, pm; NaN without any.
+#[must_use]
+pub fn wavelength_rmse_pm(rows: &[HeldOut]) -> f64 {
+    wavelength(&rows.iter().collect::<Vec<_>>())
+}
+
 /// Bootstrap draws over whole trajectories.
 const DRAWS: usize = 1000;
 

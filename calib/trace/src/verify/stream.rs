@@ -167,6 +167,7 @@ mod tests {
             shift_sd_pm: None,
             samples: None,
             seating: 0,
+            sealed: false,
         };
         let rows: Vec<WhiskerRow> = shifts.iter().enumerate().map(row).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();

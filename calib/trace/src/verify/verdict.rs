@@ -60,6 +60,30 @@ impl Conclusion {
         Ok(())
     }
 
+    /// The accepted effects make the unsealed readings worse: they are no explanation, and nothing of them stays accepted.
+    pub fn withdrawn(&mut self, base: &Hypothesis, [before, after]: [f64; 2], contradicted: bool) {
+        let names: Vec<String> = self.effects.iter().map(|e| e.id.clone()).collect();
+        let found = format!(
+            "The calibration readings asked for {}, but with it the held-out error rises from {before:.3} to {after:.3} pm: it is not accepted.",
+            join(&names)
+        );
+        self.effects = Vec::new();
+        self.alternatives = Vec::new();
+        self.accepted = base.clone();
+        self.flagged = base.flagged.clone();
+        (self.verdict, self.reason) = if contradicted {
+            (
+                Verdict::UnknownEffect,
+                format!("{found} Something is left that nothing in the catalogue explains."),
+            )
+        } else {
+            (
+                Verdict::Adequate,
+                format!("The declared model and the noise explain the held-out readings. {found}"),
+            )
+        };
+    }
+
     /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
     /// No driver is named: the calibration readings show none.
     pub fn contradicted(&mut self, p: f64, on_request: bool) {

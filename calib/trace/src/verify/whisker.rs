@@ -2,11 +2,12 @@
 
 use super::between::between_seatings;
 use super::floor::{Floor, noise_floor};
+use super::heldout::wavelength_rmse_pm;
 use super::holdout_check::{self, holdout_p};
 use super::listings::{Branch, PredictionRow, branches, isolability, prediction_rows, records};
 use super::noise_report::{noise_document, noise_sentences};
 use super::physical::PhysicalModel;
-use super::predictions::predict;
+use super::predictions::{Predicted, held_out, predict};
 use super::twin_check::{LabelReport, check_labels};
 use super::unseal::{Errors, held_out_errors};
 use super::verdict::{Conclusion, conclude};
@@ -61,6 +62,8 @@ pub struct WhiskerVerification {
 
 /// Change of the channels' shared noise from which the search is made again.
 const MIXTURE_CHANGED: f64 = 1.1;
+/// Rise of the sealed error with which accepted effects are no explanation.
+const SEALED_RISE: f64 = 1.1;
 /// Fewest loaded readings that carry K, the zero and a residual.
 const FEWEST_LOADED: usize = 9;
 
@@ -84,7 +87,7 @@ fn unusable(data: &WhiskerData) -> Option<String> {
     let copied = data
         .holdout
         .iter()
-        .filter(|h| h.role == Role::Holdout)
+        .filter(|h| h.sealed)
         .filter(|h| {
             data.rows.iter().any(|r| {
                 r.role != Role::Rest && r.shift_pm == h.shift_pm && r.stage_mm == h.stage_mm && r.t_s == h.t_s
@@ -151,12 +154,12 @@ pub fn verify_whisker(
         explained = explain(&system, &options.search).ok_or_else(no_solution)?;
         conclusion = conclude(&system, &explained.found, &labels.faults);
     }
-    let Explained { found, noise, .. } = explained;
+    let Explained { found, mut noise, declared_noise, .. } = explained;
     if !options.accept.is_empty() {
         conclusion.accept(&system, &found, &options.accept)?;
     }
     // Stage 1 on the residuals of the accepted model.
-    let floor = noise_floor(&system, &conclusion.accepted, &noise, found.left().is_some());
+    let mut floor = noise_floor(&system, &conclusion.accepted, &noise, found.left().is_some());
     let noise_sd_pm = floor.map_or_else(|| noise.repeat.value * system.noise_factor(), |f| f.sd_pm);
     let model_before = PhysicalModel::new(&system, &found.base, noise_sd_pm);
     let model_after = PhysicalModel::new(&system, &conclusion.accepted, noise_sd_pm);
@@ -169,7 +172,28 @@ pub fn verify_whisker(
     let before = predict(&whole, &found.base, &model_before, &reading_sd_pm).ok_or_else(no_solution)?;
     let after =
         predict(&whole, &conclusion.accepted, &model_after, &reading_sd_pm).ok_or_else(no_solution)?;
-    let left_out = holdout_check::flagged(&whole, &noise, &after);
+    let mut left_out = holdout_check::flagged(&whole, &noise, &after);
+    let mut after = after;
+    let mut model_after = model_after;
+    let sealed_rmse =
+        |p: &[Predicted], left_out: &[usize]| wavelength_rmse_pm(&held_out(&whole, p, left_out));
+    let errors = [sealed_rmse(&before, &left_out), sealed_rmse(&after, &left_out)];
+    if options.accept.is_empty()
+        && !conclusion.accepted.fit.terms.is_empty()
+        && errors[1] > SEALED_RISE * errors[0]
+    {
+        // The sealed error has the last word.
+        noise = declared_noise;
+        floor = noise_floor(&system, &found.base, &noise, false);
+        let noise_sd_pm = floor.map_or_else(|| noise.repeat.value * system.noise_factor(), |f| f.sd_pm);
+        model_after = PhysicalModel::new(&system, &found.base, noise_sd_pm);
+        let reading_sd_pm: Vec<f64> =
+            noise.reading_sd(&whole.noise_inputs()).into_iter().map(|sd| sd * factor).collect();
+        after = predict(&whole, &found.base, &model_after, &reading_sd_pm).ok_or_else(no_solution)?;
+        left_out = holdout_check::flagged(&whole, &noise, &after);
+        let p = holdout_p(&whole, &found.base, &noise, &after, &left_out);
+        conclusion.withdrawn(&found.base, errors, p.is_some_and(|p| p < holdout_check::HOLDOUT_LEVEL));
+    }
     if let Some(p) = holdout_p(&whole, &conclusion.accepted, &noise, &after, &left_out)
         .filter(|p| *p < holdout_check::HOLDOUT_LEVEL)
     {

@@ -16,7 +16,7 @@ use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, Student
 use statrs::function::gamma::ln_gamma;
 
 /// Degrees of freedom that are tried, heaviest tails first.
-const NU: [f64; 10] = [2.2, 3.0, 4.0, 5.0, 6.5, 8.5, 12.0, 20.0, 40.0, f64::INFINITY];
+const NU: [f64; 9] = [3.0, 4.0, 5.0, 6.5, 8.5, 12.0, 20.0, 40.0, f64::INFINITY];
 /// One-sided 95 % bound of a likelihood.
 const BOUND: f64 = 2.71;
 /// Twice the log likelihood that t tails must gain over a Gaussian to be called heavy (chi-squared of 1, one-sided 0.5 %).

@@ -8,7 +8,7 @@ use super::model::ScalarModel;
 use super::notes::notes;
 use super::parameters::Names;
 use super::polynomial::{LackOfFit, Polynomial, lack_of_fit, polynomial};
-use super::steadiness::{Steadiness, steadiness};
+use super::steadiness::{Steadiness, UNSTEADY, steadiness};
 use super::system::ScalarSystem;
 use super::verdict::{Conclusion, conclude};
 use super::{detect, next, records};
@@ -85,7 +85,9 @@ fn standardised(h: &Hypothesis) -> Vec<f64> {
     (0..h.fit.residual.nrows())
         .map(|i| {
             let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();
-            h.fit.raw_residual[(i, 0)] / (1.0 - leverage).max(0.05).sqrt()
+            // What neighbours share is taken out, the law of the spread is not.
+            let own = h.weights.of(i).max(1e-300);
+            h.fit.residual[(i, 0)] / own / (1.0 - leverage).max(0.05).sqrt()
         })
         .collect()
 }
@@ -114,14 +116,17 @@ fn test_spread(frame: &Frame, h: &Hypothesis, options: &ScalarOptions) -> Option
 /// Search with equal weights; where the spread turns out to follow the stimulus, again with the readings weighted by it.
 fn look(system: ScalarSystem, options: &ScalarOptions) -> Option<(ScalarSystem, Explained, Option<Spread>)> {
     let plain = explain(&system, &options.search)?;
-    let of = |e: &Explained, frame: &Frame| {
-        test_spread(frame, &e.found.best, options).filter(|s| s.p_value <= SPREAD_LEVEL)
+    // A period that is not steady leaves more toward the ends: that is no law of the noise.
+    let of = |e: &Explained, system: &ScalarSystem| {
+        test_spread(&system.frame, &e.found.best, options)
+            .filter(|s| s.p_value <= SPREAD_LEVEL)
+            .filter(|_| steadiness(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
     };
-    let Some(spread) = of(&plain, &system.frame) else { return Some((system, plain, None)) };
+    let Some(spread) = of(&plain, &system) else { return Some((system, plain, None)) };
     let weighted_system = system.with_spread(&spread.relative_sd);
     let weighted = explain(&weighted_system, &options.search)?;
     // The trend must outlive the effects that the weighted search adds.
-    match of(&weighted, &weighted_system.frame) {
+    match of(&weighted, &weighted_system) {
         Some(again) => {
             let spread = Spread { relative_sd: spread.relative_sd, ..again };
             Some((weighted_system, weighted, Some(spread)))

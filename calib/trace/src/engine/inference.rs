@@ -1,9 +1,10 @@
 //! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
 
+use super::atoms::nuisance;
 use super::fit::Fit;
-use super::linear::stack;
+use super::linear::{Basis, in_channel, stack};
 use super::search::{Found, Hypothesis};
-use crate::candidate::{Role, System};
+use crate::candidate::{Role, System, Term};
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use wcal_core::verify_document::EffectParameter;
@@ -24,7 +25,11 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / scale[j]);
     let gram = scaled.transpose() * &scaled;
     let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(q * c + m, q * c + m));
-    DMatrix::from_fn(q * c + m, q * c + m, |i, j| inverse[(i, j)] * variance / (scale[i] * scale[j]))
+    // What moves no prediction (the place of a step between two readings) has no covariance: 0, never an infinity.
+    let dead: Vec<bool> = jacobian.column_iter().map(|v| v.norm() < 1e-150).collect();
+    DMatrix::from_fn(q * c + m, q * c + m, |i, j| {
+        if dead[i] || dead[j] { 0.0 } else { inverse[(i, j)] * variance / (scale[i] * scale[j]) }
+    })
 }
 
 /// Quantile of Student's t for a two-sided 95 % interval.
@@ -112,9 +117,51 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
 }
 
-/// For every survivor: is it of the best one's class?
+/// For every survivor: is it of the best one's class? What both explanations share (effects in common, whatever both leave unexplained) is
+/// projected off first: a large common effect makes any two look alike.
 #[must_use]
-pub fn in_class(found: &Found) -> Vec<bool> {
+pub fn in_class(system: &dyn System, found: &Found) -> Vec<bool> {
     let best = explained(&found.base, &found.best);
-    found.survivors.iter().map(|h| cosine(&best, &explained(&found.base, h)).abs() > CLASS_COSINE).collect()
+    found
+        .survivors
+        .iter()
+        .map(|h| {
+            let common = common_effects(system, &found.base, &found.best, h);
+            let off = |v: &DVector<f64>| common.project_off(v);
+            let other = explained(&found.base, h);
+            let (a, b) = (off(&best), off(&other));
+            // Nothing of their own left: they are the same explanation.
+            let own = a.norm().max(b.norm());
+            own <= 1e-9 * best.norm() || cosine(&a, &b).abs() > CLASS_COSINE
+        })
+        .collect()
+}
+
+/// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s
+/// terms that `b` has, too.
+fn common_effects(system: &dyn System, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
+    let declared = nuisance(&base.fit);
+    let channels = a.fit.residual.ncols();
+    let linear = |t: &Term| system.catalogue()[t.effect].law(t.law).linear.len();
+    let own: usize = a.fit.terms.iter().map(linear).sum();
+    let (mut slot, mut column) = (0, a.fit.design.ncols() - own.min(a.fit.design.ncols()));
+    let mut basis = Basis::default();
+    for term in &a.fit.terms {
+        let shared = b.fit.terms.iter().any(|t| t.effect == term.effect);
+        let mut add = |v: &DVector<f64>| {
+            if shared {
+                basis.push(&declared.project_off(v));
+            }
+        };
+        for j in column..column + linear(term) {
+            let values: Vec<f64> = a.fit.design.column(j).iter().copied().collect();
+            (0..channels).for_each(|c| add(&in_channel(&values, c, channels)));
+        }
+        column += linear(term);
+        for tangent in a.fit.tangents.iter().skip(slot).take(term.values.len()) {
+            add(&stack(tangent));
+        }
+        slot += term.values.len();
+    }
+    basis
 }

@@ -1,10 +1,11 @@
 //! Held-out errors: on sealed rows where there are some, else leaving out cycles, stimuli or readings in turn.
 
 use super::frame::Frame;
-use super::parameters::{covariance, t95};
+use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::candidate::{System, Term};
 use crate::engine::fit::{Fit, Weights, fit};
+use crate::engine::inference::t95;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;

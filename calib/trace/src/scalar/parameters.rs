@@ -5,31 +5,14 @@ use super::frame::Frame;
 use super::system::ScalarSystem;
 use crate::candidate::{Role, System};
 use crate::engine::fit::Fit;
-use crate::engine::linear::stack;
+use crate::engine::inference::{self, t95};
 use nalgebra::DMatrix;
-use statrs::distribution::{ContinuousCDF, StudentsT};
 use wcal_core::verify_document::EffectParameter;
-
-/// Quantile of Student's t for a two-sided 95 % interval.
-#[must_use]
-pub fn t95(dof: f64) -> f64 {
-    StudentsT::new(0.0, 1.0, dof.max(1.0)).map_or(1.96, |t| t.inverse_cdf(0.975))
-}
 
 /// Joint covariance of coefficients and nonlinear values.
 #[must_use]
 pub fn covariance(fit: &Fit) -> DMatrix<f64> {
-    let (n, q, m) = (fit.design.nrows(), fit.design.ncols(), fit.tangents.len());
-    let mut jacobian = DMatrix::zeros(n, q + m);
-    jacobian.view_mut((0, 0), (n, q)).copy_from(&fit.design);
-    for (j, t) in fit.tangents.iter().enumerate() {
-        jacobian.set_column(q + j, &stack(t));
-    }
-    let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
-    let scaled = DMatrix::from_fn(n, q + m, |i, j| jacobian[(i, j)] / scale[j]);
-    let gram = scaled.transpose() * &scaled;
-    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(q + m, q + m));
-    DMatrix::from_fn(q + m, q + m, |i, j| inverse[(i, j)] * fit.variance() / (scale[i] * scale[j]))
+    inference::covariance(fit, fit.variance())
 }
 
 /// Names by which the session calls things.
@@ -123,30 +106,32 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
     let mut column = q - own;
     for term in &fit.terms {
         let law = &system.catalogue()[term.effect].law(term.law);
-        let mut push = |name: &str, unit: &str, value: f64, half: f64, lowest: f64| {
+        let mut push = |name: &str, unit: &str, value: f64, half: [f64; 2], lowest: f64| {
             let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
             let (value_out, unit_out) = at(value);
             out.push(EffectParameter {
                 name: name.to_owned(),
                 value: value_out,
                 unit: unit_out,
-                interval95: ordered([at((value - half).max(lowest)).0, at(value + half).0]),
+                interval95: ordered([at((value - half[0]).max(lowest)).0, at(value + half[1]).0]),
             });
         };
         for (p, v) in law.parameters.iter().zip(&term.values) {
             let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+            // A place between two readings has no derivative: the data do not tell where between them it is.
+            let [below, above] = if half > 0.0 { [half; 2] } else { plateau(system, fit, slot - q) };
             slot += 1;
             if term.effect == effect {
                 let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
                 let lowest =
                     if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
-                push(p.name, p.unit, *v, half, lowest);
+                push(p.name, p.unit, *v, [below, above], lowest);
             }
         }
         for (k, (name, unit)) in law.linear.iter().enumerate() {
             if term.effect == effect {
                 let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
-                push(name, unit, fit.coefficients[(column + k, 0)], half, f64::MIN);
+                push(name, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
             }
         }
         if term.effect == effect && system.catalogue()[effect].id() == PERIODIC {
@@ -155,6 +140,29 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         column += law.linear.len();
     }
     out
+}
+
+/// How far nonlinear value `slot` can move down and up without moving any prediction.
+fn plateau(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
+    let places =
+        fit.terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
+    let Some((t, k)) = places.into_iter().nth(slot) else { return [0.0; 2] };
+    let [lo, hi] = system.catalogue()[fit.terms[t].effect].law(fit.terms[t].law).parameters[k].range;
+    let value = fit.terms[t].values[k];
+    let same = |v: f64| {
+        let mut terms = fit.terms.clone();
+        terms[t].values[k] = v;
+        system.design(&terms).is_some_and(|d| d == fit.raw_design)
+    };
+    [lo, hi].map(|end| {
+        // Bisection for the last place that still is the same.
+        let (mut inside, mut outside) = (0.0, 1.0);
+        for _ in 0..30 {
+            let middle = 0.5 * (inside + outside);
+            if same(value + middle * (end - value)) { inside = middle } else { outside = middle }
+        }
+        (inside * (end - value)).abs()
+    })
 }
 
 /// Frequency and amplitude of a periodic effect, from its period, sine and cosine.

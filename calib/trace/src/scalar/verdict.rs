@@ -8,10 +8,10 @@ use super::system::ScalarSystem;
 use crate::candidate::System;
 use crate::engine::fit::fit;
 use crate::engine::gate::Gate;
+use crate::engine::inference::in_class;
 use crate::engine::null::f_test;
 use crate::engine::search::{Found, Hypothesis};
 use crate::engine::spread::{Spread, SpreadLaw};
-use nalgebra::DVector;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, UnknownEffect, Verdict};
 
 /// Conclusion in parts.
@@ -33,8 +33,6 @@ pub struct Conclusion {
     pub accepted: Hypothesis,
 }
 
-/// Signature cosine above which two explanations are one class (FORMATS.md).
-pub const CLASS_COSINE: f64 = 0.995;
 /// Level of the lack-of-fit test against replicates.
 pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
 
@@ -44,21 +42,6 @@ pub(super) fn outliers(system: &ScalarSystem) -> Option<usize> {
 
 fn ids(system: &ScalarSystem, h: &Hypothesis) -> Vec<String> {
     h.effects(outliers(system)).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
-}
-
-/// What an explanation takes out of the declared model's residual; flagged readings left aside.
-fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
-    let mut v = crate::engine::linear::stack(&(&base.fit.residual - &h.fit.residual));
-    for &i in &h.flagged {
-        v[i] = 0.0;
-    }
-    v
-}
-
-fn same_class(found: &Found, h: &Hypothesis) -> bool {
-    let (a, b) = (explained(&found.base, &found.best), explained(&found.base, h));
-    let size = a.norm() * b.norm();
-    size > 0.0 && a.dot(&b) / size > CLASS_COSINE
 }
 
 /// p-value of dropping `effect`, the rest refitted, adjusted by the first gate's family.
@@ -76,8 +59,13 @@ fn named(system: &ScalarSystem, found: &Found, names: &Names) -> Vec<NamedEffect
     let o = outliers(system);
     let best = &found.best;
     let own = best.effects(o);
-    let mates: Vec<Vec<usize>> =
-        found.survivors.iter().filter(|h| same_class(found, h)).map(|h| h.effects(o)).collect();
+    let mates: Vec<Vec<usize>> = found
+        .survivors
+        .iter()
+        .zip(in_class(system, found))
+        .filter(|(_, s)| *s)
+        .map(|(h, _)| h.effects(o))
+        .collect();
     own.iter()
         .map(|&e| {
             let candidate = &system.catalogue()[e];
@@ -169,7 +157,13 @@ pub fn conclude(
     if !best_ids.is_empty() && !driver_wins {
         c.effects = named(system, found, names);
         c.alternatives = found.survivors.iter().map(|h| with_spread(ids(system, h))).collect();
-        c.rivals = found.survivors.iter().filter(|h| !same_class(found, h)).cloned().collect();
+        c.rivals = found
+            .survivors
+            .iter()
+            .zip(in_class(system, found))
+            .filter(|(_, s)| !*s)
+            .map(|(h, _)| h.clone())
+            .collect();
     } else {
         c.accepted = found.base.clone();
         c.alternatives = if spread.is_some() { vec![with_spread(Vec::new())] } else { Vec::new() };

@@ -181,7 +181,7 @@ fn unknown(gate: &Gate) -> Option<UnknownEffect> {
 /// Applies the order of FORMATS.md: ambiguous, effect, unknown-effect, twin-fault, adequate.
 #[must_use]
 pub fn conclude(system: &WhiskerSystem, found: &Found, faults: &[TwinFault]) -> Conclusion {
-    let same = in_class(found);
+    let same = in_class(system, found);
     let classmates: Vec<&Hypothesis> =
         found.survivors.iter().zip(&same).filter(|(_, s)| **s).map(|(h, _)| h).collect();
     let alternatives: Vec<Vec<String>> = found.survivors.iter().map(|h| ids(system, h)).collect();

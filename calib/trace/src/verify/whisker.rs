@@ -288,7 +288,7 @@ fn document(
     notes.extend(errors.further.iter().filter_map(|(name, e)| {
         Some(format!("Held-out wavelength error, {name}: {:.3} pm.", e.rmse.get("wavelength_rmse_pm")?))
     }));
-    let same = in_class(found);
+    let same = in_class(system, found);
     let next_measurement = (conclusion.verdict == Verdict::Ambiguous)
         .then(|| {
             // Only what the poses are chosen against is promised to be separated.

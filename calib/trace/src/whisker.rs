@@ -309,8 +309,6 @@ impl System for WhiskerSystem {
         let arclength = |r: &crate::path::Reading| {
             r.line.filter(|_| !r.rest).and_then(|l| self.bench.arclength_mm(l, r.x_mm)).unwrap_or(0.0)
         };
-        out.push(("fbg_1_pm".to_owned(), column(&|r| r.shift_pm[0])));
-        out.push(("fbg_2_pm".to_owned(), column(&|r| r.shift_pm[1])));
         out.push(("contact_arclength_mm".to_owned(), column(&arclength)));
         out
     }

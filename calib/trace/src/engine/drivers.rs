@@ -69,7 +69,14 @@ fn is_clock(name: &str) -> bool {
 pub fn of_covariates(system: &dyn System, fit: &Fit, weights: &Weights, nuisance: &Basis) -> Vec<DriverAtom> {
     let channels = fit.residual.ncols();
     let mut maker = Maker { channels, weights, nuisance, out: Vec::new() };
-    let covariates = system.covariates();
+    let mut covariates = system.covariates();
+    if channels > 1 {
+        // Wavelengths as the model has them: measured ones carry the very noise that is looked at.
+        let fitted = (system.measured() - &fit.raw_residual) * system.channels_pm();
+        covariates.extend(
+            (0..channels).map(|c| (format!("fbg_{}_pm", c + 1), fitted.column(c).iter().copied().collect())),
+        );
+    }
     // Columns after the constant carry the signal; gains act on them.
     let signal: Vec<Vec<f64>> =
         (1..fit.design.ncols().min(3)).map(|j| fit.raw_design.column(j).iter().copied().collect()).collect();

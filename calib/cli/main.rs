@@ -16,6 +16,7 @@ mod progress;
 mod reduce;
 mod report_input;
 mod simulate;
+mod simulated;
 mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;

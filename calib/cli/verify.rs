@@ -2,6 +2,7 @@
 
 use crate::artefact::{CalibrationModel, provenance, read_calibration, seal};
 use crate::report_input::{of_document, of_scalar, of_whisker};
+use crate::simulated::{is_simulated, mark_table, word};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
@@ -92,7 +93,8 @@ fn refuse_unusable(args: &VerifyArgs, why: SessionError) -> anyhow::Error {
         .and_then(|t| Some(t.get("kind")?.as_str()?.to_owned()));
     if let (Some(kind), SessionError::Content(_)) = (kind, &why) {
         let name = args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
+        let mut document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
+        document.simulated = is_simulated(&args.session.join("session.toml"));
         let written = std::fs::create_dir_all(&args.out).map_err(anyhow::Error::from).and_then(|()| {
             Ok(write_atomic(&args.out.join("verify.json"), &serde_json::to_vec_pretty(&document)?)?)
         });
@@ -130,7 +132,7 @@ pub fn verify_session(
 ) -> anyhow::Result<ReportInput> {
     std::fs::create_dir_all(out).with_context(|| format!("creating {}", out.display()))?;
     let seen = note_unsealing(session, out)?;
-    let provenance = provenance(&session.inputs, seed);
+    let provenance = provenance(session, seed);
     let search = Options { seed, ..Options::default() };
     let Outcome { mut report, predictions, model } = match &session.data {
         SessionData::Whisker(data) => {
@@ -149,7 +151,9 @@ pub fn verify_session(
     };
     add_notes(&mut report.verify, session, seen);
     report.verify.inputs = session.inputs.clone();
+    report.verify.simulated = session.simulated;
     if let Some(csv) = predictions {
+        let csv = mark_table(&csv, session.simulated);
         write_atomic(&out.join("predictions.csv"), csv.as_bytes())?;
     }
     let verified = match report.verify.verdict {
@@ -183,7 +187,7 @@ fn of_whisker_session(
         Ok(done) => Outcome {
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
-            report: of_whisker(session, data, &done, provenance),
+            report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
         },
     })
 }
@@ -285,7 +289,7 @@ fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
 /// The result as a person reads it.
 pub fn print_text(v: &VerifyDocument, out: &Path) {
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
-    println!("{}: {}", v.session, verdict.as_str().unwrap_or_default());
+    println!("{}{}: {}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
     println!("  {}", v.reason);
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();

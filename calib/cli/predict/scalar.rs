@@ -1,13 +1,13 @@
 //! Transducers and axes: the response at a stimulus, the stimulus of a response, the error of a position.
 
-use super::{PredictArgs, finish};
+use super::{PredictArgs, finish, write_table};
 use crate::artefact::CalibrationModel;
 use anyhow::{Context, bail};
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_core::observation::Role;
-use wcal_session::{TextTable, TextTableLayout, read_text_table, write_atomic};
+use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow};
 
 /// A column of numbers; none where the table has no such column.
@@ -84,7 +84,7 @@ pub(super) fn by_scalar(
         }
         writeln!(csv, ",{}", u8::from(!p.valid))?;
     }
-    write_atomic(&args.out, csv.as_bytes())?;
+    write_table(args, file, &csv)?;
     let outside = predicted.iter().filter(|p| !p.valid).count();
     let [low, high] = model.stimulus_range;
     let doubt = (outside > 0).then(|| {

@@ -55,6 +55,8 @@ pub struct Recorded {
     pub reduction: Result<Reduction, RecordingError>,
     /// Questions to the stage that had to be repeated.
     pub repeats: u64,
+    /// Whether the devices were simulated.
+    pub simulated: bool,
 }
 
 impl Recorded {
@@ -127,7 +129,7 @@ pub fn record(
         Some(motor) => motor,
         None => manual,
     };
-    let about = describe(order, &rig, &plan, devices)?;
+    let (about, simulated) = describe(order, &rig, &plan, devices)?;
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&order.folder.join(name), about)?;
@@ -158,7 +160,7 @@ pub fn record(
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
     let reduction = reduce(&order.folder);
     let repeats = chain.map_or(0, |c| c.borrow().repeats());
-    Ok(Recorded { sweep, reduction, repeats })
+    Ok(Recorded { sweep, reduction, repeats, simulated })
 }
 
 /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
@@ -227,13 +229,13 @@ fn save(path: &Path, text: &str) -> Result<(), RecordingError> {
     write_atomic(path, text.as_bytes()).map_err(|e| RecordingError::Recorder(e.to_string()))
 }
 
-/// Writes run.json; the same facts go into the recording.
+/// Writes run.json; the same facts go into the recording. Says whether the devices are simulated, too.
 fn describe(
     order: &Order,
     rig: &Rig,
     plan: &Plan,
     devices: BTreeMap<String, wcal_core::device::DeviceIdentity>,
-) -> Result<BTreeMap<String, String>, RecordingError> {
+) -> Result<(BTreeMap<String, String>, bool), RecordingError> {
     let stamp: String = order.created.chars().filter(char::is_ascii_digit).take(14).collect();
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),
@@ -246,16 +248,36 @@ fn describe(
         plan_sha256: sha256_hex(order.plan.as_bytes()),
         devices,
         clock_scale: rig.clock_scale,
+        simulated: false,
     };
+    let run = RunFile { simulated: run.is_simulated(), ..run };
     let text = serde_json::to_string_pretty(&run).map_err(|e| RecordingError::Recorder(e.to_string()))?;
     let path = order.folder.join("run.json");
     // A resumed session keeps the identity it was begun with.
-    if !path.exists() {
+    if path.exists() {
+        same_bench(&path, run.simulated)?;
+    } else {
         save(&path, &text)?;
     }
-    Ok(BTreeMap::from([
+    let about = BTreeMap::from([
         ("run".to_owned(), text),
         ("rig".to_owned(), order.rig.clone()),
         ("plan".to_owned(), order.plan.clone()),
-    ]))
+    ]);
+    Ok((about, run.simulated))
+}
+
+/// Measured and simulated scans never share a session.
+fn same_bench(run_file: &Path, simulated: bool) -> Result<(), RecordingError> {
+    let io = |source| RecordingError::Io { action: "reading", path: run_file.to_owned(), source };
+    let begun = RunFile::parse(&std::fs::read_to_string(run_file).map_err(io)?)?;
+    if begun.is_simulated() == simulated {
+        return Ok(());
+    }
+    let name = |simulated: bool| if simulated { "a virtual bench" } else { "a real bench" };
+    Err(RecordingError::input(
+        run_file.display().to_string(),
+        format!("{}, as when the session was begun", name(begun.is_simulated())),
+        name(simulated),
+    ))
 }

@@ -187,7 +187,7 @@ fn write_report(
             Fact::new("right pictures", args.right.clone()),
             Fact::new("rig", args.rig.display().to_string()),
             Fact::new("program", made.program.clone()),
-            Fact::new("made", made.created.clone()),
+            Fact::new("made", made.created.split('.').next().unwrap_or_default().replace('T', " ") + " UTC"),
         ],
         warnings: document.warnings.clone(),
         rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),

@@ -149,8 +149,8 @@ fn residuals(input: &ShapePair, simulated: bool) -> String {
     let plot = Plot {
         title: "Distance from the fitted wire".to_owned(),
         description: format!("Measured centres from the reprojected curve of {}", input.name),
-        width: 640.0,
-        height: 220.0,
+        width: 460.0,
+        height: 210.0,
         x: Axis::covering("arc length from the root (mm)", all().map(|p| p[0])),
         y: Axis::symmetric("distance (px)", all().map(|p| p[1])),
         layers,

@@ -58,6 +58,12 @@ const MARGIN: f64 = 14.0;
 /// Room for texts.
 const INNER: f64 = WIDTH - 2.0 * MARGIN;
 
+/// Ground behind a text, so that no line of the chart runs through it.
+fn behind(out: &mut String, x: f64, baseline: f64, text: &str) {
+    let (x, y, width) = (px(x - 1.0), px(baseline - 11.0), px(text_width(text) + 2.0));
+    let _ = write!(out, "<rect class=\"behind\" x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"14\"/>");
+}
+
 impl RowItem {
     /// The name, broken between words where it is wider than the chart.
     fn name_lines(&self) -> Vec<String> {
@@ -151,13 +157,16 @@ impl RowChart {
         let lines = row.name_lines();
         for (k, line) in lines.iter().enumerate() {
             let y = px(top + LINE * (k + 1) as f64);
+            behind(out, MARGIN, top + LINE * (k + 1) as f64, line);
             let _ = write!(out, "<text class=\"name\" x=\"{MARGIN}\" y=\"{y}\">{}</text>", escape(line));
         }
+        let below = top + LINE * (lines.len() + usize::from(row.value_below())) as f64;
+        behind(out, WIDTH - MARGIN - text_width(&row.value), below, &row.value);
         let _ = write!(
             out,
             "<text class=\"value\" text-anchor=\"end\" x=\"{}\" y=\"{}\">{}</text>",
             px(WIDTH - MARGIN),
-            px(top + LINE * (lines.len() + usize::from(row.value_below())) as f64),
+            px(below),
             escape(&row.value)
         );
         match row.mark {

@@ -230,7 +230,7 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         .map(|d| d.split('"').next().map_or(0, |d| d.matches('M').count()))
         .sum();
     assert_eq!(rings, 12, "rings");
-    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("accepted model"));
+    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted"));
     assert!(!whisker.contains("No map was fitted"));
     let null = read("practice-004/report.html");
     assert!(!null.contains("No fault was found") && null.contains("no labels of an outside twin"));

@@ -200,6 +200,41 @@ fn a_simulated_null_session_is_adequate() {
     let (code, v) = verify(&fixture("practice/case-004"));
     assert_eq!((code, v["verdict"].as_str()), (0, Some("adequate")), "{}", v["reason"]);
     assert_eq!(v["effects"].as_array().map(Vec::len), Some(0));
+    assert_eq!(v["simulated"], true);
+}
+
+#[test]
+fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
+    let out = tempfile::tempdir().expect("temporary folder");
+    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        .args(["demo", "--out"])
+        .arg(out.path())
+        .output()
+        .expect("wcal runs");
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
+    let read = |name: &str| std::fs::read_to_string(out.path().join(name)).expect(name);
+    let v: Value = serde_json::from_str(&read("pontius/verify.json")).expect("JSON");
+    let rmse = |side: &str| v[side]["response_rmse"].as_f64().expect("rmse");
+    assert_eq!((v["verdict"].as_str(), v["simulated"].as_bool()), (Some("effect"), Some(false)));
+    assert!(2.0 * rmse("after") <= rmse("before"), "{} -> {}", rmse("before"), rmse("after"));
+    let first = read("report.html");
+    assert!(first.contains("<svg") && first.contains("case-004 (SIMULATED)"), "a chart, marked");
+    for (page, marked) in [("practice-004", true), ("pontius", false), ("whiskerfbg", false)] {
+        assert_eq!(read(&format!("{page}/report.html")).contains("SIMULATED"), marked, "{page}");
+    }
+    let whisker = read("whiskerfbg/report.html");
+    // Six labels on another branch, two moments each; the others are off by the discretisation only.
+    let rings: usize = whisker
+        .split("class=\"ring bad\" d=\"")
+        .skip(1)
+        .map(|d| d.split('"').next().map_or(0, |d| d.matches('M').count()))
+        .sum();
+    assert_eq!(rings, 12, "rings");
+    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted"));
+    assert!(!whisker.contains("No map was fitted"));
+    let null = read("practice-004/report.html");
+    assert!(!null.contains("No fault was found") && null.contains("no labels of an outside twin"));
 }
 
 #[test]

@@ -580,3 +580,38 @@ fn the_replicate_of_an_axis_is_its_cycle() {
     let both = import(&place.path().join("both"), &["--replicate", "run", "--cycle", "run"]);
     assert!(String::from_utf8_lossy(&both.stderr).contains("--replicate"));
 }
+
+#[test]
+fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let (table, read) = (fixture("pontius/points.csv"), |name: &str| fs::read_to_string(at(name)).unwrap());
+    for (name, flag) in [("marked", Some("--simulated")), ("measured", None)] {
+        let marked = flag.is_some();
+        let (session, out, csv) = (at(name), at(&format!("{name}-out")), at(&format!("{name}.csv")));
+        let import =
+            ["import", table.to_str().unwrap(), "--kind", "transducer", "--model", "linear", "--stimulus"];
+        let more = ["stimulus", "--response", "response", "--out", &session];
+        let run = wcal(&[&import[..], &more, &flag.into_iter().collect::<Vec<_>>()].concat());
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        let said = String::from_utf8_lossy(&wcal(&["verify", &session, "--out", &out]).stdout).into_owned();
+        assert_eq!(said.starts_with(&format!("{name} (SIMULATED): ")), marked, "{said}");
+        let calibration = format!("{out}/calibration.json");
+        let run = wcal(&["predict", table.to_str().unwrap(), "--calibration", &calibration, "--out", &csv]);
+        assert_eq!(String::from_utf8_lossy(&run.stderr).contains("SIMULATED"), marked);
+        for table in [format!("{name}.csv"), format!("{name}-out/predictions.csv")] {
+            assert_eq!(read(&table).lines().next().unwrap().ends_with(",simulated"), marked, "{table}");
+        }
+        for page in ["report.html", "verify.json", "calibration.json"] {
+            let text = read(&format!("{name}-out/{page}"));
+            assert_eq!(text.contains("SIMULATED") || text.contains("\"simulated\": true"), marked, "{page}");
+        }
+    }
+    // A measured session to which a simulated one is added is not measured any more.
+    let (both, marked) = (at("both"), at("marked"));
+    let text = read("marked/points.csv").replacen("1,calibration", "1,verification", 1);
+    fs::write(format!("{marked}/points.csv"), text).unwrap();
+    let run = wcal(&["verify", &at("measured"), "--add", &marked, "--out", &both]);
+    assert!(String::from_utf8_lossy(&run.stderr).contains("measured and SIMULATED sessions are joined"));
+    assert!(String::from_utf8_lossy(&run.stdout).starts_with("measured (SIMULATED): "));
+}

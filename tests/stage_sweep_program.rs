@@ -147,6 +147,7 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let reduced = wcal().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
     assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
     assert_eq!(before, points(), "reducing again changes nothing");
+    marked_as_simulated(&bench, &sweep);
     // Fit and verify what was recorded.
     let out = bench.folder.path().join("fit");
     let fit = wcal().arg("fit-gpr").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
@@ -167,6 +168,34 @@ fn the_27_points_are_recorded_fitted_and_verified() {
 }
 
 /// Exit code and verdict of `verify` on what a bench recorded.
+/// What a virtual bench recorded says so, also where its run.json is from before the mark.
+fn marked_as_simulated(bench: &Bench, sweep: &Value) {
+    assert_eq!(sweep["simulated"], true);
+    let read = |name: &str| std::fs::read_to_string(bench.session().join(name)).expect(name);
+    let mark = |text: &str| {
+        let session: toml::Table = text.parse().expect("TOML");
+        session["provenance"].get("simulated").and_then(toml::Value::as_bool)
+    };
+    assert_eq!(mark(&read("session.toml")), Some(true));
+    let mut run: Value = serde_json::from_str(&read("run.json")).expect("JSON");
+    let reduce = |run: &Value| {
+        std::fs::write(bench.session().join("run.json"), run.to_string()).expect("written");
+        let reduced = wcal().arg("reduce").arg(bench.session()).output().expect("wcal runs");
+        assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
+        mark(&read("session.toml"))
+    };
+    let whole = run.clone();
+    assert_eq!(run.as_object_mut().and_then(|r| r.remove("simulated")), Some(true.into()));
+    assert_eq!(reduce(&run), Some(true), "by what the devices call themselves");
+    // Negative control: devices that do not, in real time, are taken as real.
+    run["clock_scale"] = 1.0.into();
+    for (_, device) in run["devices"].as_object_mut().expect("devices") {
+        device["model"] = "a unit".into();
+    }
+    assert_eq!(reduce(&run), None);
+    assert_eq!(reduce(&whole), Some(true));
+}
+
 fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
     let verify = wcal().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();

@@ -62,6 +62,9 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     assert_eq!(document["format"], "wcal-stereo/1");
     assert!(document["rms_px"].as_f64().unwrap() < 0.03);
     assert!(!document["provenance"]["inputs"].as_array().unwrap().is_empty());
+    assert!(document["provenance"].get("simulated").is_none() && !text.contains("SIMULATED"), "no mark");
+    // The scene's pictures are marked as rendered, as the fixture's are.
+    std::fs::copy(fixture("scene/SIMULATED"), place.path().join("scene/SIMULATED")).unwrap();
 
     let (cameras, rig, out) =
         (format!("{calibration}/stereo.json"), fixture("rig.toml").display().to_string(), at("shapes"));
@@ -78,7 +81,10 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     }
     assert!(Path::new(&out).join("overlay-t1-right.png").exists());
     let report = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
-    assert!(report.contains("<canvas") && report.contains("zero bytes") && !report.contains("://"));
+    let outside = report.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
+    assert!(report.contains("<canvas") && report.contains("zero bytes") && !outside.contains("://"));
+    assert!(report.contains("SIMULATED") && text.contains("SIMULATED"), "{text}");
+    assert_eq!(shapes["provenance"]["simulated"], true);
 
     other_tools_cameras(&place, &calibration, &shapes);
 

@@ -4,8 +4,9 @@ use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
-use wcal_core::{CalibrationFile, InputFile, Provenance, VerificationStatus, WhiskerSpec};
+use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
+use wcal_session::LoadedSession;
 use wcal_trace::scalar::ScalarModel;
 use wcal_trace::verify::PhysicalModel;
 
@@ -22,14 +23,15 @@ pub enum CalibrationModel {
     Scalar(ScalarModel),
 }
 
-/// Program, command, time, seed and files.
-pub fn provenance(inputs: &[InputFile], seed: u64) -> Provenance {
+/// Program, command, time, seed, files, and whether the session is simulated.
+pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
     Provenance {
         program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
         command: std::env::args().collect(),
         created: jiff::Timestamp::now().to_string(),
         seed,
-        inputs: inputs.to_vec(),
+        inputs: session.inputs.clone(),
+        simulated: session.simulated,
     }
 }
 

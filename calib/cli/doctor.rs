@@ -1,5 +1,6 @@
 //! `wcal doctor`: what a session holds, what it lacks, and what looks wrong.
 
+use crate::simulated::word;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -68,6 +69,7 @@ fn print_json(
         "format": "wcal-doctor/1",
         "session": session.map(|s| s.id.clone()),
         "kind": session.map(|s| s.kind),
+        "simulated": session.is_some_and(|s| s.simulated),
         "folder": args.session,
         "worst": worst,
         "findings": findings,
@@ -79,7 +81,7 @@ fn print_json(
 
 fn print_text(session: Option<&LoadedSession>, findings: &[Finding]) {
     if let Some(session) = session {
-        println!("session {:?}, medium {}", session.id, session.medium);
+        println!("session {:?}{}, medium {}", session.id, word(session.simulated), session.medium);
     }
     for finding in findings {
         let label = match finding.severity {

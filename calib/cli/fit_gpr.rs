@@ -115,12 +115,13 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     };
     let fit = fit_map(&training, &options).with_context(|| format!("session {:?}", session.id))?;
     let poses = training.trajectory.iter().flatten().count();
-    let result = document(&fit, &training, poses);
+    let mut result = document(&fit, &training, poses);
+    result.simulated = session.simulated;
     let calibration = seal(
         &session.id,
         VerificationStatus::Unverified,
         CalibrationModel::Map(fit.artefact),
-        provenance(&session.inputs, args.seed),
+        provenance(&session, args.seed),
         Some(&data.whisker),
     )?;
 
@@ -182,7 +183,12 @@ fn pose_of(row: &WhiskerRow) -> Option<(u32, i64)> {
 }
 
 fn print_text(result: &MapDocument) {
-    println!("{} poses, labels from {}; errors in N mm (moment 1, moment 2)", result.points, result.labels);
+    println!(
+        "{}{} poses, labels from {}; errors in N mm (moment 1, moment 2)",
+        if result.simulated { "SIMULATED: " } else { "" },
+        result.points,
+        result.labels
+    );
     println!("{:<22}{:>20}{:>20}{:>18}", "map", "leave-one-out", "leave-traj.-out", "coverage of 95 %");
     for c in &result.candidates {
         let pair = |v: [f64; 2]| format!("{:.4} / {:.4}", v[0], v[1]);

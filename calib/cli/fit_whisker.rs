@@ -240,6 +240,9 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.rms_over_sd
         );
     }
+    if result.provenance.simulated {
+        eprintln!("fit-whisker: SIMULATED: the shapes or moments are not measured");
+    }
     eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
     Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
 }
@@ -248,7 +251,8 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
 fn stated(p: &Provenance) -> String {
     let input = |i: &InputFile| format!("{} sha256 {}", i.path, i.sha256);
     let inputs = p.inputs.iter().map(input).collect::<Vec<_>>().join(", ");
-    format!("{}: {}; {}; {inputs}", p.program, p.command.join(" "), p.created)
+    let mark = if p.simulated { "SIMULATED; " } else { "" };
+    format!("{mark}{}: {}; {}; {inputs}", p.program, p.command.join(" "), p.created)
 }
 
 /// A usable pair as a shape: free, or held at one place.

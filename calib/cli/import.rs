@@ -4,6 +4,7 @@ mod columns;
 mod description;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::simulated::word;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -113,6 +114,9 @@ pub struct ImportArgs {
     /// Decimals are written with a comma
     #[arg(long)]
     pub decimal_comma: bool,
+    /// The table comes from a simulation: the session and all that is made from it say so
+    #[arg(long)]
+    pub simulated: bool,
     /// Print the result as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -199,11 +203,11 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         let kind = name_of(args.kind);
         let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
-            "folder": args.out, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
+            "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
             "warnings": session.warnings, "inputs": session.inputs });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
-        println!("{}: {rows} rows, session {:?}", args.out.display(), session.id);
+        println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
     }
     for warning in &session.warnings {
         eprintln!("warning: {warning}");

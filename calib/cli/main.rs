@@ -18,6 +18,7 @@ mod reduce;
 mod report_input;
 mod session_folder;
 mod simulate;
+mod simulated;
 mod stage_sweep;
 mod stereo_calibrate;
 mod stereo_shape;

@@ -1,5 +1,6 @@
 //! What the picture commands share: files written whole, and where a result came from.
 
+use crate::simulated::is_simulated;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use wcal_core::{InputFile, Provenance};
@@ -13,8 +14,9 @@ pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf>
     Ok(path)
 }
 
-/// Program, command line, time and the hashes of the files read. A file that cannot be read is rejected elsewhere, with its reason.
+/// Program, command line, time, the hashes of the files read, and whether one of them is simulated. A file that cannot be read is rejected elsewhere, with its reason.
 pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
+    let files: Vec<&Path> = files.into_iter().collect();
     let hash = |path: &Path| {
         let bytes = std::fs::read(path).ok()?;
         Some(InputFile {
@@ -28,6 +30,7 @@ pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
         command: std::env::args().collect(),
         created: jiff::Timestamp::now().to_string(),
         seed: 0,
+        simulated: files.iter().any(|path| is_simulated(path)),
         inputs: files.into_iter().filter_map(hash).collect(),
     }
 }

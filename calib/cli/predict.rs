@@ -4,6 +4,7 @@ mod scalar;
 
 use crate::artefact::{CalibrationModel, read_calibration, standing};
 use crate::output::{check_file, write_file};
+use crate::simulated::{is_simulated, mark_table};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
@@ -100,7 +101,7 @@ fn by_map(
             p.outside_by_pm
         )?;
     }
-    write_file(&args.out, csv.as_bytes())?;
+    write_table(args, file, &csv)?;
     let outside = first.map(|(line, by_pm)| {
         format!(
             "{outside} of {} readings lie outside the valid region, first in line {line} by {by_pm:.1} pm",
@@ -135,7 +136,7 @@ fn by_model(
         )?;
     }
     let outside = rows.iter().filter(|r| !r.valid).count();
-    write_file(&args.out, csv.as_bytes())?;
+    write_table(args, file, &csv)?;
     let doubt = (outside > 0).then(|| {
         format!("{outside} of {} readings ask for moments beyond those that were fitted", rows.len())
     });
@@ -242,6 +243,20 @@ fn warn(warnings: &[String]) {
     }
 }
 
+/// Whether the calibration or the readings are simulated.
+fn simulated(args: &PredictArgs, file: &CalibrationFile<CalibrationModel>) -> bool {
+    file.provenance.simulated || is_simulated(&args.table)
+}
+
+/// Writes the table; one from simulated data says so in a column.
+fn write_table(
+    args: &PredictArgs,
+    file: &CalibrationFile<CalibrationModel>,
+    csv: &str,
+) -> anyhow::Result<()> {
+    write_file(&args.out, mark_table(csv, simulated(args, file)).as_bytes())
+}
+
 /// Says what speaks against the result and picks the exit code.
 fn finish(
     args: &PredictArgs,
@@ -255,9 +270,13 @@ fn finish(
     for doubt in &doubts {
         eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });
     }
+    let simulated = simulated(args, file);
+    if simulated {
+        eprintln!("SIMULATED: the calibration or the readings are not measured");
+    }
     if args.json {
         let summary = serde_json::json!({
-            "format": "wcal-predict/1", "rows": rows, "map": name, "doubts": doubts, "out": args.out,
+            "format": "wcal-predict/1", "simulated": simulated, "rows": rows, "map": name, "doubts": doubts, "out": args.out,
         });
         println!("{}", serde_json::to_string_pretty(&summary)?);
     }

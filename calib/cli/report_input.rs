@@ -4,7 +4,7 @@ use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{Provenance, Role, WhiskerData};
 use wcal_report::{
     EvidenceRow, Explanation, Fact, GateTest, Isolability, NamedError, ReportInput, RodBranch, TwinMark,
-    TwinTrajectory,
+    TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
 use wcal_trace::engine::search::Evidence;
@@ -15,9 +15,20 @@ fn versions() -> Vec<Fact> {
     vec![Fact::new("wcal", env!("CARGO_PKG_VERSION"))]
 }
 
+/// How the session was simulated, where it says so.
+fn simulated_by(session: &LoadedSession) -> Option<String> {
+    let how = session.meta.get("provenance")?.get("simulated_by")?;
+    how.as_str().map(str::to_owned)
+}
+
 /// A report with nothing but the document.
 pub fn of_document(session: &LoadedSession, document: VerifyDocument, provenance: Provenance) -> ReportInput {
-    ReportInput { title: session.id.clone(), versions: versions(), ..ReportInput::new(document, provenance) }
+    ReportInput {
+        title: session.id.clone(),
+        simulated_by: simulated_by(session),
+        versions: versions(),
+        ..ReportInput::new(document, provenance)
+    }
 }
 
 /// The report of a whisker session.
@@ -25,12 +36,16 @@ pub fn of_whisker(
     session: &LoadedSession,
     data: &WhiskerData,
     done: &WhiskerVerification,
+    accepted_on_request: bool,
     provenance: Provenance,
 ) -> ReportInput {
     let count = |role: Role| data.rows.iter().chain(&data.holdout).filter(|r| r.role == role).count();
     let found = &done.found;
+    let after = model_after(&done.document, accepted_on_request);
     ReportInput {
         title: session.id.clone(),
+        simulated_by: simulated_by(session),
+        accepted_on_request,
         facts: vec![
             Fact::new("medium", data.medium.clone()),
             Fact::new(
@@ -57,7 +72,7 @@ pub fn of_whisker(
             .iter()
             .map(|(name, error)| NamedError { name: name.clone(), error: error.clone() })
             .collect(),
-        gate: gates([found.first_gate.families(), found.last_gate.families()]),
+        gate: gates([found.first_gate.families(), found.last_gate.families()], after),
         twin: twin(done),
         evidence: evidence(&found.evidence),
         isolability: (done.isolability.0.len() > 1)
@@ -76,6 +91,7 @@ pub fn of_scalar(
     provenance: Provenance,
 ) -> ReportInput {
     let (rows, sealed) = data.rows();
+    let after = model_after(&done.document, false);
     let (stimulus, response) = data.units();
     let model = match data.declared() {
         Declared::Axis => "measured = commanded + constant".to_owned(),
@@ -92,7 +108,7 @@ pub fn of_scalar(
         Fact::new("units", units),
         Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed.len())),
     ];
-    for (name, p) in [("declared", &done.declared), ("accepted", &done.accepted)] {
+    for (name, p) in [("declared model", &done.declared), (after, &done.accepted)] {
         if let Some(p) = p {
             let terms = p.coefficients.iter().zip(&p.standard_errors).enumerate();
             let terms: Vec<String> = terms.map(|(k, (b, se))| format!("b{k} = {b:.9e} ± {se:.2e}")).collect();
@@ -102,11 +118,11 @@ pub fn of_scalar(
             ));
         }
     }
-    let mut gate = done.gates.map_or(Vec::new(), gates);
-    for (name, lack) in [("declared", done.lack_of_fit_before), ("accepted", done.lack_of_fit_after)] {
+    let mut gate = done.gates.map_or(Vec::new(), |p_values| gates(p_values, after));
+    for (name, lack) in [("declared model", done.lack_of_fit_before), (after, done.lack_of_fit_after)] {
         if let Some(l) = lack {
             gate.push(GateTest {
-                name: format!("{name} model, lack of fit F"),
+                name: format!("{name}: lack of fit F"),
                 statistic: Some(l.f),
                 p_value: Some(l.p_value),
                 detail: format!("against repetitions, {} and {} degrees of freedom", l.dof, l.pure_dof),
@@ -133,6 +149,7 @@ pub fn of_scalar(
     }
     ReportInput {
         title: session.id.clone(),
+        simulated_by: simulated_by(session),
         facts,
         residuals: done.residuals.clone(),
         gate,
@@ -152,8 +169,8 @@ fn evidence_of(data: ScalarData<'_>, found: &[Evidence]) -> Vec<EvidenceRow> {
     rows
 }
 
-/// The gate's families on the declared and on the accepted model.
-fn gates(p_values: [[f64; 3]; 2]) -> Vec<GateTest> {
+/// The gate's families on the declared model and on the one after.
+fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
     let families = [
         ("catalogue", "smallest p over all signatures, family-wise by simulation"),
         ("generic drivers", "any covariate, family-wise by simulation"),
@@ -161,14 +178,14 @@ fn gates(p_values: [[f64; 3]; 2]) -> Vec<GateTest> {
     ];
     let of_model = |(model, p_values): (&str, [f64; 3])| {
         let test = move |((family, detail), p): ((&str, &str), f64)| GateTest {
-            name: format!("{model} model, {family}"),
+            name: format!("{model}: {family}"),
             statistic: None,
             p_value: Some(p),
             detail: detail.to_owned(),
         };
         families.into_iter().zip(p_values).map(test).collect::<Vec<_>>()
     };
-    ["declared", "accepted"].into_iter().zip(p_values).flat_map(of_model).collect()
+    ["declared model", after].into_iter().zip(p_values).flat_map(of_model).collect()
 }
 
 fn explanations(found: &[Evidence]) -> Vec<Explanation> {

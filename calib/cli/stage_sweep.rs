@@ -175,7 +175,7 @@ fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
     let tables = recorded.reduction.as_ref().ok();
     if as_json {
         let document = json!({
-            "format": "wcal-sweep/1", "session": folder, "ending": ending, "warnings": warnings,
+            "format": "wcal-sweep/1", "session": folder, "simulated": recorded.simulated, "ending": ending, "warnings": warnings,
             "cause": cause.map(|c| json!({"kind": c.kind.name(), "text": c.to_string()})),
             "stage_stopped": match sweep.ending { Ending::Stopped { stage_stopped, .. } => stage_stopped, Ending::Finished => true },
             "steps_done": sweep.done, "unsettled": sweep.unsettled, "scans": sweep.counts.scans,
@@ -197,6 +197,9 @@ fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
             )?;
         }
         writeln!(out, "go on with the same rig and plan and --resume {}", folder.display())?;
+    }
+    if recorded.simulated {
+        writeln!(out, "SIMULATED: recorded on a virtual bench; session.toml and run.json say so")?;
     }
     writeln!(
         out,

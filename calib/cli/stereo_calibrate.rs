@@ -145,6 +145,9 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     for warning in &document.warnings {
         eprintln!("stereo-calibrate: warning: {warning}");
     }
+    if document.provenance.simulated {
+        eprintln!("stereo-calibrate: SIMULATED: the pictures are rendered, not taken");
+    }
     eprintln!(
         "stereo-calibrate: {} pairs, RMS {:.4} px, held-out epipolar distance {:.4} px (95 %: {:.4})",
         document.views.len(),

@@ -5,13 +5,15 @@ use crate::picture_output::provenance;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
+use wcal_vision::drawing::{drawing, residuals};
 use wcal_vision::imports::read_cameras;
 use wcal_vision::overlay::overlay_png;
-use wcal_vision::page::{page, pair_section};
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
 use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
+use wcal_vision::shapes_document::PairDocument;
 
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]
@@ -95,7 +97,10 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         put_overlays(&result, &files, &mut out)?;
     }
     if args.report {
-        put_report(&result, &files, &mut out)?;
+        put_report(args, &result, &files, &mut out)?;
+    }
+    if result.document.provenance.simulated {
+        eprintln!("stereo-shape: SIMULATED: the pictures are rendered, not taken");
     }
     out.finish()?;
     let mut clean = result.document.warnings.is_empty();
@@ -163,15 +168,83 @@ fn put_overlays(
     Ok(())
 }
 
-/// `report.html`, one section a usable pair.
-fn put_report(result: &ShapesResult, files: &[PairFiles], out: &mut OutputFolder<'_>) -> anyhow::Result<()> {
-    let mut sections = Vec::new();
-    for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
+/// `report.html`: the shapes in space, and every usable pair.
+fn put_report(
+    args: &StereoShapeArgs,
+    result: &ShapesResult,
+    files: &[PairFiles],
+    out: &mut OutputFolder<'_>,
+) -> anyhow::Result<()> {
+    let document = &result.document;
+    let mut pairs = Vec::new();
+    for ((pair, fit), file) in document.pairs.iter().zip(&result.fits).zip(files) {
         if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
-            let pictures = [Picture::read(left)?, Picture::read(right)?];
-            sections.push(pair_section(&pictures, &result.stereo, fit, pair)?);
+            let mut pictures = Vec::new();
+            for (camera, (side, source)) in [("left", left), ("right", right)].into_iter().enumerate() {
+                let drawn = drawing(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
+                pictures.push(ShapePicture {
+                    side: side.to_owned(),
+                    size_px: drawn.size_px,
+                    jpeg_base64: drawn.jpeg_base64,
+                    tags: drawn.tags,
+                    curve: drawn.curve,
+                    seen: drawn.seen,
+                    unseen: drawn.unseen,
+                    groove: drawn.groove,
+                });
+            }
+            pairs.push(ShapePair { pictures, residuals: residuals(fit), ..described(pair) });
         }
     }
-    out.put("report.html", page(&result.document, &sections));
+    let rejected = document.pairs.iter().filter(|p| p.status != "ok");
+    let made = &document.provenance;
+    let input = ShapesInput {
+        title: format!("{} of {} pairs used", pairs.len(), document.pairs.len()),
+        simulated: made.simulated,
+        facts: vec![
+            Fact::new("left pictures", args.left.clone()),
+            Fact::new("right pictures", args.right.clone()),
+            Fact::new("rig", args.rig.display().to_string()),
+            Fact::new("program", made.program.clone()),
+            Fact::new("made", made.created.split('.').next().unwrap_or_default().replace('T', " ") + " UTC"),
+        ],
+        warnings: document.warnings.clone(),
+        rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),
+        pairs,
+    };
+    out.put("report.html", render_shapes(&input));
     Ok(())
+}
+
+/// A pair's numbers in words.
+fn described(pair: &PairDocument) -> ShapePair {
+    let widest = pair.centreline_sd_mm.iter().fold(0.0f64, |a, b| a.max(*b));
+    let [left, right] = pair.residual_rms_px;
+    let mut facts = vec![
+        Fact::new("length", format!("{:.3} ± {:.3} mm", pair.length_mm, pair.length_sd_mm)),
+        Fact::new("largest sd across the wire", format!("{widest:.4} mm")),
+        Fact::new("RMS from the curve, left / right", format!("{left:.3} / {right:.3} px")),
+    ];
+    if let Some(g) = &pair.groove {
+        let (at, sd) = (g.contact_arclength_mm, g.contact_arclength_sd_mm);
+        facts.push(Fact::new(
+            format!("contact ({})", g.contact),
+            format!("{at:.3} ± {sd:.3} mm from the root"),
+        ));
+        facts.push(Fact::new(
+            "from the vertex that the rig tag states",
+            format!("{:.3} mm", g.distance_from_vertex_mm),
+        ));
+    }
+    let gaps = pair.gaps.iter().map(|gap| {
+        format!("Not seen from {:.1} to {:.1} mm ({}).", gap.from_mm, gap.to_mm, gap.hidden_in.join(", "))
+    });
+    ShapePair {
+        name: pair.name.clone(),
+        facts,
+        remarks: gaps.chain(pair.warnings.iter().cloned()).collect(),
+        centreline_mm: pair.centreline_mm.clone(),
+        groove_mm: pair.groove.as_ref().map(|g| g.position_mm),
+        ..ShapePair::default()
+    }
 }

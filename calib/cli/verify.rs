@@ -4,6 +4,7 @@ use crate::artefact::{CalibrationModel, provenance, read_calibration, seal};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
+use crate::simulated::{is_simulated, mark_table, word};
 use anyhow::{Context, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -119,7 +120,8 @@ fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionErr
         .and_then(|t| Some(t.get("kind")?.as_str()?.to_owned()));
     let name = args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let kind = kind.unwrap_or_else(|| "unknown".to_owned());
-    let document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
+    let mut document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
+    document.simulated = is_simulated(&args.session.join("session.toml"));
     let written = serde_json::to_vec_pretty(&document).map_err(anyhow::Error::from).and_then(|text| {
         out.put("verify.json", text);
         out.finish()
@@ -155,7 +157,7 @@ pub fn verify_session(
     seed: u64,
     accept: &[String],
 ) -> anyhow::Result<ReportInput> {
-    let provenance = provenance(&session.inputs, seed);
+    let provenance = provenance(session, seed);
     let seen = note_unsealing(session, out.folder(), &provenance)?;
     let search = Options { seed, ..Options::default() };
     let Outcome { mut report, predictions, model } = match &session.data {
@@ -175,8 +177,9 @@ pub fn verify_session(
     };
     add_notes(&mut report.verify, session, seen);
     report.verify.inputs = session.inputs.clone();
+    report.verify.simulated = session.simulated;
     if let Some(csv) = predictions {
-        out.put("predictions.csv", csv);
+        out.put("predictions.csv", mark_table(&csv, session.simulated));
     }
     let verified = match report.verify.verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
@@ -209,7 +212,7 @@ fn of_whisker_session(
         Ok(done) => Outcome {
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
-            report: of_whisker(session, data, &done, provenance),
+            report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
         },
     })
 }
@@ -379,7 +382,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     // Of a transducer the session declares the unit; the other kinds have theirs in the names.
     let unit = report.residuals.first().map_or("", |r| r.unit.as_str()).trim();
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
-    println!("{}: {}", v.session, verdict.as_str().unwrap_or_default());
+    println!("{}{}: {}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
     println!("  {}", v.reason);
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();

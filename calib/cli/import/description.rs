@@ -1,6 +1,7 @@
 //! `session.toml` of an imported session.
 
 use super::{ImportArgs, Kind, Model, name_of};
+use crate::simulated::is_simulated;
 use anyhow::{Context, ensure};
 use std::path::Path;
 use toml::{Table, Value};
@@ -36,7 +37,13 @@ pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result
     if args.kind == Kind::Transducer {
         top.insert("transducer".to_owned(), Value::Table(transducer(args)));
     }
-    top.insert("provenance".to_owned(), Value::Table(provenance(sources)));
+    let mut provenance = provenance(sources);
+    // A table out of a simulated session stays simulated.
+    let marked = args.meta.iter().chain([&args.file]).any(|path| is_simulated(path));
+    if args.simulated || marked {
+        provenance.insert("simulated".to_owned(), Value::Boolean(true));
+    }
+    top.insert("provenance".to_owned(), Value::Table(provenance));
     Ok((toml::to_string(&top)?, more))
 }
 

@@ -1,8 +1,7 @@
 //! Transducers and axes: the response at a stimulus, the stimulus of a response, the error of a position.
 
-use super::{PredictArgs, finish};
+use super::{PredictArgs, finish, write_table};
 use crate::artefact::CalibrationModel;
-use crate::output::write_file;
 use anyhow::{Context, bail};
 use std::fmt::Write as _;
 use std::process::ExitCode;
@@ -110,7 +109,7 @@ pub(super) fn by_scalar(
         }
         csv.push('\n');
     }
-    write_file(&args.out, csv.as_bytes())?;
+    write_table(args, file, &csv)?;
     let outside = predicted.iter().filter(|p| !p.valid).count();
     let [low, high] = model.stimulus_range;
     let doubt = (outside > 0).then(|| {

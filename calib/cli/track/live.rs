@@ -5,6 +5,7 @@ use super::feed::{Intake, Item};
 use super::output::{FORMAT, TrackFiles};
 use super::whiskers::{Whiskers, lost_text};
 use super::{TrackArgs, exit_code};
+use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -71,6 +72,11 @@ impl Sinks {
     }
 }
 
+/// Whether a calibration was made on simulated data.
+fn by_simulation(loaded: &[Loaded<'_>]) -> bool {
+    loaded.iter().any(|l| l.file.provenance.simulated)
+}
+
 /// Metadata of the recording.
 fn about(
     args: &TrackArgs,
@@ -86,6 +92,7 @@ fn about(
         ("lag_s".to_owned(), facts["lag_s"].to_string()),
         ("filter".to_owned(), facts["filter"].to_string()),
         ("rate_hz".to_owned(), args.rate_hz.to_string()),
+        ("calibration_simulated".to_owned(), by_simulation(loaded).to_string()),
     ]);
     for l in loaded {
         let key = |what: &str| if l.name.is_empty() { what.to_owned() } else { format!("{what} {}", l.name) };
@@ -150,7 +157,8 @@ pub fn replay(
             cut_off.push(part.display().to_string());
         }
     }
-    let more = json!({"source": parts, "cut_off": cut_off, "dropped_scans": 0});
+    let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
+    let more = json!({"source": parts, "simulated": simulated, "cut_off": cut_off, "dropped_scans": 0});
     conclude(args, whiskers, sinks, files, more, (0, !cut_off.is_empty()))
 }
 
@@ -183,7 +191,9 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) ->
     });
     let dropped = intake.dropped();
     drop(intake);
-    let more = json!({"source": format!("{} {} {}", identity.driver, identity.model, identity.serial), "dropped_scans": dropped});
+    let simulated = identity.is_virtual() || by_simulation(loaded);
+    let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
+    let more = json!({"source": source, "simulated": simulated, "dropped_scans": dropped});
     let code = conclude(args, whiskers, sinks, files, more, (dropped, false))?;
     failed.map(|()| code)
 }
@@ -305,6 +315,9 @@ fn conclude(
         }
     }
     let (outside, lost) = (whiskers.outside(), whiskers.lost());
+    if summary["simulated"] == true {
+        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
+    }
     eprintln!("track: lag {} s: t_s is the time of validity", summary["lag_s"]);
     if outside > 0 {
         eprintln!("{outside} rows lie outside the valid region; marked in outside_valid_region");

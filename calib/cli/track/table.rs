@@ -6,6 +6,7 @@ use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::{TrackArgs, exit_code};
 use crate::artefact::CalibrationModel;
 use crate::predict::{Moments, moments_of_map, moments_of_model};
+use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde_json::json;
@@ -109,8 +110,12 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
             segment,
         })?;
     }
+    let simulated = is_simulated(path) || loaded.file.provenance.simulated;
+    if simulated {
+        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
+    }
     let mut summary = json!({
-        "format": FORMAT, "source": path, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
+        "format": FORMAT, "source": path, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
         "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
         "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,

@@ -134,6 +134,14 @@ pub struct DeviceIdentity {
     pub settings: Vec<(String, String)>,
 }
 
+impl DeviceIdentity {
+    /// Whether the unit is one of the virtual bench: its interrogators and cameras say so in their model.
+    #[must_use]
+    pub fn is_virtual(&self) -> bool {
+        self.model.split_whitespace().any(|word| word == "virtual")
+    }
+}
+
 /// Position of a stage at one instant.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct StageReading {

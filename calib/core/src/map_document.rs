@@ -37,6 +37,9 @@ pub struct Identifiability {
 pub struct MapDocument {
     /// Always [`MAP_FORMAT`].
     pub format: String,
+    /// The session is simulated, not measured.
+    #[serde(default, skip_serializing_if = "crate::provenance::is_measured")]
+    pub simulated: bool,
     /// Calibration poses used (rest rows not counted).
     pub points: usize,
     /// Where the moment labels came from: `rod`, `twin.csv`, `twin.csv repaired by rod`.

@@ -49,6 +49,15 @@ pub struct Provenance {
     pub seed: u64,
     /// Files read.
     pub inputs: Vec<InputFile>,
+    /// What was read is simulated, not measured; absent in files from before the mark, which keep their hash.
+    #[serde(default, skip_serializing_if = "is_measured")]
+    pub simulated: bool,
+}
+
+/// For the documents that carry the mark only where it holds.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+pub(crate) fn is_measured(simulated: &bool) -> bool {
+    !simulated
 }
 
 /// SHA-256 of `bytes`, lower-case hex.
@@ -59,7 +68,17 @@ pub fn sha256_hex(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::sha256_hex;
+    use super::{Provenance, sha256_hex};
+
+    #[test]
+    fn the_mark_of_simulated_data_is_kept_and_older_files_stay_as_they_were() {
+        let measured = serde_json::to_value(Provenance::default()).unwrap();
+        assert!(measured.get("simulated").is_none(), "{measured}");
+        assert!(!serde_json::from_value::<Provenance>(measured).unwrap().simulated);
+        let marked = Provenance { simulated: true, ..Provenance::default() };
+        let again: Provenance = serde_json::from_value(serde_json::to_value(&marked).unwrap()).unwrap();
+        assert_eq!(again, marked);
+    }
 
     #[test]
     fn hash_of_abc_is_the_one_of_fips_180() {

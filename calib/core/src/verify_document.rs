@@ -253,6 +253,9 @@ pub struct VerifyDocument {
     pub format: String,
     /// Session identifier.
     pub session: String,
+    /// The session, or one that it was joined with, is simulated; absent in files from before the mark.
+    #[serde(default)]
+    pub simulated: bool,
     /// `whisker`, `transducer` or `axis`.
     pub kind: String,
     /// Conclusion.
@@ -306,6 +309,7 @@ impl VerifyDocument {
         Self {
             format: VERIFY_FORMAT.to_owned(),
             session: session.into(),
+            simulated: false,
             kind: kind.into(),
             verdict: Verdict::Refused,
             reason: reason.into(),

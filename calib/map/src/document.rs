@@ -24,6 +24,7 @@ pub fn document(fit: &MapFit, training: &MapTraining, poses: usize) -> MapDocume
         .collect();
     MapDocument {
         format: MAP_FORMAT.into(),
+        simulated: false,
         points: poses,
         labels: fit.artefact.labels.clone(),
         chosen: fit.artefact.name.clone(),

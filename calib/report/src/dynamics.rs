@@ -104,8 +104,8 @@ fn plot(
     let plot = Plot {
         title: title.to_owned(),
         description: format!("{title}: one mark a trial, the chosen one ringed"),
-        width: 640.0,
-        height: 320.0,
+        width: 460.0,
+        height: 280.0,
         x: Axis::covering(x, points.iter().map(|p| p[0])),
         y: Axis::covering(y, points.iter().map(|p| p[1])),
         layers,

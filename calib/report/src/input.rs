@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 use wcal_core::map_document::MapDocument;
-use wcal_core::verify_document::{EffectParameter, HeldOutError, VerifyDocument};
+use wcal_core::verify_document::{EffectParameter, HeldOutError, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord};
 
 /// Everything that the page of one session shows.
@@ -12,8 +12,11 @@ use wcal_core::{Provenance, ResidualRecord};
 pub struct ReportInput {
     /// Heading, e.g. `Calibration of whisker 3`; empty: the session identifier stands for it.
     pub title: String,
-    /// How the data was simulated; `None` for measured data. The page carries a SIMULATED badge where it is given.
-    pub simulated: Option<String>,
+    /// How the data was simulated, where that is known. Whether they are is for `verify.simulated` to say: the page carries a
+    /// SIMULATED badge there.
+    pub simulated_by: Option<String>,
+    /// The explanation was accepted on request, although the data leave others open.
+    pub accepted_on_request: bool,
     /// Name and value of what the reader should know of the session: wire, medium, rows by role, devices.
     pub facts: Vec<Fact>,
     /// Result of `verify`.
@@ -52,7 +55,8 @@ impl ReportInput {
     pub fn new(verify: VerifyDocument, provenance: Provenance) -> Self {
         Self {
             title: String::new(),
-            simulated: None,
+            simulated_by: None,
+            accepted_on_request: false,
             facts: Vec::new(),
             verify,
             map: None,
@@ -77,10 +81,28 @@ impl ReportInput {
         if self.title.is_empty() { &self.verify.session } else { &self.title }
     }
 
+    /// See [`model_after`].
+    #[must_use]
+    pub fn model_after(&self) -> &'static str {
+        model_after(&self.verify, self.accepted_on_request)
+    }
+
     /// Unit of the response as the residual records give it; empty for kinds that name their unit themselves.
     pub(crate) fn response_unit(&self) -> &str {
         let own = self.verify.kind == "transducer";
         self.residuals.first().filter(|_| own).map_or("", |r| r.unit.as_str())
+    }
+}
+
+/// What the errors "after" are those of. Nothing is called accepted that was not.
+#[must_use]
+pub fn model_after(verify: &VerifyDocument, accepted_on_request: bool) -> &'static str {
+    match verify.verdict {
+        Verdict::Ambiguous if !accepted_on_request => "best explanation, not accepted",
+        Verdict::Adequate | Verdict::UnknownEffect if verify.effects.is_empty() => {
+            "declared model, nothing added"
+        }
+        _ => "accepted model",
     }
 }
 
@@ -91,7 +113,6 @@ impl IndexEntry {
         Self {
             href: href.into(),
             title: input.heading().to_owned(),
-            simulated: input.simulated.clone(),
             response_unit: input.response_unit().to_owned(),
             verify: input.verify.clone(),
         }
@@ -236,8 +257,6 @@ pub struct IndexEntry {
     pub href: String,
     /// Heading of the session's report.
     pub title: String,
-    /// How the data was simulated; `None` for measured data.
-    pub simulated: Option<String>,
     /// Unit of the response (kind transducer); empty for the other kinds.
     pub response_unit: String,
     /// The result.

@@ -9,11 +9,12 @@
 //! - [`render_twin`]: the page of a twin's labels, from a [`TwinInput`].
 //! - [`render_dynamics`]: the page of a fit of damping and contact, from a [`DynamicsInput`].
 //! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
+//! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
 //! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
 //! ```
 //! # use wcal_core::verify_document::*;
-//! # let verify = VerifyDocument { format: VERIFY_FORMAT.into(), session: "s".into(), kind: "axis".into(),
+//! # let verify = VerifyDocument { format: VERIFY_FORMAT.into(), session: "s".into(), simulated: false, kind: "axis".into(),
 //! #     verdict: Verdict::Adequate, reason: "Nothing is left.".into(), twin: TwinCheck::default(), effects: vec![],
 //! #     alternatives: vec![], unknown: None, noise_floor: NoiseFloor::default(), before: None, after: None,
 //! #     coverage95: None, next_measurement: None, detectable: vec![], seed: 1, inputs: vec![], notes: vec![] };
@@ -29,6 +30,7 @@ mod number;
 mod page;
 mod plot;
 mod sections;
+mod shapes;
 mod sweeps;
 mod tracking;
 mod twin;
@@ -36,10 +38,11 @@ mod twin;
 pub use dynamics::{DynamicsInput, DynamicsTrial, render_dynamics};
 pub use input::{
     CoverageCurve, EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError,
-    ReportInput, RodBranch, TwinMark, TwinTrajectory,
+    ReportInput, RodBranch, TwinMark, TwinTrajectory, model_after,
 };
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index, render_many};
+pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
 pub use sweeps::{
     EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
 };

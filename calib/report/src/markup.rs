@@ -76,6 +76,7 @@ impl Cell {
 pub struct Table {
     caption: String,
     columns: Vec<(String, bool)>,
+    stacked: bool,
     rows: Vec<(&'static str, Vec<Cell>)>,
 }
 
@@ -87,7 +88,14 @@ impl Table {
             Some(name) => (name.to_owned(), true),
             None => ((*c).to_owned(), false),
         };
-        Self { caption: caption.into(), columns: columns.iter().map(split).collect(), rows: Vec::new() }
+        let columns = columns.iter().map(split).collect();
+        Self { caption: caption.into(), columns, stacked: false, rows: Vec::new() }
+    }
+
+    /// A table whose rows become cards where the page is narrow.
+    #[must_use]
+    pub fn stacked(caption: &str, columns: &[&str]) -> Self {
+        Self { stacked: true, ..Self::new(caption, columns) }
     }
 
     /// Adds a row.
@@ -110,8 +118,9 @@ impl Table {
     #[must_use]
     pub fn html(&self) -> String {
         let caption = escape(&self.caption);
+        let class = if self.stacked { " class=\"stacked\"" } else { "" };
         let mut out = format!(
-            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table><caption>{caption}</caption><thead><tr>"
+            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{caption}\"><table{class}><caption>{caption}</caption><thead><tr>"
         );
         for (name, is_number) in &self.columns {
             let class = if *is_number { " class=\"num\"" } else { "" };
@@ -123,9 +132,12 @@ impl Table {
             for (k, cell) in cells.iter().enumerate() {
                 let (kind, html) = cell.html();
                 let class = attribute("class", kind);
+                // A card has no head: each cell says what it is.
+                let name = self.columns.get(k).filter(|_| self.stacked).map_or("", |c| c.0.as_str());
+                let label = attribute("data-label", &escape(name));
                 let _ = match k {
                     0 => write!(out, "<th scope=\"row\"{class}>{html}</th>"),
-                    _ => write!(out, "<td{class}>{html}</td>"),
+                    _ => write!(out, "<td{class}{label}>{html}</td>"),
                 };
             }
             out.push_str("</tr>");

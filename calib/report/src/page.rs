@@ -5,12 +5,15 @@ use crate::markup::{Cell, Table, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
 
+/// Badge of simulated data.
+const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
+
 const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 #[must_use]
 pub fn render(input: &ReportInput) -> String {
-    document(input.heading(), input.simulated.is_some(), &session(input, "", "h1"))
+    document(input.heading(), input.verify.simulated, &session(input, "", "h1"))
 }
 
 /// Several sessions on one page: `title`, an introduction of plain paragraphs, an overview table, then each session.
@@ -22,13 +25,13 @@ pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -
     for (k, input) in inputs.iter().enumerate() {
         body += &session(input, &format!("s{}-", k + 1), "h2");
     }
-    document(title, inputs.iter().any(|i| i.simulated.is_some()), &body)
+    document(title, inputs.iter().any(|i| i.verify.simulated), &body)
 }
 
 /// An overview page that links to session reports beside it.
 #[must_use]
 pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
-    let simulated = entries.iter().any(|e| e.simulated.is_some());
+    let simulated = entries.iter().any(|e| e.verify.simulated);
     document(title, simulated, &overview(title, introduction, entries))
 }
 
@@ -65,18 +68,16 @@ fn session(input: &ReportInput, prefix: &str, heading: &str) -> String {
 
 fn headline(input: &ReportInput, heading: &str) -> String {
     let verify = &input.verify;
-    let badge = match &input.simulated {
-        Some(_) => "<span class=\"pill sim\">SIMULATED</span>",
-        None => "",
-    };
+    let badge = if verify.simulated { SIMULATED } else { "" };
     let mut out = format!(
         "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<{heading}>{}</{heading}>\n",
         escape(&verify.kind),
         escape(&verify.session),
         escape(input.heading())
     );
-    if let Some(how) = &input.simulated {
-        out += &format!("<p class=\"simulated\">Simulated data, not a measurement: {}</p>\n", escape(how));
+    if verify.simulated {
+        let how = input.simulated_by.as_ref().map_or(String::new(), |how| format!(": {}", escape(how)));
+        out += &format!("<p class=\"simulated\">Simulated data, not a measurement{how}.</p>\n");
     }
     out + &facts(&input.facts)
 }
@@ -101,10 +102,25 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
-/// A page of simulated results: line above the heading, heading, facts, and sections (anchor, heading, content) of which empty ones are left out.
+/// A page of simulated results; see [`plain`].
 pub(crate) fn simulated(over: &str, title: &str, input: &[Fact], parts: &[(&str, &str, String)]) -> String {
+    plain((over, title), true, input, parts)
+}
+
+/// A page without a verdict: line above the heading and heading, whether the data are simulated, facts, and sections (anchor, heading,
+/// content) of which empty ones are left out.
+pub(crate) fn plain(
+    (over, title): (&str, &str),
+    simulated: bool,
+    input: &[Fact],
+    parts: &[(&str, &str, String)],
+) -> String {
+    let (badge, line) = match simulated {
+        true => (SIMULATED, "<p class=\"simulated\">Simulated data, not a measurement.</p>\n"),
+        false => ("", ""),
+    };
     let mut body = format!(
-        "<header><p class=\"over\">{} <span class=\"pill sim\">SIMULATED</span></p>\n<h1>{}</h1>\n<p class=\"simulated\">Simulated data, not a measurement.</p>\n{}</header>\n",
+        "<header><p class=\"over\">{} {badge}</p>\n<h1>{}</h1>\n{line}{}</header>\n",
         escape(over),
         escape(title),
         facts(input)
@@ -115,7 +131,7 @@ pub(crate) fn simulated(over: &str, title: &str, input: &[Fact], parts: &[(&str,
             "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{heading}</h2>\n{inner}</section>\n"
         );
     }
-    document(title, true, &body)
+    document(title, simulated, &body)
 }
 
 pub(crate) fn facts(facts: &[Fact]) -> String {
@@ -134,8 +150,12 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
     for text in introduction {
         out += &paragraph(text);
     }
+    if entries.iter().any(|e| e.verify.simulated) {
+        out += "<p class=\"simulated\">Sessions marked SIMULATED are no measurements.</p>\n";
+    }
     out += "</header>\n<section id=\"overview\" aria-label=\"Overview\">";
-    let mut table = Table::new(
+    out += &before_after::overview_figure(entries);
+    let mut table = Table::stacked(
         "Sessions with their verdict and held-out error",
         &["session", "data", "verdict", "found", "quantity", "#before", "#after", "#noise floor"],
     );
@@ -143,9 +163,9 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
         let (class, short, _) = verdict::words(entry.verify.verdict);
         let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
             .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
-        let data = match entry.simulated {
-            Some(_) => Cell::Badge("sim", "simulated".into()),
-            None => Cell::Text("measured".into()),
+        let data = match entry.verify.simulated {
+            true => Cell::Badge("sim", "SIMULATED".into()),
+            false => Cell::Text("measured".into()),
         };
         table.row(vec![
             Cell::Link(entry.href.clone(), entry.title.clone()),

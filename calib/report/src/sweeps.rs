@@ -237,7 +237,7 @@ fn examples(examples: &[ExampleSweep]) -> String {
     for example in examples {
         let _ = writeln!(
             out,
-            "<figure class=\"pair\"><div class=\"charts\">{}{}</div><figcaption><span class=\"pill sim\">simulated</span> {}. Vertical lines: events; rings: samples at which the wire did not come to rest.</figcaption></figure>",
+            "<figure class=\"pair\"><div class=\"charts\">{}{}</div><figcaption><span class=\"pill sim\">SIMULATED</span> {}. Vertical lines: events; rings: samples at which the wire did not come to rest.</figcaption></figure>",
             moments(example),
             arclength(example),
             escape(&example.title)
@@ -277,8 +277,8 @@ fn moments(example: &ExampleSweep) -> String {
     Plot {
         title: "Base moments".to_owned(),
         description: format!("Base moments against time: {}", example.title),
-        width: 520.0,
-        height: 250.0,
+        width: 460.0,
+        height: 240.0,
         x: times(example),
         y: Axis::covering("moment, N mm", values),
         layers,
@@ -300,8 +300,8 @@ fn arclength(example: &ExampleSweep) -> String {
     Plot {
         title: "Contact".to_owned(),
         description: format!("Arc length of the contact nearest to the base against time: {}", example.title),
-        width: 520.0,
-        height: 250.0,
+        width: 460.0,
+        height: 240.0,
         x: times(example),
         y: Axis::covering("arc length, mm", values),
         layers,

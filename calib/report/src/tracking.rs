@@ -81,8 +81,8 @@ fn curves(input: &Curves) -> String {
     let plot = Plot {
         title: input.title.clone(),
         description: format!("{}: {}", input.title, names.join(", ")),
-        width: 640.0,
-        height: 320.0,
+        width: 460.0,
+        height: 280.0,
         x: Axis::covering(&*input.x, all().map(|p| p[0])),
         y: Axis::covering(&*input.y, all().map(|p| p[1])),
         layers,

@@ -5,7 +5,31 @@ mod data;
 mod headless;
 
 use std::fs;
-use wcal_report::{IndexEntry, render, render_index, render_many};
+use wcal_report::{
+    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_many, render_shapes,
+};
+
+/// A pair whose names would break a careless page.
+fn shapes() -> ShapesInput {
+    let picture = ShapePicture {
+        size_px: [1280, 960],
+        curve: vec![[10.0, 10.0], [500.0, 300.0]],
+        ..ShapePicture::default()
+    };
+    ShapesInput {
+        title: "Scene".into(),
+        simulated: true,
+        pairs: vec![ShapePair {
+            name: "t1 </script> & more".into(),
+            pictures: vec![picture.clone(), picture],
+            residuals: [vec![[1.0, 0.1], [50.0, -0.1]], vec![[2.0, -0.1]]],
+            centreline_mm: vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.5], [20.0, 1.0, 3.0]],
+            groove_mm: Some([10.0, 0.0, 0.5]),
+            ..ShapePair::default()
+        }],
+        ..ShapesInput::default()
+    }
+}
 
 #[test]
 fn pages_load_without_a_word_on_the_console() {
@@ -16,6 +40,7 @@ fn pages_load_without_a_word_on_the_console() {
     let pages = [
         ("many.html", render_many("Many", &[], &samples[..2])),
         ("index.html", render_index("Index", &[], &entries)),
+        ("shapes.html", render_shapes(&shapes())),
     ];
     for (name, page) in pages {
         let path = folder.path().join(name);
@@ -43,7 +68,10 @@ fn a_page_with_a_console_error_is_noticed() {
 fn nothing_is_wider_than_a_phone() {
     let Some(browser) = headless::browser() else { return };
     let page = render(&data::whisker());
-    assert!(headless::content_width(&browser, &page, 400) <= 400);
+    let entries = [IndexEntry::of(&data::whisker(), "report.html")];
+    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes())] {
+        assert!(headless::content_width(&browser, page, 400) <= 400);
+    }
     let wide = page.replace("<main>", "<main><div style=\"width:900px\">wide</div>");
     assert!(headless::content_width(&browser, &wide, 400) > 800, "a wide page must be noticed");
 }

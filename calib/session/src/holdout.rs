@@ -166,6 +166,12 @@ fn attach_session(
         }
         _ => return Err(differs("kind").field("kind").into()),
     }
+    // What is partly simulated is not measured.
+    if session.simulated != other.simulated {
+        let which = if other.simulated { &other.id } else { &session.id };
+        session.warnings.push(format!("measured and SIMULATED sessions are joined: {which:?} is simulated"));
+        session.simulated = true;
+    }
     session.warnings.extend(other.warnings.iter().map(|w| renamed(w)));
     session.inputs.extend(other.inputs.into_iter().map(|mut input| {
         input.path = renamed(&input.path);

@@ -26,6 +26,8 @@ pub struct LoadedSession {
     pub created: Option<String>,
     /// Kind.
     pub kind: SessionKind,
+    /// The data are simulated, not measured: `simulated = true` under `[provenance]`, of this session or of one joined with it.
+    pub simulated: bool,
     /// Checked data. Rows with the role "holdout" in the points table are moved to `holdout`, so nothing fits them by mistake.
     pub data: SessionData,
     /// Every file read, with its hash; paths relative to the folder.
@@ -66,9 +68,10 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let created = root.text("created")?;
     let medium = read_medium(&root, kind, &mut warnings)?;
     let files = read_files(&root, folder, &mut warnings)?;
-    for free in ["note", "whisker_id", "devices", "provenance"] {
+    for free in ["note", "whisker_id", "devices"] {
         root.value(free);
     }
+    let simulated = read_simulated(&root)?;
     let data = match kind {
         SessionKind::Whisker => {
             SessionData::Whisker(load_whisker(&root, folder, &files, &medium, &mut inputs, &mut warnings)?)
@@ -81,7 +84,30 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     whisker_meta::warn_unknown(&root, &mut warnings);
     let folder = folder.to_owned();
     let points_file = files.points;
-    Ok(LoadedSession { folder, id, medium, created, kind, data, inputs, meta, warnings, points_file })
+    Ok(LoadedSession {
+        folder,
+        id,
+        medium,
+        created,
+        kind,
+        simulated,
+        data,
+        inputs,
+        meta,
+        warnings,
+        points_file,
+    })
+}
+
+/// The mark of simulated data; sessions from before it, and other content of `[provenance]`, are taken as measured.
+fn read_simulated(root: &Section<'_>) -> Result<bool, Defect> {
+    match root.value("provenance") {
+        Some(toml::Value::Table(_)) => {
+            let section = root.section("provenance")?;
+            Ok(section.map(|s| s.flag("simulated")).transpose()?.flatten().unwrap_or(false))
+        }
+        _ => Ok(false),
+    }
 }
 
 fn check_format(root: &Section<'_>) -> Result<(), Defect> {

@@ -16,6 +16,7 @@ pub mod chessboard;
 pub mod corner;
 mod describe;
 pub mod document;
+pub mod drawing;
 pub mod error;
 pub mod exchange;
 pub mod groove;
@@ -25,7 +26,7 @@ pub mod joint;
 pub mod look;
 pub mod markers;
 pub mod overlay;
-pub mod page;
+
 pub mod pair_fit;
 pub mod pairs;
 pub mod picture;

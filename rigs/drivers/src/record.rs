@@ -55,6 +55,8 @@ pub struct Recorded {
     pub reduction: Result<Reduction, RecordingError>,
     /// Questions to the stage that had to be repeated.
     pub repeats: u64,
+    /// Whether the devices were simulated.
+    pub simulated: bool,
 }
 
 impl Recorded {
@@ -133,7 +135,7 @@ pub fn record(
         Some(motor) => motor,
         None => manual,
     };
-    let about = describe(order, &rig, &plan, devices)?;
+    let (about, simulated) = describe(order, &rig, &plan, devices)?;
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&order.folder.join(&name), about)?;
@@ -164,7 +166,7 @@ pub fn record(
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
     let reduction = reduce(&order.folder);
     let repeats = chain.map_or(0, |c| c.borrow().repeats());
-    let recorded = Recorded { sweep, reduction, repeats };
+    let recorded = Recorded { sweep, reduction, repeats, simulated };
     add_outcome(&order.folder, name, &recorded)?;
     Ok(recorded)
 }
@@ -265,13 +267,13 @@ fn session_id(rig: &str, plan: &str, created: &str) -> String {
     format!("{rig}-{plan}-{stamp}")
 }
 
-/// Writes run.json; the same facts go into the recording.
+/// Writes run.json; the same facts go into the recording. Says whether the devices are simulated, too.
 fn describe(
     order: &Order,
     rig: &Rig,
     plan: &Plan,
     devices: BTreeMap<String, wcal_core::device::DeviceIdentity>,
-) -> Result<BTreeMap<String, String>, RecordingError> {
+) -> Result<(BTreeMap<String, String>, bool), RecordingError> {
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),
         id: session_id(&rig.name, &plan.name, &order.created),
@@ -284,18 +286,38 @@ fn describe(
         devices,
         clock_scale: rig.clock_scale,
         runs: Vec::new(),
+        simulated: false,
     };
+    let run = RunFile { simulated: run.is_simulated(), ..run };
     let text = as_text(&run)?;
     let path = order.folder.join("run.json");
     // A resumed session keeps the identity it was begun with.
-    if !path.exists() {
+    if path.exists() {
+        same_bench(&path, run.simulated)?;
+    } else {
         save(&path, &text)?;
     }
-    Ok(BTreeMap::from([
+    let about = BTreeMap::from([
         ("run".to_owned(), text),
         ("rig".to_owned(), order.rig.clone()),
         ("plan".to_owned(), order.plan.clone()),
-    ]))
+    ]);
+    Ok((about, run.simulated))
+}
+
+/// Measured and simulated scans never share a session.
+fn same_bench(run_file: &Path, simulated: bool) -> Result<(), RecordingError> {
+    let io = |source| RecordingError::Io { action: "reading", path: run_file.to_owned(), source };
+    let begun = RunFile::parse(&std::fs::read_to_string(run_file).map_err(io)?)?;
+    if begun.is_simulated() == simulated {
+        return Ok(());
+    }
+    let name = |simulated: bool| if simulated { "a virtual bench" } else { "a real bench" };
+    Err(RecordingError::input(
+        run_file.display().to_string(),
+        format!("{}, as when the session was begun", name(begun.is_simulated())),
+        name(simulated),
+    ))
 }
 
 #[cfg(test)]

@@ -477,6 +477,7 @@ impl Case {
         let mut out = format!(
             "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"whisker\"\nmedium = \"air\"\ncreated = \"2026-11-20T09:00:00Z\"\n\n\
              [files]\npoints = \"points.csv\"\n{}\n\
+             [provenance]\nsimulated = true\nsimulated_by = \"the examiner's plant\"\n\n\
              [whisker]\ndiameter_mm = {}\nlength_mm = {:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
              youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
              [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\

@@ -58,7 +58,7 @@ pub fn transducer() -> ReportInput {
     let mut noise = Noise(3);
     let mut input = ReportInput::new(verify, provenance("sample-transducer"));
     input.title = "Load cell, straight line declared".into();
-    input.simulated = Some(SAMPLE.into());
+    input.simulated_by = Some(SAMPLE.into());
     input.residuals = (0..40)
         .map(|k| {
             let load = 150.0 * f64::from(k % 20 + 1);
@@ -106,7 +106,7 @@ pub fn axis() -> ReportInput {
     let mut noise = Noise(5);
     let mut input = ReportInput::new(verify, provenance("sample-axis"));
     input.title = "Stage, 6000 positions".into();
-    input.simulated = Some(SAMPLE.into());
+    input.simulated_by = Some(SAMPLE.into());
     input.residuals = (0..6000)
         .map(|k| {
             let t = f64::from(k);
@@ -141,6 +141,7 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
     VerifyDocument {
         format: VERIFY_FORMAT.into(),
         session: session.into(),
+        simulated: true,
         kind: kind.into(),
         verdict,
         reason: String::new(),
@@ -149,6 +150,8 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         alternatives: vec![],
         unknown: None,
         noise_floor: NoiseFloor::default(),
+        noise: None,
+        flagged: Vec::new(),
         before: None,
         after: None,
         coverage95: None,
@@ -193,5 +196,6 @@ fn provenance(session: &str) -> Provenance {
         created: "2026-01-01T00:00:00Z".into(),
         seed: 1,
         inputs: ["session.toml", "points.csv", "holdout.csv", "twin.csv"].map(file).to_vec(),
+        simulated: true,
     }
 }

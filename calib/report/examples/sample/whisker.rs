@@ -65,7 +65,7 @@ pub fn whisker() -> ReportInput {
     ];
     let mut input = ReportInput::new(verify, provenance("sample-whisker"));
     input.title = "Whisker 3, 27 poses with return strokes".into();
-    input.simulated = Some(SAMPLE.into());
+    input.simulated_by = Some(SAMPLE.into());
     input.moment_names = ["y moment".into(), "z moment".into()];
     input.facts = vec![
         Fact::new("wire", "NiTi, 0.3 mm, 60 mm"),
@@ -189,6 +189,7 @@ fn map() -> MapDocument {
     };
     MapDocument {
         format: MAP_FORMAT.into(),
+        simulated: true,
         points: 27,
         labels: "twin.csv repaired by rod".into(),
         chosen: "thin-plate".into(),

@@ -11,6 +11,15 @@ pub enum Mark {
     Bar(f64),
     /// Dot with an interval.
     Dot(f64, Option<[f64; 2]>),
+    /// Dot at the end of a way, and a tick where it could have led to.
+    Change {
+        /// Where the dot lies.
+        to: f64,
+        /// Where the way began.
+        from: f64,
+        /// Place of the tick.
+        floor: Option<f64>,
+    },
 }
 
 /// One row.
@@ -43,19 +52,58 @@ pub struct RowChart {
 
 const WIDTH: f64 = 420.0;
 const ROW: f64 = 36.0;
+/// A row whose name and value do not stand side by side has them on two lines.
+const LINE: f64 = 15.0;
 const MARGIN: f64 = 14.0;
+/// Room for texts.
+const INNER: f64 = WIDTH - 2.0 * MARGIN;
+
+/// Ground behind a text, so that no line of the chart runs through it.
+fn behind(out: &mut String, x: f64, baseline: f64, text: &str) {
+    let (x, y, width) = (px(x - 1.0), px(baseline - 11.0), px(text_width(text) + 2.0));
+    let _ = write!(out, "<rect class=\"behind\" x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"14\"/>");
+}
+
+impl RowItem {
+    /// The name, broken between words where it is wider than the chart.
+    fn name_lines(&self) -> Vec<String> {
+        let mut lines = vec![String::new()];
+        for word in self.label.split_whitespace() {
+            let last = lines.len() - 1;
+            if !lines[last].is_empty() && text_width(&lines[last]) + text_width(word) + 6.0 > INNER {
+                lines.push(word.to_owned());
+            } else {
+                let gap = if lines[last].is_empty() { "" } else { " " };
+                lines[last] += &format!("{gap}{word}");
+            }
+        }
+        lines
+    }
+
+    /// Whether the value needs a line of its own: beside the name it would be printed over it.
+    fn value_below(&self) -> bool {
+        let last = self.name_lines().last().map_or(0.0, |line| text_width(line));
+        last + text_width(&self.value) + 12.0 > INNER
+    }
+
+    fn height(&self) -> f64 {
+        ROW + LINE * (self.name_lines().len() - 1 + usize::from(self.value_below())) as f64
+    }
+}
 
 impl RowChart {
     /// The chart as an `<svg>` element.
     #[must_use]
     pub fn svg(&self) -> String {
         let top = if self.rules.is_empty() { 28.0 } else { 42.0 };
-        let bottom = top + ROW * self.rows.len() as f64;
+        let bottom = top + self.rows.iter().map(RowItem::height).sum::<f64>();
         let mut out = open_svg("rows", WIDTH, bottom + 40.0, &self.title, &self.description);
         let _ = write!(out, "<text class=\"head\" x=\"{MARGIN}\" y=\"14\">{}</text>", escape(&self.title));
         self.draw_axis(&mut out, top, bottom);
-        for (k, row) in self.rows.iter().enumerate() {
-            self.draw_row(&mut out, row, top + ROW * k as f64);
+        let mut at = top;
+        for row in &self.rows {
+            self.draw_row(&mut out, row, at);
+            at += row.height();
         }
         out.push_str("</svg>\n");
         out
@@ -105,14 +153,21 @@ impl RowChart {
     }
 
     fn draw_row(&self, out: &mut String, row: &RowItem, top: f64) {
-        let base = top + 27.0;
+        let base = top + row.height() - 9.0;
+        let lines = row.name_lines();
+        for (k, line) in lines.iter().enumerate() {
+            let y = px(top + LINE * (k + 1) as f64);
+            behind(out, MARGIN, top + LINE * (k + 1) as f64, line);
+            let _ = write!(out, "<text class=\"name\" x=\"{MARGIN}\" y=\"{y}\">{}</text>", escape(line));
+        }
+        let below = top + LINE * (lines.len() + usize::from(row.value_below())) as f64;
+        behind(out, WIDTH - MARGIN - text_width(&row.value), below, &row.value);
         let _ = write!(
             out,
-            "<text class=\"name\" x=\"{MARGIN}\" y=\"{y}\">{}</text><text class=\"value\" text-anchor=\"end\" x=\"{}\" y=\"{y}\">{}</text>",
-            escape(&row.label),
+            "<text class=\"value\" text-anchor=\"end\" x=\"{}\" y=\"{}\">{}</text>",
             px(WIDTH - MARGIN),
-            escape(&row.value),
-            y = px(top + 15.0)
+            px(below),
+            escape(&row.value)
         );
         match row.mark {
             Mark::Bar(to) => {
@@ -125,6 +180,24 @@ impl RowChart {
                     px(base - 6.0),
                     px((x - MARGIN).max(1.5))
                 );
+            }
+            Mark::Change { to, from, floor } => {
+                let [to, from] = [to, from].map(|v| self.x(self.axis.clamp(v)));
+                if let (Some(to), Some(from)) = (to, from) {
+                    let _ = write!(
+                        out,
+                        "<path class=\"line {c}\" d=\"M{} {y}H{}\"/><path class=\"big {c}\" d=\"M{to} {y}h.01\"/>",
+                        px(from),
+                        px(to),
+                        c = row.class,
+                        to = px(to),
+                        y = px(base)
+                    );
+                }
+                if let Some(x) = floor.and_then(|f| self.x(f)) {
+                    let _ =
+                        write!(out, "<path class=\"stub floor\" d=\"M{} {}v11\"/>", px(x), px(base - 5.5));
+                }
             }
             Mark::Dot(at, interval) => {
                 let ends = interval.and_then(|[low, high]| {
@@ -148,5 +221,46 @@ impl RowChart {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(label: &str, value: &str) -> RowItem {
+        RowItem { label: label.into(), value: value.into(), class: "s1", mark: Mark::Bar(1.0) }
+    }
+
+    #[test]
+    fn a_long_name_is_not_printed_over_its_value() {
+        let long = row(
+            "groove-friction + superelastic-softening + temperature-mismatch",
+            "−12.31, p 0.0123, rejected",
+        );
+        assert!(long.value_below() && long.height() > ROW);
+        let svg = RowChart {
+            title: String::new(),
+            description: String::new(),
+            axis: Axis::fixed("", 0.0, 1.0),
+            rows: vec![long],
+            rules: vec![],
+        }
+        .svg();
+        let line_of = |text: &str| {
+            let before = &svg[..svg.find(text).unwrap()];
+            before.rsplit("y=\"").next().unwrap().split('"').next().unwrap().to_owned()
+        };
+        assert_ne!(line_of(">groove-friction"), line_of(">−12.31"), "{svg}");
+        // Negative control: what fits side by side stays on one line.
+        let short = row("creep", "0, p 0.5, survives");
+        assert!(!short.value_below() && short.height() == ROW);
+    }
+
+    #[test]
+    fn a_name_wider_than_the_chart_is_broken_between_words() {
+        let wide = row(&"stage-backlash + ".repeat(8), "1");
+        assert!(wide.name_lines().len() > 1);
+        assert!(wide.name_lines().iter().all(|line| text_width(line) <= INNER));
     }
 }

@@ -1,6 +1,6 @@
 //! Held-out errors beside the noise floor: table and picture.
 
-use crate::input::ReportInput;
+use crate::input::{IndexEntry, ReportInput};
 use crate::markup::{Cell, Table};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Mark, RowChart, RowItem};
@@ -41,7 +41,8 @@ struct Model<'a> {
 fn models(input: &ReportInput) -> Vec<Model<'_>> {
     let model = |name: &str, class, error| Model { name: name.to_owned(), class, error };
     let before = input.verify.before.iter().map(|e| model("before: declared model", "s2", e));
-    let after = input.verify.after.iter().map(|e| model("after: accepted model", "s1", e));
+    let name = format!("after: {}", input.model_after());
+    let after = input.verify.after.iter().map(|e| model(&name, "s1", e));
     let further = input.further_errors.iter().map(|e| model(&e.name, "s3", &e.error));
     before.chain(after).chain(further).collect()
 }
@@ -171,7 +172,8 @@ fn map_table(input: &ReportInput) -> String {
         "Map from wavelengths to moments, left one out (root mean square)",
         &["moments of", "map", "#readings", &heads[0], &heads[1]],
     );
-    for (name, map) in [("before: declared model", before), ("after: accepted model", after)] {
+    let name = format!("after: {}", input.model_after());
+    for (name, map) in [("before: declared model", before), (name.as_str(), after)] {
         for m in map.iter().flat_map(|m| [Some(m), m.chosen.as_deref()]).flatten() {
             let mut cells =
                 vec![Cell::Text(name.into()), Cell::Text(m.map.clone()), Cell::Number(m.points.to_string())];
@@ -232,11 +234,60 @@ fn capitalised(name: &str) -> String {
     letters.next().map_or(String::new(), |c| c.to_uppercase().chain(letters).collect())
 }
 
+/// Every session's error after over its error before, in one picture: sessions of any unit side by side.
+pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
+    let mut rows = Vec::new();
+    let mut reach = vec![1.0];
+    for entry in entries {
+        let Some(key) = summary_key(&entry.verify) else { continue };
+        let of = |error: &Option<HeldOutError>| error.as_ref()?.rmse.get(key).copied();
+        let (Some(before), Some(after)) = (of(&entry.verify.before), of(&entry.verify.after)) else {
+            continue;
+        };
+        let share = after / before;
+        if !(share > 0.0 && share.is_finite()) {
+            continue;
+        }
+        let (_, unit, floor) = describe(key, &entry.verify.noise_floor, &entry.response_unit);
+        let floor = floor.map(|f| f / before).filter(|f| *f > 0.0 && f.is_finite());
+        reach.extend(floor.into_iter().chain([share]));
+        let mark = if entry.verify.simulated { " (SIMULATED)" } else { "" };
+        rows.push(RowItem {
+            label: format!("{}{mark}", entry.title),
+            value: format!("{} → {}", number(before), join_unit(&number(after), &unit)),
+            class: if entry.verify.simulated { "s4" } else { "s1" },
+            mark: Mark::Change { to: share, from: 1.0, floor },
+        });
+    }
+    if rows.is_empty() {
+        return String::new();
+    }
+    let chart = RowChart {
+        title: "Held-out error, after over before".into(),
+        description:
+            "Ratio of the held-out error of the model after to that of the declared model, for every session"
+                .into(),
+        axis: Axis::log_covering("error ÷ the declared model's error", reach),
+        rows,
+        rules: vec![(1.0, "declared model".into())],
+    };
+    format!(
+        "<figure class=\"forest\"><div class=\"charts\">{}</div><figcaption>{}</figcaption></figure>\n",
+        chart.svg(),
+        "Dot: the model after, as a share of the declared model's held-out error. Vertical tick: the noise floor, where it is known."
+    )
+}
+
+/// The quantity that stands for a session: its wavelengths where it has any.
+fn summary_key(verify: &VerifyDocument) -> Option<&String> {
+    verify.before.as_ref()?.rmse.keys().max_by_key(|key| key.starts_with("wavelength"))
+}
+
 /// One line for the overview: quantity, before, after and floor with their unit.
 pub(crate) fn summary(verify: &VerifyDocument, response_unit: &str) -> Option<[String; 4]> {
     let before = verify.before.as_ref()?;
     let after = verify.after.as_ref()?;
-    let key = before.rmse.keys().max_by_key(|key| key.starts_with("wavelength"))?;
+    let key = summary_key(verify)?;
     let (name, unit, floor) = describe(key, &verify.noise_floor, response_unit);
     let text = |error: &HeldOutError| error.rmse.get(key).map(|v| join_unit(&number(*v), &unit));
     let floor = floor.map_or("unknown".into(), |v| join_unit(&number(v), &unit));

@@ -10,6 +10,10 @@ use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 pub(super) fn body(input: &ReportInput) -> String {
     let verify = &input.verify;
     let mut out = String::new();
+    if verify.verdict == Verdict::Ambiguous && !input.accepted_on_request && !verify.effects.is_empty() {
+        out +=
+            "<p>Best of the explanations that survive; not accepted, since the data leave others open:</p>";
+    }
     for effect in &verify.effects {
         out += &one_effect(effect);
     }
@@ -91,11 +95,11 @@ fn ambiguity(input: &ReportInput) -> String {
     let rows: String =
         sets.iter().map(|set| format!("<li><code>{}</code></li>", escape(&name(set)))).collect();
     let lead = match (input.verify.verdict, sets.len()) {
-        (_, 1) => "Only one explanation survives:",
+        (_, 1) => "Only one survives:",
         (Verdict::Ambiguous, _) => "The data cannot decide between these explanations, best first:",
         _ => "Explanations that survive, best first:",
     };
-    format!("<div class=\"card\"><h5>Ambiguity set</h5><p>{lead}</p><ol>{rows}</ol></div>")
+    format!("<div class=\"card\"><h5>Competing explanations</h5><p>{lead}</p><ol>{rows}</ol></div>")
 }
 
 fn next_measurement(next: &NextMeasurement) -> String {

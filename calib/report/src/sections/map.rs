@@ -1,6 +1,6 @@
 //! Comparison of the candidate maps.
 
-use super::{absent, figure};
+use super::figure;
 use crate::input::ReportInput;
 use crate::markup::{Cell, Table, escape, list};
 use crate::number::{number, percent, significant};
@@ -9,10 +9,7 @@ use crate::plot::{Mark, RowChart, RowItem};
 use wcal_core::map_document::MapDocument;
 
 /// The section.
-pub(super) fn body(input: &ReportInput) -> String {
-    let Some(map) = &input.map else {
-        return absent("No map was fitted in this run.");
-    };
+pub(super) fn body(input: &ReportInput, map: &MapDocument) -> String {
     let mut out = format!(
         "<p>Chosen: <strong>{}</strong>, fitted to {} points; labels from {}. Condition number of the wavelength-from-moment matrix: {}.</p>",
         escape(&map.chosen),

@@ -27,13 +27,14 @@ pub(crate) struct Section {
 
 /// Sections that apply to this session.
 pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
-    let whisker = input.verify.kind == "whisker";
     let mut sections = vec![
         Section { id: "before-after", title: "Before and after", body: before_after::body(input) },
         Section { id: "found", title: "What was found", body: found::body(input) },
     ];
-    if whisker || !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
-        sections.push(Section { id: "twin", title: "Twin check", body: twin::body(input) });
+    // Only labels of an outside twin can be checked; without any, the rod's own branches are shown.
+    if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
+        let title = if twin::has_labels(input) { "Twin check" } else { "The rod along each trajectory" };
+        sections.push(Section { id: "twin", title, body: twin::body(input) });
     }
     sections.push(Section { id: "residuals", title: "Residuals", body: residuals::body(input) });
     sections.push(Section {
@@ -41,11 +42,11 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         title: "Measured against predicted",
         body: predicted::body(input),
     });
-    if whisker || input.map.is_some() {
+    if let Some(map) = &input.map {
         sections.push(Section {
             id: "map",
             title: "Map from wavelengths to moments",
-            body: map::body(input),
+            body: map::body(input, map),
         });
     }
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
@@ -66,10 +67,7 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
 
 /// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
 fn figure(input: &ReportInput, class: &str, charts: &str, caption: &str) -> String {
-    let tag = match input.simulated {
-        Some(_) => "<span class=\"pill sim\">simulated</span> ",
-        None => "",
-    };
+    let tag = if input.verify.simulated { "<span class=\"pill sim\">SIMULATED</span> " } else { "" };
     format!(
         "<figure class=\"{class}\"><div class=\"charts\">{charts}</div><figcaption>{tag}{}</figcaption></figure>\n",
         escape(caption)

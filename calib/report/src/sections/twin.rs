@@ -11,8 +11,11 @@ use std::collections::HashMap;
 pub(super) fn body(input: &ReportInput) -> String {
     let faults = &input.verify.twin.faults;
     let mut out = String::new();
-    if faults.is_empty() {
+    if faults.is_empty() && has_labels(input) {
         out += "<p>No fault was found in the twin's labels.</p>";
+    } else if faults.is_empty() {
+        out +=
+            &absent("The session has no labels of an outside twin (twin.csv): there was nothing to check.");
     } else {
         let mut table = Table::new("Faulty labels of the twin", &["kind", "points", "what is wrong"]);
         for fault in faults {
@@ -37,8 +40,25 @@ pub(super) fn body(input: &ReportInput) -> String {
         input,
         "many",
         &charts,
-        "Base moment against stage position. Lines: equilibrium branches of wcal's own rod; markers: labels of the outside twin; rings with a word: faulty labels. Every chart has its own scale.",
+        match has_labels(input) {
+            true => {
+                "Base moment against stage position. Lines: equilibrium branches of wcal's own rod; markers: labels of the outside twin; rings with a word: labels on another branch, or of a wire that left the groove. Every chart has its own scale."
+            }
+            false => {
+                "Base moment against stage position: equilibrium branches of wcal's own rod. Every chart has its own scale."
+            }
+        },
     )
+}
+
+/// Whether an outside twin's labels were there to be checked.
+pub(super) fn has_labels(input: &ReportInput) -> bool {
+    input.twin.iter().any(|t| !t.labels.is_empty()) || !input.verify.twin.faults.is_empty()
+}
+
+/// A fault of single labels is ringed; one of unit or discretisation is of all labels, and the table says so.
+fn of_single_labels(kind: &str) -> bool {
+    !matches!(kind, "unit" | "discretisation")
 }
 
 fn chart(input: &ReportInput, trajectory: &TwinTrajectory, kinds: &HashMap<i64, &str>) -> String {
@@ -69,6 +89,7 @@ fn chart(input: &ReportInput, trajectory: &TwinTrajectory, kinds: &HashMap<i64, 
         .labels
         .iter()
         .filter_map(|l| Some((l, l.fault.as_deref().or(kinds.get(&l.point).copied())?)))
+        .filter(|(_, kind)| of_single_labels(kind))
         .collect();
     let rings = bad.iter().flat_map(|(l, _)| l.moment_nmm.map(|m| [l.stage_mm, m])).collect();
     layers.push(Layer::Points { class: "bad", marker: Marker::Ring, at: rings, titles: Vec::new() });
@@ -81,7 +102,7 @@ fn chart(input: &ReportInput, trajectory: &TwinTrajectory, kinds: &HashMap<i64, 
     };
     Plot {
         description: format!(
-            "Moments along trajectory {}: {} labels, {} of them faulty",
+            "Moments along trajectory {}: {} labels, {} of them ringed",
             trajectory.id,
             trajectory.labels.len(),
             bad.len()

@@ -31,6 +31,9 @@ pub struct RunFile {
     pub devices: BTreeMap<String, DeviceIdentity>,
     /// Host seconds per wall second; other than 1: recorded on a virtual bench.
     pub clock_scale: f64,
+    /// Recorded from simulated devices; absent in files from before the mark.
+    #[serde(default)]
+    pub simulated: bool,
     /// What came of each run, one a recording; a run that was killed has none.
     #[serde(default)]
     pub runs: Vec<RunOutcome>,
@@ -55,6 +58,13 @@ pub struct RunOutcome {
 }
 
 impl RunFile {
+    /// Whether the devices were simulated. Files from before the mark tell by the names that the virtual bench's devices give
+    /// themselves, and by its clock.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.simulated || self.clock_scale != 1.0 || self.devices.values().any(DeviceIdentity::is_virtual)
+    }
+
     /// Parses the file.
     ///
     /// # Errors

@@ -264,6 +264,10 @@ pub fn session_toml(
     let mut provenance = Table::new();
     provenance.insert("program".to_owned(), text(&run.program));
     provenance.insert("command".to_owned(), Value::Array(run.command.iter().map(|c| text(c)).collect()));
+    if run.is_simulated() {
+        provenance.insert("simulated".to_owned(), Value::Boolean(true));
+        provenance.insert("simulated_by".to_owned(), text("the virtual bench"));
+    }
     provenance.insert("rig_sha256".to_owned(), text(&run.rig_sha256));
     provenance.insert("plan_sha256".to_owned(), text(&run.plan_sha256));
     root.insert("provenance".to_owned(), Value::Table(provenance));

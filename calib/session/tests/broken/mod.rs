@@ -203,6 +203,7 @@ pub const TABLE: &[Broken] = &[
     points("groove in m", "18,0,2.5", "0.018,0,0.0025", &["line 4", "groove_x_mm", "factor of 1000", "m instead of mm"]),
     points("out of reach", "2.5,1,0,18,0,2.5", "80,1,0,18,0,80", &["line 4", "groove_x_mm", "60.000 mm", "82.000 mm"]),
     // session.toml.
+    toml("mark that is no flag", "[files]", "[provenance]\nsimulated = \"yes\"\n[files]", &["provenance.simulated", "true or false", "yes"]),
     toml("newer format", "session/1", "session/2", &["session.toml", "format", "wcal-session/1", "wcal-session/2", "newer"]),
     toml("other format", "wcal-session/1", "wcal-map/1", &["format", "wcal-map/1"]),
     toml("no format", "format =", "fmt =", &["format", "wcal-session/1", "nothing"]),

@@ -311,6 +311,7 @@ fn document(
         .flatten();
     VerifyDocument {
         format: VERIFY_FORMAT.to_owned(),
+        simulated: false,
         session: session.to_owned(),
         kind: "whisker".to_owned(),
         verdict: conclusion.verdict,

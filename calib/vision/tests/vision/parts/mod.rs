@@ -4,7 +4,6 @@ mod camera;
 mod chain;
 mod exchange;
 mod groove;
-mod page;
 mod pairs;
 mod profile;
 mod rig;

@@ -60,6 +60,8 @@ const RECORDINGS: &[Recording] = &[
 /// A file that cannot be written.
 pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     let mut entries = Vec::new();
+    let progress = crate::progress::Progress::new("demo");
+    progress.hear_search();
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
         let folder = args.out.join(r.name).join("session");
@@ -80,6 +82,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         print_text(&report.verify, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
+    drop(progress);
     // The page starts with what was measured.
     entries.reverse();
     let introduction = ["Every recording that comes with the project, through the whole residual loop."];

@@ -3,7 +3,9 @@
 mod checks;
 mod feed;
 mod found;
+mod groove;
 mod live;
+mod motion;
 mod output;
 mod table;
 mod whiskers;
@@ -239,11 +241,35 @@ fn refuse_scalar(place: &Path, file: &CalibrationFile<CalibrationModel>) -> Resu
     Ok(())
 }
 
+/// What speaks against the rows that were written.
+struct Outcome {
+    /// Rows lie outside the calibration's valid region.
+    outside: bool,
+    /// Stated regions do not hold a known groove.
+    misstated: bool,
+    /// Readings were lost, dropped or unusable.
+    lost: bool,
+    /// Contact in a motion that the model was never trained on.
+    untrained: bool,
+}
+
 /// 4 before 3 before 0.
-fn exit_code(args: &TrackArgs, outside: u64, lost: bool) -> ExitCode {
-    ExitCode::from(match (outside > 0 && !args.force, lost) {
+fn exit_code(args: &TrackArgs, found: Outcome) -> ExitCode {
+    let not_good_enough = found.outside || found.misstated;
+    ExitCode::from(match (not_good_enough && !args.force, found.lost || found.untrained) {
         (true, _) => 4,
         (false, true) => 3,
         (false, false) => 0,
     })
+}
+
+/// A cloud needs to know where the base was: said before anything is written.
+fn refuse_surface(args: &TrackArgs, posed: bool) -> Result<()> {
+    if args.surface && !posed && args.base_mm_s.is_none() {
+        bail!(
+            "--surface: expected the pose of the base (base_x_mm .. base_qz in the table, [base] in the rig) or its speed (--base-mm-s), found \
+             neither"
+        );
+    }
+    Ok(())
 }

@@ -11,10 +11,11 @@ use crate::train::burn_device;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
+use wcal_mujoco::read::manifests;
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
@@ -91,8 +92,10 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let progress = Progress::new("evaluate");
     progress.says("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
+    let there: BTreeSet<String> = manifests(&args.sweeps)?.into_iter().map(|(_, m)| m.object).collect();
     let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
-        let names: Vec<String> = names.iter().take(args.objects).cloned().collect();
+        let names: Vec<String> =
+            names.iter().filter(|n| there.contains(*n)).take(args.objects).cloned().collect();
         if names.is_empty() {
             return Ok(BTreeMap::new());
         }

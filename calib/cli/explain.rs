@@ -1,8 +1,9 @@
 //! `wcal explain`: what an effect of a catalogue is; `wcal formats`: the files in short.
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::Args;
 use std::fmt::Write as _;
+use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::Arc;
 use wcal_trace::candidate::{Candidate, Law, Role};
@@ -50,8 +51,7 @@ fn catalogues() -> [Catalogue; 3] {
 pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
     let catalogues = catalogues();
     let Some(id) = &args.effect else {
-        print!("{}", listed(&catalogues));
-        return Ok(ExitCode::SUCCESS);
+        return written(&listed(&catalogues));
     };
     let found: Vec<(&str, &Arc<dyn Candidate>)> = catalogues
         .iter()
@@ -70,16 +70,25 @@ pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
             None => told.push((vec![kind], text)),
         }
     }
-    for (kinds, text) in told {
-        print!("{id} (kind {})\n{text}\n", kinds.join(", "));
-    }
-    Ok(ExitCode::SUCCESS)
+    let all: Vec<String> =
+        told.iter().map(|(kinds, text)| format!("{id} (kind {})\n{text}", kinds.join(", "))).collect();
+    written(&all.join("\n"))
 }
 
 /// Runs `wcal formats`.
-pub fn formats() -> ExitCode {
-    print!("{FORMATS}");
-    ExitCode::SUCCESS
+///
+/// # Errors
+/// Where stdout takes nothing.
+pub fn formats() -> anyhow::Result<ExitCode> {
+    written(FORMATS)
+}
+
+/// On stdout; a pager or `head` that has seen enough is no error.
+fn written(text: &str) -> anyhow::Result<ExitCode> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e).context("writing to stdout"),
+        _ => Ok(ExitCode::SUCCESS),
+    }
 }
 
 /// Every effect with its sentence and source.

@@ -115,7 +115,7 @@ fn main() -> ExitCode {
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),
         Command::Explain(args) => explain::run(args),
-        Command::Formats => Ok(explain::formats()),
+        Command::Formats => explain::formats(),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut command(), "wcal", &mut std::io::stdout());

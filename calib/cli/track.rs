@@ -41,9 +41,14 @@ slip, snap, jump) are told from every scan; the first --prefix-s must be without
 limits, counts, contact intervals) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
 Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
 
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged). 4: readings outside the valid region (marked), or a calibration or
-model that is not to be trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then
-without --force, with which every row says so.")]
+The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
+holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
+answers are compared with them and the error is printed with the coverage of the stated regions.
+
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or with contact in a motion that the model was never trained on.
+4: readings outside the valid region (marked), stated regions that do not hold the known groove, or a calibration or model that is not to be
+trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then without --force, with which
+every row says so.")]
 pub struct TrackArgs {
     /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
     pub source: Option<PathBuf>,

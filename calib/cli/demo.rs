@@ -74,6 +74,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         kind.check(&args.out.join(name), args.overwrite.force)?;
     }
     let mut entries = Vec::new();
+    let progress = crate::progress::Progress::new("demo");
+    progress.hear_search();
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
         let out = args.out.join(r.name);
@@ -91,6 +93,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
+    drop(progress);
     // The page starts with what was measured.
     entries.reverse();
     let introduction = [

@@ -3,17 +3,20 @@
 mod report;
 mod tables;
 mod virtual_bench;
+mod work;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
+use crate::progress::Progress;
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
+use wcal_mujoco::read::manifests;
 use wcal_mujoco::{Mesh, objects};
 use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
@@ -22,9 +25,10 @@ use wcal_track::evaluate::{Method, ObjectScores, over_objects};
 use wcal_track::model_file::{Card, SplitBy, load};
 use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_network};
 use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
+use work::{STREAMING, TWO_CONTACTS, Work, cost};
 
 /// Arguments of `wcal evaluate`.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(after_help = "Example:
   wcal evaluate sweeps --model model --meshes ycb/meshes --out evaluation
 
@@ -61,6 +65,9 @@ pub struct EvaluateArgs {
     /// Leave out the virtual real bench, the tables over speed and medium, and the ablations
     #[arg(long)]
     pub simulation_only: bool,
+    /// Two objects of each kind, four sweeps over each, no tables over speed and medium: under two minutes on two cores. Intervals are wide, and the result says that it is quick
+    #[arg(long)]
+    pub quick: bool,
     /// Print the document on stdout
     #[arg(long)]
     pub json: bool,
@@ -74,16 +81,34 @@ const RESULT: ResultKind<'_> = ResultKind {
     kept: &[],
     resumes: false,
 };
+/// Objects of each kind and sweeps over each with `--quick`.
+const QUICK: [usize; 2] = [2, 4];
+
+impl EvaluateArgs {
+    /// The arguments with what `--quick` makes of them.
+    fn quickened(&self) -> Self {
+        let mut args = self.clone();
+        if args.quick {
+            (args.objects, args.sweeps_each) = (args.objects.min(QUICK[0]), args.sweeps_each.min(QUICK[1]));
+        }
+        args
+    }
+}
 
 /// Runs the command.
 ///
 /// # Errors
 /// Where model, sweeps or meshes cannot be used.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
+    let args = &args.quickened();
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
+    let progress = Progress::new("evaluate");
+    progress.says("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
+    let there: BTreeSet<String> = manifests(&args.sweeps)?.into_iter().map(|(_, m)| m.object).collect();
     let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
-        let names: Vec<String> = names.iter().take(args.objects).cloned().collect();
+        let names: Vec<String> =
+            names.iter().filter(|n| there.contains(*n)).take(args.objects).cloned().collect();
         if names.is_empty() {
             return Ok(BTreeMap::new());
         }
@@ -113,15 +138,25 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];
     methods.extend(baseline.iter().map(|b| ("small transformer", Method::Network(b, true))));
+    let count = |k: usize| sets[k].1.values().map(Vec::len).sum::<usize>() as f64;
+    let work = Work::new(
+        &progress,
+        count(0) + count(1),
+        methods.iter().map(|m| cost(&m.1)).sum(),
+        tables::cost(&card, args),
+    );
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
-    for (set, courses) in &sets {
+    for (k, (set, courses)) in sets.iter().enumerate() {
         let meshes = meshes(courses.keys(), args)?;
         for (name, method) in &methods {
+            work.next(&format!("{name}, {set} objects"), count(k) * cost(method));
             rows.push((set, name, over_objects(&|c: &Course| method.run(c), courses, &meshes)?));
         }
     }
+    work.next("time of one sample", STREAMING);
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
+    work.next("two contacts", (count(0) + count(1)) * TWO_CONTACTS);
     let of = |told: bool| [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings, told));
     let [seen, unseen] = of(false);
     // The limit is chosen on other objects than it is judged on.
@@ -146,17 +181,23 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     }
     if !args.simulation_only {
         let folder = tempfile::tempdir().context("making a folder for what is in between")?;
-        let maker = tables::Maker { tracker: &tracker, card: &card, args, folder: folder.path() };
+        let maker =
+            tables::Maker { tracker: &tracker, card: &card, args, folder: folder.path(), work: &work };
         for (name, table) in maker.tables()? {
             document[name] = table;
         }
     }
+    drop(work);
+    drop(progress);
     out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
     out.put("report.html", report::page(&document));
     out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
+        if args.quick {
+            println!("QUICK: few objects and sweeps; the intervals say how little that is");
+        }
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
         print_told(&document);
@@ -243,7 +284,7 @@ fn document(
         ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
     let methods: Vec<Value> = rows.iter().map(|(set, name, r)| method(set, name, r)).collect();
     json!({
-        "format": "wcal-evaluation/1", "simulated": true, "model": model, "calibration": null,
+        "format": "wcal-evaluation/1", "simulated": true, "quick": args.quick, "model": model, "calibration": null,
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
             "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "interval95": both_means(of("seen", best), of("unseen", best)),
             "objects": objects},
@@ -360,6 +401,9 @@ fn print_tables(document: &Value) {
         );
     }
     let speeds = rows("speed");
+    if speeds.is_empty() {
+        return;
+    }
     println!("speed mm/s: constant, random (mm)");
     for r in &speeds {
         println!(

@@ -22,7 +22,7 @@ use wcal_session::load;
 Fits calibration and rest rows only. Exit code 3: a map was fitted, but the readings barely determine a moment,
 or rows had no label.")]
 pub struct FitGprArgs {
-    /// Session folder (kind \"whisker\")
+    /// Session folder (kind "whisker")
     pub session: PathBuf,
     /// Folder for calibration.json and fit-gpr.json
     #[arg(long, value_name = "DIR")]

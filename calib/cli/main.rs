@@ -5,6 +5,7 @@ mod artefact;
 mod demo;
 mod doctor;
 mod evaluate;
+mod explain;
 mod fit_gpr;
 mod fit_whisker;
 mod import;
@@ -28,7 +29,7 @@ mod twin;
 mod verify;
 mod virtual_bench;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 
 #[global_allocator]
@@ -79,6 +80,11 @@ enum Command {
     Reduce(reduce::ReduceArgs),
     /// Serve simulated devices that speak the real ones' protocols
     VirtualBench(virtual_bench::VirtualBenchArgs),
+    /// What the effects of the catalogues are: laws, parameters, ranges, columns, sources
+    Explain(explain::ExplainArgs),
+    /// The file formats in short
+    #[command(after_long_help = explain::FORMATS)]
+    Formats,
     /// Write commented templates
     Init(init::InitArgs),
     /// Shell completions on stdout
@@ -89,7 +95,10 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::from_arg_matches(&command().get_matches()) {
+        Ok(cli) => cli,
+        Err(e) => e.exit(),
+    };
     let result = match &cli.command {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
@@ -108,9 +117,11 @@ fn main() -> ExitCode {
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),
+        Command::Explain(args) => explain::run(args),
+        Command::Formats => explain::formats(),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
-            clap_complete::generate(*shell, &mut Cli::command(), "wcal", &mut std::io::stdout());
+            clap_complete::generate(*shell, &mut command(), "wcal", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
         }
     };
@@ -118,4 +129,31 @@ fn main() -> ExitCode {
         eprintln!("wcal: {error:#}");
         ExitCode::from(1)
     })
+}
+
+/// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.
+fn command() -> clap::Command {
+    let names: Vec<String> = Cli::command().get_subcommands().map(|c| c.get_name().to_owned()).collect();
+    names.iter().fold(Cli::command(), |all, name| {
+        all.mut_subcommand(name, |c| match c.get_after_help().map(|text| paragraphs(&text.to_string())) {
+            Some(text) => c.after_help(text),
+            None => c,
+        })
+    })
+}
+
+/// Joins lines that follow each other; indented lines and blank ones stay as they are.
+fn paragraphs(text: &str) -> String {
+    let mut out = String::new();
+    let mut joins = false;
+    for line in text.lines() {
+        let prose = !line.is_empty() && !line.starts_with(' ');
+        if !out.is_empty() {
+            out.push(if prose && joins { ' ' } else { '\n' });
+        }
+        out.push_str(line);
+        // A heading stands above what is indented.
+        joins = prose && !line.ends_with(':');
+    }
+    out
 }

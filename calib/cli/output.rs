@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use wcal_session::write_atomic;
 
 /// Consent to write where something else is.
-#[derive(Debug, Args)]
+#[derive(Clone, Copy, Debug, Args)]
 pub struct Overwrite {
     /// Write to --out although something else is there: files of the result's names are replaced, files of other names stay
     #[arg(long)]

@@ -1,14 +1,184 @@
-//! Progress on stderr for what takes over a second; nothing where stderr is no terminal.
+//! Progress on stderr for whatever takes over two seconds: stage, part done, time left. Redrawn in place on a terminal, plain lines
+//! elsewhere; never on stdout.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use std::time::Duration;
+use std::io::{IsTerminal, Write};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
-/// A running clock beside `what`.
-pub fn spinner(what: &str) -> ProgressBar {
-    let bar = ProgressBar::new_spinner().with_message(what.to_owned());
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
+/// What is over sooner needs no progress.
+const SILENT: Duration = Duration::from_secs(2);
+/// Time between plain lines.
+const LINES: Duration = Duration::from_secs(10);
+/// Time between redraws on a terminal.
+const REDRAWN: Duration = Duration::from_millis(200);
+/// Part done below which the time left is a guess.
+const LEAST_DONE: f64 = 0.02;
+
+/// Where a piece of work is.
+#[derive(Debug, Clone)]
+struct State {
+    stage: String,
+    done: Option<f64>,
+    /// When this count of parts began.
+    since: Instant,
+}
+
+/// Shows where a piece of work is until it is dropped. Shared by reference or clone of its `Reporter` among threads.
+pub struct Progress {
+    reporter: Reporter,
+    stop: Option<Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The end that libraries call back (`Send + Sync`).
+#[derive(Debug, Clone)]
+pub struct Reporter {
+    state: Arc<Mutex<State>>,
+}
+
+impl Reporter {
+    /// Says which stage runs where its part of the work is not known.
+    pub fn says(&self, stage: &str) {
+        stage.clone_into(&mut self.state.lock().unwrap_or_else(PoisonError::into_inner).stage);
+    }
+
+    /// Says which stage runs and how much of the work is done, 0 to 1. A much smaller part than before begins to count anew; threads may
+    /// report a little out of order.
+    pub fn at(&self, stage: &str, done: f64) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if state.done.is_none_or(|before| done < 0.5 * before) {
+            state.since = Instant::now();
+        }
+        if state.stage != stage {
+            stage.clone_into(&mut state.stage);
+        }
+        state.done = Some(done.clamp(0.0, 1.0));
+    }
+
+    fn state(&self) -> State {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Progress {
+    /// Of a command; its part done is not known before the first `at`.
+    pub fn new(what: &str) -> Self {
+        let state = State { stage: String::new(), done: None, since: Instant::now() };
+        let reporter = Reporter { state: Arc::new(Mutex::new(state)) };
+        let (stop, stopped) = channel();
+        let (own, what) = (reporter.clone(), what.to_owned());
+        let thread = std::thread::spawn(move || {
+            let begun = Instant::now();
+            let mut bar = None;
+            let terminal = std::io::stderr().is_terminal();
+            let mut wait = SILENT;
+            while stopped.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
+                let line = line(&what, &own.state(), begun.elapsed(), Instant::now());
+                if terminal {
+                    bar.get_or_insert_with(spinner).set_message(line);
+                } else {
+                    // A line that cannot be shown must not stop the work.
+                    let _ = writeln!(std::io::stderr(), "{line}");
+                }
+                wait = if terminal { REDRAWN } else { LINES };
+            }
+            if let Some(bar) = bar {
+                bar.finish_and_clear();
+            }
+        });
+        Self { reporter, stop: Some(stop), thread: Some(thread) }
+    }
+
+    /// See [`Reporter::at`].
+    pub fn at(&self, stage: &str, done: f64) {
+        self.reporter.at(stage, done);
+    }
+
+    /// See [`Reporter::says`].
+    pub fn says(&self, stage: &str) {
+        self.reporter.says(stage);
+    }
+
+    /// Shows how far `verify`'s search is, for the rest of the program.
+    pub fn hear_search(&self) {
+        let reporter = self.reporter();
+        wcal_trace::engine::search::on_progress(move |stage, done| reporter.at(stage, done));
+    }
+
+    /// An end for a library's callback.
+    pub fn reporter(&self) -> Reporter {
+        self.reporter.clone()
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn spinner() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
         bar.set_style(style);
     }
-    bar.enable_steady_tick(Duration::from_millis(200));
+    bar.enable_steady_tick(REDRAWN);
     bar
+}
+
+/// `evaluate: virtual bench, 34 %, about 1 min 10 s left`.
+fn line(what: &str, state: &State, elapsed: Duration, now: Instant) -> String {
+    let stage = if state.stage.is_empty() { String::new() } else { format!(" {},", state.stage) };
+    match state.done {
+        Some(done) if done >= LEAST_DONE => {
+            let left_s = now.duration_since(state.since).as_secs_f64() * (1.0 - done) / done;
+            format!("{what}:{stage} {:.0} %, about {} left", 100.0 * done, duration(left_s))
+        }
+        _ => format!("{what}:{stage} running for {}", duration(elapsed.as_secs_f64())),
+    }
+}
+
+/// `45 s`, `3 min 20 s`, `2 h 5 min`.
+fn duration(seconds: f64) -> String {
+    let s = seconds.round().max(0.0) as u64;
+    match (s / 3600, s / 60 % 60, s % 60) {
+        (0, 0, s) => format!("{s} s"),
+        (0, min, s) => format!("{min} min {s} s"),
+        (h, min, _) => format!("{h} h {min} min"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_states_stage_part_and_time_left() {
+        let since = Instant::now();
+        let at = |done| State { stage: "tables".to_owned(), done, since };
+        let shown =
+            |done, s| line("evaluate", &at(done), Duration::from_secs(s), since + Duration::from_secs(s));
+        assert_eq!(shown(Some(0.25), 30), "evaluate: tables, 25 %, about 1 min 30 s left");
+        // Nothing is extrapolated from next to nothing.
+        assert_eq!(shown(Some(0.001), 30), "evaluate: tables, running for 30 s");
+        assert_eq!(shown(None, 7300), "evaluate: tables, running for 2 h 1 min");
+    }
+
+    #[test]
+    fn a_stage_that_begins_anew_is_timed_anew() {
+        let progress = Progress::new("verify");
+        progress.at("a", 0.9);
+        let before = progress.reporter().state().since;
+        std::thread::sleep(Duration::from_millis(5));
+        progress.at("b", 0.95);
+        assert_eq!(progress.reporter().state().since, before);
+        progress.at("c", 0.1);
+        assert!(progress.reporter().state().since > before);
+    }
 }

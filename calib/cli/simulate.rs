@@ -7,10 +7,10 @@ mod slurm;
 
 use crate::output::{Overwrite, ResultKind};
 use crate::picture_output::write;
+use crate::progress::Progress;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use document::{Faults, Twin, document, print};
-use indicatif::{ProgressBar, ProgressStyle};
 pub use inputs::whisker;
 use inputs::{mjcf_options, objects_of};
 use slurm::{Handed, SlurmArgs};
@@ -56,7 +56,7 @@ pub struct SimulateArgs {
     /// How sweeps are drawn, and their physics (`wcal init --kind sweeps` writes every key with its default)
     #[arg(long, value_name = "TOML")]
     pub plan: Option<PathBuf>,
-    /// Share of the work, \"i/n\" from 1: the shards of all shares together are the dataset
+    /// Share of the work, "i/n" from 1: the shards of all shares together are the dataset
     #[arg(long, value_name = "i/n", default_value = "1/1")]
     pub shard: String,
     /// Cores
@@ -160,12 +160,11 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         let survey = dataset.survey(&args.out);
         (survey.totals, survey.missing)
     } else {
-        let bar = bar();
+        let progress = Progress::new("simulate");
         let totals = dataset.make(&args.out, |done, all| {
-            bar.set_length(all);
-            bar.set_position(done);
+            progress.at(&format!("{done} of {all} sweeps"), done as f64 / all.max(1) as f64);
         })?;
-        bar.finish_and_clear();
+        drop(progress);
         let again: Vec<&String> = totals.values().flat_map(|t| &t.again).collect();
         for line in again.iter().take(MOST_AGAIN) {
             eprintln!("simulate: made again: {line}");
@@ -230,11 +229,3 @@ fn share(text: &str) -> anyhow::Result<[usize; 2]> {
 
 /// Shards made again that are named one by one.
 const MOST_AGAIN: usize = 5;
-
-fn bar() -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} sweeps, {eta} left") {
-        bar.set_style(style);
-    }
-    bar
-}

@@ -3,7 +3,9 @@
 mod checks;
 mod feed;
 mod found;
+mod groove;
 mod live;
+mod motion;
 mod output;
 mod table;
 mod whiskers;
@@ -39,9 +41,14 @@ slip, snap, jump) are told from every scan; the first --prefix-s must be without
 limits, counts, contact intervals) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
 Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
 
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged). 4: readings outside the valid region (marked), or a calibration or
-model that is not to be trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then
-without --force, with which every row says so.")]
+The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
+holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
+answers are compared with them and the error is printed with the coverage of the stated regions.
+
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or with contact in a motion that the model was never trained on.
+4: readings outside the valid region (marked), stated regions that do not hold the known groove, or a calibration or model that is not to be
+trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then without --force, with which
+every row says so.")]
 pub struct TrackArgs {
     /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
     pub source: Option<PathBuf>,
@@ -240,11 +247,35 @@ fn refuse_scalar(place: &Path, file: &CalibrationFile<CalibrationModel>) -> Resu
     Ok(())
 }
 
+/// What speaks against the rows that were written.
+struct Outcome {
+    /// Rows lie outside the calibration's valid region.
+    outside: bool,
+    /// Stated regions do not hold a known groove.
+    misstated: bool,
+    /// Readings were lost, dropped or unusable.
+    lost: bool,
+    /// Contact in a motion that the model was never trained on.
+    untrained: bool,
+}
+
 /// 4 before 3 before 0.
-fn exit_code(args: &TrackArgs, outside: u64, lost: bool) -> ExitCode {
-    ExitCode::from(match (outside > 0 && !args.force, lost) {
+fn exit_code(args: &TrackArgs, found: Outcome) -> ExitCode {
+    let not_good_enough = found.outside || found.misstated;
+    ExitCode::from(match (not_good_enough && !args.force, found.lost || found.untrained) {
         (true, _) => 4,
         (false, true) => 3,
         (false, false) => 0,
     })
+}
+
+/// A cloud needs to know where the base was: said before anything is written.
+fn refuse_surface(args: &TrackArgs, posed: bool) -> Result<()> {
+    if args.surface && !posed && args.base_mm_s.is_none() {
+        bail!(
+            "--surface: expected the pose of the base (base_x_mm .. base_qz in the table, [base] in the rig) or its speed (--base-mm-s), found \
+             neither"
+        );
+    }
+    Ok(())
 }

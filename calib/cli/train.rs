@@ -1,6 +1,7 @@
 //! `wcal train`: the contact tracker, trained on simulated sweeps.
 
 use crate::output::{Overwrite, ResultKind};
+use crate::progress::Progress;
 use crate::simulate::whisker;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -141,7 +142,15 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         out: &args.out,
     };
     eprintln!("train: on SIMULATED sweeps");
-    let card = make_model(&making, &device, heard)?;
+    let progress = Progress::new("train");
+    let card = make_model(&making, &device, |pass| {
+        heard(pass);
+        progress.at(
+            &format!("pass {} of at most {}", pass.epoch, args.epochs),
+            pass.epoch as f64 / args.epochs as f64,
+        );
+    })?;
+    drop(progress);
     crate::picture_output::write(&args.out, "report.html", page(&card).as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&card)?);

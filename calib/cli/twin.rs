@@ -30,7 +30,7 @@ and where the session has labels of another twin, whose they are. MuJoCo runs wi
 released cable, paper the measured one with the clamp right to second order. What the tip does to the moment is stated apart: its shape (play),
 its softness, its friction, in this order and so that they add up. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
 pub struct TwinArgs {
-    /// Session folder (kind \"whisker\")
+    /// Session folder (kind "whisker")
     pub session: PathBuf,
     /// Model of the wire
     #[arg(long, value_enum, default_value = "rod")]

@@ -99,10 +99,11 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.calibration {
         refuse_seen_holdout(path, &session)?;
     }
-    let spinner = crate::progress::spinner(&format!("verifying {}", session.id));
+    let progress = crate::progress::Progress::new(&format!("verify {}", session.id));
+    progress.hear_search();
     let done = verify_session(&session, &mut out, args.seed, &args.accept)?;
     out.finish()?;
-    spinner.finish_and_clear();
+    drop(progress);
     if args.json {
         println!("{}", serde_json::to_string_pretty(&done.verify)?);
     } else {

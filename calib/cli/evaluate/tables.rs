@@ -1,6 +1,7 @@
 //! The paper's tables II and III, the virtual real bench, and ablations. All of it is SIMULATED.
 
 use super::virtual_bench::VirtualBench;
+use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
 use super::{EvaluateArgs, both_means, intervals, mean, meshes};
 use crate::artefact::CalibrationModel;
 use crate::track::told;
@@ -22,6 +23,8 @@ type Meshes = BTreeMap<String, Mesh>;
 
 /// Speeds of table II, mm/s.
 const SPEEDS_MM_S: [f64; 5] = [4.0, 6.0, 8.0, 10.0, 12.0];
+/// Rows of the ablations, those of the maps included.
+const ABLATIONS: f64 = 11.0;
 /// Objects of table III.
 const SIM_TO_REAL: [&str; 3] = ["vase", "035_power_drill", "rock"];
 /// Faces of an object in table I, and how many times as many sweeps it has as the others.
@@ -49,11 +52,48 @@ pub struct Maker<'a> {
     pub args: &'a EvaluateArgs,
     /// Folder for what is in between.
     pub folder: &'a Path,
+    /// How far the work is.
+    pub work: &'a Work<'a>,
+}
+
+/// Sweeps that are drawn for a table, plain and on the virtual bench, and those that ablations track again.
+struct Sweeps {
+    faces: f64,
+    real: f64,
+    ablations: f64,
+    speeds: f64,
+    media: f64,
+}
+
+impl Sweeps {
+    fn of(card: &Card, args: &EvaluateArgs) -> Self {
+        let objects = |names: &[String]| names.len().min(args.objects) as f64;
+        let (each, [seen, unseen]) =
+            (args.sweeps_each as f64, [&card.objects.training, &card.objects.unseen].map(|n| objects(n)));
+        let faces = (args.sweeps_each.next_multiple_of(FACES) * UPRIGHT) as f64;
+        Self {
+            faces: (seen + unseen) * faces,
+            real: (seen + unseen) * each,
+            ablations: ABLATIONS * unseen * each,
+            speeds: if args.quick { 0.0 } else { 2.0 * SPEEDS_MM_S.len() as f64 * unseen * each },
+            media: if args.quick { 0.0 } else { 3.0 * SIM_TO_REAL.len() as f64 * each },
+        }
+    }
+}
+
+/// Cost of all tables (see `work`).
+pub fn cost(card: &Card, args: &EvaluateArgs) -> f64 {
+    if args.simulation_only {
+        return 0.0;
+    }
+    let s = Sweeps::of(card, args);
+    BENCH + SWEEP * (s.faces + s.speeds) + ON_BENCH * (s.real + s.media) + ABLATION * s.ablations
 }
 
 impl Maker<'_> {
     /// All tables by their names in evaluation.json.
     pub fn tables(&self) -> anyhow::Result<BTreeMap<&'static str, Value>> {
+        self.work.next("calibrating the virtual bench", BENCH);
         let bench = VirtualBench::new(&self.card.whisker, self.args.seed, self.folder)
             .context("calibrating the virtual bench")?;
         eprintln!(
@@ -66,14 +106,20 @@ impl Maker<'_> {
             meshes(names.iter().take(self.args.objects), self.args)
         };
         let (seen, unseen) = (objects(&self.card.objects.training)?, objects(&self.card.objects.unseen)?);
-        let (real, ablations) = self.virtual_real(&bench, &seen, &unseen)?;
-        Ok(BTreeMap::from([
+        let sweeps = Sweeps::of(self.card, self.args);
+        self.work.next("virtual bench", ON_BENCH * sweeps.real);
+        let (real, ablations) = self.virtual_real(&bench, &seen, &unseen, &sweeps)?;
+        self.work.next("upright objects", SWEEP * sweeps.faces);
+        let mut all = BTreeMap::from([
             ("faces", self.faces(&seen, &unseen)?),
             ("virtual_real", real),
             ("ablations", ablations),
-            ("speed", self.speeds(&unseen)?),
-            ("sim2real", self.sim_to_real(&bench)?),
-        ]))
+        ]);
+        if !self.args.quick {
+            all.insert("speed", self.speeds(&unseen, &sweeps)?);
+            all.insert("sim2real", self.sim_to_real(&bench, &sweeps)?);
+        }
+        Ok(all)
     }
 
     /// Seed of sweeps that are drawn on the spot.
@@ -162,6 +208,7 @@ impl Maker<'_> {
         bench: &VirtualBench,
         seen: &Meshes,
         unseen: &Meshes,
+        sweeps: &Sweeps,
     ) -> anyhow::Result<(Value, Value)> {
         let by = bench.verified.as_ref().unwrap_or(&bench.map);
         let rough = told(BayesSettings::rough().into(), by).first;
@@ -198,6 +245,7 @@ impl Maker<'_> {
             let estimates: Vec<Estimate> = Method::Network(&told, true).run(c);
             estimates.first().into_iter().chain(&estimates).take(c.instants.len()).copied().collect()
         };
+        self.work.next("ablations", ABLATION * sweeps.ablations);
         let damped = |courses: &Courses| -> Courses {
             courses.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
         };
@@ -228,9 +276,10 @@ impl Maker<'_> {
         Ok((real, Value::Array(ablations)))
     }
 
-    fn speeds(&self, meshes: &Meshes) -> anyhow::Result<Value> {
+    fn speeds(&self, meshes: &Meshes, sweeps: &Sweeps) -> anyhow::Result<Value> {
         let mut rows = Vec::new();
         for speed in SPEEDS_MM_S {
+            self.work.next("speeds", SWEEP * sweeps.speeds / SPEEDS_MM_S.len() as f64);
             let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<Mean> {
                 let plan =
                     SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
@@ -249,11 +298,12 @@ impl Maker<'_> {
         Ok(Value::Array(rows))
     }
 
-    fn sim_to_real(&self, bench: &VirtualBench) -> anyhow::Result<Value> {
+    fn sim_to_real(&self, bench: &VirtualBench, sweeps: &Sweeps) -> anyhow::Result<Value> {
         let by = bench.verified.as_ref().unwrap_or(&bench.map);
         let told = self.told(by);
         let mut rows = Vec::new();
         for name in SIM_TO_REAL {
+            self.work.next("air and water", ON_BENCH * sweeps.media / SIM_TO_REAL.len() as f64);
             let name = name.to_owned();
             let Ok(mesh) = meshes(std::iter::once(&name), self.args) else {
                 eprintln!("table III: {name}: no mesh; left out");

@@ -47,7 +47,7 @@ pub struct SlurmArgs {
     /// A further option of sbatch, whole (may be repeated): --slurm-option=--qos=long
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true, requires = "slurm")]
     pub slurm_option: Vec<String>,
-    /// Shell lines for the start of both jobs, such as \"module load\"
+    /// Shell lines for the start of both jobs, such as "module load"
     #[arg(long, value_name = "FILE", requires = "slurm")]
     pub slurm_setup: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
 //! What speaks against tracking with a calibration and a model.
 
 use crate::artefact::{CalibrationModel, read_unsealed, standing};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use wcal_core::{CalibrationFile, VerificationStatus};
 use wcal_map::OutputMap;
@@ -79,6 +79,36 @@ impl Loaded<'_> {
     }
 }
 
+/// Why `verify` wrote no calibration at this place; none where there is one, or no `verify.json` beside it.
+fn never_written(place: &Path) -> Option<String> {
+    if place.exists() {
+        return None;
+    }
+    let beside = place.with_file_name("verify.json");
+    let document: serde_json::Value = serde_json::from_slice(&std::fs::read(&beside).ok()?).ok()?;
+    let text = |key: &str| document[key].as_str().unwrap_or_default().to_owned();
+    let ids = document["effects"].as_array().into_iter().flatten().filter_map(|e| e["id"].as_str());
+    let ids = ids.collect::<Vec<_>>().join(", ");
+    let verdict = text("verdict");
+    let accepted = match (verdict.as_str(), ids.as_str()) {
+        ("ambiguous", _) => {
+            "several explanations are left and none was accepted (--accept chooses one)".to_owned()
+        }
+        ("unknown-effect", "") => {
+            "it accepted no effect: nothing in its catalogue explains what is left".to_owned()
+        }
+        ("unknown-effect", some) => {
+            format!("it accepted {some}, and nothing in its catalogue explains what is left")
+        }
+        _ => "it accepted none".to_owned(),
+    };
+    let (place, beside) = (place.display(), beside.display());
+    Some(format!(
+        "{place}: not there: the verdict of verify is \"{verdict}\" ({beside}); {accepted}. So it wrote no calibration. {}",
+        text("reason")
+    ))
+}
+
 /// A whisker's calibration judged beside a model's card, before the model itself is loaded.
 pub struct Judged {
     name: String,
@@ -106,6 +136,9 @@ impl Judged {
     /// # Errors
     /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
     pub fn read(name: &str, place: &Path, card: Card) -> Result<Self> {
+        if let Some(why) = never_written(place) {
+            bail!(why);
+        }
         let (file, changed) = read_unsealed(place)?;
         super::refuse_scalar(place, &file)?;
         let mut doubts = Doubts::default();

@@ -1,7 +1,7 @@
 //! What is made of all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
 
 use super::output::beside;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -57,7 +57,7 @@ impl Found {
         });
         if let (Some(world_from_base), true) = (known_way, p.contact >= TOUCHED) {
             self.posed |= base.is_some();
-            let pose = BasePose { world_from_base, along_z_mm_s: None };
+            let pose = BasePose { world_from_base, velocity_mm_s: None };
             let (point_mm, covariance_mm2) = pose.to_world(&point_mm, &covariance);
             let normal = world_from_base.rotation * Vector3::from(p.normal.map(f64::from));
             self.cloud.push(CloudPoint { point_mm, covariance_mm2, normal });
@@ -79,14 +79,14 @@ impl Found {
 /// Writes the cloud and the surface of all whiskers beside the table, and what they are for track.json.
 ///
 /// # Errors
-/// Where no contact has a place in the world, or the disk does not take it.
+/// Where the disk does not take it.
 pub fn write_surface(out: &Path, all: &[&Found]) -> Result<Value> {
     let cloud: Vec<CloudPoint> = all.iter().flat_map(|f| f.cloud.iter().copied()).collect();
     if cloud.is_empty() {
-        bail!(
-            "--surface: expected rows with contact and a pose of the base (or its speed), found none in {} whiskers",
-            all.len()
+        eprintln!(
+            "warning: --surface: no row with contact and a known place of the base: neither cloud nor surface"
         );
+        return Ok(json!({"frame": null, "points": 0, "surface_points": 0}));
     }
     let frame = if all.iter().any(|f| f.posed) { "world" } else { "base at the first row" };
     let write = |ending: &str, text: String| -> Result<()> {

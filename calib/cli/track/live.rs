@@ -2,14 +2,16 @@
 
 use super::checks::Loaded;
 use super::feed::{Intake, Item};
+use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles};
 use super::whiskers::{Whiskers, lost_text};
-use super::{TrackArgs, exit_code};
+use super::{Outcome, TrackArgs, exit_code, refuse_surface};
+use crate::progress::Progress;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,6 +30,8 @@ use wcal_session::recording::tracks::TrackChannels;
 const SILENCE: Duration = Duration::from_secs(2);
 /// Rows stay in memory no longer than this.
 const FLUSH: Duration = Duration::from_millis(500);
+/// Scans between two reports of progress.
+const SCANS_SHOWN: u64 = 1000;
 /// Time between questions to a stage that carries the base.
 const STAGE_POLL: Duration = Duration::from_millis(20);
 
@@ -114,11 +118,16 @@ pub fn replay(
     rig: &Rig,
     loaded: &[Loaded<'_>],
 ) -> Result<ExitCode> {
+    refuse_surface(args, rig.base.is_some())?;
     let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
+    if let Some((table, whisker)) = args.source.as_deref().and_then(session_points) {
+        whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
+    }
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = TrackFiles::create(&args.out, true)?;
     let mut cut_off = Vec::new();
     let start = Instant::now();
+    let progress = Progress::new("track");
     let (mut first_host_s, mut ended) = (None, false);
     for part in parts {
         let (mut failed, mut scans) = (None, 0_u64);
@@ -140,8 +149,17 @@ pub fn replay(
                         std::thread::sleep(due.saturating_sub(start.elapsed()));
                     }
                     failed = whiskers.scan(&reading, false, &mut files, sinks.channels.as_ref()).err();
+                    if scans.is_multiple_of(SCANS_SHOWN) {
+                        let at_s = whiskers.elapsed_s(&reading);
+                        let stage = format!("{at_s:.0} s of the stream tracked");
+                        match args.seconds {
+                            Some(all_s) => progress.at(&stage, at_s / all_s),
+                            None => progress.says(&stage),
+                        }
+                    }
                 }
                 Message::Stage(position) => whiskers.stage(&position),
+                Message::Event(event) => whiskers.sweep_event(&event),
                 _ => {}
             }
         })?;
@@ -157,6 +175,7 @@ pub fn replay(
             cut_off.push(part.display().to_string());
         }
     }
+    drop(progress);
     let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
     let more = json!({"source": parts, "simulated": simulated, "cut_off": cut_off, "dropped_scans": 0});
     conclude(args, whiskers, sinks, files, more, (0, !cut_off.is_empty()))
@@ -167,6 +186,7 @@ pub fn replay(
 /// # Errors
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
 pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) -> Result<ExitCode> {
+    refuse_surface(args, rig.base.is_some())?;
     let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
     let clock = HostClock::start(rig.clock_scale);
     let mut interrogator = open_interrogator(&rig.interrogator, clock)?;
@@ -174,8 +194,10 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) ->
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = TrackFiles::create(&args.out, true)?;
     let done = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&done);
-    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flags = [&done, &interrupted].map(Arc::clone);
+    ctrlc::set_handler(move || flags.iter().for_each(|f| f.store(true, Ordering::SeqCst)))
+        .context("watching for Ctrl-C")?;
     let (intake, receiver) = Intake::new(args.queue, sinks.recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let failed = std::thread::scope(|scope| {
@@ -194,6 +216,9 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) ->
     let simulated = identity.is_virtual() || by_simulation(loaded);
     let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
     let more = json!({"source": source, "simulated": simulated, "dropped_scans": dropped});
+    if interrupted.load(Ordering::SeqCst) {
+        eprintln!("Interrupted by user; what was tracked until then is written to {}", args.out.display());
+    }
     let code = conclude(args, whiskers, sinks, files, more, (dropped, false))?;
     failed.map(|()| code)
 }
@@ -314,7 +339,7 @@ fn conclude(
             all.extend(part.as_object().cloned().unwrap_or_default());
         }
     }
-    let (outside, lost) = (whiskers.outside(), whiskers.lost());
+    let (outside, lost, doubtful) = (whiskers.outside(), whiskers.lost(), whiskers.doubtful());
     if summary["simulated"] == true {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
     }
@@ -330,10 +355,21 @@ fn conclude(
     if let Some(said) = &said {
         eprintln!("warning: {said}");
     }
+    whiskers.say_doubts();
     if args.surface {
         summary["surface"] = whiskers.surface(&args.out)?;
     }
     files.finish(&summary, args.json)?;
     sinks.finish()?;
-    Ok(exit_code(args, outside, said.is_some() || cut_off))
+    let [untrained, misstated] = doubtful;
+    let lost = said.is_some() || cut_off;
+    Ok(exit_code(args, Outcome { outside: outside > 0, misstated, lost, untrained }))
+}
+
+/// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.
+fn session_points(folder: &Path) -> Option<(PathBuf, Option<String>)> {
+    let session: toml::Table = std::fs::read_to_string(folder.join("session.toml")).ok()?.parse().ok()?;
+    let text = |v: Option<&toml::Value>| v.and_then(toml::Value::as_str).map(str::to_owned);
+    let points = text(session.get("files").and_then(|f| f.get("points")))?;
+    Some((folder.join(points), text(session.get("whisker_id"))))
 }

@@ -2,8 +2,10 @@
 
 use super::checks::Loaded;
 use super::found::{Found, write_surface};
+use super::groove::{KnownGroove, known_places, velocities};
+use super::motion::Motions;
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::{TrackArgs, exit_code};
+use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::artefact::CalibrationModel;
 use crate::predict::{Moments, moments_of_map, moments_of_model};
 use crate::simulated::is_simulated;
@@ -58,7 +60,12 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     };
     check(path, &rows, fbg)?;
     let poses = base_poses(path)?;
+    refuse_surface(args, !poses.is_empty())?;
+    let places = known_places(path)?;
     let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
+    let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
+    let mut groove = KnownGroove::new(places, &loaded.card.whisker);
+    let mut motions = Motions::new(&loaded.card.training);
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
@@ -67,20 +74,21 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
-        let t_s = m.t_s.unwrap_or_default();
+        let (t_s, line) = (m.t_s.unwrap_or_default(), m.line);
         let mut flags = Flags::default();
         if last.zip(step_s).is_some_and(|((before, _), step)| t_s - before > GAP_STEPS * step) {
             // What happened in between is not known: the tracker starts anew.
             flags = flags.with(Flags::GAP);
             stream = loaded.stream();
+            motions.restart();
         }
         if fbg.needs_reference() && !m.reference {
             flags = flags.with(Flags::REFERENCE_LOST);
         }
         let base = poses.get(&m.line).copied();
-        let measured = last.and_then(|(before, old)| along_z(&old?, &base?, t_s - before));
-        let base = base.map(|b| BasePose { along_z_mm_s: measured, ..b });
-        let base_mm_s = measured.or(args.base_mm_s);
+        let velocity = last.and_then(|(before, old)| velocity_mm_s(&old?, &base?, t_s - before));
+        let base = base.map(|b| BasePose { velocity_mm_s: velocity, ..b });
+        let base_mm_s = velocity.map(|v| v.z).or(args.base_mm_s);
         last = Some((t_s, base));
         let usable = !flags.has(Flags::REFERENCE_LOST);
         let moments = usable.then(|| StreamMoments {
@@ -91,6 +99,14 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         let answer = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
         if flags.has(Flags::GAP) {
             found.gap();
+        }
+        if let (Some(m), Some(answer)) = (&moments, &answer) {
+            let known = velocity.or(past_groove.get(&line).copied());
+            let known = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
+            flags = flags.with(motions.flag(t_s, m, answer, known));
+            if let Some(groove) = &mut groove {
+                groove.push(t_s, answer);
+            }
         }
         let segment = found.row(t_s, answer.as_ref(), base, base_mm_s);
         outside += u64::from(usable && !m.valid);
@@ -120,7 +136,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
-        "segments": found.segments(),
+        "segments": found.segments(), "untrained_motion": motions.summary(), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });
     if args.surface {
         summary["surface"] = write_surface(&args.out, &[&found])?;
@@ -135,7 +151,15 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     if flagged > 0 {
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
     }
-    Ok(exit_code(args, outside, unusable > 0))
+    motions.say("", rows.len() as u64);
+    if let Some(said) = groove.as_ref().and_then(KnownGroove::said) {
+        eprintln!("{said}");
+    }
+    let misstated = groove.as_ref().is_some_and(KnownGroove::misstated);
+    Ok(exit_code(
+        args,
+        Outcome { outside: outside > 0, misstated, lost: unusable > 0, untrained: motions.any() },
+    ))
 }
 
 /// Times that go forward, and a reference where the calibration needs one.
@@ -182,14 +206,13 @@ fn base_poses(path: &Path) -> Result<HashMap<usize, BasePose>> {
         }
         let place = Translation3::new(v[0], v[1], v[2]);
         let world_from_base = Isometry3::from_parts(place, UnitQuaternion::new_normalize(turn));
-        poses.insert(*line, BasePose { world_from_base, along_z_mm_s: None });
+        poses.insert(*line, BasePose { world_from_base, velocity_mm_s: None });
     }
     Ok(poses)
 }
 
-/// Speed along the base's +z between two poses, mm/s.
-fn along_z(before: &BasePose, now: &BasePose, dt_s: f64) -> Option<f64> {
+/// Velocity of the base between two poses, base frame, mm/s.
+fn velocity_mm_s(before: &BasePose, now: &BasePose, dt_s: f64) -> Option<Vector3<f64>> {
     let moved = now.world_from_base.translation.vector - before.world_from_base.translation.vector;
-    let z = now.world_from_base.rotation * Vector3::z();
-    (dt_s > 0.0).then(|| moved.dot(&z) / dt_s)
+    (dt_s > 0.0).then(|| now.world_from_base.rotation.inverse() * moved / dt_s)
 }

@@ -3,6 +3,8 @@
 use super::TrackArgs;
 use super::checks::Loaded;
 use super::found::{Found, write_surface};
+use super::groove::{KnownGroove, KnownPlace};
+use super::motion::Motions;
 use super::output::{TrackFiles, TrackRow, event_message};
 use crate::artefact::CalibrationModel;
 use anyhow::{Context, Result, bail};
@@ -15,7 +17,7 @@ use wcal_core::device::FbgReading;
 use wcal_core::stream::{MomentStream, StreamMoments};
 use wcal_map::MapPredictor;
 use wcal_session::recording::clocks::ClockPair;
-use wcal_session::recording::message::StagePosition;
+use wcal_session::recording::message::{StagePosition, SweepEvent};
 use wcal_session::recording::rig::Rig;
 use wcal_session::recording::sensed::WhiskerReader;
 use wcal_session::recording::tracks::TrackChannels;
@@ -32,6 +34,8 @@ struct Whisker<'a> {
     stream: Stream<'a>,
     tare: Tare,
     found: Found,
+    motions: Motions,
+    groove: Option<KnownGroove>,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -44,6 +48,9 @@ pub struct Whiskers<'a> {
     all: Vec<Whisker<'a>>,
     base: Option<BaseMotion>,
     base_mm_s: Option<f64>,
+    /// Groove that the stage carries, base frame, since a trajectory was mounted, and the trajectories by number.
+    groove: Option<BaseMotion>,
+    trajectories: BTreeMap<u32, Vector3<f64>>,
     tare_s: f64,
     object_class: Option<String>,
     zero_mm: f64,
@@ -100,6 +107,8 @@ impl<'a> Whiskers<'a> {
                 stream: l.stream(),
                 tare: Tare::new(args.tare_s),
                 found: Found::new(&l.name),
+                motions: Motions::new(&l.card.training),
+                groove: None,
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -111,6 +120,8 @@ impl<'a> Whiskers<'a> {
             all: loaded.iter().map(one).collect::<Result<_>>()?,
             base: base_motion(place, rig)?,
             base_mm_s: args.base_mm_s,
+            groove: None,
+            trajectories: rig.trajectory.iter().map(|t| (t.id, Vector3::from(t.direction))).collect(),
             tare_s: args.tare_s,
             object_class: args.object_class.clone(),
             zero_mm: rig.stage.zero_mm,
@@ -140,10 +151,30 @@ impl<'a> Whiskers<'a> {
 
     /// Takes a position of the stage that carries the base.
     pub fn stage(&mut self, position: &StagePosition) {
-        if let (Some(base), Some(origin_s)) = (&mut self.base, self.origin_s)
+        if let Some(origin_s) = self.origin_s
             && let Some(device_s) = self.clocks.device_s(position.host_s)
         {
-            base.push(device_s - origin_s, position.measured_mm - self.zero_mm);
+            for carried in self.base.iter_mut().chain(&mut self.groove) {
+                carried.push(device_s - origin_s, position.measured_mm - self.zero_mm);
+            }
+        }
+    }
+
+    /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory, unless the rig says that it carries the
+    /// base.
+    pub fn sweep_event(&mut self, event: &SweepEvent) {
+        let direction =
+            self.trajectories.get(&event.trajectory).filter(|_| event.kind == "mount" && self.base.is_none());
+        if let Some(direction) = direction {
+            self.groove = Some(BaseMotion::new(Isometry3::identity(), Some(*direction)));
+        }
+    }
+
+    /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
+    pub fn know_groove(&mut self, places: &[KnownPlace], whisker: Option<&str>) {
+        let one = self.all.len() == 1;
+        for w in self.all.iter_mut().filter(|w| one || whisker.is_some_and(|id| id == w.loaded.name)) {
+            w.groove = KnownGroove::new(places.to_vec(), &w.loaded.card.whisker);
         }
     }
 
@@ -184,7 +215,8 @@ impl<'a> Whiskers<'a> {
             }
             if let Some(row) = row {
                 let start = Instant::now();
-                let message = w.row(&row, self.base.as_ref(), self.base_mm_s, files)?;
+                let carried = [self.base.as_ref(), self.groove.as_ref()];
+                let message = w.row(&row, carried, self.base_mm_s, files)?;
                 self.spent[1] += start.elapsed();
                 if let Some(channels) = channels {
                     channels.contact(reading.clocks.host_s, &message);
@@ -211,10 +243,28 @@ impl<'a> Whiskers<'a> {
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
+    /// Says which rows are in doubt for their motion, and how far answers are from a known groove.
+    pub fn say_doubts(&self) {
+        for w in &self.all {
+            let whose =
+                if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
+            w.motions.say(&whose, w.rows);
+            if let Some(said) = w.groove.as_ref().and_then(KnownGroove::said) {
+                eprintln!("{whose}{said}");
+            }
+        }
+    }
+
+    /// Whether rows are in doubt for their motion, and whether stated regions do not hold the known groove.
+    pub fn doubtful(&self) -> [bool; 2] {
+        let misstated = |w: &Whisker<'_>| w.groove.as_ref().is_some_and(KnownGroove::misstated);
+        [self.all.iter().any(|w| w.motions.any()), self.all.iter().any(misstated)]
+    }
+
     /// Writes cloud and surface beside the table.
     ///
     /// # Errors
-    /// Where no contact has a place in the world, or the disk does not take it.
+    /// Where the disk does not take it.
     pub fn surface(&self, out: &Path) -> Result<Value> {
         write_surface(out, &self.all.iter().map(|w| &w.found).collect::<Vec<_>>())
     }
@@ -247,12 +297,16 @@ impl Whisker<'_> {
     fn row(
         &mut self,
         row: &Row,
-        motion: Option<&BaseMotion>,
+        [base, groove]: [Option<&BaseMotion>; 2],
         base_mm_s: Option<f64>,
         files: &mut TrackFiles,
     ) -> Result<wcal_session::recording::tracks::ContactPoint> {
-        let base = motion.and_then(|b| b.at(row.t_s));
-        let base_mm_s = base.and_then(|b| b.along_z_mm_s).or(base_mm_s);
+        let [base, groove] = [base, groove].map(|b| b.and_then(|b| b.at(row.t_s)));
+        // The groove goes on as the base would go back.
+        let past_groove = groove.and_then(|g| g.velocity_mm_s).map(|v| -v);
+        let velocity = base.and_then(|b| b.velocity_mm_s).or(past_groove);
+        let velocity = velocity.or(base_mm_s.map(|v| Vector3::z() * v));
+        let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(base_mm_s);
         let moments =
             row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(row.t_s, m.moment_nmm), ..m });
         let answer = match &moments {
@@ -260,18 +314,26 @@ impl Whisker<'_> {
             None => {
                 // What happened in between is not known: the tracker starts anew.
                 self.stream = self.loaded.stream();
+                self.motions.restart();
                 None
             }
         };
+        let mut flags = row.flags;
+        if let (Some(m), Some(answer)) = (&moments, &answer) {
+            flags = flags.with(self.motions.flag(row.t_s, m, answer, velocity));
+            if let Some(groove) = &mut self.groove {
+                groove.push(row.t_s, answer);
+            }
+        }
         let segment = self.found.row(row.t_s, answer.as_ref(), base, base_mm_s);
         self.rows += 1;
-        self.flagged += u64::from(!row.flags.none());
+        self.flagged += u64::from(!flags.none());
         self.outside += u64::from(row.moments.is_some_and(|m| !m.valid));
         let row = TrackRow {
             point: i64::try_from(row.serial).unwrap_or(i64::MAX),
             t_s: row.t_s,
             whisker: &self.loaded.name,
-            flags: row.flags,
+            flags,
             doubts: &self.doubts,
             moments,
             answer: answer.as_ref(),
@@ -296,6 +358,7 @@ impl Whisker<'_> {
         json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
             "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.said(),
+            "untrained_motion": self.motions.summary(), "known_groove": self.groove.as_ref().and_then(KnownGroove::summary),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
         })

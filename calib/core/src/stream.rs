@@ -21,8 +21,10 @@ impl Flags {
     pub const DROPPED: Self = Self(64);
     /// The filter is not full yet: since the start or since what another flag says.
     pub const FILLING: Self = Self(128);
+    /// The contact moves as in no sweep that the tracker was trained on.
+    pub const UNTRAINED_MOTION: Self = Self(256);
 
-    const NAMES: [(Self, &'static str); 8] = [
+    const NAMES: [(Self, &'static str); 9] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -31,6 +33,7 @@ impl Flags {
         (Self::CLOCK, "clock"),
         (Self::DROPPED, "dropped"),
         (Self::FILLING, "filling"),
+        (Self::UNTRAINED_MOTION, "untrained-motion"),
     ];
 
     /// Both.

@@ -14,6 +14,7 @@ pub mod inverse;
 pub mod live;
 pub mod make;
 pub mod model_file;
+pub mod motion;
 pub mod network;
 pub mod score;
 pub mod segments;

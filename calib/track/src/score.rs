@@ -22,6 +22,12 @@ pub struct Compared {
 }
 
 impl Compared {
+    /// Whether the truth lies in the stated 90 % region.
+    #[must_use]
+    pub fn holds90(&self) -> bool {
+        self.mahalanobis2.is_some_and(|m| m <= CHI2_90)
+    }
+
     /// Of an estimate with covariance (mm^2), where it has one.
     #[must_use]
     pub fn new(

@@ -12,6 +12,7 @@ use wcal_track::bayes::{BayesFilter, BayesSettings, Filters};
 use wcal_track::drawn::{Order, drawn};
 use wcal_track::evaluate::{Method, over_objects};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
+use wcal_track::motion::{Felt, MotionCheck, UntrainedMotion};
 use wcal_track::network::model::attention_bias;
 use wcal_track::network::{NetworkConfig, WhiskerNet};
 use wcal_track::spread::SdFactors;
@@ -442,4 +443,77 @@ fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
         let moved = rmse(&mut made.corners_mm.iter().map(|p| off(&(p + Vector3::new(3.0, 3.0, 3.0)))));
         assert!(moved > 2.0 * corners, "{name}: {moved} {corners}");
     }
+}
+
+/// Rows of a course in contact, as `MotionCheck` sees them; its moments turned by a half turn where `from` is -1: what is touched pushes the
+/// wire along the base's way, as a groove that presses it.
+fn judged(course: &Course, known: bool, from: f64) -> Vec<Option<UntrainedMotion>> {
+    let mut check = MotionCheck::new(&TrainSettings::default());
+    let row = |i: &wcal_track::Instant| {
+        let contact = if i.contact.is_some() { 1.0 } else { 0.0 };
+        let velocity_mm_s = known.then(|| Vector3::z() * i.speed_mm_s);
+        let moment_nmm = i.moment_nmm.map(|m| from * m);
+        check.push(&Felt { t_s: i.t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+    };
+    course.instants.iter().map(row).collect()
+}
+
+#[test]
+fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
+    let friction = wcal_mujoco::physics::PhysicsPlan { friction: [0.0, 0.3], ..Default::default() };
+    let plan = SweepPlan { physics: friction, ..plan() };
+    let (mut rows, mut doubted, mut presses) = (0, Vec::new(), [0, 0]);
+    for name in objects::NAMES {
+        let whisker = whisker();
+        let order = Order { whisker: &whisker, plan: &plan, seed: SEED, sweeps: 12 };
+        for course in drawn(&objects::built_in(name).unwrap(), &order).unwrap() {
+            for known in [false, true] {
+                let all = judged(&course, known, 1.0);
+                rows += all.len();
+                let first = all.iter().position(Option::is_some);
+                doubted.extend(
+                    first.map(|k| format!("{name}/{}, {:?}: {:?}", course.sweep, all[k], course.instants[k])),
+                );
+            }
+            presses[0] += usize::from(judged(&course, false, -1.0).contains(&Some(UntrainedMotion::Against)));
+            presses[1] += 1;
+        }
+    }
+    // 144 sweeps and none in doubt: at most 2 % of all would be (95 %).
+    assert!(doubted.is_empty() && rows > 10_000, "{rows} rows: {doubted:#?}");
+    assert!(presses[0] * 10 > presses[1] * 9, "{presses:?}");
+
+    // Stage motions that are known: standing, back, across, too fast; and what follows in the same contact is in doubt, too.
+    let run = |velocities: &[Vector3<f64>], contact: f64| {
+        let mut check = MotionCheck::new(&TrainSettings::default());
+        let row = |(k, v): (usize, &Vector3<f64>)| {
+            let (t_s, velocity_mm_s) = (0.1 * k as f64, Some(*v));
+            let moment_nmm = [0.4 * contact, 0.1 * contact];
+            check.push(&Felt { t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+        };
+        velocities.iter().enumerate().map(row).collect::<Vec<_>>()
+    };
+    let (trained, still) = (Vector3::z() * 5.0, Vector3::zeros());
+    let (hold, none) = (Some(UntrainedMotion::Hold), None);
+    assert_eq!(run(&[trained, still, trained], 1.0), [none, hold, hold]);
+    assert_eq!(
+        run(&[-trained, Vector3::new(4.0, 0.0, 4.0), trained * 8.0], 1.0),
+        [Some(UntrainedMotion::Against), Some(UntrainedMotion::Aside), Some(UntrainedMotion::Fast)]
+    );
+    // A free wire may be moved as one likes.
+    assert_eq!(run(&[trained, still, -trained], 0.0), [none; 3]);
+
+    // Moments that stand still for long, the motion not known; control: the same for a second.
+    let held = |seconds: u32| {
+        let mut check = MotionCheck::new(&TrainSettings::default());
+        let row = |k| Felt {
+            t_s: 0.1 * f64::from(k),
+            moment_nmm: [0.4, 0.1],
+            sd_nmm: [0.001; 2],
+            contact: 1.0,
+            velocity_mm_s: None,
+        };
+        (0..10 * seconds).filter_map(|k| check.push(&row(k))).last()
+    };
+    assert_eq!((held(1), held(60)), (none, hold));
 }

@@ -13,6 +13,23 @@ use super::subsets::best_subsets;
 use crate::candidate::{Role, System, Term};
 use crate::effects::SLIP_OUTLIERS;
 use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Hears how far a search is: name of the stage, and the part of it that is done.
+type Heard = Box<dyn Fn(&str, f64) + Send + Sync>;
+static HEARD: OnceLock<Heard> = OnceLock::new();
+
+/// Names who hears, for this process; the first one stays.
+pub fn on_progress(heard: impl Fn(&str, f64) + Send + Sync + 'static) {
+    let _ = HEARD.set(Box::new(heard));
+}
+
+/// Tells how far a stage is.
+pub fn progress(stage: &str, done: f64) {
+    if let Some(heard) = HEARD.get() {
+        heard(stage, done);
+    }
+}
 
 /// Settings of the loop.
 #[derive(Debug, Clone, Copy)]
@@ -304,6 +321,7 @@ fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, gate: &Gate) -> f64 {
 
 /// Runs the search.
 pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Option<Found> {
+    progress("testing the declared model", 0.0);
     let outliers = outlier_index(system);
     let base = declared(system, weights, options.seed)?;
     let first_gate = gate(system, &base.fit, &base.weights, options);
@@ -314,6 +332,7 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
     let mut level_gate = first_gate.clone();
     let mut final_level: Vec<Hypothesis> = Vec::new();
     for size in 1..=options.largest {
+        progress("searching for effects", (size - 1) as f64 / options.largest as f64);
         if !level_gate.rejected() && !single_readings(system, &best) {
             break;
         }
@@ -357,14 +376,14 @@ pub fn search(system: &dyn System, weights: &Weights, options: &Options) -> Opti
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
     let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
-    let p_values: Vec<f64> =
-        final_level
-            .iter()
-            .enumerate()
-            .map(|(k, h)| {
-                if k == 0 { 1.0 } else { rival_p(&best, h, variance, options.draws, options.seed + k as u64) }
-            })
-            .collect();
+    let p_values: Vec<f64> = final_level
+        .iter()
+        .enumerate()
+        .map(|(k, h)| {
+            progress("comparing explanations", k as f64 / final_level.len() as f64);
+            if k == 0 { 1.0 } else { rival_p(&best, h, variance, options.draws, options.seed + k as u64) }
+        })
+        .collect();
     let survivors: Vec<Hypothesis> = final_level
         .iter()
         .zip(&p_values)

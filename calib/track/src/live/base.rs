@@ -8,11 +8,17 @@ use std::collections::VecDeque;
 pub struct BasePose {
     /// Base coordinates to the world's, mm.
     pub world_from_base: Isometry3<f64>,
-    /// Speed along the base's +z, mm/s, where it is known.
-    pub along_z_mm_s: Option<f64>,
+    /// Velocity, base frame, mm/s, where it is known.
+    pub velocity_mm_s: Option<Vector3<f64>>,
 }
 
 impl BasePose {
+    /// Speed along the base's +z, mm/s, where it is known.
+    #[must_use]
+    pub fn along_z_mm_s(&self) -> Option<f64> {
+        self.velocity_mm_s.map(|v| v.z)
+    }
+
     /// A point (mm) and its covariance (mm^2) in the world frame.
     #[must_use]
     pub fn to_world(
@@ -61,7 +67,7 @@ impl BaseMotion {
     #[must_use]
     pub fn at(&self, t_s: f64) -> Option<BasePose> {
         let Some(along) = self.along else {
-            return Some(BasePose { world_from_base: self.at_zero, along_z_mm_s: Some(0.0) });
+            return Some(BasePose { world_from_base: self.at_zero, velocity_mm_s: Some(Vector3::zeros()) });
         };
         let after = self.way.partition_point(|p| p.0 <= t_s);
         let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
@@ -71,7 +77,7 @@ impl BaseMotion {
         let speed = (b.1 - a.1) / (b.0 - a.0);
         let moved = along * (a.1 + speed * (t_s - a.0));
         let world_from_base = self.at_zero * Isometry3::translation(moved.x, moved.y, moved.z);
-        Some(BasePose { world_from_base, along_z_mm_s: Some(speed * along.z) })
+        Some(BasePose { world_from_base, velocity_mm_s: Some(along * speed) })
     }
 }
 
@@ -85,7 +91,7 @@ mod tests {
         let mut motion = BaseMotion::new(at_zero, Some(Vector3::new(0.0, 0.0, 2.0)));
         (0..20).for_each(|k| motion.push(0.05 * f64::from(k), 0.2 * f64::from(k)));
         let pose = motion.at(0.525).unwrap();
-        assert!((pose.along_z_mm_s.unwrap() - 4.0).abs() < 1e-9);
+        assert!((pose.along_z_mm_s().unwrap() - 4.0).abs() < 1e-9);
         let spread = Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0));
         let (point, spread) = pose.to_world(&Vector3::new(1.0, 0.0, 0.0), &spread);
         assert!((point - Vector3::new(5.0, 1.0, 2.1)).norm() < 1e-9, "{point}");
@@ -94,6 +100,6 @@ mod tests {
         assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
         motion.push(2.0, 0.0);
         assert!(motion.at(1.5).is_none());
-        assert_eq!(BaseMotion::new(at_zero, None).at(7.0).unwrap().along_z_mm_s, Some(0.0));
+        assert_eq!(BaseMotion::new(at_zero, None).at(7.0).unwrap().along_z_mm_s(), Some(0.0));
     }
 }

@@ -87,6 +87,12 @@ fn advertised(address: &str) -> String {
     text(&bytes)
 }
 
+/// Tracked without loss: 3 and a word about it where contact came in a motion that the model was never trained on, else 0 and no word.
+fn tracked(code: Option<i32>, said: &str) {
+    let doubted = said.contains("untrained-motion");
+    assert_eq!(code, Some(if doubted { 3 } else { 0 }), "{said}");
+}
+
 #[test]
 fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,7 +116,7 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     let run = child.wait_with_output().unwrap();
-    assert_eq!(run.status.code(), Some(0), "{rest}");
+    tracked(run.status.code(), &rest);
     let summary = document(&run);
     assert_eq!((&summary["format"], &summary["lag_s"]), (&"wcal-track/2".into(), &0.1.into()), "{summary}");
     assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
@@ -120,7 +126,8 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let (t_s, status) = (rows.numbers("t_s"), rows.column("status"));
     assert!((130..=141).contains(&t_s.len()), "{} rows", t_s.len());
     assert!(
-        status[..2].iter().all(|s| *s == "filling") && status[2..].iter().all(|s| *s == "ok"),
+        status[..2].iter().all(|s| *s == "filling")
+            && status[2..].iter().all(|s| ["ok", "untrained-motion"].contains(s)),
         "{status:?}"
     );
     assert!(t_s.windows(2).skip(2).all(|w| (w[1] - w[0] - 0.1).abs() < 1e-3));
@@ -158,14 +165,14 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let replayed = path("replayed.csv");
     let replay = [&recording, "--rig", &rig, "--calibration", &good, "--out", &replayed, "--seconds", "14"];
     let run = track(&replay).output().unwrap();
-    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    tracked(run.status.code(), &text(&run.stderr));
     let read_text = |p: &str| std::fs::read_to_string(p).unwrap();
     assert_eq!(read_text(&live_csv), read_text(&replayed));
     assert_eq!(read_text(&path("live-events.csv")), read_text(&path("replayed-events.csv")));
     // Control: another lag is another track.
     let other = [&replay[..], &["--lag-s", "0.15", "--surface"]].concat();
     let run = track(&other).output().unwrap();
-    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    tracked(run.status.code(), &text(&run.stderr));
     assert_ne!(read_text(&live_csv), read_text(&replayed));
     the_cloud_is_the_contacts(&document(&run), Path::new(&replayed), &path);
 
@@ -227,7 +234,7 @@ fn a_hyperion_gives_the_same(
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     let run = child.wait_with_output().unwrap();
-    assert_eq!(run.status.code(), Some(0), "{rest}");
+    tracked(run.status.code(), &rest);
     let summary = document(&run);
     assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
     assert_eq!(summary["whiskers"][0]["events"]["onset"], 1, "{summary}");
@@ -311,7 +318,7 @@ fn refusals(recording: &str, rig: &str, [raw, good]: [&str; 2], path: &dyn Fn(&s
             continue;
         }
         let forced = run(rig, calibration, &[more, &["--force"]].concat());
-        assert_eq!(forced.status.code(), Some(0), "{code}: {}", text(&forced.stderr));
+        tracked(forced.status.code(), &text(&forced.stderr));
         let rows = Rows::read(Path::new(&out));
         assert!(rows.cells.len() > 20 && rows.column("doubts").iter().all(|d| *d == code), "{code}");
         assert!(rows.column("calibration_doubtful").iter().all(|d| *d == "1"), "{code}");
@@ -367,7 +374,7 @@ fn refusals(recording: &str, rig: &str, [raw, good]: [&str; 2], path: &dyn Fn(&s
     // Control: rig and calibration as they are, as fast as it goes and as fast as it was.
     let pace = |more: &[&str]| {
         let run = run(rig, good, more);
-        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        tracked(run.status.code(), &text(&run.stderr));
         document(&run)["time"]["times_real_time"].as_f64().unwrap()
     };
     // The rig file says four host seconds a wall second.
@@ -422,7 +429,7 @@ fn several_whiskers(recording: &str, rig: &str, good: &str, path: &dyn Fn(&str) 
         "9",
     ];
     let run = track(&arguments).output().unwrap();
-    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    tracked(run.status.code(), &text(&run.stderr));
     let rows = Rows::read(Path::new(&out));
     let (names, m) = (rows.column("whisker"), rows.numbers("moment_1_nmm"));
     let of = |name: &str| -> Vec<f64> { (0..m.len()).filter(|k| names[*k] == name).map(|k| m[k]).collect() };

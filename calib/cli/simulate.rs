@@ -95,7 +95,7 @@ pub enum Engine {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "simulate",
     document: "*.json",
-    says: "\"wcal-sweeps/",
+    says: "\"wcal-sweep",
     files: &["*.parquet", "report.html"],
     kept: &["convex", "slurm"],
     resumes: true,

@@ -30,6 +30,11 @@ const SIM_TO_REAL: [&str; 3] = ["vase", "035_power_drill", "rock"];
 /// Faces of an object in table I, and how many times as many sweeps it has as the others.
 const FACES: usize = 4;
 const UPRIGHT: usize = 4;
+
+/// How many times as many; a quick evaluation takes no more of them than of the others.
+fn upright(args: &EvaluateArgs) -> usize {
+    if args.quick { 1 } else { UPRIGHT }
+}
 /// Steps of the base in which jumps are told from slides there, mm.
 const JUMPS_TOLD_MM: f64 = 0.1;
 /// Bounds of the random speeds as shares, and of their accelerations, mm/s^2.
@@ -70,7 +75,7 @@ impl Sweeps {
         let objects = |names: &[String]| names.len().min(args.objects) as f64;
         let (each, [seen, unseen]) =
             (args.sweeps_each as f64, [&card.objects.training, &card.objects.unseen].map(|n| objects(n)));
-        let faces = (args.sweeps_each.next_multiple_of(FACES) * UPRIGHT) as f64;
+        let faces = (args.sweeps_each.next_multiple_of(FACES) * upright(args)) as f64;
         Self {
             faces: (seen + unseen) * faces,
             real: (seen + unseen) * each,
@@ -139,8 +144,12 @@ impl Maker<'_> {
             ..SweepPlan::default()
         };
         let fewer = self.args.sweeps_each.next_multiple_of(FACES);
-        let order =
-            Order { whisker: &self.card.whisker, plan: &plan, seed: self.seed(), sweeps: UPRIGHT * fewer };
+        let order = Order {
+            whisker: &self.card.whisker,
+            plan: &plan,
+            seed: self.seed(),
+            sweeps: upright(self.args) * fewer,
+        };
         let sets = [("seen", seen), ("unseen", unseen)];
         let mut courses = [self.courses(seen, &order)?, self.courses(unseen, &order)?];
         let rows = |courses: &[Courses; 2], known: bool| -> anyhow::Result<Value> {

@@ -12,7 +12,7 @@
 //! stands in its place.
 
 use super::fit::{Weights, fit};
-use super::gate::{CATALOGUE_LEVEL, DRIVER_LEVEL, DriverScore, Gate};
+use super::gate::{DRIVER_LEVEL, DriverScore, Gate};
 use super::noise_parts::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
 use super::null::{NullFamily, f_test};
 use super::search::{Found, Hypothesis, Options, declared, search};
@@ -32,6 +32,8 @@ pub struct Explained {
 
 /// Searches under a noise that is not known beforehand.
 const MAX_SEARCHES: usize = 3;
+/// Level at which an effect holds against the noise that would stand in its place. It has passed the level of the search already.
+const CONFIRM_LEVEL: f64 = 0.02;
 /// Generic drivers that are judged against correlated noise.
 const DRIVERS_JUDGED: usize = 10;
 /// Price of a law of the spread, in -2 log likelihood (Akaike).
@@ -89,7 +91,7 @@ impl<'a> Judge<'a> {
                 }
             }
             match weakest {
-                Some((p, without)) if p > CATALOGUE_LEVEL => best = without,
+                Some((p, without)) if p > CONFIRM_LEVEL => best = without,
                 _ => break,
             }
         }

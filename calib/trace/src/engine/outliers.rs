@@ -91,6 +91,8 @@ const DRAWS: usize = 300;
 const HELD: f64 = 0.75;
 /// Robust standard deviations from which a reading is gross: what anything less does to the first fit, flagging anew mends.
 const GROSS: f64 = 20.0;
+/// Robust standard deviations that noise with heavy tails reaches now and then.
+const LARGE: f64 = 5.0;
 
 /// Readings that stand so far out of the declared model that its first fit must not see them.
 #[must_use]
@@ -141,8 +143,11 @@ pub fn gross(system: &dyn System, weights: &Weights, seed: u64) -> Vec<usize> {
     let Some((_, subset)) = best else { return Vec::new() };
     let size = sizes(&subset);
     let out: Vec<usize> = (0..n).filter(|&k| size[k] > GROSS).map(|k| rows[k]).collect();
-    // Many such readings are structure, not gross ones.
-    if out.len() as f64 > 0.03 * n as f64 + 2.0 { Vec::new() } else { out }
+    // Many such readings, or a slope of large ones beside them, are structure: what the model lacks, not gross readings.
+    let large = (0..n).filter(|&k| size[k] > LARGE && size[k] <= GROSS).count() as f64;
+    let structure =
+        out.len() as f64 > 0.03 * n as f64 + 2.0 || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
+    if structure { Vec::new() } else { out }
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -4,10 +4,11 @@ use super::effects::HETEROSCEDASTIC_NOISE;
 use super::frame::Declared;
 use super::parameters::{Names, of_effect};
 use super::polynomial::LackOfFit;
+use super::steadiness::{UNSTEADY, steadiness};
 use super::system::ScalarSystem;
 use crate::candidate::System;
 use crate::engine::fit::fit;
-use crate::engine::gate::Gate;
+use crate::engine::gate::{CATALOGUE_LEVEL, Gate};
 use crate::engine::inference::in_class;
 use crate::engine::null::f_test;
 use crate::engine::search::{Found, Hypothesis};
@@ -130,6 +131,9 @@ fn unknown_reason(u: Option<&UnknownEffect>, beyond: &[String]) -> String {
     format!("Something{beyond} is left that nothing in the catalogue explains{follows}.")
 }
 
+/// Covariates over which a period can run.
+const PERIOD_RUNS_OVER: [&str; 4] = ["stimulus", "commanded_mm", "t_s", "order"];
+
 /// Applies the order of FORMATS.md: ambiguous, effect, unknown-effect, adequate.
 #[must_use]
 pub fn conclude(
@@ -169,7 +173,11 @@ pub fn conclude(
         c.alternatives = if spread.is_some() { vec![with_spread(Vec::new())] } else { Vec::new() };
     }
     c.effects.extend(spread.map(|s| named_spread(system, s)));
-    let gate_left = driver_wins || found.last_gate.rejected();
+    // A period that wanders leaves its own traces along what it runs over; the reason says that it is not steady.
+    let wanders = steadiness(system, &found.best).is_some_and(|s| s.z > UNSTEADY)
+        && found.last_gate.drivers.first().is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.driver.as_str()))
+        && found.last_gate.p_catalogue >= CATALOGUE_LEVEL;
+    let gate_left = driver_wins || (found.last_gate.rejected() && !wanders);
     let unlike_replicates = lack.is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
     if !c.rivals.is_empty() {
         c.verdict = Verdict::Ambiguous;

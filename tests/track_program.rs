@@ -124,7 +124,7 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert_eq!(rows.iter().filter(|r| !r[segment].is_empty()).count() as u64, of_segments);
     // What makes the exit code 3 is marked row by row.
     let status = names.iter().position(|n| *n == "status").unwrap();
-    let marked = rows.iter().filter(|r| r[status].split('+').any(|s| s == "untrained-motion")).count() as u64;
+    let marked = rows.iter().filter(|r| r[status].split('|').any(|s| s == "untrained-motion")).count() as u64;
     assert!(marked > 0 && summary["untrained_motion"]["rows"] == marked, "{marked}: {summary}");
     // A surface needs to know where the base was.
     let run = wcal(&[&track[..], &["--force", "--surface"]].concat());

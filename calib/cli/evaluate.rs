@@ -187,7 +187,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
             document[name] = table;
         }
     }
-    drop(work);
     drop(progress);
     out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
     out.put("report.html", report::page(&document));

@@ -615,3 +615,38 @@ fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
     assert!(String::from_utf8_lossy(&run.stderr).contains("measured and SIMULATED sessions are joined"));
     assert!(String::from_utf8_lossy(&run.stdout).starts_with("measured (SIMULATED): "));
 }
+
+/// The place of a step between two readings has no derivative: it gets the interval in which the readings cannot tell, and no NaN travels.
+#[test]
+fn a_step_goes_from_import_to_predict_and_a_file_is_not_fitted_and_held_out() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    // Digits of a sine stand for noise; the step is nine of its standard deviations.
+    let rows: Vec<String> = (0..60)
+        .map(|k| {
+            let (t, x) = (10.0 * f64::from(k + 1), f64::from(k % 20) / 2.0);
+            let noise = 0.01
+                * (2.0 * (f64::from(k).mul_add(12.9898, 78.233).sin() * 43758.5453).rem_euclid(1.0) - 1.0);
+            format!("{t},{x},{:.6}", 0.1 + 0.2 * x + noise + if k >= 30 { 0.05 } else { 0.0 })
+        })
+        .collect();
+    fs::write(at("t.csv"), format!("t_s,stimulus,response\n{}\n", rows.join("\n"))).unwrap();
+    let import =
+        ["import", &at("t.csv"), "--kind", "transducer", "--model", "linear", "--stimulus", "stimulus"];
+    let run = wcal(&[&import[..], &["--response", "response", "--out", &at("s")]].concat());
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let run = wcal(&["verify", &at("s"), "--out", &at("v"), "--json"]);
+    let verify: Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((run.status.code(), &verify["effects"][0]["id"]), (Some(0), &"step".into()), "{verify}");
+    let where_ = &verify["effects"][0]["parameters"][0]["interval95"];
+    assert_eq!([&where_[0], &where_[1]].map(|v| v.as_f64().unwrap().round()), [300.0, 310.0], "{where_}");
+    let run =
+        wcal(&["predict", &at("t.csv"), "--calibration", &at("v/calibration.json"), "--out", &at("p.csv")]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let text = fs::read_to_string(at("p.csv")).unwrap();
+    assert!(text.lines().count() == 61 && !text.contains("NaN"), "{text}");
+    // Readings that are fitted cannot be held out; the record of unsealing needs a holdout.
+    let run = wcal(&["verify", &at("s"), "--holdout", &at("s"), "--out", &at("w")]);
+    assert!(String::from_utf8_lossy(&run.stderr).contains("which is fitted"), "{run:?}");
+    assert!(!place.path().join("s/unsealed.json").exists());
+}

@@ -130,6 +130,8 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
             && status[2..].iter().all(|s| ["ok", "untrained-motion"].contains(s)),
         "{status:?}"
     );
+    // The stage presses toward the wire and holds: no motion that a model was trained on.
+    assert!(status.contains(&"untrained-motion"), "{status:?}");
     assert!(t_s.windows(2).skip(2).all(|w| (w[1] - w[0] - 0.1).abs() < 1e-3));
     // Touching, and only then a moment and a probable contact.
     let touching = rows.column("touching");

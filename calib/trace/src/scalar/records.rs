@@ -45,6 +45,7 @@ fn role(role: Role) -> &'static str {
 
 /// One record a reading of `all`; `sealed` rows were in no fit.
 #[must_use]
+#[allow(clippy::too_many_arguments)]
 pub fn records(
     all: &ScalarSystem,
     fitted: &ScalarSystem,

@@ -16,8 +16,7 @@
 //! # use wcal_core::verify_document::*;
 //! # let verify = VerifyDocument { format: VERIFY_FORMAT.into(), session: "s".into(), simulated: false, kind: "axis".into(),
 //! #     verdict: Verdict::Adequate, reason: "Nothing is left.".into(), twin: TwinCheck::default(), effects: vec![],
-//! noise: None,
-//! flagged: Vec::new(),
+//! #     noise: None, flagged: vec![],
 //! #     alternatives: vec![], unknown: None, noise_floor: NoiseFloor::default(), before: None, after: None,
 //! #     coverage95: None, next_measurement: None, detectable: vec![], seed: 1, inputs: vec![], notes: vec![] };
 //! let input = wcal_report::ReportInput::new(verify, wcal_core::Provenance::default());

@@ -258,9 +258,9 @@ const CORRELATED_GAIN: f64 = 11.6;
 /// The same for pose scatter (one parameter at its bound, 0.3 %).
 const POSE_GAIN: f64 = 7.5;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
-pub const LEAST_HELD_REPEATS: usize = 6;
+pub const MIN_HELD_REPEATS: usize = 6;
 /// Fewer readings do not tell a correlation.
-const LEAST_CORRELATED: usize = 20;
+const MIN_CORRELATED: usize = 20;
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 1999;
 
@@ -388,8 +388,8 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
     };
     let plain = misfit(model, &noise.weights)?;
     let independent = Weights::independent(relative.clone());
-    let can_pose = inputs.held_repeats(&independent) >= LEAST_HELD_REPEATS;
-    let clock = inputs.clock.as_ref().filter(|_| independent.active() >= LEAST_CORRELATED);
+    let can_pose = inputs.held_repeats(&independent) >= MIN_HELD_REPEATS;
+    let clock = inputs.clock.as_ref().filter(|_| independent.active() >= MIN_CORRELATED);
     let Some(tau) = clock.and_then(|c| time_constants(c)) else { return Some(plain) };
     let ratio = RATIOS.map(f64::ln);
     let shared = noise.weights.shared();
@@ -430,9 +430,9 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
     let tau = inputs
         .clock
         .as_ref()
-        .filter(|_| sought.correlated && independent.active() >= LEAST_CORRELATED)
+        .filter(|_| sought.correlated && independent.active() >= MIN_CORRELATED)
         .and_then(|c| time_constants(c));
-    let can_pose = sought.pose && repeats >= LEAST_HELD_REPEATS;
+    let can_pose = sought.pose && repeats >= MIN_HELD_REPEATS;
     // Pose scatter alone, correlation alone, both.
     let pose_alone = can_pose.then(|| {
         best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {

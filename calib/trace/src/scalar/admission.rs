@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 /// Fewer readings than this are refused.
 const LEAST_ROWS: usize = 8;
 /// The search takes at most this many readings of a session; all are predicted.
-const MOST_ROWS: usize = 1000;
+const MAX_ROWS: usize = 1000;
 
 /// Why the readings of the points table cannot be used; `sealed` are those of the holdout.
 pub(super) fn refusal(
@@ -64,11 +64,11 @@ fn copied_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
 /// Parts of the stimulus that are sampled alike.
 const BINS: usize = 40;
 
-/// At most [`MOST_ROWS`] readings for the search, chosen by strata (part of the stimulus, direction, cycle) so that nothing that alternates
+/// At most [`MAX_ROWS`] readings for the search, chosen by strata (part of the stimulus, direction, cycle) so that nothing that alternates
 /// from row to row is lost; in each stratum spread evenly over the session from a place of its own. All rows carry their place.
 pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     let total = rows.len();
-    if total <= MOST_ROWS {
+    if total <= MAX_ROWS {
         return rows;
     }
     let [lo, hi] = rows.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], r| [a.min(r.x), b.max(r.x)]);
@@ -82,7 +82,7 @@ pub(super) fn thin(mut rows: Vec<ScalarRow>) -> Vec<ScalarRow> {
     }
     let mut kept = vec![false; total];
     for (s, members) in strata.values().enumerate() {
-        let share = ((members.len() * MOST_ROWS) as f64 / total as f64).max(1.0) as usize;
+        let share = ((members.len() * MAX_ROWS) as f64 / total as f64).max(1.0) as usize;
         let stride = members.len() as f64 / share as f64;
         // The golden ratio's multiples lie evenly between 0 and 1: no two strata keep the same phase.
         let phase = (s as f64 * 0.618_034).fract();

@@ -154,20 +154,20 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
-    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. Its family-wise level is one in
-    // twenty at most, so twice in a row would be one in four hundred.
+    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. It may in one run of twenty; in two
+    // of these three runs (always three) it would by chance with a probability of 0.7 %.
     let mut verdicts = vec![verdict(&bench)];
     // One bench at a time: the second would wait for the first for ever.
     drop(bench);
-    if verdicts[0] != (0, "adequate".to_owned()) {
+    while verdicts.len() < 3 {
         let again = Bench::start("");
         assert_eq!(again.go("--out").status.code(), Some(0));
         verdicts.push(verdict(&again));
     }
-    assert_eq!(verdicts.last(), Some(&(0, "adequate".to_owned())), "{verdicts:?}");
+    let adequate = verdicts.iter().filter(|v| **v == (0, "adequate".to_owned())).count();
+    assert!(adequate >= 2, "{verdicts:?}");
 }
 
-/// Exit code and verdict of `verify` on what a bench recorded.
 /// What a virtual bench recorded says so, also where its run.json is from before the mark.
 fn marked_as_simulated(bench: &Bench, sweep: &Value) {
     assert_eq!(sweep["simulated"], true);
@@ -193,8 +193,14 @@ fn marked_as_simulated(bench: &Bench, sweep: &Value) {
         device["model"] = "a unit".into();
     }
     assert_eq!(reduce(&run), None);
+    assert!(!read("points.csv").contains("simulated"), "negative control");
     assert_eq!(reduce(&whole), Some(true));
+    let points = read("points.csv");
+    assert!(points.lines().next().is_some_and(|head| head.ends_with(",simulated")), "{points}");
+    assert!(points.lines().skip(1).all(|row| row.ends_with(",1")), "{points}");
 }
+
+/// Exit code and verdict of `verify` on what a bench recorded.
 
 fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
@@ -235,7 +241,8 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
 #[test]
 fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let bench = Bench::start("");
-    let child = bench.begin();
+    let session = bench.session().display().to_string();
+    let child = bench.sweep(&["--live", "127.0.0.1:0", "--out", &session]).spawn().expect("wcal runs");
     until_done(&bench.session(), 8);
     let id = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
@@ -244,6 +251,11 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let sweep = document(&run);
     assert_eq!((&sweep["ending"], &sweep["cause"]["kind"]), (&"stopped".into(), &"interrupted".into()));
     assert_eq!(sweep["stage_stopped"], true);
+    let cause = sweep["cause"]["text"].as_str().expect("text");
+    assert!(cause.contains("interrupted by Ctrl-C") && !cause.contains("expected"), "{cause}");
+    let address = text(&run.stderr).lines().find_map(|l| Some(l.split_once("ws://")?.1.to_owned()));
+    let address = address.unwrap_or_else(|| panic!("no address: {}", text(&run.stderr)));
+    assert!(address.starts_with("127.0.0.1:") && !address.starts_with("127.0.0.1:0 "), "{address}");
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
     assert_ne!(doctor(&bench.session()), 1);
 }

@@ -85,6 +85,7 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     assert!(report.contains("<canvas") && report.contains("zero bytes") && !outside.contains("://"));
     assert!(report.contains("SIMULATED") && text.contains("SIMULATED"), "{text}");
     assert_eq!(shapes["provenance"]["simulated"], true);
+    marks_of_exports(&place, &calibration);
 
     other_tools_cameras(&place, &calibration, &shapes);
 
@@ -152,6 +153,41 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
 }
 
 /// The exported cameras give the same shapes, with a warning that their errors are not known; a reference tells other pixel centres.
+/// Calibrated from rendered pictures, the other tools' files and the overlays say so; from others they do not.
+fn marks_of_exports(place: &tempfile::TempDir, unmarked: &str) {
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let board = place.path().join("board");
+    std::fs::copy(fixture("scene/SIMULATED"), board.join("SIMULATED")).unwrap();
+    let marked = at("marked");
+    let (left, right) = (at("board/left"), at("board/right"));
+    let (code, _, text) =
+        wcal(&["stereo-calibrate", &left, &right, "--square-mm", "6", "--board", "9x6", "--out", &marked]);
+    assert_eq!(code, 3, "{text}");
+    std::fs::remove_file(board.join("SIMULATED")).unwrap();
+    let exports = |folder: &str| {
+        let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
+        let yaml = files.filter(|f| f.extension().is_some_and(|e| e == "yml" || e == "yaml"));
+        yaml.map(|f| std::fs::read_to_string(f).unwrap()).collect::<Vec<_>>()
+    };
+    assert!(exports(&marked).len() == 4 && exports(&marked).iter().all(|f| f.contains("# SIMULATED")));
+    assert!(exports(unmarked).iter().all(|f| !f.contains("SIMULATED")), "negative control");
+    // A reader of the other tool's file takes the remark as one.
+    let cameras = at("marked/opencv.yml");
+    let (rig, out) = (fixture("rig.toml").display().to_string(), at("by-marked"));
+    let (code, _, text) = wcal(&[
+        "stereo-shape",
+        &at("scene/left"),
+        &at("scene/right"),
+        "--cameras",
+        &cameras,
+        "--rig",
+        &rig,
+        "--out",
+        &out,
+    ]);
+    assert_eq!(code, 3, "{text}");
+}
+
 fn other_tools_cameras(place: &tempfile::TempDir, calibration: &str, shapes: &Value) {
     let at = |name: &str| place.path().join(name).display().to_string();
     let one = |shapes: &Value| -> Vec<f64> {

@@ -3,6 +3,7 @@
 use crate::artefact::{CalibrationModel, provenance, seal};
 use crate::labels::{LabelSource, MomentLabels, moment_labels};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
@@ -96,6 +97,8 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         bail!("fit-gpr: expected a session of kind \"whisker\", found {:?}", session.kind);
     };
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
+    let progress = Progress::new("fit-gpr");
+    progress.says("moments of the poses");
     let labels = moment_labels(data, args.labels.unwrap_or(default))?;
     let (training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
@@ -113,7 +116,9 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         fbg: data.fbg.clone(),
         ..FitOptions::default()
     };
+    progress.says("fitting and cross-validating the maps");
     let fit = fit_map(&training, &options).with_context(|| format!("session {:?}", session.id))?;
+    drop(progress);
     let poses = training.trajectory.iter().flatten().count();
     let mut result = document(&fit, &training, poses);
     result.simulated = session.simulated;

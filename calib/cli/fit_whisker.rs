@@ -19,6 +19,7 @@ mod stiffness;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
+use crate::progress::Progress;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use document::{Geometry, Root, WhiskerDocument, curvature, described, rest_models};
@@ -146,6 +147,8 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         RestChoice::StraightArc => wcal_rod::RestChoice::StraightArc,
         RestChoice::FreeCurvature => wcal_rod::RestChoice::FreeCurvature,
     };
+    let progress = Progress::new("fit-whisker");
+    progress.says("rest shape");
     let mut fit = fit_rest(&nominal, &usable, choice)?;
     let moved = moved_by_shared(&document, &usable);
     if moved.is_empty() {
@@ -170,10 +173,12 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.model.name()
         ));
     }
+    progress.says("stiffness");
     let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
     if let Some(s) = &stiffness {
         warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));
     }
+    drop(progress);
     for warning in &warnings {
         eprintln!("fit-whisker: warning: {warning}");
     }

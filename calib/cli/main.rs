@@ -157,3 +157,43 @@ fn paragraphs(text: &str) -> String {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is wrong with a help text as a person reads it on a wide terminal.
+    fn faults(help: &str) -> Vec<String> {
+        let mut found = Vec::new();
+        if help.contains("\\\"") || help.contains("\\n") {
+            found.push("a literal escape".to_owned());
+        }
+        let lines: Vec<&str> = help.lines().collect();
+        for pair in lines.windows(2) {
+            let prose = |line: &str| !line.is_empty() && !line.starts_with(' ');
+            let wrapped = prose(pair[0]) && prose(pair[1]) && !pair[0].ends_with([':', '.']);
+            if wrapped {
+                found.push(format!("broken by hand: {:?} / {:?}", pair[0], pair[1]));
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn every_help_reads_as_paragraphs_without_escapes() {
+        let mut all = command();
+        all.build();
+        let mut seen = 0;
+        for sub in all.get_subcommands_mut().filter(|c| !["help", "formats"].contains(&c.get_name())) {
+            let name = sub.get_name().to_owned();
+            let help = sub.clone().term_width(10_000).render_long_help().to_string();
+            assert_eq!(faults(&help), Vec::<String>::new(), "wcal {name} --help:\n{help}");
+            seen += 1;
+        }
+        assert!(seen >= 18, "{seen} commands");
+        // The same texts as the source has them, and an escape that a raw string would show.
+        let raw = Cli::command().find_subcommand_mut("twin").map(|c| c.render_long_help().to_string());
+        assert!(!faults(&raw.unwrap_or_default()).is_empty(), "negative control");
+        assert!(!faults("kind \\\"axis\\\"").is_empty(), "negative control");
+    }
+}

@@ -92,6 +92,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         resume,
         home: arguments.home,
         live: arguments.live,
+        on_live: |address| eprintln!("stage-sweep: live view at ws://{address} (Foxglove: Open connection)"),
         created: created(),
         command: std::env::args().collect(),
     };

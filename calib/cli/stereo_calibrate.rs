@@ -2,6 +2,7 @@
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
+use crate::progress::Progress;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -125,9 +126,10 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     };
     let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
-    let (mut document, _) = calibrate_folders(&args.left, &args.right, &board, &|message| {
-        eprintln!("stereo-calibrate: {message}")
-    })?;
+    let (mut document, _) = {
+        let progress = Progress::new("stereo-calibrate");
+        calibrate_folders(&args.left, &args.right, &board, &|stage| progress.says(stage))?
+    };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
     document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));
     if let Some(reference) = &reference {

@@ -2,9 +2,11 @@
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
+use crate::progress::Progress;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
 use wcal_vision::drawing::{drawing, residuals};
 use wcal_vision::imports::read_cameras;
@@ -80,8 +82,14 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
         ]),
         _ => None,
     };
-    let told = |name: &str| eprintln!("stereo-shape: {name}");
-    let mut result = shapes_of_pairs(&stereo, &rig, &files, background.as_ref(), &told);
+    let mut result = {
+        let (progress, done) = (Progress::new("stereo-shape"), AtomicUsize::new(0));
+        let each = |name: &str| {
+            let part = done.fetch_add(1, Ordering::Relaxed) as f64 / files.len() as f64;
+            progress.at(&format!("pair {name}"), part);
+        };
+        shapes_of_pairs(&stereo, &rig, &files, background.as_ref(), &each)
+    };
     if stereo.covariance.is_none() {
         result.document.warnings.push(format!(
             "{} states no errors of the cameras: the standard deviations hold without them",
@@ -161,7 +169,8 @@ fn put_overlays(
         let Some(fit) = fit else { continue };
         for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
             let Some(source) = source else { continue };
-            let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
+            let simulated = result.document.provenance.simulated;
+            let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair, simulated)?;
             out.put(&format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), png);
         }
     }

@@ -3,6 +3,7 @@
 mod mujoco;
 
 use crate::output::{Overwrite, check_file, write_file};
+use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::{bail, ensure};
 use clap::{Args, ValueEnum};
@@ -87,6 +88,8 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     let lines = match args.engine {
         Engine::Rod => {
             ensure!(args.report.is_none(), "--report: expected with --engine mujoco, found --engine rod");
+            let progress = Progress::new("twin");
+            progress.says("rod");
             by_rod(data)?
         }
         Engine::Mujoco => {

@@ -1,6 +1,7 @@
 //! Damping and contact of the MuJoCo model, by trials in MuJoCo itself.
 
 use crate::output::OutputFolder;
+use crate::progress::Progress;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
@@ -95,11 +96,15 @@ pub fn dynamics(
         ripple_nmm: args.ripple_nmm,
         bias: args.speed_bias,
     };
-    let count = Cell::new(0);
+    let (progress, trials) = (Progress::new("fit-whisker"), Cell::new(0_u32));
+    // Two searches; what starts them and the sensitivity are few trials more.
+    let all = f64::from(2 * args.evaluations);
     let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
-        count.set(count.get() + 1);
-        eprintln!("fit-whisker: trial {} ({}): {:.3}", count.get(), trial.stage, trial.score.total);
+        trials.set(trials.get() + 1);
+        let stage = format!("trial {} ({}): {:.3}", trials.get(), trial.stage, trial.score.total);
+        progress.at(&stage, f64::from(trials.get()) / all);
     })?;
+    drop(progress);
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);
     out.put("dynamics.csv", table(&fit.trials)?);

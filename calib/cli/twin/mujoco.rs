@@ -1,7 +1,9 @@
 //! MuJoCo's labels at a session's poses: other equilibria, the error against the rod, and what the groove's tip does to them.
 
 use super::{Text, of_trajectory, row};
+use crate::progress::Progress;
 use nalgebra::Vector3;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::WhiskerData;
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
@@ -42,8 +44,17 @@ pub fn by_mujoco(
         places.push(at.iter().map(|(_, x)| trajectory.origin_mm + trajectory.direction * *x).collect());
         rows.push(at.into_iter().map(|a| a.0).collect());
     }
-    let labels = labels(&data.whisker, preset, &places)?;
-    let tips = if with_tip { Some(tip(&data.whisker, preset, &places)?) } else { None };
+    let progress = Progress::new("twin");
+    // Every place twice for its moment, twice more for what the tip does to it.
+    let runs = places.iter().flatten().count() * if with_tip { 4 } else { 2 };
+    let done = AtomicUsize::new(0);
+    let each = || {
+        let part = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / runs as f64;
+        progress.at("MuJoCo", part.min(0.99));
+    };
+    let labels = labels(&data.whisker, preset, &places, &each)?;
+    let tips = if with_tip { Some(tip(&data.whisker, preset, &places, &each)?) } else { None };
+    drop(progress);
     let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
     let mut poses: Vec<Pose<'_>> = Vec::new();
     for (t, trajectory) in data.trajectories.iter().enumerate() {

@@ -77,7 +77,7 @@ impl DeviceErrorKind {
 
 /// Failure of one action on one device.
 #[derive(Debug, Clone, PartialEq, Eq, Error, Serialize, Deserialize)]
-#[error("{device}: {action}: expected {expected}, found {found} [{}]", kind.name())]
+#[error("{}", self.sentence())]
 pub struct DeviceError {
     /// Class of the failure.
     pub kind: DeviceErrorKind,
@@ -92,6 +92,15 @@ pub struct DeviceError {
 }
 
 impl DeviceError {
+    fn sentence(&self) -> String {
+        let Self { kind, device, action, expected, found } = self;
+        match kind {
+            // Nothing failed: somebody wanted it so.
+            DeviceErrorKind::Interrupted => format!("{device}: interrupted by {found}"),
+            _ => format!("{device}: {action}: expected {expected}, found {found} [{}]", kind.name()),
+        }
+    }
+
     /// A failure with all its parts.
     pub fn new(
         kind: DeviceErrorKind,

@@ -87,7 +87,8 @@ pub struct Tip {
     pub soft_smooth_nmm: Option<Vector3<f64>>,
 }
 
-/// Labels at the groove's places of each trajectory (session's frame, in order of travel); trajectories run side by side.
+/// Labels at the groove's places of each trajectory (session's frame, in order of travel); trajectories run side by side. `each` is called
+/// twice a place.
 ///
 /// # Errors
 /// Where the engine is missing or dies.
@@ -95,11 +96,12 @@ pub fn labels(
     whisker: &WhiskerSpec,
     preset: Preset,
     trajectories: &[Vec<Vector3<f64>>],
+    each: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     let touch = Touch::RELEASED;
     let (labels, straight) = rayon::join(
-        || released(whisker, preset, trajectories),
-        || run(whisker, preset, touch, trajectories, AGAIN, true),
+        || released(whisker, preset, trajectories, each),
+        || run(whisker, preset, touch, trajectories, AGAIN, true, each),
     );
     let mut labels = labels?;
     for (label, other) in labels.iter_mut().flatten().zip(straight?.into_iter().flatten()) {
@@ -112,7 +114,7 @@ pub fn labels(
     Ok(labels)
 }
 
-/// The tip's shape and softness apart from its friction, at the places of [`labels`].
+/// The tip's shape and softness apart from its friction, at the places of [`labels`]. `each` is called twice a place.
 ///
 /// # Errors
 /// As [`labels`].
@@ -120,10 +122,11 @@ pub fn tip(
     whisker: &WhiskerSpec,
     preset: Preset,
     trajectories: &[Vec<Vector3<f64>>],
+    each: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<Tip>>, TwinError> {
     let with = |touch: Touch| {
         let touch = Touch { friction: 0.0, ..touch };
-        run(whisker, preset, touch, trajectories, SMOOTH, false)
+        run(whisker, preset, touch, trajectories, SMOOTH, false, each)
     };
     let (hard, soft) = (with(Touch::default())?, with(Touch::RELEASED)?);
     let held = |label: &PoseLabel| label.moment_nmm.filter(|_| label.arclength_mm.is_some());
@@ -137,6 +140,7 @@ fn released(
     whisker: &WhiskerSpec,
     preset: Preset,
     trajectories: &[Vec<Vector3<f64>>],
+    each: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     let mut bench = Bench::start(whisker, preset, Touch::RELEASED)?;
     let mut last = Vector3::<f64>::zeros();
@@ -150,6 +154,7 @@ fn released(
             let place = bench.turn * place;
             last = way_m(&place);
             found.push(bench.label(&place, SETTLE, true)?);
+            each();
         }
         labels.push(found);
     }
@@ -169,6 +174,7 @@ fn run(
     trajectories: &[Vec<Vector3<f64>>],
     settle: Settle,
     straight: bool,
+    each: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
     trajectories
         .par_iter()
@@ -185,6 +191,7 @@ fn run(
                 }
                 let place = bench.turn * place;
                 labels.push(bench.label(&place, settle, false)?);
+                each();
             }
             Ok(labels)
         })

@@ -10,6 +10,9 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use wcal_core::{InputFile, Purpose};
 
+/// Marks the rows of simulated data; a mark is no covariate.
+pub(crate) const SIMULATED_COLUMN: &str = "simulated";
+
 /// A column that was found.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Column {
@@ -45,7 +48,7 @@ impl Table {
             return Err(Defect::new(name, "a header line and rows", "an empty file").into());
         }
         let columns = header(name, &record)?;
-        let used = vec![false; columns.len()];
+        let used = columns.iter().map(|c| c == SIMULATED_COLUMN).collect();
         Ok(Self { file: name.to_owned(), columns, used, lines, record, rows: 0 })
     }
 

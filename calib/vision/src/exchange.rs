@@ -29,14 +29,19 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
     let t = &document.right_from_left;
     let [w, h] = document.image_size_px;
-    let mut opencv = format!("%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n");
+    let mark = if document.provenance.simulated {
+        "# SIMULATED: the pictures are rendered, not taken\n"
+    } else {
+        ""
+    };
+    let mut opencv = format!("%YAML:1.0\n---\n{mark}image_width: {w}\nimage_height: {h}\n");
     for (k, camera) in document.cameras.iter().enumerate() {
         opencv += &matrix(&format!("K{}", k + 1), 3, 3, camera.k.iter().flatten().copied());
         opencv += &matrix(&format!("D{}", k + 1), 1, 5, camera.distortion.coefficients.iter().copied());
     }
     opencv += &matrix("R", 3, 3, (0..9).map(|k| t[k / 3][k % 3]));
     opencv += &matrix("T", 3, 1, (0..3).map(|k| t[k][3]));
-    let mut kalibr = String::new();
+    let mut kalibr = mark.to_owned();
     for (k, camera) in document.cameras.iter().enumerate() {
         let d = &camera.distortion.coefficients;
         let _ = writeln!(kalibr, "cam{k}:");
@@ -71,7 +76,7 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let ros_matrix = |name: &str, rows: usize, columns: usize, values: Vec<f64>| {
             format!("{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n", numbers(values))
         };
-        let mut text = format!("image_width: {w}\nimage_height: {h}\ncamera_name: {}\n", camera.name);
+        let mut text = format!("{mark}image_width: {w}\nimage_height: {h}\ncamera_name: {}\n", camera.name);
         text += &ros_matrix("camera_matrix", 3, 3, camera.k.iter().flatten().copied().collect());
         text += "distortion_model: plumb_bob\n";
         text += &ros_matrix("distortion_coefficients", 1, 5, camera.distortion.coefficients.clone());

@@ -1,6 +1,7 @@
 //! Pictures with what was found drawn on them, for the report: the reprojected curve, the measured pieces, tags, groove.
 
 use crate::document::StereoCameras;
+use crate::error::OpenCvContext;
 use crate::error::VisionError;
 use crate::pair_fit::PairFit;
 use crate::picture::Picture;
@@ -8,6 +9,8 @@ use crate::shapes_document::PairDocument;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use nalgebra::{Point3, Vector2, Vector3};
+use opencv::core::{Mat, Point, Scalar, Vec3b};
+use opencv::imgproc;
 
 /// Red, green, blue.
 type Colour = [u8; 3];
@@ -49,6 +52,32 @@ impl Canvas {
         }
     }
 
+    /// A word in the upper left corner.
+    fn stamp(&mut self, word: &str) -> Result<(), VisionError> {
+        let (rows, columns) = (self.height as i32, self.width as i32);
+        let mut pixels: Vec<Vec3b> = self.data.iter().map(|c| Vec3b::from(*c)).collect();
+        let mut mat =
+            Mat::new_rows_cols_with_data_mut(rows, columns, &mut pixels).doing("mark an overlay")?;
+        let height = (rows / 30).max(20);
+        let [r, g, b] = UNSEEN.map(f64::from);
+        let (at, size) = (Point::new(height / 2, height + height / 2), f64::from(height) / 21.0);
+        imgproc::put_text(
+            &mut mat,
+            word,
+            at,
+            imgproc::FONT_HERSHEY_SIMPLEX,
+            size,
+            Scalar::new(r, g, b, 0.0),
+            (height / 8).max(2),
+            imgproc::LINE_AA,
+            false,
+        )
+        .doing("mark an overlay")?;
+        drop(mat);
+        self.data = pixels.into_iter().map(|p| p.0).collect();
+        Ok(())
+    }
+
     fn line(&mut self, a: &Vector2<f64>, b: &Vector2<f64>, colour: Colour) {
         let steps = ((b - a).norm() * SCALE).ceil().max(1.0) as usize;
         for k in 0..=steps {
@@ -57,7 +86,7 @@ impl Canvas {
     }
 }
 
-/// PNG of one picture (0 left, 1 right) with the pair's result drawn on it.
+/// PNG of one picture (0 left, 1 right) with the pair's result drawn on it, and SIMULATED where it was rendered.
 ///
 /// # Errors
 /// Where the picture cannot be encoded.
@@ -67,6 +96,7 @@ pub fn overlay_png(
     stereo: &StereoCameras,
     fit: &PairFit,
     pair: &PairDocument,
+    simulated: bool,
 ) -> Result<Vec<u8>, VisionError> {
     let mut canvas = Canvas::new(picture);
     let project = |p: &Vector3<f64>| {
@@ -94,6 +124,9 @@ pub fn overlay_png(
     }
     if let Some(p) = pair.groove.as_ref().and_then(|g| project(&Vector3::from(g.position_mm))) {
         canvas.dot(&p, 4, GROOVE);
+    }
+    if simulated {
+        canvas.stamp("SIMULATED")?;
     }
     let (width, height) = (canvas.width as u32, canvas.height as u32);
     let mut png = Vec::new();

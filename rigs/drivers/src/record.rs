@@ -40,6 +40,8 @@ pub struct Order {
     pub home: bool,
     /// Where a live view listens, if there is to be one.
     pub live: Option<SocketAddr>,
+    /// Hears where it listens in fact (port 0 is one of the system's choice).
+    pub on_live: fn(SocketAddr),
     /// Time of creation, RFC 3339.
     pub created: String,
     /// Command line.
@@ -139,7 +141,10 @@ pub fn record(
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&order.folder.join(&name), about)?;
-    let _live = order.live.map(|address| recorder.serve(address)).transpose()?;
+    let live = order.live.map(|address| recorder.serve(address)).transpose()?;
+    if let Some(view) = &live {
+        (order.on_live)(view.address());
+    }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
     let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { Ok(open_stage(&rig.stage, clock)?.0) };

@@ -78,7 +78,7 @@ fn a_released_label_is_reproduced_and_one_whose_wire_still_swings_is_told() {
     let points = rows("points.csv");
     let place = |k: usize| Vector3::new(points[k][5], points[k][6], points[k][7]);
     // Columns: point, role, trajectory, replicate, stage, groove x, y, z.
-    let found = labels(&whisker, Preset::Released, &[vec![place(9), place(11)]]).unwrap();
+    let found = labels(&whisker, Preset::Released, &[vec![place(9), place(11)]], &|| {}).unwrap();
     let known = rows("twin.csv");
     let [sure, unsure] = &found[0][..] else { panic!("{found:?}") };
     let [sure_nmm, unsure_nmm] = [sure, unsure].map(|l| l.moment_nmm.unwrap());

@@ -142,7 +142,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
     result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
-    let files = tables::write_tables(&rig, &rows)?;
+    let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes).map_err(|e| RecordingError::Recorder(e.to_string()))?;
     }

@@ -6,6 +6,7 @@ use super::reduce::Reduction;
 use super::rig::Rig;
 use super::run_file::RunFile;
 use super::windows::WindowMean;
+use crate::table::SIMULATED_COLUMN;
 use nalgebra::Vector3;
 use toml::{Table, Value};
 
@@ -103,15 +104,20 @@ fn csv_text(
     writer.into_inner().map_err(|e| RecordingError::Recorder(e.to_string()))
 }
 
-/// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv, outliers.csv.
+/// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv, outliers.csv. Simulated readings are
+/// marked in a last column.
 ///
 /// # Errors
 /// Practically none: text goes to memory.
-pub fn write_tables(rig: &Rig, rows: &[Row]) -> Result<Vec<(String, Vec<u8>)>, RecordingError> {
+pub fn write_tables(
+    rig: &Rig,
+    rows: &[Row],
+    simulated: bool,
+) -> Result<Vec<(String, Vec<u8>)>, RecordingError> {
     let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.sealed);
-    let mut files = vec![("points.csv".to_owned(), table(&points)?)];
+    let mut files = vec![("points.csv".to_owned(), table(&points, simulated)?)];
     if !holdout.is_empty() {
-        files.push(("holdout.csv".to_owned(), table(&holdout)?));
+        files.push(("holdout.csv".to_owned(), table(&holdout, simulated)?));
     }
     let both = [("points.csv", &points), ("holdout.csv", &holdout)];
     let compensation = csv_text(|out| {
@@ -139,12 +145,12 @@ pub fn write_tables(rig: &Rig, rows: &[Row]) -> Result<Vec<(String, Vec<u8>)>, R
     Ok(files)
 }
 
-fn table(rows: &[&Row]) -> Result<Vec<u8>, RecordingError> {
+fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, RecordingError> {
     csv_text(|out| {
-        out.write_record(COLUMNS)?;
+        out.write_record(COLUMNS.iter().copied().chain(simulated.then_some(SIMULATED_COLUMN)))?;
         for (k, row) in rows.iter().enumerate() {
             let groove = |axis: usize| row.groove_mm.map_or(String::new(), |g| format!("{:.6}", g[axis]));
-            out.write_record([
+            let fields = [
                 k.to_string(),
                 row.role.clone(),
                 row.trajectory.to_string(),
@@ -165,7 +171,8 @@ fn table(rows: &[&Row]) -> Result<Vec<u8>, RecordingError> {
                 format!("{:.4}", row.mean.sensing_sd_pm[1]),
                 row.mean.samples.to_string(),
                 row.stream.word().to_owned(),
-            ])?;
+            ];
+            out.write_record(fields.into_iter().chain(simulated.then(|| "1".to_owned())))?;
         }
         Ok(())
     })

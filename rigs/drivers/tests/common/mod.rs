@@ -74,6 +74,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
         resume: false,
         home: true,
         live: None,
+        on_live: |_| {},
         created: "2026-01-02T03:04:05Z".to_owned(),
         command: vec!["test".to_owned()],
     }

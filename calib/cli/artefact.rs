@@ -8,7 +8,7 @@ use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
 use wcal_session::LoadedSession;
 use wcal_trace::scalar::ScalarModel;
-use wcal_trace::verify::PhysicalModel;
+use wcal_trace::whisker::PhysicalModel;
 
 /// The model in a calibration, told apart by `kind`.
 #[allow(clippy::large_enum_variant, reason = "one a program run")]

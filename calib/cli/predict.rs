@@ -14,7 +14,7 @@ use wcal_core::CalibrationFile;
 use wcal_map::{MapArtefact, MapPredictor};
 use wcal_session::load_table;
 use wcal_trace::path::WhiskerPath;
-use wcal_trace::verify::PhysicalModel;
+use wcal_trace::whisker::PhysicalModel;
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]

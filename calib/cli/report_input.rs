@@ -9,7 +9,7 @@ use wcal_report::{
 use wcal_session::LoadedSession;
 use wcal_trace::engine::search::Evidence;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
-use wcal_trace::verify::WhiskerVerification;
+use wcal_trace::whisker::WhiskerVerification;
 
 fn versions() -> Vec<Fact> {
     vec![Fact::new("wcal", env!("CARGO_PKG_VERSION"))]
@@ -39,7 +39,7 @@ pub fn of_whisker(
     accepted_on_request: bool,
     provenance: Provenance,
 ) -> ReportInput {
-    let count = |role: Role| data.rows.iter().chain(&data.holdout).filter(|r| r.role == role).count();
+    let count = |role: Role| data.rows.iter().filter(|r| r.role == role).count();
     let found = &done.found;
     let after = model_after(&done.document, accepted_on_request);
     ReportInput {
@@ -62,7 +62,7 @@ pub fn of_whisker(
                     count(Role::Calibration),
                     count(Role::Verification),
                     count(Role::Rest),
-                    count(Role::Holdout)
+                    data.holdout.len()
                 ),
             ),
         ],
@@ -90,7 +90,7 @@ pub fn of_scalar(
     done: &ScalarVerification,
     provenance: Provenance,
 ) -> ReportInput {
-    let (rows, sealed) = data.rows();
+    let (rows, sealed) = (data.rows(), data.sealed());
     let after = model_after(&done.document, false);
     let (stimulus, response) = data.units();
     let model = match data.declared() {

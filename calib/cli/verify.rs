@@ -8,20 +8,20 @@ use crate::simulated::{is_simulated, mark_table, word};
 use anyhow::{Context, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::verify_document::{Verdict, VerifyDocument};
 use wcal_core::{
-    InputFile, Provenance, Purpose, ResidualRecord, SessionData, VerificationStatus, WhiskerData,
+    Provenance, Purpose, ResidualRecord, Seal, SessionData, Unsealing, VerificationStatus, WhiskerData,
 };
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::engine::search::Options;
-use wcal_trace::scalar::{ScalarData, ScalarOptions, verify_scalar};
-use wcal_trace::verify::listings::PredictionRow;
-use wcal_trace::verify::{VerifyOptions, verify_whisker};
+use wcal_trace::scalar::{ScalarData, verify_scalar};
+use wcal_trace::verify::VerifyOptions;
+use wcal_trace::whisker::listings::PredictionRow;
+use wcal_trace::whisker::{Verified, verify_whisker};
 
 /// Arguments of `wcal verify`.
 #[derive(Debug, Args)]
@@ -149,6 +149,8 @@ struct Outcome {
     predictions: Option<String>,
     /// What a calibration would hold.
     model: Option<CalibrationModel>,
+    /// Record of the unsealing; none where nothing was unsealed.
+    unsealing: Option<Unsealing>,
 }
 
 /// Runs the loop and gathers every result; shared with `demo`.
@@ -159,24 +161,26 @@ pub fn verify_session(
     accept: &[String],
 ) -> anyhow::Result<ReportInput> {
     let provenance = provenance(session, seed);
-    let seen = note_unsealing(session, out.folder(), &provenance)?;
-    let search = Options { seed, ..Options::default() };
-    let Outcome { mut report, predictions, model } = match &session.data {
-        SessionData::Whisker(data) => {
-            let options = VerifyOptions { search, accept: accept.to_vec() };
-            of_whisker_session(session, data, &options, provenance.clone())?
-        }
-        other if !accept.is_empty() => {
-            bail!("--accept: expected a session of kind \"whisker\", found {:?}", other.kind())
-        }
+    let record = UnsealRecord::read(session, out.folder())?;
+    let options = VerifyOptions {
+        search: Options { seed, ..Options::default() },
+        accept: accept.to_vec(),
+        seal: record.seal(session, &provenance),
+        ..VerifyOptions::default()
+    };
+    let Outcome { mut report, predictions, model, unsealing } = match &session.data {
+        SessionData::Whisker(data) => of_whisker_session(session, data, &options, provenance.clone())?,
         SessionData::Transducer(data) => {
-            of_scalar_session(session, ScalarData::Transducer(data), search, provenance.clone())?
+            of_scalar_session(session, ScalarData::Transducer(data), &options, provenance.clone())?
         }
         SessionData::Axis(data) => {
-            of_scalar_session(session, ScalarData::Axis(data), search, provenance.clone())?
+            of_scalar_session(session, ScalarData::Axis(data), &options, provenance.clone())?
         }
     };
-    add_notes(&mut report.verify, session, seen);
+    if let Some(unsealing) = &unsealing {
+        record.add(unsealing, &provenance)?;
+    }
+    add_notes(&mut report.verify, session, unsealing.is_some_and(|u| u.seen_before));
     report.verify.inputs = session.inputs.clone();
     report.verify.simulated = session.simulated;
     if let Some(csv) = predictions {
@@ -207,10 +211,14 @@ fn of_whisker_session(
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
     Ok(match verify_whisker(&session.id, data, &session.inputs, options)? {
-        Err(document) => {
-            Outcome { report: of_document(session, document, provenance), predictions: None, model: None }
-        }
-        Ok(done) => Outcome {
+        Verified::Refused(document) => Outcome {
+            report: of_document(session, *document, provenance),
+            predictions: None,
+            model: None,
+            unsealing: None,
+        },
+        Verified::Done(done) => Outcome {
+            unsealing: done.unsealing.clone(),
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
             report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
@@ -221,13 +229,13 @@ fn of_whisker_session(
 fn of_scalar_session(
     session: &LoadedSession,
     data: ScalarData<'_>,
-    search: Options,
+    options: &VerifyOptions,
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
-    let options = ScalarOptions { search, ..ScalarOptions::default() };
-    let done = verify_scalar(&session.id, data, &options)?;
+    let done = verify_scalar(&session.id, data, options)?;
     Ok(Outcome {
         predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
+        unsealing: done.unsealing.clone(),
         model: done.model.clone().map(CalibrationModel::Scalar),
         report: of_scalar(session, data, &done, provenance),
     })
@@ -275,38 +283,54 @@ fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
     Ok(file.opened)
 }
 
-/// Records that held-out files are opened, at once and for good: beside the session, so that another output folder does not forget it, or
-/// in the output folder where the session cannot be written to. Says whether one had been opened before.
-fn note_unsealing(session: &LoadedSession, out: &Path, provenance: &Provenance) -> anyhow::Result<bool> {
-    const NAME: &str = "unsealed.json";
-    let sealed: Vec<&InputFile> = session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout).collect();
-    if sealed.is_empty() {
-        return Ok(false);
+/// Where it is recorded which held-out files were opened: beside the session, so that another output folder does not forget it, or in the
+/// output folder where the session cannot be written to.
+struct UnsealRecord {
+    places: [PathBuf; 2],
+    known: [Vec<Unsealed>; 2],
+}
+
+impl UnsealRecord {
+    fn read(session: &LoadedSession, out: &Path) -> anyhow::Result<Self> {
+        const NAME: &str = "unsealed.json";
+        let places = [session.folder.join(NAME), out.join(NAME)];
+        let known = [read_unsealed(&places[0])?, read_unsealed(&places[1])?];
+        Ok(Self { places, known })
     }
-    let places = [session.folder.join(NAME), out.join(NAME)];
-    let known = places.iter().map(|p| read_unsealed(p)).collect::<anyhow::Result<Vec<_>>>()?;
-    let seen = sealed.iter().any(|i| known.iter().flatten().any(|u| u.sha256 == i.sha256));
-    let record = |known: &[Unsealed]| -> anyhow::Result<Vec<u8>> {
-        let mut opened = known.to_vec();
-        for input in sealed.iter().filter(|i| known.iter().all(|u| u.sha256 != i.sha256)) {
-            opened.push(Unsealed {
-                sha256: input.sha256.clone(),
-                path: input.path.clone(),
-                when: provenance.created.clone(),
-                program: provenance.program.clone(),
-            });
+
+    /// What is known of the session's sealed files.
+    fn seal(&self, session: &LoadedSession, provenance: &Provenance) -> Seal {
+        Seal {
+            files: session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout).cloned().collect(),
+            opened_before: self.known.iter().flatten().map(|u| u.sha256.clone()).collect(),
+            program: provenance.program.clone(),
         }
-        Ok(serde_json::to_vec_pretty(&UnsealedFile { format: "wcal-unsealed/1".to_owned(), opened })?)
-    };
-    if crate::output::write_file(&places[0], &record(&known[0])?).is_err() {
-        eprintln!(
-            "verify: {} cannot be written; that the holdout was opened is recorded in {} only",
-            places[0].display(),
-            places[1].display()
-        );
-        crate::output::write_file(&places[1], &record(&known[1])?)?;
     }
-    Ok(seen)
+
+    /// Records an unsealing for good.
+    fn add(&self, unsealing: &Unsealing, provenance: &Provenance) -> anyhow::Result<()> {
+        let record = |known: &[Unsealed]| -> anyhow::Result<Vec<u8>> {
+            let mut opened = known.to_vec();
+            let new = unsealing.files.iter().filter(|f| known.iter().all(|u| u.sha256 != f.sha256));
+            opened.extend(new.map(|f| Unsealed {
+                sha256: f.sha256.clone(),
+                path: f.path.clone(),
+                when: provenance.created.clone(),
+                program: unsealing.program.clone(),
+            }));
+            Ok(serde_json::to_vec_pretty(&UnsealedFile { format: "wcal-unsealed/1".to_owned(), opened })?)
+        };
+        let [beside, out] = &self.places;
+        if crate::output::write_file(beside, &record(&self.known[0])?).is_err() {
+            eprintln!(
+                "verify: {} cannot be written; that the holdout was opened is recorded in {} only",
+                beside.display(),
+                out.display()
+            );
+            crate::output::write_file(out, &record(&self.known[1])?)?;
+        }
+        Ok(())
+    }
 }
 
 /// A holdout whose file was fitted for the calibration proves nothing.
@@ -349,21 +373,22 @@ fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
 fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
     let axis = matches!(data, ScalarData::Axis(_));
     // Of an axis the model's response is the error, measured less commanded.
-    let (name, place, residual) = if axis {
+    let (name, columns, residual) = if axis {
         ("error_um", "commanded_mm,measured_mm", "residual_um")
     } else {
         ("response", "stimulus", "residual")
     };
     let mut csv = format!(
-        "source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected,{place},{residual}_before,{residual}_after\n"
+        "source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected,{columns},{residual}_before,{residual}_after\n"
     );
-    let (rows, sealed) = data.rows();
-    let places: BTreeMap<(&str, usize), f64> =
-        rows.iter().chain(&sealed).map(|r| ((r.origin.0.as_str(), r.origin.1), r.x)).collect();
+    let place = if axis { "commanded_mm" } else { "stimulus" };
+    let stimulus = |r: &ResidualRecord| {
+        r.covariates.iter().find(|(name, _)| name == place).map_or(f64::NAN, |(_, value)| *value)
+    };
     for r in records {
         let why = r.rejected.as_deref().unwrap_or_default();
         let values = [r.measured, r.predicted_before, r.predicted_after, r.noise_sd].map(|v| v.to_string());
-        let x = places.get(&(r.source.as_str(), r.line)).copied().unwrap_or(f64::NAN);
+        let x = stimulus(r);
         let place = if axis { format!("{x},{}", x + 1e-3 * r.measured) } else { x.to_string() };
         let [before, after] = [r.predicted_before, r.predicted_after].map(|p| r.measured - p);
         csv += &format!(

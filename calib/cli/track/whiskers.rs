@@ -21,7 +21,7 @@ use wcal_session::recording::message::{StagePosition, SweepEvent};
 use wcal_session::recording::rig::Rig;
 use wcal_session::recording::sensed::WhiskerReader;
 use wcal_session::recording::tracks::TrackChannels;
-use wcal_trace::verify::PhysicalStream;
+use wcal_trace::whisker::PhysicalStream;
 use wcal_track::live::{BaseMotion, Chain, ChainSettings, Row, first_mode_hz};
 use wcal_track::{Sample, Stream, Tare};
 

@@ -9,6 +9,7 @@ pub mod map_document;
 pub mod observation;
 pub mod provenance;
 pub mod residual;
+pub mod sealed;
 pub mod stream;
 pub mod verify_document;
 
@@ -19,3 +20,4 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
+pub use sealed::{Seal, Sealed, Unsealing};

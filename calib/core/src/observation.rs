@@ -1,5 +1,6 @@
 //! What a session holds once it has been read and checked: plain data, no files.
 
+use crate::sealed::Sealed;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -280,7 +281,7 @@ pub struct WhiskerData {
     /// Rows of the points table, in file order.
     pub rows: Vec<WhiskerRow>,
     /// Rows of the sealed holdout table; empty when there is none.
-    pub holdout: Vec<WhiskerRow>,
+    pub holdout: Sealed<WhiskerRow>,
     /// Labels of an outside twin; empty when there are none.
     pub twin: Vec<TwinLabel>,
 }
@@ -346,7 +347,7 @@ pub struct TransducerData {
     /// Rows in file order.
     pub rows: Vec<TransducerRow>,
     /// Sealed rows.
-    pub holdout: Vec<TransducerRow>,
+    pub holdout: Sealed<TransducerRow>,
 }
 
 /// One reading of an axis session.
@@ -380,7 +381,7 @@ pub struct AxisData {
     /// Rows in file order.
     pub rows: Vec<AxisRow>,
     /// Sealed rows.
-    pub holdout: Vec<AxisRow>,
+    pub holdout: Sealed<AxisRow>,
 }
 
 /// Data of any kind of session.

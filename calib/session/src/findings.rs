@@ -260,15 +260,15 @@ fn readings(data: &SessionData) -> (Vec<Reading>, Vec<Reading>) {
                     [r.shift_pm[0], r.shift_pm[1], r.reference_shift_pm.unwrap_or(0.0), g.x, g.y, g.z];
                 (r.point, values.map(bits).to_vec())
             };
-            (d.rows.iter().map(key).collect(), d.holdout.iter().map(key).collect())
+            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
         }
         SessionData::Transducer(d) => {
             let key = |r: &wcal_core::TransducerRow| (r.point, vec![bits(r.stimulus), bits(r.response)]);
-            (d.rows.iter().map(key).collect(), d.holdout.iter().map(key).collect())
+            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
         }
         SessionData::Axis(d) => {
             let key = |r: &wcal_core::AxisRow| (r.point, vec![bits(r.commanded_mm), bits(r.measured_mm)]);
-            (d.rows.iter().map(key).collect(), d.holdout.iter().map(key).collect())
+            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
         }
     }
 }

@@ -47,15 +47,22 @@ pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), Ses
 const PAUSE_S: f64 = 3600.0;
 
 fn place_after(data: &WhiskerData, added: &mut WhiskerData) {
-    let all = || data.rows.iter().chain(&data.holdout);
-    let end_s = all().filter_map(|r| r.t_s).fold(0.0, f64::max);
-    let seating = 1 + all().map(|r| r.seating).max().unwrap_or(0);
-    let own = || added.rows.iter().chain(&added.holdout).filter_map(|r| r.t_s);
-    let shift_s = end_s + PAUSE_S - own().fold(f64::INFINITY, f64::min).min(0.0);
-    for row in added.rows.iter_mut().chain(&mut added.holdout) {
+    let place = |r: &WhiskerRow| (r.t_s, r.seating);
+    let of = |d: &WhiskerData| d.rows.iter().map(place).chain(d.holdout.admission(place)).collect::<Vec<_>>();
+    let (all, own) = (of(data), of(added));
+    let end_s = all.iter().filter_map(|r| r.0).fold(0.0, f64::max);
+    let seating = 1 + all.iter().map(|r| r.1).max().unwrap_or(0);
+    let shift_s = end_s + PAUSE_S - own.iter().filter_map(|r| r.0).fold(f64::INFINITY, f64::min).min(0.0);
+    every_row(added, |row| {
         row.seating = seating;
         row.t_s = row.t_s.map(|t| t + shift_s);
-    }
+    });
+}
+
+/// Relabels every row of a session, the sealed ones behind their seal.
+fn every_row(data: &mut WhiskerData, mut change: impl FnMut(&mut WhiskerRow)) {
+    data.rows.iter_mut().for_each(&mut change);
+    data.holdout.relabel(change);
 }
 
 /// The same bytes cannot be fitted and held out, nor fitted twice.
@@ -126,9 +133,7 @@ fn attach_session(
             }
             merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
             merge_nominals(data, &mut added);
-            for row in added.rows.iter_mut().chain(&mut added.holdout) {
-                row.source = renamed(&row.source);
-            }
+            every_row(&mut added, |row| row.source = renamed(&row.source));
             if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
                     session.warnings.push(format!("{folder}: labels of its twin are not used"));
@@ -138,31 +143,32 @@ fn attach_session(
             }
             // Of a session that is held out every row counts, whatever its role says.
             if purpose == Purpose::Holdout {
-                added.rows.iter_mut().chain(&mut added.holdout).for_each(|r| r.sealed = true);
+                every_row(&mut added, |r| r.sealed = true);
             }
-            data.holdout.extend(added.rows.into_iter().chain(added.holdout));
+            data.holdout.extend(added.rows);
+            data.holdout.join(added.holdout);
         }
-        (SessionData::Transducer(data), SessionData::Transducer(added)) => {
+        (SessionData::Transducer(data), SessionData::Transducer(mut added)) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
                 return Err(differs("units").field("transducer").into());
             }
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
-            for row in added.rows {
-                let row = wcal_core::TransducerRow { source: renamed(&row.source), ..row };
-                if purpose == Purpose::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+            added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
+            added.holdout.relabel(|row| row.source = renamed(&row.source));
+            if purpose == Purpose::Fit {
+                data.rows.append(&mut added.rows);
             }
-            for row in added.holdout {
-                data.holdout.push(wcal_core::TransducerRow { source: renamed(&row.source), ..row });
-            }
+            data.holdout.extend(added.rows);
+            data.holdout.join(added.holdout);
         }
-        (SessionData::Axis(data), SessionData::Axis(added)) => {
-            for row in added.rows {
-                let row = wcal_core::AxisRow { source: renamed(&row.source), ..row };
-                if purpose == Purpose::Fit { data.rows.push(row) } else { data.holdout.push(row) }
+        (SessionData::Axis(data), SessionData::Axis(mut added)) => {
+            added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
+            added.holdout.relabel(|row| row.source = renamed(&row.source));
+            if purpose == Purpose::Fit {
+                data.rows.append(&mut added.rows);
             }
-            for row in added.holdout {
-                data.holdout.push(wcal_core::AxisRow { source: renamed(&row.source), ..row });
-            }
+            data.holdout.extend(added.rows);
+            data.holdout.join(added.holdout);
         }
         _ => return Err(differs("kind").field("kind").into()),
     }
@@ -202,8 +208,9 @@ fn merge_trajectories(
             Some(_) => {
                 let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
                 // Ids of rows that are still to be renamed must not be hit either.
+                let sealed = added.holdout.admission(|r| r.trajectory);
                 let floor =
-                    added.rows.iter().chain(&added.holdout).filter_map(|r| r.trajectory).max().unwrap_or(0);
+                    added.rows.iter().map(|r| r.trajectory).chain(sealed).flatten().max().unwrap_or(0);
                 let new = highest.max(floor).checked_add(1);
                 let new = new.ok_or_else(|| {
                     Defect::new(file, "a free trajectory id", "none").field("trajectory.id")
@@ -215,7 +222,7 @@ fn merge_trajectories(
                         row.trajectory = Some(new);
                     }
                 };
-                added.rows.iter_mut().chain(&mut added.holdout).for_each(rename);
+                every_row(added, rename);
                 trajectory.id = new;
                 data.trajectories.push(trajectory);
             }
@@ -234,9 +241,9 @@ fn merge_nominals(data: &WhiskerData, added: &mut WhiskerData) {
         (Some(here), Some(there)) => there - here,
         _ => 0.0,
     };
-    for row in added.rows.iter_mut().chain(&mut added.holdout) {
+    every_row(added, |row| {
         row.shift_pm[0] += PM_PER_NM * sensing[0];
         row.shift_pm[1] += PM_PER_NM * sensing[1];
         row.reference_shift_pm = row.reference_shift_pm.map(|pm| pm + PM_PER_NM * reference);
-    }
+    });
 }

@@ -6,7 +6,9 @@ use crate::whisker::{self, Demand};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
-use wcal_core::{AxisData, InputFile, Purpose, Role, SessionData, SessionKind, TransducerData, WhiskerData};
+use wcal_core::{
+    AxisData, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData, WhiskerData,
+};
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
@@ -220,7 +222,7 @@ fn load_whisker(
         holdout.extend(read(name, Purpose::Holdout)?);
     }
     // Where nothing was loaded there is nothing to predict but the zero.
-    holdout.iter_mut().for_each(|r| r.sealed = r.role != Role::Rest);
+    holdout.relabel(|r| r.sealed = r.role != Role::Rest);
     require_unsealed(&files.points, rows.len())?;
     let mut twin = Vec::new();
     if let Some(name) = &files.twin {
@@ -287,10 +289,10 @@ fn load_axis(
 }
 
 /// Takes the rows with the role "holdout" out of a points table.
-fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Vec<R> {
+fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Sealed<R> {
     let (sealed, open) = std::mem::take(rows).into_iter().partition(|row| role(row) == Role::Holdout);
     *rows = open;
-    sealed
+    Sealed::new(sealed)
 }
 
 fn require_unsealed(file: &str, rows: usize) -> Result<(), Defect> {

@@ -13,6 +13,9 @@ pub enum TraceError {
         "following the wire along the session's trajectories: expected an equilibrium at every pose, found none on {0}"
     )]
     NoEquilibrium(String),
+    /// The declared model has no solution at the readings.
+    #[error("fitting the declared model: expected a solution at every reading, found none")]
+    NoSolution,
     /// The explanation to be accepted is none that the data leave open.
     #[error(
         "accepting {asked}: expected one of the explanations that the data do not reject ({survivors}), found another"
@@ -23,4 +26,11 @@ pub enum TraceError {
         /// What is open.
         survivors: String,
     },
+}
+
+impl TraceError {
+    /// Names the session whose wire has no equilibrium.
+    pub(crate) fn of_session(self, session: &str) -> Self {
+        if matches!(self, Self::NoSolution) { Self::NoEquilibrium(session.to_owned()) } else { self }
+    }
 }

@@ -13,6 +13,5 @@ pub mod temperature;
 pub mod verify;
 mod walked;
 pub mod whisker;
-mod whisker_noise;
 
 pub use error::TraceError;

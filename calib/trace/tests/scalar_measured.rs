@@ -1,12 +1,12 @@
 //! The residual loop on measured transducer data with certified or published answers (fixtures/nist/SOURCE.md).
 
 use std::path::PathBuf;
+use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_session::{Separator, TextTableLayout, read_text_table};
-use wcal_trace::scalar::{
-    ScalarData, ScalarOptions, ScalarVerification, polynomial::polynomial, verify_scalar,
-};
+use wcal_trace::scalar::{ScalarData, ScalarVerification, polynomial::polynomial, verify_scalar};
+use wcal_trace::verify::VerifyOptions;
 
 /// A NIST file as a transducer session; without a column `x` the stimulus is the number of the observation.
 fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData {
@@ -41,12 +41,12 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
             })
             .collect(),
         covariates: extra,
-        holdout: Vec::new(),
+        holdout: Sealed::default(),
     }
 }
 
 fn verify(data: &TransducerData) -> ScalarVerification {
-    let v = verify_scalar("test", ScalarData::Transducer(data), &ScalarOptions::default()).unwrap();
+    let v = verify_scalar("test", ScalarData::Transducer(data), &VerifyOptions::default()).unwrap();
     println!("{:?} {}", v.document.verdict, v.document.reason);
     for e in &v.document.effects {
         println!("  {} {:?} p {:.1e} {:?}", e.id, e.class, e.p_value, e.parameters);

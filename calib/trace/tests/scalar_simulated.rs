@@ -4,10 +4,12 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
+use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
 use wcal_trace::engine::search::Options;
-use wcal_trace::scalar::{ScalarData, ScalarOptions, ScalarVerification, verify_scalar};
+use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_trace::verify::VerifyOptions;
 
 struct Noise(rand_chacha::ChaCha8Rng);
 
@@ -81,7 +83,7 @@ fn transducer(
                 covariates: vec![r.other],
             })
             .collect(),
-        holdout: Vec::new(),
+        holdout: Sealed::default(),
     }
 }
 
@@ -102,13 +104,14 @@ fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> 
             temperature_degc: Some(20.0 + r.rise),
         })
         .collect();
-    AxisData { rows, holdout: Vec::new() }
+    AxisData { rows, holdout: Sealed::default() }
 }
 
-fn quick(seed: u64) -> ScalarOptions {
-    ScalarOptions {
+fn quick(seed: u64) -> VerifyOptions {
+    VerifyOptions {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
         permutations: 999,
+        ..VerifyOptions::default()
     }
 }
 
@@ -366,14 +369,12 @@ fn sealed_readings_are_predicted_and_never_fitted() {
     let mut data = transducer(&sweep, TransducerModel::Linear, |r| {
         0.2 * r.x + 0.002 * (r.x - 5.0).powi(2) + 0.01 * rng.next()
     });
-    data.holdout = data.rows.split_off(90);
+    data.holdout = Sealed::new(data.rows.split_off(90));
     let clean = run(ScalarData::Transducer(&data), 1);
     assert_eq!(clean.document.after.as_ref().unwrap().split, "holdout");
     assert_eq!(clean.document.after.as_ref().unwrap().points, 30);
     // Sealed readings spoilt: every fitted value stays, only the held-out error gets worse.
-    for r in &mut data.holdout {
-        r.response += 1.0;
-    }
+    data.holdout.relabel(|r| r.response += 1.0);
     let spoilt = run(ScalarData::Transducer(&data), 1);
     assert_eq!(clean.residual_sd, spoilt.residual_sd);
     assert_eq!(clean.document.effects, spoilt.document.effects);

@@ -4,24 +4,24 @@
 
 use std::path::Path;
 use std::sync::OnceLock;
-use wcal_core::SessionData;
-use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
+use wcal_core::observation::{Role, TwinLabel, WhiskerData};
 use wcal_core::verify_document::{TwinFault, Verdict};
+use wcal_core::{Seal, SessionData};
 use wcal_trace::candidate::{System, Term};
 use wcal_trace::engine::explain::Judge;
 use wcal_trace::engine::fit::{Weights, fit};
 use wcal_trace::engine::search::{Found, Hypothesis, Options, search};
 use wcal_trace::mechanics::Mechanics;
-use wcal_trace::verify::between::between_seatings;
+use wcal_trace::verify::conclusion::conclude;
 use wcal_trace::verify::detect;
-use wcal_trace::verify::floor::noise_floor;
-use wcal_trace::verify::heldout::{HeldOut, coverage95, summarise};
+use wcal_trace::verify::heldout::{coverage95, rmse, summarise};
 use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
-use wcal_trace::verify::physical::PhysicalModel;
-use wcal_trace::verify::predictions::predict;
-use wcal_trace::verify::twin_check::check_labels;
-use wcal_trace::verify::verdict::conclude;
+use wcal_trace::verify::rival::rival;
+use wcal_trace::verify::{HeldOut, MeasurementModel};
 use wcal_trace::whisker::WhiskerSystem;
+use wcal_trace::whisker::between::between_seatings;
+use wcal_trace::whisker::floor::noise_floor;
+use wcal_trace::whisker::twin_check::check_labels;
 
 fn data(name: &str) -> WhiskerData {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name);
@@ -136,20 +136,23 @@ fn every_effect_has_a_line_saying_what_could_have_been_seen() {
 fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
     let row = |group: u32, e: f64| HeldOut {
         group,
-        wavelength_pm: [e, -e],
-        moment_nmm: [0.1 * e, 0.0],
-        moment_sd_nmm: [0.1, 0.1],
+        errors: vec![vec![e, -e], vec![0.1 * e, 0.0]],
+        inside95: vec![e < 2.0, true],
     };
+    let quantities = null().1.quantities();
     let rows: Vec<HeldOut> = (0..12).map(|k| row(k / 2, if k < 6 { 1.0 } else { 3.0 })).collect();
-    let e = summarise(&rows, "holdout", 1).unwrap();
+    let e = summarise(&rows, quantities, "holdout", 1).unwrap();
     let rmse = e.rmse["wavelength_rmse_pm"];
     assert!((rmse - 5.0_f64.sqrt()).abs() < 1e-12);
     let [low, high] = e.interval95["wavelength_rmse_pm"];
     assert!(low < rmse && rmse < high && low >= 1.0 && high <= 3.0, "{low} {high}");
     assert_eq!(e.points, 12);
-    // |0.1| and |0| of 0.1 sd are inside 1.96 sd, |0.3| is not: 18 of 24.
-    assert_eq!(coverage95(&rows), Some(0.75));
-    assert!(summarise(&[], "holdout", 1).is_none() && coverage95(&[]).is_none());
+    assert_eq!(coverage95(&rows), Some(0.75), "6 of 24 are outside");
+    // One group only: its readings are resampled, an interval has a width.
+    let one: Vec<HeldOut> = rows.iter().map(|r| HeldOut { group: 0, ..r.clone() }).collect();
+    let [low, high] = summarise(&one, quantities, "holdout", 1).unwrap().interval95["wavelength_rmse_pm"];
+    assert!(low < high, "{low} {high}");
+    assert!(summarise(&[], quantities, "holdout", 1).is_none() && coverage95(&[]).is_none());
 }
 
 #[test]
@@ -157,18 +160,30 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
     let (data, system, found) = null();
     let p_of = |moved_pm: f64| {
         let mut data = data.clone();
-        for r in &mut data.holdout {
-            r.shift_pm[0] += moved_pm;
-        }
-        let rows: Vec<&WhiskerRow> = data.rows.iter().chain(&data.holdout).collect();
-        let whole = WhiskerSystem::new(&data, &rows).unwrap();
+        data.holdout.relabel(|r| r.shift_pm[0] += moved_pm);
+        let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
         let noise = Judge::new(system, 1).noise(&found.base, &[]).unwrap().0;
-        let model = PhysicalModel::new(system, &found.base, 0.5);
-        let after = predict(&whole, &found.base, &model, &vec![0.5; whole.path.readings.len()]).unwrap();
-        holdout_p(&whole, &found.base, &noise, &after, &[]).unwrap()
+        holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };
     assert!(p_of(0.0) > 0.01);
     assert!(p_of(5.0) < HOLDOUT_LEVEL);
+}
+
+#[test]
+fn the_rival_has_no_part_of_what_is_sealed() {
+    let (data, system, found) = null();
+    let error = |moved_pm: f64, rest: bool| {
+        let mut data = data.clone();
+        // Rest rows of the sealed table count in no error; loaded ones do (control).
+        data.holdout
+            .relabel(|r| r.shift_pm[0] += if (r.role == Role::Rest) == rest { moved_pm } else { 0.0 });
+        let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
+        let noise = Judge::new(system, 1).noise(&found.base, &[]).unwrap().0;
+        let before = whole.predict(&found.base, &noise.reading_sd(&whole.noise_inputs())).unwrap();
+        rmse(&rival(&whole, &before, &[]), 0)
+    };
+    assert!((error(0.0, true) - error(50.0, true)).abs() < 1e-9);
+    assert!(error(50.0, false) > error(0.0, false) + 10.0, "negative control");
 }
 
 // Several sessions.

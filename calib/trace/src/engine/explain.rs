@@ -26,8 +26,8 @@ pub struct Explained {
     pub noise: Noise,
     /// Noise of the declared model's residuals.
     pub declared_noise: Noise,
-    /// Weights that the final search used.
-    pub weights: Weights,
+    /// Nothing but rounding is left by the declared model: structure in it means nothing.
+    pub exact: bool,
 }
 
 /// Searches under a noise that is not known beforehand.
@@ -112,6 +112,14 @@ impl<'a> Judge<'a> {
     }
 }
 
+/// A residual below this share of the largest measured value is rounding.
+const ROUNDING: f64 = 1e-13;
+
+fn fits_exactly(system: &dyn System, base: &Hypothesis) -> bool {
+    let largest = system.measured().amax();
+    base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * largest)
+}
+
 /// Whether two noise models whiten alike, within a quarter.
 fn alike(a: &Weights, b: &Weights) -> bool {
     let near = |x: f64, y: f64| (x - y).abs() <= 0.25 * x.max(y).max(0.2);
@@ -139,6 +147,11 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
     let declared_noise = judge.noise(&base, &[])?.0;
     let mut options = *options;
     let mut found = search(system, &weights, &options)?;
+    if fits_exactly(system, &base) {
+        found.best = base;
+        let noise = Noise::none(&declared_noise);
+        return Some(Explained { found, declared_noise: noise.clone(), noise, exact: true });
+    }
     for _ in 1..MAX_SEARCHES {
         // A model that is degenerate under another noise is judged under the one that it was found with.
         let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());
@@ -164,5 +177,5 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
     let columns = found.left().and_then(|g| g.drivers.first()).map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
     let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
-    Some(Explained { found, noise, declared_noise, weights })
+    Some(Explained { found, noise, declared_noise, exact: false })
 }

@@ -7,6 +7,7 @@ pub mod explain;
 pub mod fit;
 pub mod gate;
 pub mod inference;
+pub mod lack_of_fit;
 pub mod lasso;
 pub mod linear;
 pub mod noise;

@@ -122,6 +122,22 @@ pub struct Noise {
 }
 
 impl Noise {
+    /// No noise at all, on the readings of `other`.
+    #[must_use]
+    pub fn none(other: &Self) -> Self {
+        let nothing = Estimated { value: 0.0, interval95: [0.0; 2] };
+        let weights = Weights::independent(vec![1.0; other.weights.relative().len()]);
+        Self {
+            weights,
+            repeat: nothing,
+            pose: None,
+            correlated: None,
+            law: None,
+            tails: None,
+            step: Vec::new(),
+        }
+    }
+
     /// Weights of other readings of the same session (sealed ones among them) under this noise; `upper` takes the upper ends of the shared
     /// parts' intervals.
     #[must_use]

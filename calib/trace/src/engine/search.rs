@@ -181,6 +181,12 @@ impl Found {
         }
     }
 
+    /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
+    #[must_use]
+    pub fn accepted(&self) -> &Hypothesis {
+        if self.driver_beats_catalogue { &self.base } else { &self.best }
+    }
+
     /// Something was found or is left: heavier tails would be a reason to look again.
     #[must_use]
     pub fn something_left_or_found(&self) -> bool {

@@ -2,6 +2,7 @@
 
 use super::frame::{Declared, ScalarRow, Scaling};
 use std::collections::BTreeMap;
+use wcal_core::Sealed;
 
 /// Fewer readings than this are refused.
 const LEAST_ROWS: usize = 8;
@@ -11,7 +12,7 @@ const MAX_ROWS: usize = 1000;
 /// Why the readings of the points table cannot be used; `sealed` are those of the holdout.
 pub(super) fn refusal(
     rows: &[ScalarRow],
-    sealed: &[ScalarRow],
+    sealed: &Sealed<ScalarRow>,
     scaling: &Scaling,
     declared: Declared,
 ) -> Option<String> {
@@ -22,8 +23,10 @@ pub(super) fn refusal(
     if rows.len() < LEAST_ROWS {
         return Some(format!("{} readings; at least {LEAST_ROWS} are needed", rows.len()));
     }
-    if let Some(bad) = rows.iter().chain(sealed).find(|r| !(r.x.is_finite() && r.y.is_finite())) {
-        return Some(format!("reading {} of {} is not a finite number", bad.origin.2, bad.origin.0));
+    let finite = |r: &ScalarRow| (r.x.is_finite() && r.y.is_finite(), r.origin.clone());
+    let all = rows.iter().map(finite).chain(sealed.admission(finite));
+    if let Some((_, bad)) = all.into_iter().find(|r| !r.0) {
+        return Some(format!("reading {} of {} is not a finite number", bad.2, bad.0));
     }
     let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
     x.sort_by(f64::total_cmp);
@@ -50,11 +53,11 @@ pub fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
 }
 
 /// Sealed readings that are in the points table too. With a clock one agreement is a copy; without, coarse readings agree by chance.
-fn copied_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
+fn copied_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
     let key = |r: &ScalarRow| (r.x.to_bits(), r.y.to_bits(), r.t_s.map(f64::to_bits));
     let known: std::collections::BTreeSet<_> = rows.iter().map(key).collect();
-    let copied = sealed.iter().filter(|r| known.contains(&key(r))).count();
-    let timed = sealed.iter().all(|r| r.t_s.is_some());
+    let copied = sealed.admission(|r| known.contains(&key(r))).into_iter().filter(|k| *k).count();
+    let timed = sealed.admission(|r| r.t_s.is_some()).into_iter().all(|t| t);
     let suspicious = if timed { copied > 0 } else { copied > 2 && 2 * copied > sealed.len() };
     suspicious.then(|| {
         format!("{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing")

@@ -43,7 +43,7 @@ pub fn noise_floor(frame: &Frame, h: &Hypothesis, shared: f64) -> Option<Floor> 
     let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
     let keys = replicate_keys(frame);
     let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.counts(i)).collect();
-    if let Some(l) = super::polynomial::lack_of_fit(&residual, &keys, h.weights.relative(), 0)
+    if let Some(l) = crate::engine::lack_of_fit::lack_of_fit(&residual, &keys, h.weights.relative(), 0)
         && l.pure_dof >= LEAST_DOF as f64
     {
         return Some(Floor { sd: l.pure_sd * whole, source: "replicates" });

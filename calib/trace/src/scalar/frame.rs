@@ -1,6 +1,7 @@
 //! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
 
 use serde::{Deserialize, Serialize};
+use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 
 /// Session of one of the two scalar kinds.
@@ -96,16 +97,21 @@ impl From<&AxisRow> for ScalarRow {
 }
 
 impl ScalarData<'_> {
-    /// Rows of the points table and of the sealed table.
+    /// Rows of the points table.
     #[must_use]
-    pub fn rows(&self) -> (Vec<ScalarRow>, Vec<ScalarRow>) {
+    pub fn rows(&self) -> Vec<ScalarRow> {
         match self {
-            Self::Transducer(d) => {
-                (d.rows.iter().map(Into::into).collect(), d.holdout.iter().map(Into::into).collect())
-            }
-            Self::Axis(d) => {
-                (d.rows.iter().map(Into::into).collect(), d.holdout.iter().map(Into::into).collect())
-            }
+            Self::Transducer(d) => d.rows.iter().map(Into::into).collect(),
+            Self::Axis(d) => d.rows.iter().map(Into::into).collect(),
+        }
+    }
+
+    /// Rows of the sealed table, still sealed.
+    #[must_use]
+    pub fn sealed(&self) -> Sealed<ScalarRow> {
+        match self {
+            Self::Transducer(d) => d.holdout.map(|row| row.into()),
+            Self::Axis(d) => d.holdout.map(|row| row.into()),
         }
     }
 

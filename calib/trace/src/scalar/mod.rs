@@ -1,25 +1,24 @@
-//! The residual loop for sessions with one value a reading: kinds "transducer" and "axis".
+//! Measurement models with one value a reading: kinds "transducer" and "axis".
 
 pub mod admission;
-pub mod detect;
 pub mod effects;
 pub mod floor;
 pub mod frame;
-pub mod held_out;
+mod measurement;
 pub mod model;
 pub mod next;
-mod notes;
 pub mod parameters;
 pub mod polynomial;
-pub mod records;
+pub mod predictions;
+mod spread_trend;
 pub mod steadiness;
 pub mod system;
-pub mod verdict;
 pub mod verify;
 
+pub use crate::engine::lack_of_fit::LackOfFit;
 pub use crate::engine::spread::{Spread, SpreadLaw, spread_test};
 pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
 pub use model::{ModelError, ScalarModel, ScalarPrediction};
-pub use polynomial::{LackOfFit, Polynomial};
+pub use polynomial::Polynomial;
 pub use system::{ScalarEffect, ScalarSystem};
-pub use verify::{ScalarError, ScalarOptions, ScalarVerification, verify_scalar};
+pub use verify::{ScalarVerification, verify_scalar};

@@ -1,12 +1,12 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions at new readings.
 
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
-use super::held_out::{Fitted, predict};
 use super::parameters::Names;
-use super::polynomial::{LackOfFit, Polynomial};
-use super::records::relative_sd_at;
-use super::system::ScalarSystem;
+use super::polynomial::Polynomial;
+use super::predictions::{Fitted, predict};
+use super::system::{ScalarSystem, relative_sd_at};
 use crate::candidate::{System, Term};
+use crate::engine::lack_of_fit::LackOfFit;
 use crate::engine::search::Hypothesis;
 use crate::engine::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
@@ -309,7 +309,8 @@ impl ScalarModel {
         };
         let no_design =
             || ModelError::shape("coefficients", "a design of as many columns", "none at these rows");
-        let (values, half) = predict(&system, &fitted, &relative).ok_or_else(no_design)?;
+        let noise_sd: Vec<f64> = relative.iter().map(|r| self.variance.sqrt() * r).collect();
+        let (values, half) = predict(&system, &fitted, &noise_sd).ok_or_else(no_design)?;
         let [low, high] = self.stimulus_range;
         let slack = 1e-9 * (high - low);
         let mut out = vec![ScalarPrediction { value: f64::NAN, half95: f64::NAN, valid: false }; rows.len()];

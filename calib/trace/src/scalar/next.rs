@@ -1,9 +1,10 @@
 //! What would decide between survivors: the same session again, as often as it takes.
 
 use super::system::ScalarSystem;
-use super::verdict::{Conclusion, outliers};
 use crate::candidate::System;
 use crate::engine::rivalry;
+use crate::engine::search::Hypothesis;
+use crate::verify::MeasurementModel;
 use wcal_core::verify_document::NextMeasurement;
 
 /// More repetitions than this are not worth proposing.
@@ -12,16 +13,18 @@ const MOST_REPEATS: usize = 10;
 /// Repetitions after which the nearest rival falls behind the limit with 90 % probability: what the two fits predict differs by d noise
 /// standard deviations in norm, and grows with the root of the repetitions.
 #[must_use]
-pub fn next_measurement(system: &ScalarSystem, c: &Conclusion) -> Option<NextMeasurement> {
-    let best = &c.accepted;
-    let id = |h: &crate::engine::search::Hypothesis| -> Vec<String> {
-        h.effects(outliers(system)).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
+pub fn next_measurement(
+    system: &ScalarSystem,
+    best: &Hypothesis,
+    rivals: &[&Hypothesis],
+) -> Option<NextMeasurement> {
+    let id = |h: &Hypothesis| -> Vec<String> {
+        h.effects(system.outliers()).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
     };
     let sd = best.fit.variance().sqrt();
-    let nearest = c
-        .rivals
+    let nearest = rivals
         .iter()
-        .map(|h| ((&h.fit.residual - &best.fit.residual).norm() / sd, h))
+        .map(|h| ((&h.fit.residual - &best.fit.residual).norm() / sd, *h))
         .min_by(|a, b| a.0.total_cmp(&b.0))?;
     let (d, rival) = nearest;
     let power = |sessions: usize| rivalry::power(d * d * sessions as f64);

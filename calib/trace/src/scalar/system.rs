@@ -1,10 +1,14 @@
 //! A transducer or axis session as a system: stimulus -> effects on the stimulus -> declared model -> additive effects.
 
+use super::admission::number;
 use super::effects;
-use super::frame::{Declared, Frame};
+use super::frame::{Declared, Frame, ScalarRow};
+use super::parameters::Names;
 use crate::candidate::{Candidate, System, Term};
 use crate::engine::noise_parts::NoiseInputs;
+use crate::engine::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
@@ -24,6 +28,7 @@ pub trait ScalarEffect: Candidate {
 }
 
 /// A scalar session, its declared model and the catalogue.
+#[derive(Clone)]
 pub struct ScalarSystem {
     /// Rows and covariates.
     pub frame: Frame,
@@ -33,9 +38,20 @@ pub struct ScalarSystem {
     known: DMatrix<f64>,
     /// 1 / relative standard deviation of each reading, where the spread follows the stimulus.
     weights: Vec<f64>,
-    covariate_names: Vec<String>,
+    names: Names,
+    /// Every reading of the points table, those that the search leaves out among them.
+    points: Arc<Vec<ScalarRow>>,
+    sealed: Vec<bool>,
+    /// Trend of the spread, where one was found.
+    spread: Option<Spread>,
     /// The axis's known part enters with this far offset, see `design`.
     offset: f64,
+}
+
+/// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
+#[must_use]
+pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
+    law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
 }
 
 /// An axis is measured from a point this many times the largest error away.
@@ -57,7 +73,14 @@ impl ScalarSystem {
             measured: DMatrix::from_fn(n, 1, |i, _| frame.rows[i].y + offset),
             known: DMatrix::zeros(n, 1),
             weights: vec![1.0; n],
-            covariate_names: covariate_names.to_vec(),
+            names: Names {
+                stimulus: String::new(),
+                response: String::new(),
+                covariates: covariate_names.to_vec(),
+            },
+            points: Arc::new(frame.rows.clone()),
+            sealed: vec![false; n],
+            spread: None,
             frame,
             effects,
             catalogue,
@@ -65,10 +88,37 @@ impl ScalarSystem {
         }
     }
 
-    /// The same effects seen on other rows (sealed ones), far offset kept.
+    /// With the session's names, and every reading of its points table.
     #[must_use]
-    pub fn on(&self, frame: Frame) -> Self {
-        Self::new(frame, &self.covariate_names).with_offset(self.offset)
+    pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>) -> Self {
+        (self.names, self.points) = (names, Arc::new(points));
+        self
+    }
+
+    /// The same effects seen on every row of the session, unsealed ones behind the others; far offset and law of the spread kept.
+    #[must_use]
+    pub fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
+        let mut unsealed = unsealed.to_vec();
+        // They go on behind, unless the clock says otherwise.
+        number(&mut unsealed);
+        for row in &mut unsealed {
+            row.place = row.place.map(|p| p + self.points.len());
+        }
+        let origins: BTreeSet<_> = unsealed.iter().map(|r| r.origin.clone()).collect();
+        let rows = self.points.iter().cloned().chain(unsealed).collect();
+        let frame = Frame::new(rows, &self.frame.scaling, self.frame.declared);
+        let mut all = Self::new(frame, &self.names.covariates).with_offset(self.offset);
+        all.sealed = all.frame.rows.iter().map(|r| origins.contains(&r.origin)).collect();
+        all = all.of_session(self.names.clone(), self.points.to_vec());
+        match &self.spread {
+            Some(s) => {
+                let scale = s.law.scale(&self.frame);
+                let centre = scale.iter().sum::<f64>() / scale.len() as f64;
+                let relative_sd = relative_sd_at(&all.frame, s.law, s.exponent, centre);
+                all.with_spread(Spread { relative_sd, ..s.clone() })
+            }
+            None => all,
+        }
     }
 
     /// The same rows seen from another far point.
@@ -79,11 +129,44 @@ impl ScalarSystem {
         self
     }
 
-    /// The same rows whose noise has these relative standard deviations.
+    /// The same rows whose noise has this trend.
     #[must_use]
-    pub fn with_spread(mut self, relative_sd: &[f64]) -> Self {
-        self.weights = relative_sd.iter().map(|sd| 1.0 / sd).collect();
+    pub fn with_spread(mut self, spread: Spread) -> Self {
+        self.weights = spread.relative_sd.iter().map(|sd| 1.0 / sd).collect();
+        self.spread = Some(spread);
         self
+    }
+
+    /// The same rows with equal noise.
+    #[must_use]
+    pub fn without_spread(mut self) -> Self {
+        self.weights.fill(1.0);
+        self.spread = None;
+        self
+    }
+
+    /// Trend of the spread, where one was found.
+    #[must_use]
+    pub fn spread(&self) -> Option<&Spread> {
+        self.spread.as_ref()
+    }
+
+    /// By which names the session calls things.
+    #[must_use]
+    pub fn names(&self) -> &Names {
+        &self.names
+    }
+
+    /// Rows that were sealed.
+    #[must_use]
+    pub fn sealed_rows(&self) -> &[bool] {
+        &self.sealed
+    }
+
+    /// Readings of the points table.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.points.len()
     }
 
     /// What is added to every measured value inside the system (0 for transducers).
@@ -165,7 +248,7 @@ impl System for ScalarSystem {
         if let Some(direction) = &frame.direction {
             out.push(("direction".to_owned(), direction.clone()));
         }
-        for (k, name) in self.covariate_names.iter().enumerate() {
+        for (k, name) in self.names.covariates.iter().enumerate() {
             if frame.covariates.get(k).is_some_and(Option::is_some) {
                 out.push((name.clone(), frame.rows.iter().map(|r| r.covariates[k]).collect()));
             }

@@ -1,6 +1,10 @@
 //! What this data could have shown: the smallest size of every effect found with 90 % probability.
+//!
+//! ```text
+//! |P s| a / sigma >= sqrt(chi2_{d, 1 - level}) + z_0.9      s: signature for a unit amplitude, P: off nuisances and what is accepted
+//! ```
 
-use crate::candidate::System;
+use super::model::MeasurementModel;
 use crate::engine::fit::Fit;
 use crate::engine::gate::{CATALOGUE_LEVEL, Gate};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -9,63 +13,86 @@ use wcal_core::verify_document::Detectable;
 /// Normal quantile of 90 % power.
 const POWER_90: f64 = 1.281_551_565_545;
 
+/// Smallest size by one law.
+struct Smallest {
+    law: usize,
+    size: f64,
+    unit: String,
+    share_left: f64,
+}
+
 /// One row an effect. `gate` is the gate on `fit`.
 #[must_use]
-pub fn table(system: &dyn System, fit: &Fit, gate: &Gate) -> Vec<Detectable> {
+pub fn table<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate) -> Vec<Detectable> {
+    (0..model.catalogue().len()).map(|effect| row(model, fit, gate, effect)).collect()
+}
+
+fn row<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) -> Detectable {
+    let candidate = &model.catalogue()[effect];
+    let laws = candidate.laws();
+    let first = laws.first();
+    let unit = first.and_then(|l| l.parameters.first().map(|p| p.unit).or(l.linear.first().map(|c| c.1)));
+    let unit = unit.map_or_else(|| "readings".to_owned(), |u| model.physical(u, 1.0, 0).1);
+    let entry = |status: &str, smallest: Option<f64>, unit: String, why: String| Detectable {
+        id: candidate.id().to_owned(),
+        smallest,
+        unit,
+        status: status.to_owned(),
+        why,
+    };
+    if let Some(why) = model.not_observable(effect) {
+        return entry("not-observable", None, unit, model.worded(&why));
+    }
+    if laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
+        return if Some(effect) == model.outliers() {
+            let why = "single readings far outside the noise are flagged";
+            entry("testable", Some(1.0), "readings".into(), why.into())
+        } else {
+            let why = "tested by the trend of the squared residuals";
+            entry("testable", None, "1".into(), why.into())
+        };
+    }
+    if fit.terms.iter().any(|t| t.effect == effect) {
+        return entry("testable", None, unit, "part of the best explanation".into());
+    }
+    match smallest(model, fit, gate, effect) {
+        Some(s) => {
+            let law = model.law_name(laws[s.law].name);
+            let left = 100.0 * s.share_left;
+            let why = format!(
+                "law {law}; {left:.0} % of its signature is left beside {} and what is accepted",
+                model.nuisances()
+            );
+            entry("testable", Some(s.size), s.unit, why)
+        }
+        None => {
+            let why = format!(
+                "{} and what is accepted take up its whole signature: it cannot do harm here nor be named",
+                model.nuisances()
+            );
+            entry("absorbed", None, unit, why)
+        }
+    }
+}
+
+/// By the plainest law that this session can show, at the shape that it shows best.
+fn smallest<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) -> Option<Smallest> {
     let sd = fit.variance().sqrt();
     let critical = gate.family.critical(CATALOGUE_LEVEL);
-    system
-        .catalogue()
-        .iter()
-        .enumerate()
-        .map(|(e, candidate)| {
-            let laws = candidate.laws();
-            let unit = laws
-                .first()
-                .and_then(|l| l.parameters.first().map(|p| p.unit).or(l.linear.first().map(|c| c.1)))
-                .unwrap_or("readings")
-                .to_owned();
-            let row = |status: &str, smallest: Option<f64>, why: String| Detectable {
-                id: candidate.id().to_owned(),
-                smallest,
-                unit: unit.clone(),
-                status: status.to_owned(),
-                why,
+    let laws = model.catalogue()[effect].laws();
+    let atoms = gate.atoms.iter().filter(|a| a.term.effect == effect);
+    atoms
+        .filter_map(|a| {
+            let law = a.term.law;
+            let chi = ChiSquared::new(a.dimension() as f64).ok()?;
+            let needed = chi.inverse_cdf(1.0 - critical).sqrt() + POWER_90;
+            let (unit, probe) = match a.amplitudes.first() {
+                Some((slot, probe)) => (laws[law].parameters[*slot].unit, probe.abs()),
+                None => (laws[law].linear.first()?.1, 1.0),
             };
-            if let Some(why) = system.not_observable(e) {
-                return row("not-observable", None, why);
-            }
-            if laws[0].parameters.is_empty() && laws[0].linear.is_empty() {
-                return row("testable", Some(1.0), "single readings far outside the noise are flagged".into());
-            }
-            if fit.terms.iter().any(|t| t.effect == e) {
-                return row("testable", None, "part of the accepted model".into());
-            }
-            let best = gate
-                .atoms
-                .iter()
-                .filter(|a| a.term.effect == e && a.term.law == 0)
-                .filter_map(|a| {
-                    let needed = (ChiSquared::new(a.dimension() as f64).ok()?.inverse_cdf(1.0 - critical)).sqrt() + POWER_90;
-                    let probe = a.amplitudes.first().map_or(1.0, |x| x.1.abs());
-                    let size = a.projected.first()?.norm();
-                    (size > 0.0).then(|| (needed * sd * probe / size, a.share_left))
-                })
-                .min_by(|a, b| a.0.total_cmp(&b.0));
-            match best {
-                Some((smallest, share)) => {
-                    let why = format!(
-                        "{:.0} % of its signature is left once K, the zero and what is accepted have taken their part",
-                        100.0 * share
-                    );
-                    row("testable", Some(smallest), why)
-                }
-                None => row(
-                    "absorbed",
-                    None,
-                    "K and the zero take up its whole signature on these poses; it cannot do harm here nor be named".into(),
-                ),
-            }
+            let signature = a.projected.first()?.norm();
+            let (size, unit) = model.physical(unit, needed * sd * probe / signature, law);
+            (signature > 0.0).then_some(Smallest { law, size, unit, share_left: a.share_left })
         })
-        .collect()
+        .min_by(|a, b| a.law.cmp(&b.law).then(a.size.total_cmp(&b.size)))
 }

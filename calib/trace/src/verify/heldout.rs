@@ -1,92 +1,76 @@
-//! Stage 11: held-out errors with trajectory-bootstrap intervals.
+//! Stage 11: held-out errors with bootstrap intervals over whole groups.
 
+use super::model::{HeldOut, Quantity};
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use wcal_core::verify_document::HeldOutError;
 
-/// Residuals of one held-out reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HeldOut {
-    /// Group that is resampled whole.
-    pub group: u32,
-    /// Measured less predicted shifts, pm.
-    pub wavelength_pm: [f64; 2],
-    /// Moment from the wavelengths less moment from the pose, N mm.
-    pub moment_nmm: [f64; 2],
-    /// Standard deviation of that difference, N mm.
-    pub moment_sd_nmm: [f64; 2],
-}
+/// Bootstrap draws over whole groups.
+const DRAWS: usize = 1000;
 
-fn rms(values: impl Iterator<Item = f64>) -> f64 {
+/// Root mean square of quantity `q` over rows; NaN without any.
+#[must_use]
+pub fn rmse<'a>(rows: impl IntoIterator<Item = &'a HeldOut>, q: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for v in values {
-        sum += v * v;
+    for value in rows.into_iter().flat_map(|r| &r.errors[q]) {
+        sum += value * value;
         count += 1.0;
     }
     if count > 0.0 { f64::sqrt(sum / count) } else { f64::NAN }
 }
 
-fn wavelength(rows: &[&HeldOut]) -> f64 {
-    rms(rows.iter().flat_map(|r| r.wavelength_pm))
+/// Rows of each group; where there is one group only, each row is one, so that an interval has a width.
+fn groups(rows: &[HeldOut]) -> Vec<Vec<&HeldOut>> {
+    let mut by_group: BTreeMap<u32, Vec<&HeldOut>> = BTreeMap::new();
+    for r in rows {
+        by_group.entry(r.group).or_default().push(r);
+    }
+    if by_group.len() < 2 {
+        return rows.iter().map(|r| vec![r]).collect();
+    }
+    by_group.into_values().collect()
 }
-
-fn moment(rows: &[&HeldOut]) -> f64 {
-    rms(rows.iter().flat_map(|r| r.moment_nmm))
-}
-
-/// Error of the wavelengths of held-out readings, pm; NaN without any.
-#[must_use]
-pub fn wavelength_rmse_pm(rows: &[HeldOut]) -> f64 {
-    wavelength(&rows.iter().collect::<Vec<_>>())
-}
-
-/// Bootstrap draws over whole trajectories.
-const DRAWS: usize = 1000;
 
 /// Errors of `rows` with 95 % percentile intervals over resampled groups.
 #[must_use]
-pub fn summarise(rows: &[HeldOut], split: &str, seed: u64) -> Option<HeldOutError> {
+pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u64) -> Option<HeldOutError> {
     if rows.is_empty() {
         return None;
     }
-    let all: Vec<&HeldOut> = rows.iter().collect();
-    let mut groups: BTreeMap<u32, Vec<&HeldOut>> = BTreeMap::new();
-    for r in rows {
-        groups.entry(r.group).or_default().push(r);
-    }
-    let groups: Vec<Vec<&HeldOut>> = groups.into_values().collect();
+    let groups = groups(rows);
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let mut draws: [Vec<f64>; 2] = [Vec::with_capacity(DRAWS), Vec::with_capacity(DRAWS)];
+    let mut draws = vec![Vec::with_capacity(DRAWS); quantities.len()];
     for _ in 0..DRAWS {
         let sample: Vec<&HeldOut> =
             (0..groups.len()).flat_map(|_| groups[rng.random_range(0..groups.len())].clone()).collect();
-        draws[0].push(wavelength(&sample));
-        draws[1].push(moment(&sample));
+        for (q, draws) in draws.iter_mut().enumerate() {
+            draws.push(rmse(sample.iter().copied(), q));
+        }
     }
-    let interval = |d: &mut Vec<f64>| {
+    let interval = |mut d: Vec<f64>| {
         d.sort_by(f64::total_cmp);
-        [d[(0.025 * DRAWS as f64) as usize], d[(0.975 * DRAWS as f64) as usize - 1]]
+        [d[DRAWS / 40], d[DRAWS - 1 - DRAWS / 40]]
     };
-    let names = ["wavelength_rmse_pm", "moment_rmse_nmm"];
-    let [mut w, mut m] = draws;
+    let named = |q: &Quantity| q.key.to_owned();
+    let moments = quantities.iter().position(|q| q.key == "moment_rmse_nmm");
+    let of_component = |q: usize, c: usize| {
+        let one = |r: &HeldOut| HeldOut { errors: vec![vec![r.errors[q][c]]], ..r.clone() };
+        rmse(&rows.iter().map(one).collect::<Vec<_>>(), 0)
+    };
     Some(HeldOutError {
         split: split.to_owned(),
-        rmse: BTreeMap::from([(names[0].to_owned(), wavelength(&all)), (names[1].to_owned(), moment(&all))]),
-        moment_rmse_nmm_each: Some([0, 1].map(|c| rms(rows.iter().map(|r| r.moment_nmm[c])))),
-        interval95: BTreeMap::from([
-            (names[0].to_owned(), interval(&mut w)),
-            (names[1].to_owned(), interval(&mut m)),
-        ]),
+        rmse: quantities.iter().enumerate().map(|(q, k)| (named(k), rmse(rows, q))).collect(),
+        moment_rmse_nmm_each: moments.map(|q| [0, 1].map(|c| of_component(q, c))),
+        interval95: quantities.iter().zip(draws).map(|(k, d)| (named(k), interval(d))).collect(),
         points: rows.len(),
         loo: None,
     })
 }
 
-/// Share of moments inside their stated 95 % intervals.
+/// Share of values inside their stated 95 % intervals.
 #[must_use]
 pub fn coverage95(rows: &[HeldOut]) -> Option<f64> {
-    let inside = |r: &HeldOut, c: usize| r.moment_nmm[c].abs() <= 1.96 * r.moment_sd_nmm[c];
-    let count = rows.len() * 2;
-    let hits: usize = rows.iter().map(|r| (0..2).filter(|&c| inside(r, c)).count()).sum();
+    let count: usize = rows.iter().map(|r| r.inside95.len()).sum();
+    let hits = rows.iter().flat_map(|r| &r.inside95).filter(|inside| **inside).count();
     (count > 0).then(|| hits as f64 / count as f64)
 }

@@ -1,14 +1,12 @@
 //! Stage 11, the last word: do the unsealed readings agree with the accepted model within noise and parameter uncertainty?
 
-use super::predictions::Predicted;
-use crate::candidate::System;
+use super::model::MeasurementModel;
 use crate::engine::fit::{Weights, fit};
 use crate::engine::inference::covariance;
 use crate::engine::noise_parts::Noise;
 use crate::engine::search::Hypothesis;
 use crate::engine::tails::Tails;
-use crate::whisker::WhiskerSystem;
-use nalgebra::{DMatrix, DVector, RowVector2};
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
 /// Level of the check: far below the gate's, since a memory effect's curvature is only linearised here.
@@ -18,16 +16,18 @@ const SINGLE_LEVEL: f64 = 1e-3;
 /// More of them than this share are no single readings.
 const MAX_SHARE: f64 = 0.08;
 
-/// Held-out readings that no tails of the noise explain, as in the fit: single slips are no misfit.
+/// Measured less predicted at every reading of `whole`, in the engine's channels.
+fn residual<M: MeasurementModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
+    Some(whole.measured() - whole.design(&h.fit.terms)? * &h.fit.coefficients)
+}
+
+/// Unsealed readings that no tails of the noise explain, as in the fit: single slips are no misfit.
 #[must_use]
-pub fn flagged(whole: &WhiskerSystem, noise: &Noise, after: &[Predicted]) -> Vec<usize> {
-    let readings = &whole.path.readings;
-    let rows: Vec<usize> = (0..readings.len()).filter(|&i| readings[i].holdout).collect();
-    let (sd, factor) = (noise.reading_sd(&whole.noise_inputs()), whole.noise_factor());
-    let size = |i: usize| {
-        let off = |c: usize| (readings[i].shift_pm[c] - after[i].shift_pm[c]).abs() / (sd[i] * factor);
-        off(0).max(off(1))
-    };
+pub fn flagged<M: MeasurementModel>(whole: &M, h: &Hypothesis, noise: &Noise) -> Vec<usize> {
+    let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
+    let Some(left) = residual(whole, h).filter(|_| noise.repeat.value > 0.0) else { return Vec::new() };
+    let sd = noise.reading_sd(&whole.noise_inputs());
+    let size = |i: usize| left.row(i).amax() / sd[i];
     let tail = |x: f64| match noise.tails {
         Some(t) if t.heaviest.is_finite() => {
             let scaled = x * noise_scale(&t);
@@ -35,7 +35,7 @@ pub fn flagged(whole: &WhiskerSystem, noise: &Noise, after: &[Predicted]) -> Vec
         }
         _ => 2.0 * Normal::standard().sf(x),
     };
-    let level = SINGLE_LEVEL / (2 * rows.len().max(1)) as f64;
+    let level = SINGLE_LEVEL / (left.ncols() * rows.len().max(1)) as f64;
     let out: Vec<usize> = rows.iter().copied().filter(|&i| tail(size(i)) < level).collect();
     if out.len() as f64 > MAX_SHARE * rows.len() as f64 + 1.0 { Vec::new() } else { out }
 }
@@ -48,48 +48,47 @@ fn noise_scale(tails: &Tails) -> f64 {
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
 /// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
 #[must_use]
-pub fn holdout_p(
-    whole: &WhiskerSystem,
+pub fn holdout_p<M: MeasurementModel>(
+    whole: &M,
     accepted: &Hypothesis,
     noise: &Noise,
-    after: &[Predicted],
     left_out: &[usize],
 ) -> Option<f64> {
-    let readings = &whole.path.readings;
-    let rows: Vec<usize> =
-        (0..readings.len()).filter(|i| readings[*i].holdout && !left_out.contains(i)).collect();
-    if rows.is_empty() {
+    let n = whole.scored().len();
+    let rows: Vec<usize> = (0..n).filter(|i| whole.scored()[*i] && !left_out.contains(i)).collect();
+    if rows.is_empty() || !(noise.repeat.value > 0.0) {
         return None;
     }
     // Tangents at the fitted values on every reading; the coefficients of this call are not used.
-    let local = fit(whole, &accepted.fit.terms, &Weights::equal(readings.len()), 0)?;
-    let (q, m) = (local.design.ncols(), local.tangents.len());
+    let local = fit(whole, &accepted.fit.terms, &Weights::equal(n), 0)?;
+    let left = residual(whole, accepted)?;
+    let (q, m, channels) = (local.design.ncols(), local.tangents.len(), left.ncols());
     let spread = covariance(&accepted.fit, 1.0);
-    if spread.nrows() != 2 * q + m {
+    if spread.nrows() != channels * q + m {
         return None;
     }
-    let apart = whole.channels_pm().try_inverse()?;
-    let count = 2 * rows.len();
-    let mut jacobian = DMatrix::zeros(count, 2 * q + m);
-    let mut residual = DVector::zeros(count);
+    let count = channels * rows.len();
+    let mut jacobian = DMatrix::zeros(count, channels * q + m);
+    let mut off = DVector::zeros(count);
     for (k, &i) in rows.iter().enumerate() {
-        let left = RowVector2::from_fn(|_, c| readings[i].shift_pm[c] - after[i].shift_pm[c]) * &apart;
-        for c in 0..2 {
-            let row = 2 * k + c;
+        for c in 0..channels {
+            let row = channels * k + c;
             for j in 0..q {
                 jacobian[(row, c * q + j)] = local.design[(i, j)];
             }
             for (j, t) in local.tangents.iter().enumerate() {
-                jacobian[(row, 2 * q + j)] = t[(i, c)];
+                jacobian[(row, channels * q + j)] = t[(i, c)];
             }
-            residual[row] = left[c];
+            off[row] = left[(i, c)];
         }
     }
-    // Both channels share one law of the noise; rows stand channel by channel within a reading.
+    // All channels share one law of the noise; rows stand channel by channel within a reading.
     let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
-    let own = DMatrix::from_fn(count, count, |a, b| if a % 2 == b % 2 { own[(a / 2, b / 2)] } else { 0.0 });
+    let own = DMatrix::from_fn(count, count, |a, b| {
+        if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }
+    });
     let shape = own + &jacobian * spread * jacobian.transpose();
-    let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&residual)? / noise.repeat.value;
+    let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&off)? / noise.repeat.value;
     if let Some(tails) = noise.tails.filter(|t| t.heavy && t.heaviest.is_finite()) {
         // Each value as far out as a Gaussian would have it with the same chance.
         let (t, normal) = (StudentsT::new(0.0, 1.0, tails.heaviest).ok()?, Normal::standard());

@@ -1,23 +1,17 @@
-//! `wcal verify`: the stages in order, from the twin check to the unsealed holdout.
+//! `wcal verify`: one procedure, generic over the measurement model of a session, from the twin check to the unsealed holdout.
 
-pub mod between;
+pub mod conclusion;
 pub mod detect;
-pub mod floor;
+mod document;
 pub mod heldout;
 pub mod holdout_check;
-pub mod listings;
-mod map_left_out;
-pub mod next;
+pub mod model;
 pub mod noise_report;
-pub mod physical;
-pub mod predictions;
+pub mod options;
+pub mod procedure;
 pub mod rival;
-pub mod stream;
-pub mod twin_check;
-mod unseal;
-pub mod verdict;
-pub mod whisker;
+pub mod unseal;
 
-pub use physical::PhysicalModel;
-pub use stream::PhysicalStream;
-pub use whisker::{VerifyOptions, WhiskerVerification, verify_whisker};
+pub use model::{HeldOut, MeasurementModel};
+pub use options::VerifyOptions;
+pub use procedure::{Verification, verify};

@@ -3,11 +3,9 @@
 //! Rasmussen & Williams, "Gaussian Processes for Machine Learning" (2006), alg. 2.1 and eq. 5.8: Matern 5/2 over the standardised
 //! covariates, length and signal chosen by the evidence on the fitted readings. It names nothing; an explanation that it beats is missing something.
 
-use super::heldout::HeldOut;
-use super::predictions::{Predicted, of_reading};
+use super::model::{HeldOut, MeasurementModel};
 use crate::candidate::System;
-use crate::whisker::WhiskerSystem;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Vector2};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Lengths, in root of the number of covariates (standardised).
 const LENGTHS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
@@ -15,8 +13,8 @@ const LENGTHS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
 const SIGNALS: [f64; 5] = [0.1, 0.5, 2.0, 8.0, 32.0];
 
 /// Standardised covariates, readings x covariates; constant ones are left out.
-fn covariates(system: &WhiskerSystem) -> DMatrix<f64> {
-    let n = system.path.readings.len();
+fn covariates(system: &dyn System) -> DMatrix<f64> {
+    let n = system.measured().nrows();
     let columns: Vec<Vec<f64>> = system
         .covariates()
         .into_iter()
@@ -62,43 +60,32 @@ fn fitted(x: &DMatrix<f64>, y: &DVector<f64>) -> Option<Fitted> {
     best.map(|b| b.1)
 }
 
-/// Held-out residuals of the rival. `before` holds every reading of `whole` under the declared model with sensitivity `k`, pm/(N mm).
-#[must_use]
-pub fn rival(
-    whole: &WhiskerSystem,
-    before: &[Predicted],
-    k: &Matrix2<f64>,
-    left_out: &[usize],
-) -> Vec<HeldOut> {
-    let readings = &whole.path.readings;
-    let x = covariates(whole);
-    let (train, test): (Vec<usize>, Vec<usize>) = (0..readings.len()).partition(|&i| !readings[i].holdout);
-    let Some(inverse) = k.try_inverse().filter(|_| !test.is_empty()) else { return Vec::new() };
-    let seen = x.select_rows(&train);
-    let residual = |i: usize, c: usize| readings[i].shift_pm[c] - before[i].shift_pm[c];
-    // Channel by channel: what the process adds at each held-out reading, in the order of `test`.
-    let mut channels: Vec<Vec<f64>> = Vec::with_capacity(2);
-    for c in 0..2 {
-        let y = DVector::from_iterator(train.len(), train.iter().map(|&i| residual(i, c)));
-        let Some(f) = fitted(&seen, &y) else { return Vec::new() };
-        let at = |i: usize| -> f64 {
-            (0..train.len())
-                .map(|j| f.signal * matern((x.row(i) - seen.row(j)).norm() / f.length) * f.alpha[j])
-                .sum()
-        };
-        channels.push(test.iter().map(|&i| at(i)).collect());
+/// More readings than this are thinned for the rival: its cost grows with their cube.
+const MAX_FITTED: usize = 400;
+
+/// Errors of the rival on the unsealed readings; `before` holds every reading of `whole` under the declared model. Sealed readings have no part
+/// in it.
+pub fn rival<M: MeasurementModel>(whole: &M, before: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+    let sealed = whole.sealed();
+    let (all, n) = (covariates(whole), sealed.len());
+    let residual: Vec<Vec<f64>> = (0..n).map(|i| whole.errors(before, i).errors[0].clone()).collect();
+    let open: Vec<usize> = (0..n).filter(|&i| !sealed[i]).collect();
+    let train: Vec<usize> = open.iter().copied().step_by(open.len().div_ceil(MAX_FITTED).max(1)).collect();
+    let test: Vec<usize> = (0..n).filter(|&i| whole.scored()[i] && !left_out.contains(&i)).collect();
+    if test.is_empty() || train.len() < 3 {
+        return Vec::new();
     }
-    test.iter()
-        .enumerate()
-        .filter(|(_, i)| !left_out.contains(i))
-        .map(|(k, &i)| {
-            let added = [channels[0][k], channels[1][k]];
-            let corrected = [0, 1].map(|c| before[i].shift_pm[c] + added[c]);
-            let moment = inverse * Vector2::from(added);
-            let mut p = before[i];
-            p.shift_pm = corrected;
-            p.moment_nmm = [p.moment_nmm[0] - moment[0], p.moment_nmm[1] - moment[1]];
-            of_reading(readings[i].group, readings[i].shift_pm, &p)
-        })
-        .collect()
+    let seen = all.select_rows(&train);
+    let added = |c: usize| -> Option<Vec<f64>> {
+        let f = fitted(&seen, &DVector::from_iterator(train.len(), train.iter().map(|&i| residual[i][c])))?;
+        let kernel = |i: usize, j: usize| f.signal * matern((all.row(i) - seen.row(j)).norm() / f.length);
+        Some(test.iter().map(|&i| (0..train.len()).map(|j| kernel(i, j) * f.alpha[j]).sum()).collect())
+    };
+    let Some(channels) = (0..residual[0].len()).map(added).collect::<Option<Vec<_>>>() else {
+        return Vec::new();
+    };
+    let of = |(k, &i): (usize, &usize)| {
+        whole.corrected(before, i, &channels.iter().map(|c| c[k]).collect::<Vec<_>>())
+    };
+    test.iter().enumerate().map(of).collect()
 }

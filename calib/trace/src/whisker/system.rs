@@ -73,6 +73,9 @@ pub struct WhiskerSystem {
     measured: DMatrix<f64>,
     known: DMatrix<f64>,
     groups: Vec<u32>,
+    rows: Arc<Vec<WhiskerRow>>,
+    sealed: Vec<bool>,
+    scored: Vec<bool>,
     seatings: u32,
     walk: Option<Walk>,
     pm: Matrix2<f64>,
@@ -99,6 +102,10 @@ fn fluid_kg_m3(medium: &str) -> f64 {
     }
 }
 
+fn owned(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
+    Arc::new(rows.iter().map(|r| (*r).clone()).collect())
+}
+
 fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(2, 2, m.as_slice())
 }
@@ -113,7 +120,7 @@ impl WhiskerSystem {
         let walk = temperature_walk(&data.rows.iter().collect::<Vec<_>>(), &data.fbg);
         let path = Self::path(data, rows, walk);
         let bench = Bench::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
-        Ok(Self::assemble(data, path, walk, Arc::new(bench), Matrix2::identity()))
+        Ok(Self::assemble(data, path, owned(rows), walk, Arc::new(bench), Matrix2::identity()))
     }
 
     /// The same bench with other rows, none deeper than those that it was made for.
@@ -122,6 +129,7 @@ impl WhiskerSystem {
         Self::assemble(
             &self.data,
             Self::path(&self.data, rows, self.walk),
+            owned(rows),
             self.walk,
             self.bench.clone(),
             self.pm,
@@ -136,6 +144,7 @@ impl WhiskerSystem {
     fn assemble(
         data: &WhiskerData,
         path: WhiskerPath,
+        rows: Arc<Vec<WhiskerRow>>,
         walk: Option<Walk>,
         bench: Arc<Bench>,
         pm: Matrix2<f64>,
@@ -150,6 +159,10 @@ impl WhiskerSystem {
             pm,
             known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
+            // Unsealed rows stand behind those of the points table.
+            sealed: path.rows.iter().map(|row| *row >= data.rows.len()).collect(),
+            scored: path.readings.iter().map(|r| r.holdout).collect(),
+            rows,
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
             data: data.clone(),
             walk,
@@ -189,7 +202,7 @@ impl WhiskerSystem {
     #[must_use]
     pub fn apart(self, fit: &Fit) -> Self {
         let pm = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
-        Self::assemble(&self.data, self.path, self.walk, self.bench, pm)
+        Self::assemble(&self.data, self.path, self.rows, self.walk, self.bench, pm)
     }
 
     /// Mixture that gives the gratings' noise from noise that is alike and apart, pm; none where no reference noise is shared.
@@ -208,7 +221,7 @@ impl WhiskerSystem {
     /// The same readings in the channels of `other`.
     #[must_use]
     pub fn mixed_as(self, other: &Self) -> Self {
-        Self::assemble(&self.data, self.path, self.walk, self.bench, other.pm)
+        Self::assemble(&self.data, self.path, self.rows, self.walk, self.bench, other.pm)
     }
 
     /// How far apart two systems' mixtures of channels are: largest ratio of their shared noise.
@@ -234,6 +247,18 @@ impl WhiskerSystem {
     #[must_use]
     pub fn seatings(&self) -> u32 {
         self.seatings
+    }
+
+    /// The row of a reading.
+    #[must_use]
+    pub fn row(&self, reading: usize) -> &WhiskerRow {
+        &self.rows[self.path.rows[reading]]
+    }
+
+    /// Readings whose rows were sealed, and those of them that count in the held-out error.
+    #[must_use]
+    pub fn held_out(&self) -> [&[bool]; 2] {
+        [&self.sealed, &self.scored]
     }
 
     /// The effects with their hooks.
@@ -318,6 +343,6 @@ impl System for WhiskerSystem {
     }
 
     fn noise_inputs(&self) -> crate::engine::noise_parts::NoiseInputs {
-        crate::whisker_noise::noise_inputs(&self.data, &self.path)
+        super::noise::noise_inputs(&self.data, &self.path)
     }
 }

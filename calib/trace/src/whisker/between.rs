@@ -1,9 +1,9 @@
 //! Several seatings of one sensor: what differs between them beyond the zero.
 
+use super::system::WhiskerSystem;
 use crate::candidate::System;
 use crate::engine::fit::{Fit, linear};
 use crate::engine::null::f_test;
-use crate::whisker::WhiskerSystem;
 use nalgebra::DMatrix;
 
 /// Below this p-value the sensitivities of the seatings count as different.

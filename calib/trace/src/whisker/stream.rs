@@ -1,9 +1,9 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
 use super::physical::{PhysicalModel, VALID_SHARE, hidden};
+use super::system::{Memory, WhiskerEffect};
 use crate::candidate::Term;
 use crate::path::{Columns, Node, Reading, WhiskerPath};
-use crate::whisker::{Memory, WhiskerEffect};
 use nalgebra::Matrix2;
 use std::sync::Arc;
 use wcal_core::MomentAxes;
@@ -109,7 +109,7 @@ impl MomentStream for PhysicalStream {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::verify::physical::AcceptedEffect;
+    use crate::whisker::physical::AcceptedEffect;
     use wcal_core::{FbgSpec, Role, WhiskerRow};
 
     fn effect(id: &str, law: &str, values: &[f64]) -> AcceptedEffect {

@@ -1,11 +1,11 @@
 //! Stage 10: the measurement that would decide between surviving explanations.
 
+use super::system::WhiskerSystem;
 use crate::candidate::{System, Term};
 use crate::engine::fit::Fit;
 use crate::engine::linear::{Basis, in_channel, stack};
 use crate::engine::rivalry::power;
 use crate::engine::search::Hypothesis;
-use crate::whisker::WhiskerSystem;
 use nalgebra::DMatrix;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};

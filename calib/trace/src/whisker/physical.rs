@@ -1,12 +1,12 @@
 //! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
 
+use super::system::{WhiskerEffect, WhiskerSystem};
 use crate::candidate::{System, Term};
 use crate::engine::inference::covariance;
 use crate::engine::search::Hypothesis;
 use crate::path::WhiskerPath;
 use crate::scalar::ModelError;
 use crate::scalar::model::square;
-use crate::whisker::{WhiskerEffect, WhiskerSystem};
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

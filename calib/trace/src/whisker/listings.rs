@@ -1,13 +1,11 @@
 //! What `verify` lists reading by reading and pose by pose, for tables and report.
 
 use super::predictions::Predicted;
-use super::verdict::Conclusion;
+use super::system::WhiskerSystem;
 use crate::candidate::System;
 use crate::engine::inference::{cosine, explained};
 use crate::engine::search::{Found, Hypothesis};
-use crate::whisker::WhiskerSystem;
-use wcal_core::ResidualRecord;
-use wcal_core::observation::{Role, WhiskerRow};
+use wcal_core::observation::Role;
 
 /// A reading with both predictions, for predictions.csv.
 #[derive(Debug, Clone)]
@@ -32,67 +30,24 @@ pub type Branch = (u32, Vec<f64>, Vec<[f64; 2]>);
 /// Rows of predictions.csv in the order of the tables.
 pub(super) fn prediction_rows(
     whole: &WhiskerSystem,
-    rows: &[&WhiskerRow],
     before: &[Predicted],
     after: &[Predicted],
 ) -> Vec<PredictionRow> {
-    let mut out: Vec<(usize, PredictionRow)> = whole
-        .path
-        .rows
-        .iter()
-        .enumerate()
-        .map(|(i, &r)| {
-            let row = rows[r];
-            let compensated = row.compensated_pm(&whole.data.fbg);
-            let thermal_pm = [row.shift_pm[0] - compensated[0], row.shift_pm[1] - compensated[1]];
-            let prediction = PredictionRow {
-                source: row.source.clone(),
-                point: row.point,
-                role: row.role,
-                before: before[i],
-                after: after[i],
-                thermal_pm,
-            };
-            (r, prediction)
-        })
-        .collect();
-    out.sort_by_key(|(r, _)| *r);
-    out.into_iter().map(|(_, p)| p).collect()
-}
-
-/// Residual records of every reading and channel.
-pub(super) fn records(
-    whole: &WhiskerSystem,
-    rows: &[&WhiskerRow],
-    before: &[Predicted],
-    after: &[Predicted],
-    noise_sd_pm: f64,
-    conclusion: &Conclusion,
-) -> Vec<ResidualRecord> {
-    let covariates = whole.covariates();
-    let flagged: Vec<usize> = conclusion.flagged.clone();
-    let mut out = Vec::new();
-    for (i, &r) in whole.path.rows.iter().enumerate() {
-        let row = rows[r];
-        for c in 0..2 {
-            out.push(ResidualRecord {
-                source: row.source.clone(),
-                line: row.line,
-                point: row.point,
-                role: format!("{:?}", row.role).to_lowercase(),
-                group: whole.path.readings[i].group,
-                channel: format!("fbg_{}", c + 1),
-                unit: "pm".to_owned(),
-                measured: whole.path.readings[i].shift_pm[c],
-                predicted_before: before[i].shift_pm[c],
-                predicted_after: after[i].shift_pm[c],
-                noise_sd: noise_sd_pm,
-                rejected: flagged.contains(&r).then(|| "single reading far outside the noise".to_owned()),
-                covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
-            });
+    let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
+    order.sort_by_key(|&i| whole.path.rows[i]);
+    let of = |i: usize| {
+        let row = whole.row(i);
+        let compensated = row.compensated_pm(&whole.data.fbg);
+        PredictionRow {
+            source: row.source.clone(),
+            point: row.point,
+            role: row.role,
+            before: before[i],
+            after: after[i],
+            thermal_pm: [row.shift_pm[0] - compensated[0], row.shift_pm[1] - compensated[1]],
         }
-    }
-    out
+    };
+    order.into_iter().map(of).collect()
 }
 
 /// The rod's branch along each trajectory, as far as the readings reach.

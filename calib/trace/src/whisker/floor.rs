@@ -1,10 +1,10 @@
 //! Stage 1: the noise floor, what a loaded reading at a pose set anew can reach.
 
+use super::system::WhiskerSystem;
 use crate::candidate::System;
 use crate::engine::noise_parts::{Noise, NoiseInputs};
 use crate::engine::search::Hypothesis;
 use crate::path::Reading;
-use crate::whisker::WhiskerSystem;
 use std::collections::BTreeMap;
 
 /// Floor of the wavelengths.

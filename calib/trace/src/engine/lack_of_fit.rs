@@ -1,0 +1,68 @@
+//! Pure error from readings that agree in every setting, and the lack of fit of a model against it.
+//!
+//! ```text
+//! S_pure = sum over settings, sum over their readings of (r - mean)^2,   F = ((S - S_pure) / d) / (S_pure / d_pure)
+//! ```
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// Pure error from readings of one stimulus, and lack of fit against it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LackOfFit {
+    /// Standard deviation of readings of one stimulus.
+    pub pure_sd: f64,
+    /// Degrees of freedom of the pure error.
+    pub pure_dof: f64,
+    /// F of the rest of the misfit.
+    pub f: f64,
+    /// Its degrees of freedom.
+    pub dof: f64,
+    /// p-value.
+    pub p_value: f64,
+}
+
+/// Splits the misfit of a model with `parameters` free values. `keys` groups replicates; rows with weight 0 do not count.
+/// None where nothing was repeated, or nothing is left to test.
+#[must_use]
+pub fn lack_of_fit(residual: &[f64], keys: &[u64], weights: &[f64], parameters: usize) -> Option<LackOfFit> {
+    let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| weights[i] > 0.0).collect();
+    rows.sort_by_key(|&i| keys[i]);
+    let (mut pure, mut levels) = (0.0, 0usize);
+    for group in rows.chunk_by(|&a, &b| keys[a] == keys[b]) {
+        // Weighted mean of the unweighted residuals: the weighted residual of one stimulus has one weight.
+        let mean = group.iter().map(|&i| residual[i]).sum::<f64>() / group.len() as f64;
+        pure += group.iter().map(|&i| (residual[i] - mean).powi(2)).sum::<f64>();
+        levels += 1;
+    }
+    let pure_dof = (rows.len() - levels) as f64;
+    let dof = levels as f64 - parameters as f64;
+    if pure_dof < 1.0 || !(pure > 0.0) {
+        return None;
+    }
+    let total: f64 = rows.iter().map(|&i| residual[i].powi(2)).sum();
+    let pure_variance = pure / pure_dof;
+    let (f, p_value) = if dof >= 1.0 {
+        let f = ((total - pure).max(0.0) / dof) / pure_variance;
+        (f, FisherSnedecor::new(dof, pure_dof).map_or(1.0, |d| d.sf(f)))
+    } else {
+        (0.0, 1.0)
+    };
+    Some(LackOfFit { pure_sd: pure_variance.sqrt(), pure_dof, f, dof, p_value })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lack_of_fit_rises_when_a_level_is_moved() {
+        let keys: Vec<u64> = (0..12).map(|k| k / 3).collect();
+        let noise = [0.1, -0.1, 0.0];
+        let fair: Vec<f64> = (0..12).map(|k| noise[k % 3]).collect();
+        let moved: Vec<f64> = (0..12).map(|k| noise[k % 3] + if k / 3 == 1 { 1.0 } else { 0.0 }).collect();
+        let good = lack_of_fit(&fair, &keys, &[1.0; 12], 2).unwrap();
+        let bad = lack_of_fit(&moved, &keys, &[1.0; 12], 2).unwrap();
+        assert!(good.p_value > 0.5 && bad.p_value < 1e-4, "{good:?} {bad:?}");
+    }
+}

@@ -1,0 +1,260 @@
+//! Stages 8 and 9: the verdict from what the search found, in the order of FORMATS.md.
+
+use super::model::MeasurementModel;
+use crate::engine::fit::fit;
+use crate::engine::gate::Gate;
+use crate::engine::inference::in_class;
+use crate::engine::null::f_test;
+use crate::engine::search::{Found, Hypothesis};
+use crate::error::TraceError;
+use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
+
+/// Level of the lack-of-fit test against pure error.
+pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
+
+/// Conclusion in parts.
+#[derive(Debug, Clone)]
+pub struct Conclusion {
+    /// Verdict.
+    pub verdict: Verdict,
+    /// One plain sentence.
+    pub reason: String,
+    /// Effects of the accepted explanation.
+    pub effects: Vec<NamedEffect>,
+    /// Every surviving explanation, best first.
+    pub alternatives: Vec<Vec<String>>,
+    /// Surviving explanations that are not of the best one's class.
+    pub rivals: Vec<Hypothesis>,
+    /// What drives an unexplained rest.
+    pub unknown: Option<UnknownEffect>,
+    /// The explanation that predictions use.
+    pub accepted: Hypothesis,
+}
+
+impl Conclusion {
+    /// Nothing but rounding is left: structure in it means nothing.
+    #[must_use]
+    pub fn exact(base: &Hypothesis) -> Self {
+        Self {
+            verdict: Verdict::Adequate,
+            reason: "The declared model fits to the last digit.".to_owned(),
+            effects: Vec::new(),
+            alternatives: Vec::new(),
+            rivals: Vec::new(),
+            unknown: None,
+            accepted: base.clone(),
+        }
+    }
+
+    /// Takes the surviving explanation with exactly the effects `asked`.
+    ///
+    /// # Errors
+    /// Where no surviving explanation has these effects.
+    pub fn accept<M: MeasurementModel>(
+        &mut self,
+        model: &M,
+        found: &Found,
+        asked: &[String],
+    ) -> Result<(), TraceError> {
+        let mut wanted = asked.to_vec();
+        wanted.sort_unstable();
+        let same = |h: &&Hypothesis| {
+            let mut own = ids(model, h);
+            own.sort_unstable();
+            own == wanted
+        };
+        let Some(chosen) = found.survivors.iter().find(same) else {
+            let survivors: Vec<String> = self.alternatives.iter().map(|a| a.join(",")).collect();
+            return Err(TraceError::NotASurvivor {
+                asked: asked.join(","),
+                survivors: if survivors.is_empty() { "none".to_owned() } else { survivors.join("; ") },
+            });
+        };
+        self.effects = named(model, found, chosen, &[]);
+        self.accepted = chosen.clone();
+        self.reason = format!("Accepted by request: {}. {}", join(asked), self.reason);
+        Ok(())
+    }
+
+    /// The accepted effects make the unsealed readings worse: they are no explanation, and nothing of them stays accepted.
+    pub fn withdrawn(
+        &mut self,
+        base: &Hypothesis,
+        noise: Option<NamedEffect>,
+        errors: &str,
+        contradicted: bool,
+    ) {
+        let names: Vec<String> = self.effects.iter().map(|e| e.id.clone()).collect();
+        let found = format!(
+            "The fitted readings asked for {}, but with it the held-out error {errors}: it is not accepted.",
+            join(&names)
+        );
+        self.alternatives = noise.iter().map(|e| vec![e.id.clone()]).collect();
+        self.effects = noise.into_iter().collect();
+        self.rivals = Vec::new();
+        self.accepted = base.clone();
+        (self.verdict, self.reason) = if contradicted {
+            let left = "Something is left that nothing in the catalogue explains.";
+            (Verdict::UnknownEffect, format!("{found} {left}"))
+        } else if self.effects.is_empty() {
+            let enough = "The declared model and the noise explain the held-out readings.";
+            (Verdict::Adequate, format!("{enough} {found}"))
+        } else {
+            (Verdict::Effect, format!("{} {found}", self.effects[0].sentence))
+        };
+    }
+
+    /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
+    /// No driver is named: the fitted readings show none.
+    pub fn contradicted(&mut self, p: f64, on_request: bool) {
+        let claimed = match self.verdict {
+            Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
+            Verdict::Ambiguous => on_request,
+            _ => false,
+        };
+        if !claimed {
+            return;
+        }
+        self.verdict = Verdict::UnknownEffect;
+        self.reason = format!(
+            "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show. {}",
+            self.reason
+        );
+    }
+}
+
+/// Identifiers of an explanation's effects, flagged readings among them.
+pub fn ids<M: MeasurementModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id().to_owned()).collect()
+}
+
+/// "a", "a and b", "a, b and c".
+fn join(ids: &[String]) -> String {
+    match ids {
+        [] => "nothing".into(),
+        [one] => one.clone(),
+        [head @ .., last] => format!("{} and {last}", head.join(", ")),
+    }
+}
+
+/// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first gate's family.
+fn removal_p<M: MeasurementModel>(model: &M, found: &Found, h: &Hypothesis, effect: usize) -> f64 {
+    if Some(effect) == model.outliers() {
+        return h.flag_p;
+    }
+    let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
+    let Some(without) = fit(model, &terms, &h.weights, 15) else { return 1.0 };
+    let extra = (without.dof - h.fit.dof).max(1.0) as usize;
+    found.first_gate.family.adjusted(f_test(without.ssr - h.fit.ssr, without.ssr, without.dof, extra))
+}
+
+/// Names the effects of `h`; `class` comes from the survivors of its class.
+fn named<M: MeasurementModel>(
+    model: &M,
+    found: &Found,
+    h: &Hypothesis,
+    classmates: &[&Hypothesis],
+) -> Vec<NamedEffect> {
+    let own = h.effects(model.outliers());
+    let id = |e: usize| model.catalogue()[e].id().to_owned();
+    let class_of = |e: usize| {
+        let mut class = vec![id(e)];
+        for mate in classmates {
+            let theirs = mate.effects(model.outliers());
+            // The mate has other effects in place of some of ours: those replace this one if the rest is common.
+            let common = own.iter().filter(|x| theirs.contains(x)).count();
+            if !theirs.contains(&e) && common + 1 == own.len() {
+                let others: Vec<String> =
+                    theirs.iter().filter(|t| !own.contains(t)).map(|t| id(*t)).collect();
+                class.extend(others.into_iter().filter(|t| !class.contains(t)).collect::<Vec<_>>());
+            }
+        }
+        class
+    };
+    own.iter()
+        .map(|&e| NamedEffect {
+            id: id(e),
+            class: class_of(e),
+            p_value: removal_p(model, found, h, e),
+            parameters: model.parameters(h, e),
+            sentence: model.worded(model.catalogue()[e].sentence()),
+        })
+        .collect()
+}
+
+fn unknown(gate: &Gate) -> Option<UnknownEffect> {
+    let first = gate.drivers.first()?;
+    Some(UnknownEffect {
+        driver: first.driver.clone(),
+        shape: first.shape.to_owned(),
+        drivers_ranked: gate.drivers.iter().map(|d| d.driver.clone()).collect(),
+        period: first.period,
+    })
+}
+
+fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> String {
+    let names: Vec<String> = beyond.iter().map(|e| e.id.clone()).collect();
+    let beyond = if names.is_empty() { String::new() } else { format!(" beyond {}", join(&names)) };
+    let follows = unknown.map_or(String::new(), |u| format!("; it follows {} ({})", u.driver, u.shape));
+    format!("Something{beyond} is left that nothing in the catalogue explains{follows}.")
+}
+
+/// Applies the order of FORMATS.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
+#[must_use]
+pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFault]) -> Conclusion {
+    // What a generic driver explains better than the catalogue does is named after no effect.
+    let driver_wins = found.driver_beats_catalogue;
+    let something = !ids(model, &found.best).is_empty() && !driver_wins;
+    let same = in_class(model, found);
+    let part = |of_class: bool| -> Vec<&Hypothesis> {
+        let all = found.survivors.iter().zip(&same);
+        all.filter(|(_, s)| something && **s == of_class).map(|(h, _)| h).collect()
+    };
+    let noise = model.noise_effect();
+    let with_noise = |mut ids: Vec<String>| {
+        ids.extend(noise.as_ref().map(|e| e.id.clone()));
+        ids
+    };
+    let mut effects = if something { named(model, found, &found.best, &part(true)) } else { Vec::new() };
+    effects.extend(noise.clone());
+    let mut alternatives: Vec<Vec<String>> = if something {
+        found.survivors.iter().map(|h| with_noise(ids(model, h))).collect()
+    } else {
+        vec![with_noise(Vec::new())]
+    };
+    alternatives.retain(|a| !a.is_empty());
+    let mut c = Conclusion {
+        verdict: Verdict::Adequate,
+        reason: String::new(),
+        effects,
+        alternatives,
+        rivals: part(false).into_iter().cloned().collect(),
+        unknown: None,
+        accepted: if something { found.best.clone() } else { found.base.clone() },
+    };
+    let left = driver_wins || (found.last_gate.rejected() && !model.excuses(found));
+    let lack = model.lack_of_fit(&c.accepted).filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+    if !c.rivals.is_empty() {
+        c.verdict = Verdict::Ambiguous;
+        let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
+        c.reason = format!("The data ask for an effect but cannot decide between {}.", names.join("; "));
+    } else if left || lack.is_some() {
+        c.verdict = Verdict::UnknownEffect;
+        let gate = if something { &found.last_gate } else { &found.first_gate };
+        c.unknown = if left { unknown(gate) } else { lack.map(|(_, driver)| driver) };
+        c.reason = unknown_reason(c.unknown.as_ref(), &c.effects);
+    } else if !c.effects.is_empty() {
+        c.verdict = Verdict::Effect;
+        c.reason = c.effects.iter().map(|e| e.sentence.as_str()).collect::<Vec<_>>().join(" ");
+    } else if !faults.is_empty() {
+        c.verdict = Verdict::TwinFault;
+        let count: usize = faults.iter().map(|f| f.points.len()).sum();
+        c.reason = format!(
+            "{count} labels of the outside twin are faulty; with them repaired nothing else is found."
+        );
+    } else {
+        let p = found.first_gate.p_value();
+        c.reason = format!("Nothing beyond noise is left by the declared model (omnibus p = {p:.2}).");
+    }
+    c
+}

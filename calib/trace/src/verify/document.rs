@@ -1,0 +1,106 @@
+//! verify.json from what the stages found.
+
+use super::conclusion::{Conclusion, ids};
+use super::detect;
+use super::model::{FloorStatement, MeasurementModel};
+use super::noise_report::{noise_document, noise_sentences};
+use super::unseal::{Errors, Unsealed};
+use crate::engine::explain::Explained;
+use crate::engine::search::Hypothesis;
+use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
+
+/// The document; session, files and mark are the caller's.
+#[allow(clippy::too_many_arguments, reason = "one argument a stage, in their order")]
+pub fn document<M: MeasurementModel>(
+    model: &M,
+    whole: &M,
+    explained: &Explained,
+    conclusion: &Conclusion,
+    faults: &[TwinFault],
+    floor: &FloorStatement,
+    unsealed: &Unsealed<M::Predictions>,
+    errors: &Errors,
+    seed: u64,
+) -> VerifyDocument {
+    let found = &explained.found;
+    let noise = (!explained.exact).then(|| noise_document(&unsealed.noise, &model.unit()));
+    let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
+    let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
+        .then(|| model.next_measurement(&found.best, &rivals));
+    let gate = if ids(model, &conclusion.accepted) == ids(model, &found.best) {
+        &found.last_gate
+    } else {
+        &found.first_gate
+    };
+    let fit = if std::ptr::eq(gate, &found.last_gate) { &found.best.fit } else { &found.base.fit };
+    VerifyDocument {
+        effects: conclusion.effects.clone(),
+        alternatives: conclusion.alternatives.clone(),
+        unknown: conclusion.unknown.clone(),
+        twin: TwinCheck { faults: faults.to_vec() },
+        noise_floor: floor.floor.clone(),
+        flagged: flagged(model, whole, conclusion, unsealed),
+        before: errors.before.clone(),
+        after: errors.after.clone(),
+        coverage95: errors.coverage95,
+        next_measurement: next.flatten(),
+        detectable: detect::table(model, fit, gate),
+        notes: notes(model, explained, conclusion, floor, &noise, errors),
+        noise,
+        verdict: conclusion.verdict,
+        ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, errors), seed)
+    }
+}
+
+/// The verdict's reason, caveats and how the errors were found.
+fn reason<M: MeasurementModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
+    let caveat = model.caveat(&c.accepted).map_or_else(String::new, |text| format!(" {text}"));
+    format!("{}{caveat}{}{}", c.reason, floor.reason, model.worded(&errors.remark))
+}
+
+/// Readings that count in no fit or no held-out error.
+fn flagged<M: MeasurementModel>(
+    model: &M,
+    whole: &M,
+    conclusion: &Conclusion,
+    unsealed: &Unsealed<M::Predictions>,
+) -> Vec<FlaggedReading> {
+    let of = |m: &M, i: usize| {
+        let origin = m.origin(i);
+        FlaggedReading { source: origin.source, point: origin.point }
+    };
+    let fitted = conclusion.accepted.flagged.iter().map(|&i| of(model, i));
+    fitted.chain(unsealed.left_out.iter().map(|&i| of(whole, i))).collect()
+}
+
+fn notes<M: MeasurementModel>(
+    model: &M,
+    explained: &Explained,
+    conclusion: &Conclusion,
+    floor: &FloorStatement,
+    noise: &Option<wcal_core::verify_document::NoiseDocument>,
+    errors: &Errors,
+) -> Vec<String> {
+    let mut notes: Vec<String> = floor.note.iter().cloned().collect();
+    let points: Vec<String> =
+        conclusion.accepted.flagged.iter().map(|&i| model.origin(i).point.to_string()).collect();
+    if !points.is_empty() {
+        notes.push(format!(
+            "Readings marked and left out of the fit (kept in the table): points {}.",
+            points.join(", ")
+        ));
+    }
+    notes.extend(noise.iter().flat_map(noise_sentences));
+    notes.extend(model.notes(&explained.found, &conclusion.accepted));
+    let quantity = model.quantities()[0];
+    notes.extend(errors.further.iter().filter_map(|(name, e)| {
+        let value = e.rmse.get(quantity.key)?;
+        Some(
+            format!("Held-out error ({}), {name}: {value:.4} {}", quantity.key, quantity.unit)
+                .trim_end()
+                .to_owned()
+                + ".",
+        )
+    }));
+    notes
+}

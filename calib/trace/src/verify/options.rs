@@ -1,0 +1,23 @@
+//! Settings of `verify`.
+
+use crate::engine::search::Options;
+use wcal_core::Seal;
+
+/// Settings of `verify`.
+#[derive(Debug, Clone)]
+pub struct VerifyOptions {
+    /// Settings of the search.
+    pub search: Options,
+    /// Effects of a surviving explanation to be accepted; empty leaves the choice to the verdict.
+    pub accept: Vec<String>,
+    /// Permutations of the test of the spread.
+    pub permutations: usize,
+    /// What is known of the sealed files.
+    pub seal: Seal,
+}
+
+impl Default for VerifyOptions {
+    fn default() -> Self {
+        Self { search: Options::default(), accept: Vec::new(), permutations: 4999, seal: Seal::default() }
+    }
+}

@@ -650,3 +650,64 @@ fn a_step_goes_from_import_to_predict_and_a_file_is_not_fitted_and_held_out() {
     assert!(String::from_utf8_lossy(&run.stderr).contains("which is fitted"), "{run:?}");
     assert!(!place.path().join("s/unsealed.json").exists());
 }
+
+/// A calibration is judged on a later session: it holds where the instrument is the same and does not where its zero has moved.
+#[test]
+fn a_calibration_is_judged_on_readings_that_it_was_not_fitted_to() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    // Sums of twelve uniform numbers from a linear congruential generator: close to normal.
+    let mut state = 7_u64;
+    let mut normal = || {
+        (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+            })
+            .sum::<f64>()
+    };
+    for (name, moved) in [("first", 0.0), ("later", 0.0), ("moved", 0.05)] {
+        let rows: Vec<String> = (0..80)
+            .map(|k| {
+                let x = f64::from(k % 20) / 2.0;
+                format!("{x},{:.6}", 0.1 + 0.2 * x + moved + 0.01 * normal())
+            })
+            .collect();
+        fs::write(at("t.csv"), format!("stimulus,response\n{}\n", rows.join("\n"))).unwrap();
+        let import = ["import", &at("t.csv"), "--kind", "transducer", "--model", "linear", "--stimulus"];
+        let more = ["stimulus", "--response", "response", "--out", &at(name)];
+        assert!(wcal(&[&import[..], &more].concat()).status.success());
+    }
+    let run = wcal(&["verify", &at("first"), "--out", &at("v"), "--valid-days", "365"]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let read = |path: &str| -> Value { serde_json::from_slice(&fs::read(at(path)).unwrap()).unwrap() };
+    assert!(read("v/calibration.json")["expires"].as_str().unwrap().len() > 10);
+    let calibration = at("v/calibration.json");
+    for (session, holds) in [("later", true), ("moved", false)] {
+        let out = format!("by-{session}");
+        let run =
+            wcal(&["verify", &at(session), "--calibration", &calibration, "--out", &at(&out), "--json"]);
+        let verify: Value = serde_json::from_slice(&run.stdout)
+            .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)));
+        assert_eq!(verify["calibration"]["holds"], holds, "{}", verify["calibration"]);
+        let failed = place.path().join(&out).join("judged-calibration.json");
+        assert_eq!(failed.exists(), !holds);
+        if !holds {
+            assert_eq!(read("by-moved/judged-calibration.json")["verification"], "failed");
+            // It is refused where it is used.
+            let used = wcal(&[
+                "predict",
+                &at("t.csv"),
+                "--calibration",
+                failed.to_str().unwrap(),
+                "--out",
+                &at("p"),
+            ]);
+            assert_eq!(used.status.code(), Some(4), "{}", String::from_utf8_lossy(&used.stderr));
+        }
+    }
+    // Its own readings prove nothing.
+    let run = wcal(&["verify", &at("first"), "--calibration", &calibration, "--out", &at("own")]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("not in its fit"), "{run:?}");
+}

@@ -51,6 +51,7 @@ impl CalibrationModel {
 pub fn seal(
     session: &str,
     verification: VerificationStatus,
+    expires: Option<String>,
     model: CalibrationModel,
     provenance: Provenance,
     whisker: Option<&WhiskerSpec>,
@@ -59,7 +60,7 @@ pub fn seal(
         format: CALIBRATION_FORMAT.to_owned(),
         session: session.to_owned(),
         verification,
-        expires: None,
+        expires,
         // Through JSON once, so that the hash is that of what is written.
         model: serde_json::from_str(&serde_json::to_string(&model)?)?,
         provenance,

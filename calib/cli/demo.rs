@@ -1,7 +1,7 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::verify::{self, print_text, verify_session};
+use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::Context;
 use clap::Args;
 use std::path::PathBuf;
@@ -88,7 +88,11 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         // A demonstration starts afresh: its seal is that of the recording, not of an earlier run.
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
-        let report = verify_session(&session, &mut results, args.seed, &[])?;
+        let report = verify_session(
+            &session,
+            &mut results,
+            &VerifyOrder { seed: args.seed, ..VerifyOrder::default() },
+        )?;
         results.finish()?;
         print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));

@@ -125,6 +125,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     let calibration = seal(
         &session.id,
         VerificationStatus::Unverified,
+        None,
         CalibrationModel::Map(fit.artefact),
         provenance(&session, args.seed),
         Some(&data.whisker),

@@ -8,6 +8,7 @@ mod evaluate;
 mod explain;
 mod fit_gpr;
 mod fit_whisker;
+mod given_calibration;
 mod import;
 mod init;
 mod labels;

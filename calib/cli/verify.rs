@@ -1,17 +1,18 @@
 //! `wcal verify`: the residual loop on a session.
 
-use crate::artefact::{CalibrationModel, provenance, read_calibration, seal};
+use crate::artefact::{CalibrationModel, provenance, seal};
+use crate::given_calibration::GivenCalibration;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table, word};
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_core::verify_document::{Verdict, VerifyDocument};
+use wcal_core::verify_document::{CalibrationJudgement, Verdict, VerifyDocument};
 use wcal_core::{
     Provenance, Purpose, ResidualRecord, Seal, SessionData, Unsealing, VerificationStatus, WhiskerData,
 };
@@ -47,9 +48,12 @@ pub struct VerifyArgs {
     /// Accept this explanation (effects separated by commas) although the data leave others open too
     #[arg(long, value_name = "ID", value_delimiter = ',')]
     pub accept: Vec<String>,
-    /// A calibration to judge: refused where the holdout was in its fit
+    /// A calibration to judge on readings that were not in its fit: the holdout, or the whole session where it is another one. Where it does not hold, a copy with status "failed" is written as judged-calibration.json
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Days for which the calibration written is valid (`expires`); `predict` and `track` refuse it afterwards
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
+    pub valid_days: Option<u32>,
     /// Folder for verify.json, predictions.csv, report.html and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
@@ -69,7 +73,7 @@ pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
     says: "wcal-verify/",
-    files: &["predictions.csv", "report.html", "calibration.json"],
+    files: &["predictions.csv", "report.html", "calibration.json", "judged-calibration.json"],
     kept: &["unsealed.json"],
     resumes: false,
 };
@@ -96,12 +100,11 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
     }
-    if let Some(path) = &args.calibration {
-        refuse_seen_holdout(path, &session)?;
-    }
+    let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
     let progress = crate::progress::Progress::new(&format!("verify {}", session.id));
     progress.hear_search();
-    let done = verify_session(&session, &mut out, args.seed, &args.accept)?;
+    let order = VerifyOrder { seed: args.seed, accept: &args.accept, given, valid_days: args.valid_days };
+    let done = verify_session(&session, &mut out, &order)?;
     out.finish()?;
     drop(progress);
     if args.json {
@@ -151,15 +154,31 @@ struct Outcome {
     model: Option<CalibrationModel>,
     /// Record of the unsealing; none where nothing was unsealed.
     unsealing: Option<Unsealing>,
+    /// How the given calibration does.
+    judged: Option<CalibrationJudgement>,
+}
+
+/// What is asked of the loop beside the session.
+#[derive(Default)]
+pub struct VerifyOrder<'a> {
+    /// Seed of every random draw.
+    pub seed: u64,
+    /// Effects to be accepted; none leaves the choice to the verdict.
+    pub accept: &'a [String],
+    /// A calibration to be judged.
+    pub given: Option<GivenCalibration>,
+    /// Days for which a calibration is valid.
+    pub valid_days: Option<u32>,
 }
 
 /// Runs the loop and gathers every result; shared with `demo`.
 pub fn verify_session(
     session: &LoadedSession,
     out: &mut OutputFolder<'_>,
-    seed: u64,
-    accept: &[String],
+    order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
+    let VerifyOrder { seed, accept, given, valid_days } = order;
+    let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
     let options = VerifyOptions {
@@ -168,13 +187,19 @@ pub fn verify_session(
         seal: record.seal(session, &provenance),
         ..VerifyOptions::default()
     };
-    let Outcome { mut report, predictions, model, unsealing } = match &session.data {
-        SessionData::Whisker(data) => of_whisker_session(session, data, &options, provenance.clone())?,
-        SessionData::Transducer(data) => {
-            of_scalar_session(session, ScalarData::Transducer(data), &options, provenance.clone())?
+    let Outcome { mut report, predictions, model, unsealing, judged } = match &session.data {
+        SessionData::Whisker(data) => {
+            of_whisker_session(session, data, &options, given.as_ref(), provenance.clone())?
         }
+        SessionData::Transducer(data) => of_scalar_session(
+            session,
+            ScalarData::Transducer(data),
+            &options,
+            given.as_ref(),
+            provenance.clone(),
+        )?,
         SessionData::Axis(data) => {
-            of_scalar_session(session, ScalarData::Axis(data), &options, provenance.clone())?
+            of_scalar_session(session, ScalarData::Axis(data), &options, given.as_ref(), provenance.clone())?
         }
     };
     if let Some(unsealing) = &unsealing {
@@ -196,8 +221,15 @@ pub fn verify_session(
             SessionData::Whisker(data) => Some(&data.whisker),
             _ => None,
         };
-        let file = seal(&session.id, VerificationStatus::Verified, model, provenance, whisker)?;
+        let status = VerificationStatus::Verified;
+        let file = seal(&session.id, status, valid_until(*valid_days)?, model, provenance, whisker)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
+    }
+    if let (Some(given), Some(judged)) = (given, judged) {
+        if !judged.holds {
+            out.put("judged-calibration.json", serde_json::to_vec_pretty(&given.failed()?)?);
+        }
+        report.verify.calibration = Some(judged);
     }
     out.put("verify.json", serde_json::to_vec_pretty(&report.verify)?);
     out.put("report.html", wcal_report::render(&report));
@@ -208,6 +240,7 @@ fn of_whisker_session(
     session: &LoadedSession,
     data: &WhiskerData,
     options: &VerifyOptions,
+    given: Option<&GivenCalibration>,
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
     Ok(match verify_whisker(&session.id, data, &session.inputs, options)? {
@@ -216,9 +249,11 @@ fn of_whisker_session(
             predictions: None,
             model: None,
             unsealing: None,
+            judged: None,
         },
         Verified::Done(done) => Outcome {
             unsealing: done.unsealing.clone(),
+            judged: given.map(|g| g.on_whisker(&done.whole, options.search.seed)).transpose()?,
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
             report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
@@ -230,12 +265,17 @@ fn of_scalar_session(
     session: &LoadedSession,
     data: ScalarData<'_>,
     options: &VerifyOptions,
+    given: Option<&GivenCalibration>,
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
     let done = verify_scalar(&session.id, data, options)?;
     Ok(Outcome {
         predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
         unsealing: done.unsealing.clone(),
+        judged: match (given, &done.whole) {
+            (Some(g), Some(whole)) => Some(g.on_scalar(whole, options.search.seed)?),
+            _ => None,
+        },
         model: done.model.clone().map(CalibrationModel::Scalar),
         report: of_scalar(session, data, &done, provenance),
     })
@@ -333,21 +373,11 @@ impl UnsealRecord {
     }
 }
 
-/// A holdout whose file was fitted for the calibration proves nothing.
-fn refuse_seen_holdout(path: &Path, session: &LoadedSession) -> anyhow::Result<()> {
-    let file = read_calibration(path)?;
-    let fitted = || file.provenance.inputs.iter().filter(|i| i.purpose != Purpose::Holdout);
-    for sealed in session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout) {
-        if let Some(same) = fitted().find(|i| i.sha256 == sealed.sha256) {
-            bail!(
-                "{}: expected a holdout that was not in the fit, found {} among the inputs of {}",
-                sealed.path,
-                same.path,
-                path.display()
-            );
-        }
-    }
-    Ok(())
+/// Last moment of validity, RFC 3339.
+fn valid_until(days: Option<u32>) -> anyhow::Result<Option<String>> {
+    let Some(days) = days else { return Ok(None) };
+    let hours = jiff::Span::new().try_hours(24 * i64::from(days))?;
+    Ok(Some(jiff::Timestamp::now().checked_add(hours)?.to_string()))
 }
 
 fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
@@ -453,6 +483,13 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         if let Some(floor) = floor {
             println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
+    }
+    for sentence in &v.identifiability {
+        println!("  {sentence}");
+    }
+    if let Some(c) = &v.calibration {
+        let verdict = if c.holds { "holds" } else { "does NOT hold" };
+        println!("  {} {verdict} on {} readings: {}", c.path, c.error.points, c.why);
     }
     if let Some(n) = &v.next_measurement {
         println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);

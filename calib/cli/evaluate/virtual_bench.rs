@@ -8,7 +8,7 @@ use crate::fit_gpr::training_set;
 use crate::labels::{LabelSource, moment_labels};
 use crate::output::OutputFolder;
 use crate::predict::{moments_of_map, moments_of_model};
-use crate::verify::{self, verify_session};
+use crate::verify::{self, VerifyOrder, verify_session};
 use anyhow::{Context, bail};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -105,7 +105,7 @@ impl VirtualBench {
         };
         let maps = Candidate::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
         let mut out = OutputFolder::open(&verify::RESULT, &folder.join("verify"), false)?;
-        let report = verify_session(&session, &mut out, seed, &[])?;
+        let report = verify_session(&session, &mut out, &VerifyOrder { seed, ..VerifyOrder::default() })?;
         out.finish()?;
         let calibration = folder.join("verify/calibration.json");
         let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };

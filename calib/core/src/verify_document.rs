@@ -202,6 +202,40 @@ pub struct MapLeftOut {
     pub chosen: Option<Box<MapLeftOut>>,
 }
 
+/// What is lost without one accepted effect, the others refitted.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct EffectLeftOut {
+    /// Effect.
+    pub id: String,
+    /// Root mean square of what the fit leaves, over that with the effect.
+    pub misfit_ratio: f64,
+    /// Chance of that gain without the effect, adjusted for the whole catalogue.
+    pub p_value: f64,
+    /// Held-out error with it, in the unit of the first error of `after`; absent without a holdout.
+    pub held_out: Option<f64>,
+    /// Held-out error without it.
+    pub held_out_without: Option<f64>,
+}
+
+/// How an existing calibration does on readings that were not in its fit.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CalibrationJudgement {
+    /// File.
+    pub path: String,
+    /// Hash of its content.
+    pub content_sha256: String,
+    /// Errors.
+    pub error: HeldOutError,
+    /// Share of its stated 95 % intervals that hold their value.
+    pub coverage95: f64,
+    /// Error in stated standard deviations, root mean square.
+    pub ratio: Option<f64>,
+    /// Whether it holds.
+    pub holds: bool,
+    /// In words.
+    pub why: String,
+}
+
 /// A pose of the next measurement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NextPose {
@@ -295,6 +329,15 @@ pub struct VerifyDocument {
     /// Remarks: what was absent, what was marked and kept.
     #[serde(default)]
     pub notes: Vec<String>,
+    /// What each accepted effect is worth.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub leave_one_effect_out: Vec<EffectLeftOut>,
+    /// Which fitted values the data determine only together, in sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub identifiability: Vec<String>,
+    /// How a given calibration does on readings that were not in its fit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationJudgement>,
 }
 
 impl VerifyDocument {
@@ -328,6 +371,9 @@ impl VerifyDocument {
             seed,
             inputs: Vec::new(),
             notes: Vec::new(),
+            leave_one_effect_out: Vec::new(),
+            identifiability: Vec::new(),
+            calibration: None,
         }
     }
 }

@@ -160,6 +160,9 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         seed: 1,
         inputs: vec![],
         notes: vec![],
+        leave_one_effect_out: vec![],
+        identifiability: vec![],
+        calibration: None,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{absent, joined, residuals};
 use crate::input::ReportInput;
-use crate::markup::{Cell, Table, escape, paragraph};
+use crate::markup::{Cell, Table, escape, list, paragraph};
 use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
 use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 
@@ -19,6 +19,11 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     if verify.effects.is_empty() {
         out += &absent("No effect of the catalogue was added to the declared model.");
+    }
+    out += &left_out(input);
+    if !verify.identifiability.is_empty() {
+        let title = "What the data determine only together";
+        out += &format!("<div class=\"card\"><h5>{title}</h5>{}</div>", list(&verify.identifiability));
     }
     out += &ambiguity(input);
     if let Some(unknown) = &verify.unknown {
@@ -81,6 +86,25 @@ fn one_effect(effect: &NamedEffect) -> String {
 /// `= 0.02` or `< 0.0001`, ready for HTML.
 fn with_sign(p: &str) -> String {
     if p.starts_with('<') { escape(p) } else { format!("= {}", escape(p)) }
+}
+
+/// What each accepted effect is worth.
+fn left_out(input: &ReportInput) -> String {
+    let mut table = Table::new(
+        "Each effect left out, the others refitted",
+        &["effect", "#misfit grows by", "#p", "#held-out error with", "#without"],
+    );
+    for e in &input.verify.leave_one_effect_out {
+        let error = |e: Option<f64>| Cell::Number(e.map_or_else(|| "-".to_owned(), number));
+        table.row(vec![
+            Cell::Text(e.id.clone()),
+            Cell::Number(format!("{} times", number(e.misfit_ratio))),
+            Cell::Number(p_value(e.p_value)),
+            error(e.held_out),
+            error(e.held_out_without),
+        ]);
+    }
+    if table.is_empty() { String::new() } else { table.html() }
 }
 
 fn ambiguity(input: &ReportInput) -> String {

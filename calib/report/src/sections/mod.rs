@@ -1,6 +1,7 @@
 //! The sections of a session's page, in reading order.
 
 pub(crate) mod before_after;
+mod calibration;
 mod evidence;
 mod found;
 mod map;
@@ -31,6 +32,13 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         Section { id: "before-after", title: "Before and after", body: before_after::body(input) },
         Section { id: "found", title: "What was found", body: found::body(input) },
     ];
+    if let Some(judged) = &input.verify.calibration {
+        sections.push(Section {
+            id: "calibration",
+            title: "The given calibration",
+            body: calibration::body(judged),
+        });
+    }
     // Only labels of an outside twin can be checked; without any, the rod's own branches are shown.
     if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
         let title = if twin::has_labels(input) { "Twin check" } else { "The rod along each trajectory" };

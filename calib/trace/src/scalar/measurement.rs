@@ -90,6 +90,10 @@ impl MeasurementModel for ScalarSystem {
         "the declared model"
     }
 
+    fn nuisance(&self, column: usize) -> String {
+        if self.axis() { "constant".to_owned() } else { format!("b{column}") }
+    }
+
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
         explain_with_spread(self, options)
     }

@@ -4,6 +4,7 @@ pub mod admission;
 pub mod effects;
 pub mod floor;
 pub mod frame;
+pub mod judgement;
 mod measurement;
 pub mod model;
 pub mod next;

@@ -19,7 +19,6 @@ use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::VerifyDocument;
 
 /// Everything that a scalar session's verification found.
-#[derive(Debug, Clone)]
 pub struct ScalarVerification {
     /// `verify.json`; `inputs` is left for the caller.
     pub document: VerifyDocument,
@@ -45,6 +44,8 @@ pub struct ScalarVerification {
     pub evidence: Vec<Evidence>,
     /// The gate's families (catalogue, generic, serial) on the declared and on the best model; none where the data were refused.
     pub gates: Option<[[f64; 3]; 2]>,
+    /// Every reading of the session, unsealed ones among them; none where the data were refused.
+    pub whole: Option<ScalarSystem>,
     /// Record of the unsealing; none where nothing was sealed.
     pub unsealing: Option<Unsealing>,
 }
@@ -82,6 +83,7 @@ fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarV
         residual_sd: [f64::NAN; 2],
         evidence: Vec::new(),
         gates: None,
+        whole: None,
         unsealing: None,
     }
 }
@@ -151,6 +153,7 @@ fn with_coefficients(
         residual_sd: [found.base.fit.variance().sqrt(), accepted.fit.variance().sqrt()],
         gates: Some([found.first_gate.families(), found.last_gate.families()]),
         evidence: found.evidence,
+        whole: Some(v.whole),
         unsealing: v.unsealing,
     }
 }

@@ -2,6 +2,7 @@
 
 use super::conclusion::{Conclusion, ids};
 use super::detect;
+use super::identifiability;
 use super::model::{FloorStatement, MeasurementModel};
 use super::noise_report::{noise_document, noise_sentences};
 use super::unseal::{Errors, Unsealed};
@@ -46,6 +47,15 @@ pub fn document<M: MeasurementModel>(
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, gate),
         notes: notes(model, explained, conclusion, floor, &noise, errors),
+        leave_one_effect_out: identifiability::left_out(
+            model,
+            whole,
+            found,
+            &conclusion.accepted,
+            &unsealed.noise,
+            &unsealed.left_out,
+        ),
+        identifiability: identifiability::sentences(model, &conclusion.accepted),
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, errors), seed)

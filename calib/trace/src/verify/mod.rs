@@ -5,6 +5,8 @@ pub mod detect;
 mod document;
 pub mod heldout;
 pub mod holdout_check;
+pub mod identifiability;
+pub mod judgement;
 pub mod model;
 pub mod noise_report;
 pub mod options;

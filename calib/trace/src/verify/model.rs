@@ -111,6 +111,8 @@ pub trait MeasurementModel: System + Sized {
     }
     /// What takes up a signature of which nothing is left.
     fn nuisances(&self) -> &'static str;
+    /// Name of a coefficient of the declared model.
+    fn nuisance(&self, column: usize) -> String;
 
     /// Stage 0: faults of an outside twin.
     fn twin_faults(&self) -> Vec<TwinFault> {

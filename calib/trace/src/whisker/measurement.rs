@@ -65,6 +65,14 @@ impl MeasurementModel for WhiskerSystem {
         "K, the zero"
     }
 
+    fn nuisance(&self, column: usize) -> String {
+        match column {
+            0 => "zero".to_owned(),
+            1 | 2 => format!("K_{column}"),
+            later => format!("zero of seating {}", later - 1),
+        }
+    }
+
     fn twin_faults(&self) -> Vec<TwinFault> {
         check_labels(&self.data, &self.path, &self.bench).faults
     }

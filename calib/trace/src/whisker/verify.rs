@@ -32,6 +32,8 @@ pub struct WhiskerVerification {
     pub branches: Vec<Branch>,
     /// Names and matrix of cosines between explanations of one effect.
     pub isolability: (Vec<String>, Vec<Vec<f64>>),
+    /// Every reading of the session, unsealed ones among them.
+    pub whole: WhiskerSystem,
     /// Record of the unsealing; none where nothing was sealed.
     pub unsealing: Option<Unsealing>,
 }
@@ -126,5 +128,6 @@ pub fn verify_whisker(
         isolability: isolability(&system, &explained.found),
         found: explained.found,
         unsealing: v.unsealing,
+        whole,
     })))
 }

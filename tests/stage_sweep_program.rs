@@ -321,6 +321,32 @@ fn a_dry_run_draws_the_path_and_checks_the_limits() {
 }
 
 #[test]
+fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
+    let check = |more: &[&str]| -> Value {
+        let run = wcal().arg("plan-check").args(more).arg("--json").output().expect("wcal runs");
+        assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+        document(&run)
+    };
+    let path = |name: &str| repository(name).display().to_string();
+    let poor = check(&[&path("rigs/plans/paper-27.toml"), "--rig", &path("rigs/virtual")]);
+    let of = |found: &Value, id: &str| {
+        let all = found["effects"].as_array().expect("effects").clone();
+        all.into_iter().find(|e| e["id"] == id).unwrap_or_default()
+    };
+    // Nothing moves while it is read, so no lag can show; readings while passing would show it.
+    assert_eq!(of(&poor, "time-lag")["status"], "not-observable");
+    let additions = poor["additions"].as_array().expect("additions");
+    let passing = additions.iter().find(|a| a["what"].as_str().is_some_and(|w| w.contains("passing")));
+    assert!(passing.is_some_and(|a| a["testable"].to_string().contains("time-lag")), "{additions:?}");
+    // A reversal is never made: backlash is an offset like a periodic error's.
+    assert!(of(&poor, "stage-backlash")["never_apart"].to_string().contains("stage-periodic"), "{poor}");
+    // Negative control: a plan with both directions, speeds and dwells.
+    let rich = check(&[&path("fixtures/practice/case-004")]);
+    assert_eq!(of(&rich, "time-lag")["status"], "testable");
+    assert_eq!(of(&rich, "stage-backlash")["never_apart"], Value::Array(Vec::new()));
+}
+
+#[test]
 fn the_templates_are_a_rig_and_a_plan_that_fit() {
     let folder = tempfile::tempdir().expect("temporary folder");
     for kind in ["rig", "plan"] {

@@ -14,6 +14,7 @@ mod init;
 mod labels;
 mod output;
 mod picture_output;
+mod plan_check;
 mod predict;
 mod progress;
 mod reduce;
@@ -75,6 +76,8 @@ enum Command {
     Track(track::TrackArgs),
     /// Score a trained tracker beside the baselines
     Evaluate(evaluate::EvaluateArgs),
+    /// Which effects a plan can tell apart, before anything is measured
+    PlanCheck(plan_check::PlanCheckArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),
     /// Rebuild the tables of a recorded session from its raw streams
@@ -115,6 +118,7 @@ fn main() -> ExitCode {
         Command::Train(args) => train::run(args),
         Command::Track(args) => track::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::PlanCheck(args) => plan_check::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),

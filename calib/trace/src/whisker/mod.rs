@@ -9,6 +9,7 @@ mod measurement;
 pub mod next;
 mod noise;
 pub mod physical;
+pub mod plan_check;
 pub mod predictions;
 pub mod stream;
 pub mod system;

@@ -1,0 +1,177 @@
+//! `wcal plan-check`: which effects a plan can tell apart, before anything is measured.
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use wcal_core::{SessionData, WhiskerData};
+use wcal_drivers::record::plan_only;
+use wcal_session::load;
+use wcal_session::recording::plan::{Plan, Pose, Step};
+use wcal_session::recording::rig::Rig;
+use wcal_trace::whisker::plan_check::{PlanCheck, PlannedEffect, plan_check};
+
+/// Arguments of `wcal plan-check`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal plan-check rigs/plans/paper-27.toml --rig rigs/virtual
+  wcal plan-check fixtures/whiskerfbg
+
+Needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never apart here cannot be told apart by any number of repetitions. Exit code 3: some effects are never apart, absorbed or not observable.")]
+pub struct PlanCheckArgs {
+    /// Plan file, or a session folder whose poses are the plan
+    pub plan: PathBuf,
+    /// Rig: rig.toml or the folder that holds it (with a plan file)
+    #[arg(long, value_name = "RIG")]
+    pub rig: Option<PathBuf>,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command: 0, or 3 where some effects cannot be seen or told apart.
+///
+/// # Errors
+/// Where plan, rig or session cannot be used.
+pub fn run(args: &PlanCheckArgs) -> Result<ExitCode> {
+    let progress = crate::progress::Progress::new("plan-check");
+    let data = if args.plan.is_dir() {
+        match load(&args.plan)?.data {
+            SessionData::Whisker(data) => data,
+            other => bail!("plan-check: expected a session of kind \"whisker\", found {:?}", other.kind()),
+        }
+    } else {
+        let rig = args.rig.as_deref().context("--rig RIG is needed beside a plan file")?;
+        planned_session(&args.plan, rig)?
+    };
+    let check = plan_check(&data)?;
+    drop(progress);
+    if args.json {
+        let mut document = serde_json::to_value(&check)?;
+        document["format"] = "wcal-plan-check/1".into();
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else {
+        print!("{}", text(&check)?);
+    }
+    let blind = |e: &PlannedEffect| e.status != "testable" || !e.never_apart.is_empty();
+    Ok(ExitCode::from(if check.effects.iter().any(blind) { 3 } else { 0 }))
+}
+
+fn text(check: &PlanCheck) -> Result<String> {
+    let mut out = String::new();
+    for e in &check.effects {
+        let mut line = format!("{:<24}{:<16}{}", e.id, e.status, e.why);
+        if !e.never_apart.is_empty() {
+            write!(line, "; never apart from {}", e.never_apart.join(", "))?;
+        }
+        if !e.sometimes_alike.is_empty() {
+            write!(line, "; at some shapes like {}", e.sometimes_alike.join(", "))?;
+        }
+        writeln!(out, "{line}")?;
+    }
+    for a in &check.additions {
+        let pairs: Vec<String> = a.separates.iter().map(|p| p.join(" from ")).collect();
+        let mut gains = Vec::new();
+        if !pairs.is_empty() {
+            gains.push(format!("tells {}", pairs.join(", ")));
+        }
+        if !a.testable.is_empty() {
+            gains.push(format!("shows {}", a.testable.join(", ")));
+        }
+        writeln!(out, "with {}: {}", a.what, gains.join("; "))?;
+    }
+    Ok(out)
+}
+
+/// Time to turn the mount, s, and between poses at the least.
+const TURN_S: f64 = 10.0;
+
+/// The session that the plan would record, without readings: by the session reader itself, so that rig and poses are checked as a session's.
+fn planned_session(plan_file: &Path, rig: &Path) -> Result<WhiskerData> {
+    let read =
+        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let rig_file = if rig.is_dir() { rig.join("rig.toml") } else { rig.to_owned() };
+    let (rig, plan, steps) = plan_only(
+        (&rig_file.display().to_string(), &read(&rig_file)?),
+        (&plan_file.display().to_string(), &read(plan_file)?),
+    )?;
+    let folder = tempfile::tempdir().context("making a folder for the planned session")?;
+    std::fs::write(folder.path().join("session.toml"), session_toml(&rig, &plan)?)?;
+    std::fs::write(folder.path().join("points.csv"), points(&steps, &rig)?)?;
+    match load(folder.path())?.data {
+        SessionData::Whisker(data) => Ok(data),
+        _ => bail!("{}: expected a plan of a whisker", plan_file.display()),
+    }
+}
+
+fn session_toml(rig: &Rig, plan: &Plan) -> Result<String> {
+    let mut root = toml::Table::new();
+    for (key, value) in
+        [("format", "wcal-session/1"), ("id", "plan"), ("kind", "whisker"), ("medium", &plan.medium)]
+    {
+        root.insert(key.to_owned(), value.into());
+    }
+    let files = toml::Table::from_iter([("points".to_owned(), "points.csv".into())]);
+    root.insert("files".to_owned(), files.into());
+    root.insert("whisker".to_owned(), rig.whisker.clone().into());
+    if let Some(moments) = &rig.moments {
+        root.insert("moments".to_owned(), moments.clone().into());
+    }
+    root.insert(
+        "fbg".to_owned(),
+        toml::Table::from_iter([("temperature_compensated".to_owned(), true.into())]).into(),
+    );
+    let vector = |v: &[f64]| toml::Value::from(v.to_vec());
+    let trajectories = rig.trajectory.iter().map(|t| {
+        toml::Value::from(toml::Table::from_iter([
+            ("id".to_owned(), i64::from(t.id).into()),
+            ("origin_mm".to_owned(), vector(&t.origin_mm)),
+            ("direction".to_owned(), vector(&t.direction)),
+        ]))
+    });
+    root.insert("trajectory".to_owned(), trajectories.collect::<Vec<_>>().into());
+    Ok(toml::to_string(&root)?)
+}
+
+fn points(steps: &[Step], rig: &Rig) -> Result<String> {
+    let mut out =
+        "point,role,trajectory,t_s,stage_mm,direction,speed_mm_s,dwell_s,groove_x_mm,groove_y_mm,groove_z_mm,fbg_1_shift_nm,fbg_2_shift_nm,temperature_degc\n"
+            .to_owned();
+    // A reference grating or sensor sees the room drift and come back, from its own zero; how much does not matter here.
+    let thermometer = rig.grating("fbg_ref").is_some();
+    let temperature = |point: f64| {
+        let drift_degc = 0.1 * (std::f64::consts::PI * point / steps.len() as f64).sin();
+        if thermometer { format!("{drift_degc:.5}") } else { String::new() }
+    };
+    let (mut t_s, mut point, mut at_mm) = (0.0, 0_u32, rig.stage.retract_mm);
+    for step in steps {
+        let (pose, moving): (&Pose, bool) = match step {
+            Step::Soak | Step::Sync => continue,
+            Step::Mount { .. } => {
+                (t_s, at_mm) = (t_s + TURN_S, rig.stage.retract_mm);
+                continue;
+            }
+            Step::Settled(pose) => (pose, false),
+            Step::Moving { pose, .. } => (pose, true),
+        };
+        t_s += (pose.stage_mm - at_mm).abs() / pose.speed_mm_s.max(1e-3) + pose.dwell_s + pose.average_s;
+        at_mm = pose.stage_mm;
+        let groove = rig.trajectory(pose.trajectory).map(|t| t.groove_mm(pose.stage_mm));
+        let groove = groove.map_or_else(|| ",,".to_owned(), |g| format!("{:.6},{:.6},{:.6}", g.x, g.y, g.z));
+        let role = serde_json::to_value(pose.role)?;
+        writeln!(
+            out,
+            "{point},{},{},{t_s:.3},{:.6},{},{},{},{groove},0,0,{}",
+            role.as_str().unwrap_or("calibration"),
+            pose.trajectory,
+            pose.stage_mm,
+            pose.direction,
+            if moving { pose.speed_mm_s } else { 0.0 },
+            if moving { 0.0 } else { pose.dwell_s },
+            temperature(f64::from(point)),
+        )?;
+        point += 1;
+    }
+    Ok(out)
+}

@@ -152,6 +152,8 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
         let noise = Noise::none(&declared_noise);
         return Some(Explained { found, declared_noise: noise.clone(), noise, exact: true });
     }
+    // What independent readings would follow, for the comparison at the end.
+    let plain_gate = found.first_gate.clone();
     for _ in 1..MAX_SEARCHES {
         // A model that is degenerate under another noise is judged under the one that it was found with.
         let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());
@@ -173,6 +175,16 @@ pub fn explain(system: &dyn System, options: &Options) -> Option<Explained> {
         weights = noise.weights.unmasked();
         options.tails_dof = tails_dof;
         found = search(system, &weights, &options)?;
+    }
+    // Correlated noise that takes up everything is one description; a smooth course that no catalogue has may be the better one.
+    let nothing = found.best.fit.terms.is_empty() && found.left().is_none();
+    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
+    if nothing
+        && correlated(&found.best)
+        && let Some(drivers) = judge.driven(&found.best, &plain_gate)
+    {
+        found.first_gate.drivers = drivers;
+        found.driver_beats_catalogue = true;
     }
     let columns = found.left().and_then(|g| g.drivers.first()).map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));

@@ -28,6 +28,7 @@ mod stereo_shape;
 mod track;
 mod train;
 mod twin;
+mod unseal_record;
 mod verify;
 mod virtual_bench;
 

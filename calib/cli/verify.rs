@@ -6,16 +6,13 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table, word};
-use anyhow::Context;
+use crate::unseal_record::UnsealRecord;
 use clap::Args;
-use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::verify_document::{CalibrationJudgement, Verdict, VerifyDocument};
-use wcal_core::{
-    Provenance, Purpose, ResidualRecord, Seal, SessionData, Unsealing, VerificationStatus, WhiskerData,
-};
+use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::engine::search::Options;
@@ -287,89 +284,6 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
         document
             .notes
             .push("This holdout was unsealed before: its error is no longer a first look.".to_owned());
-    }
-}
-
-/// A held-out file that was opened.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Unsealed {
-    /// Hash of the file.
-    sha256: String,
-    /// Its path then.
-    path: String,
-    /// When, RFC 3339, UTC.
-    when: String,
-    /// By which version of the program.
-    program: String,
-}
-
-/// `unsealed.json`: every held-out file that was opened, with when and by what.
-#[derive(Debug, Default, Serialize, Deserialize)]
-struct UnsealedFile {
-    format: String,
-    opened: Vec<Unsealed>,
-}
-
-/// Record of unsealing in a folder. Version 0 was a list of hashes.
-fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
-    let Ok(bytes) = std::fs::read(path) else { return Ok(Vec::new()) };
-    if let Ok(hashes) = serde_json::from_slice::<Vec<String>>(&bytes) {
-        let of =
-            |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
-        return Ok(hashes.into_iter().map(of).collect());
-    }
-    let file: UnsealedFile =
-        serde_json::from_slice(&bytes).with_context(|| format!("reading {}", path.display()))?;
-    Ok(file.opened)
-}
-
-/// Where it is recorded which held-out files were opened: beside the session, so that another output folder does not forget it, or in the
-/// output folder where the session cannot be written to.
-struct UnsealRecord {
-    places: [PathBuf; 2],
-    known: [Vec<Unsealed>; 2],
-}
-
-impl UnsealRecord {
-    fn read(session: &LoadedSession, out: &Path) -> anyhow::Result<Self> {
-        const NAME: &str = "unsealed.json";
-        let places = [session.folder.join(NAME), out.join(NAME)];
-        let known = [read_unsealed(&places[0])?, read_unsealed(&places[1])?];
-        Ok(Self { places, known })
-    }
-
-    /// What is known of the session's sealed files.
-    fn seal(&self, session: &LoadedSession, provenance: &Provenance) -> Seal {
-        Seal {
-            files: session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout).cloned().collect(),
-            opened_before: self.known.iter().flatten().map(|u| u.sha256.clone()).collect(),
-            program: provenance.program.clone(),
-        }
-    }
-
-    /// Records an unsealing for good.
-    fn add(&self, unsealing: &Unsealing, provenance: &Provenance) -> anyhow::Result<()> {
-        let record = |known: &[Unsealed]| -> anyhow::Result<Vec<u8>> {
-            let mut opened = known.to_vec();
-            let new = unsealing.files.iter().filter(|f| known.iter().all(|u| u.sha256 != f.sha256));
-            opened.extend(new.map(|f| Unsealed {
-                sha256: f.sha256.clone(),
-                path: f.path.clone(),
-                when: provenance.created.clone(),
-                program: unsealing.program.clone(),
-            }));
-            Ok(serde_json::to_vec_pretty(&UnsealedFile { format: "wcal-unsealed/1".to_owned(), opened })?)
-        };
-        let [beside, out] = &self.places;
-        if crate::output::write_file(beside, &record(&self.known[0])?).is_err() {
-            eprintln!(
-                "verify: {} cannot be written; that the holdout was opened is recorded in {} only",
-                beside.display(),
-                out.display()
-            );
-            crate::output::write_file(out, &record(&self.known[1])?)?;
-        }
-        Ok(())
     }
 }
 

@@ -49,6 +49,9 @@ pub struct DynamicsArgs {
     pub evaluations: u32,
 }
 
+/// About how many trials of the grid come before the two searches, for the time left.
+const GRID_TRIALS: u32 = 50;
+
 /// `[dynamics]` of whisker.toml.
 #[derive(Debug, Serialize)]
 pub struct Dynamics {
@@ -97,12 +100,11 @@ pub fn dynamics(
         bias: args.speed_bias,
     };
     let (progress, trials) = (Progress::new("fit-whisker"), Cell::new(0_u32));
-    // Two searches; what starts them and the sensitivity are few trials more.
-    let all = f64::from(2 * args.evaluations);
+    let all = f64::from(GRID_TRIALS + 2 * args.evaluations);
     let fit = fit_dynamics(whisker, targets, args.evaluations, |trial| {
         trials.set(trials.get() + 1);
         let stage = format!("trial {} ({}): {:.3}", trials.get(), trial.stage, trial.score.total);
-        progress.at(&stage, f64::from(trials.get()) / all);
+        progress.at(&stage, (f64::from(trials.get()) / all).min(0.99));
     })?;
     drop(progress);
     let best = &fit.trials[fit.best];

@@ -6,7 +6,7 @@ use crate::whisker::{self, Demand};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::observation::Role;
-use wcal_core::{InputFile, Purpose, SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{InputFile, Purpose, Sealed, SessionData, WhiskerData, WhiskerRow};
 
 const PM_PER_NM: f64 = 1000.0;
 
@@ -139,14 +139,12 @@ fn attach_session(
                     session.warnings.push(format!("{folder}: labels of its twin are not used"));
                 }
                 place_after(data, &mut added);
-                data.rows.append(&mut added.rows);
             }
             // Of a session that is held out every row counts, whatever its role says.
             if purpose == Purpose::Holdout {
                 every_row(&mut added, |r| r.sealed = true);
             }
-            data.holdout.extend(added.rows);
-            data.holdout.join(added.holdout);
+            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
         }
         (SessionData::Transducer(data), SessionData::Transducer(mut added)) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
@@ -155,20 +153,12 @@ fn attach_session(
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
             added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
             added.holdout.relabel(|row| row.source = renamed(&row.source));
-            if purpose == Purpose::Fit {
-                data.rows.append(&mut added.rows);
-            }
-            data.holdout.extend(added.rows);
-            data.holdout.join(added.holdout);
+            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
         }
         (SessionData::Axis(data), SessionData::Axis(mut added)) => {
             added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
             added.holdout.relabel(|row| row.source = renamed(&row.source));
-            if purpose == Purpose::Fit {
-                data.rows.append(&mut added.rows);
-            }
-            data.holdout.extend(added.rows);
-            data.holdout.join(added.holdout);
+            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
         }
         _ => return Err(differs("kind").field("kind").into()),
     }
@@ -187,6 +177,16 @@ fn attach_session(
         input
     }));
     Ok(())
+}
+
+/// Rows of another session: to the fit, or behind the seal; what was sealed there stays sealed.
+fn take_over<R>(own: (&mut Vec<R>, &mut Sealed<R>), added: (Vec<R>, Sealed<R>), purpose: Purpose) {
+    if purpose == Purpose::Fit {
+        own.0.extend(added.0)
+    } else {
+        own.1.extend(added.0)
+    }
+    own.1.join(added.1);
 }
 
 /// Takes over the other session's trajectories; an id that means something else here is replaced by a free one.

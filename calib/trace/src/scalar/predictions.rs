@@ -10,7 +10,7 @@ use crate::verify::model::Folds;
 use nalgebra::{DMatrix, DVector};
 
 /// More folds than this cost refits and tell no more.
-const MOST_FOLDS: usize = 40;
+const MAX_FOLDS: usize = 40;
 /// Steps of a refit without a fold.
 const REFIT_STEPS: usize = 15;
 
@@ -37,13 +37,13 @@ pub fn folds(frame: &Frame) -> Folds {
     let (fold, count) = number(frame.u.iter().map(|u| (u * 1e9).round() as i64).collect());
     let n = frame.rows.len();
     if count < n && count >= 3 {
-        let folds = count.min(MOST_FOLDS);
+        let folds = count.min(MAX_FOLDS);
         // Neighbouring stimuli go to different folds, so that no fold is an extrapolation.
         let fold = fold.iter().map(|f| f % folds).collect();
         let words = format!("by leaving out each of {count} stimuli with all its readings, in {folds} folds");
         return of("loo", words, fold);
     }
-    let folds = n.min(MOST_FOLDS);
+    let folds = n.min(MAX_FOLDS);
     let fold = (0..n).map(|i| i * folds / n).collect();
     let words = if folds == n {
         "by leaving out one reading at a time".to_owned()

@@ -230,7 +230,7 @@ pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFau
         alternatives,
         rivals: part(false).into_iter().cloned().collect(),
         unknown: None,
-        accepted: if something { found.best.clone() } else { found.base.clone() },
+        accepted: found.accepted().clone(),
     };
     let left = driver_wins || (found.last_gate.rejected() && !model.excuses(found));
     let lack = model.lack_of_fit(&c.accepted).filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);

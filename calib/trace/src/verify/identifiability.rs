@@ -62,7 +62,7 @@ pub fn sentences<M: MeasurementModel>(model: &M, h: &Hypothesis) -> Vec<String> 
     for (k, tangent) in fit.tangents.iter().enumerate() {
         let name = &all[first_value + k].name;
         if fit.at_bound.get(k) == Some(&true) {
-            out.push(format!("{name} is at the end of its physical range: its interval is one-sided."));
+            out.push(format!("{name} is at the end of its physical range."));
         }
         if tangent.norm() < 1e-150 {
             out.push(format!("{name} moves no prediction near its value: the data do not tell where between two readings it lies."));

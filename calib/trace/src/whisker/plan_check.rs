@@ -7,7 +7,7 @@
 //! c(A, B) = |A' B| / sqrt(dim A)        1: whatever A does, B can imitate
 //! ```
 //!
-//! A is never told from B where every shape of A is imitated by some shape of B (`c > 0.995`), whatever the noise.
+//! A and B cannot be distinguished where every shape of A is imitated by some shape of B (`c > 0.995`), whatever the noise.
 
 use super::system::WhiskerSystem;
 use crate::candidate::System;
@@ -31,7 +31,7 @@ pub struct PlannedEffect {
     pub status: String,
     /// Why it cannot be seen, or what is left of its signature.
     pub why: String,
-    /// Effects that imitate it at every shape: never told from it on this plan.
+    /// Effects that imitate it at every shape: not to be distinguished from it on this plan.
     pub never_apart: Vec<String>,
     /// Effects that imitate it at some shapes.
     pub sometimes_alike: Vec<String>,
@@ -81,7 +81,7 @@ pub fn plan_check(data: &WhiskerData) -> Result<PlanCheck, TraceError> {
     Ok(PlanCheck { effects, additions })
 }
 
-/// Pairs that are never told apart, each once.
+/// Pairs that cannot be distinguished, each once.
 fn pairs(effects: &[PlannedEffect]) -> Vec<[String; 2]> {
     let of = |e: &PlannedEffect| e.never_apart.iter().map(|o| [e.id.clone(), o.clone()]).collect::<Vec<_>>();
     let mut out: Vec<[String; 2]> = effects.iter().flat_map(of).collect();

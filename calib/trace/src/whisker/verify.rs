@@ -47,14 +47,14 @@ pub enum Verified {
 }
 
 /// Fewest loaded readings that carry K, the zero and a residual.
-const FEWEST_LOADED: usize = 9;
+const MIN_LOADED: usize = 9;
 
 /// Why the readings cannot be used at all.
 fn unusable(data: &WhiskerData) -> Option<String> {
     let loaded = data.rows.iter().filter(|r| r.role != Role::Rest).count();
-    if loaded < FEWEST_LOADED {
+    if loaded < MIN_LOADED {
         return Some(format!(
-            "The session has {loaded} loaded readings; K, the zero and a residual need at least {FEWEST_LOADED}."
+            "The session has {loaded} loaded readings; K, the zero and a residual need at least {MIN_LOADED}."
         ));
     }
     let times: Vec<f64> = data.rows.iter().filter_map(|r| r.t_s).collect();

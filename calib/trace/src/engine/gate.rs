@@ -1,4 +1,8 @@
-//! The gate: is anything left beyond noise? One family-wise level, shared between named, generic and serial alternatives.
+//! The omnibus test: is anything left beyond noise? One family-wise level, shared (Bonferroni) between four kinds of alternative:
+//!
+//! ```text
+//! 0.01 named signatures + 0.005 generic drivers + 0.002 serial correlation + 0.002 lack of fit against pure error = 0.019
+//! ```
 
 use super::atoms::{Atom, nuisance, of_catalogue};
 use super::drivers::{DriverAtom, of_covariates};
@@ -16,6 +20,10 @@ pub const CATALOGUE_LEVEL: f64 = 0.01;
 pub const DRIVER_LEVEL: f64 = 0.005;
 /// Level of the serial-correlation test.
 pub const SERIAL_LEVEL: f64 = 0.002;
+/// Level of the lack of fit against pure error, where readings repeat a stimulus.
+pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
+/// Chance that any verdict-changing test of the family rejects where nothing is there.
+pub const FAMILY_LEVEL: f64 = CATALOGUE_LEVEL + DRIVER_LEVEL + SERIAL_LEVEL + LACK_OF_FIT_LEVEL;
 
 /// A generic signature that stands out.
 #[derive(Debug, Clone)]
@@ -74,16 +82,17 @@ impl Gate {
         [self.p_catalogue, self.p_drivers, self.p_serial]
     }
 
-    /// One omnibus p-value: Bonferroni over the three families by their shares of the level.
+    /// One omnibus p-value: Bonferroni over the families by their shares of the level; `p_lack_of_fit` where readings repeat.
     #[must_use]
-    pub fn p_value(&self) -> f64 {
-        let total = CATALOGUE_LEVEL + DRIVER_LEVEL + SERIAL_LEVEL;
+    pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
         [
-            self.p_catalogue * total / CATALOGUE_LEVEL,
-            self.p_drivers * total / DRIVER_LEVEL,
-            self.p_serial * total / SERIAL_LEVEL,
+            (self.p_catalogue, CATALOGUE_LEVEL),
+            (self.p_drivers, DRIVER_LEVEL),
+            (self.p_serial, SERIAL_LEVEL),
+            (p_lack_of_fit.unwrap_or(1.0), LACK_OF_FIT_LEVEL),
         ]
         .into_iter()
+        .map(|(p, level)| p * FAMILY_LEVEL / level)
         .fold(1.0, f64::min)
     }
 }

@@ -86,66 +86,77 @@ mod tests {
     use super::*;
     use crate::engine::fit::{Fit, Status, Weights};
 
-    /// The model `y = b column` with b fitted.
-    fn hypothesis(column: &DVector<f64>, y: &DVector<f64>) -> Hypothesis {
-        let b = column.dot(y) / column.norm_squared();
-        let residual = y - column * b;
+    /// The model `y = columns b` with every b fitted.
+    fn hypothesis(columns: &DMatrix<f64>, y: &DVector<f64>) -> Hypothesis {
+        let (n, p) = columns.shape();
+        let b = columns.clone().svd(true, true).solve(y, 1e-12).expect("full rank");
+        let residual = y - columns * &b;
         let fit = Fit {
             terms: Vec::new(),
-            coefficients: DMatrix::from_element(1, 1, b),
-            residual: DMatrix::from_column_slice(y.len(), 1, residual.as_slice()),
-            design: DMatrix::from_column_slice(y.len(), 1, column.as_slice()),
-            raw_design: DMatrix::from_column_slice(y.len(), 1, column.as_slice()),
-            raw_residual: DMatrix::from_column_slice(y.len(), 1, residual.as_slice()),
+            coefficients: DMatrix::from_column_slice(p, 1, b.as_slice()),
+            residual: DMatrix::from_column_slice(n, 1, residual.as_slice()),
+            design: columns.clone(),
+            raw_design: columns.clone(),
+            raw_residual: DMatrix::from_column_slice(n, 1, residual.as_slice()),
             raw_tangents: Vec::new(),
             ssr: residual.norm_squared(),
-            dof: y.len() as f64 - 1.0,
+            dof: (n - p) as f64,
             tangents: Vec::new(),
             at_bound: Vec::new(),
             status: Status::Converged,
         };
-        Hypothesis { fit, weights: Weights::equal(y.len()), flagged: Vec::new(), flag_p: 1.0 }
+        Hypothesis { fit, weights: Weights::equal(n), flagged: Vec::new(), flag_p: 1.0 }
     }
 
-    /// Share of draws in which a true rival at `distance` noises from the other model loses and is rejected.
-    fn rejected(distance: f64, true_is_rival: bool) -> f64 {
-        let n = 60;
+    const TRIALS: usize = 1500;
+
+    /// Sinusoids of rising frequency: `phase` sets two families apart.
+    fn columns(count: usize, phase: f64) -> DMatrix<f64> {
+        DMatrix::from_fn(60, count, |i, k| (i as f64 * 0.37 * (1.0 + 0.31 * k as f64) + phase).sin())
+    }
+
+    /// Share of draws in which a true rival with `of_rival` parameters, at `distance` noises from the other model with `of_best`, loses and
+    /// is rejected; `true_is_rival` false: the share in which the false one is.
+    fn rejected(distance: f64, [of_best, of_rival]: [usize; 2], true_is_rival: bool) -> f64 {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7 + distance as u64);
-        let a = DVector::from_fn(n, |i, _| (i as f64 * 0.37).sin());
-        let b = DVector::from_fn(n, |i, _| (i as f64 * 0.37 + 0.6).sin());
-        let off = &b - &a * (a.dot(&b) / a.norm_squared());
-        let truth = &b * (distance / off.norm());
-        let trials = 1500;
+        let (wrong, right) = (columns(of_best, 0.0), columns(of_rival, 0.6));
+        let of_wrong = wrong.clone().svd(true, false).u.expect("asked for");
+        let course = right.column_sum();
+        let off = &course - &of_wrong * (of_wrong.transpose() * &course);
+        let truth = &course * (distance / off.norm());
         let mut count = 0;
-        for k in 0..trials {
-            let y = DVector::from_fn(n, |i, _| {
+        for k in 0..TRIALS as u64 {
+            let y = truth.map(|t| {
                 let z: f64 = StandardNormal.sample(&mut rng);
-                truth[i] + z
+                t + z
             });
-            let (ha, hb) = (hypothesis(&a, &y), hypothesis(&b, &y));
-            let (wrong, right) = (&ha, &hb);
-            let (best, rival) = if true_is_rival { (wrong, right) } else { (right, wrong) };
+            let (wrong, right) = (hypothesis(&wrong, &y), hypothesis(&right, &y));
+            let (best, rival) = if true_is_rival { (&wrong, &right) } else { (&right, &wrong) };
             if best.fit.ssr > rival.fit.ssr {
                 continue;
             }
-            count += usize::from(rival_p(best, rival, best.fit.variance(), 400, k) < AMBIGUITY_LEVEL);
+            count += u32::from(rival_p(best, rival, best.fit.variance(), 400, k) < AMBIGUITY_LEVEL);
         }
-        f64::from(u32::try_from(count).expect("few")) / f64::from(trials as u32)
+        f64::from(count) / TRIALS as f64
     }
 
     #[test]
     fn a_true_explanation_is_rejected_no_more_often_than_the_level() {
-        for distance in [0.5, 1.0, 2.0, 3.0, 5.0] {
-            let rate = rejected(distance, true);
-            // 1,500 trials: three standard deviations above the level.
-            assert!(rate <= AMBIGUITY_LEVEL + 3.0 * (AMBIGUITY_LEVEL / 1500.0).sqrt(), "{distance}: {rate}");
+        // A model with more parameters follows more of the noise: the rate must hold whichever of the two has them.
+        for parameters in [[1, 1], [1, 8], [2, 4], [4, 2], [8, 1], [8, 8]] {
+            for distance in [0.5, 2.0, 4.0] {
+                let rate = rejected(distance, parameters, true);
+                // Three standard deviations above the level.
+                let limit = AMBIGUITY_LEVEL + 3.0 * (AMBIGUITY_LEVEL / TRIALS as f64).sqrt();
+                assert!(rate <= limit, "{parameters:?} at {distance}: {rate} > {limit}");
+            }
         }
     }
 
     #[test]
     fn a_false_explanation_is_rejected_as_often_as_the_power_says() {
         for distance in [3.0_f64, 4.0, 5.0] {
-            let (rate, expected) = (rejected(distance, false), power(distance * distance));
+            let (rate, expected) = (rejected(distance, [1, 1], false), power(distance * distance));
             assert!((rate - expected).abs() < 0.05, "{distance}: {rate} against {expected}");
         }
     }

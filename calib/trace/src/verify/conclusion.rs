@@ -2,15 +2,12 @@
 
 use super::model::MeasurementModel;
 use crate::engine::fit::fit;
-use crate::engine::gate::Gate;
+use crate::engine::gate::{Gate, LACK_OF_FIT_LEVEL};
 use crate::engine::inference::in_class;
 use crate::engine::null::f_test;
 use crate::engine::search::{Found, Hypothesis};
 use crate::error::TraceError;
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
-
-/// Level of the lack-of-fit test against pure error.
-pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
 
 /// Conclusion in parts.
 #[derive(Debug, Clone)]
@@ -233,7 +230,9 @@ pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFau
         accepted: found.accepted().clone(),
     };
     let left = driver_wins || (found.last_gate.rejected() && !model.excuses(found));
-    let lack = model.lack_of_fit(&c.accepted).filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+    let against_pure_error = model.lack_of_fit(&c.accepted);
+    let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
+    let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
     if !c.rivals.is_empty() {
         c.verdict = Verdict::Ambiguous;
         let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
@@ -253,7 +252,7 @@ pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFau
             "{count} labels of the outside twin are faulty; with them repaired nothing else is found."
         );
     } else {
-        let p = found.first_gate.p_value();
+        let p = found.first_gate.p_value(p_lack_of_fit);
         c.reason = format!("Nothing beyond noise is left by the declared model (omnibus p = {p:.2}).");
     }
     c

@@ -11,11 +11,12 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind};
-use wcal_drivers::record::{Order, Recorded, plan_only, record};
-use wcal_session::recording::path_text::{draw, duration_s};
-use wcal_session::recording::plan::Step;
-use wcal_session::recording::sweep::{Ending, Mount, Progress};
+use wcal_acquisition::path_text::{draw, duration_s};
+use wcal_acquisition::plan::Step;
+use wcal_acquisition::record::{Order, Recorded, plan_only, record};
+use wcal_acquisition::sweep::{Ending, Progress};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
+use wcal_drivers::Drivers;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -97,7 +98,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let recorded = record(&order, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    let recorded = record(&order, &mut Drivers::default(), &mut ByHand, &interrupt, &mut |p| view.show(p))?;
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))

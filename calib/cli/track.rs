@@ -21,8 +21,8 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
-use wcal_session::recording::rig::Rig;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
 use wcal_track::model_file::{load, read_card};
@@ -188,7 +188,7 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {
-            let parts = wcal_session::recording::reduce::recordings(path);
+            let parts = wcal_acquisition::reduce::recordings(path);
             if parts.is_empty() {
                 bail!("{}: expected a session folder with recording.mcap, found none", path.display());
             }

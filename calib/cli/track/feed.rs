@@ -2,10 +2,10 @@
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use wcal_acquisition::RecordingError;
+use wcal_acquisition::message::StagePosition;
+use wcal_acquisition::recorder::Recorder;
 use wcal_core::device::{DeviceError, FbgReading};
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::message::StagePosition;
-use wcal_session::recording::recorder::Recorder;
 
 /// Scans of one place in the queue.
 const BATCH: usize = 50;

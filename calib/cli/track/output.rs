@@ -6,8 +6,8 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_session::recording::tracks::{ContactEventMessage, ContactPoint};
 use wcal_track::live::{BasePose, ContactEvent};
 use wcal_track::network::Prediction;
 

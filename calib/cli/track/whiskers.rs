@@ -13,14 +13,14 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use wcal_acquisition::clocks::ClockPair;
+use wcal_acquisition::message::{StagePosition, SweepEvent};
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::tracks::TrackChannels;
+use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
 use wcal_core::stream::{MomentStream, StreamMoments};
 use wcal_map::MapPredictor;
-use wcal_session::recording::clocks::ClockPair;
-use wcal_session::recording::message::{StagePosition, SweepEvent};
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::sensed::WhiskerReader;
-use wcal_session::recording::tracks::TrackChannels;
 use wcal_trace::whisker::PhysicalStream;
 use wcal_track::live::{BaseMotion, Chain, ChainSettings, Row, first_mode_hz};
 use wcal_track::{Sample, Stream, Tare};
@@ -300,7 +300,7 @@ impl Whisker<'_> {
         [base, groove]: [Option<&BaseMotion>; 2],
         base_mm_s: Option<f64>,
         files: &mut TrackFiles,
-    ) -> Result<wcal_session::recording::tracks::ContactPoint> {
+    ) -> Result<wcal_acquisition::tracks::ContactPoint> {
         let [base, groove] = [base, groove].map(|b| b.and_then(|b| b.at(row.t_s)));
         // The groove goes on as the base would go back.
         let past_groove = groove.and_then(|g| g.velocity_mm_s).map(|v| -v);

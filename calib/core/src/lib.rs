@@ -4,11 +4,13 @@
 //! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
 pub mod calibration;
+pub mod clock;
 pub mod device;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;
 pub mod residual;
+pub mod rig_devices;
 pub mod sealed;
 pub mod stream;
 pub mod verify_document;

@@ -11,7 +11,7 @@ use std::path::Path;
 use wcal_core::{InputFile, Purpose};
 
 /// Marks the rows of simulated data; a mark is no covariate.
-pub(crate) const SIMULATED_COLUMN: &str = "simulated";
+pub const SIMULATED_COLUMN: &str = "simulated";
 
 /// A column that was found.
 #[derive(Debug, Clone, Copy)]

@@ -6,11 +6,11 @@ mod common;
 use common::{NoMount, PLAN, bench, order, rows};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use wcal_acquisition::record::{Recorded, record};
+use wcal_acquisition::sweep::Ending;
 use wcal_core::device::DeviceErrorKind as Kind;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
-use wcal_drivers::record::{Recorded, record};
-use wcal_session::recording::sweep::Ending;
 
 /// Runs a fault: one, or as many as WCAL_FAULT_RUNS says.
 fn runs() -> usize {

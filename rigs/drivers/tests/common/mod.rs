@@ -3,13 +3,14 @@
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
+use wcal_acquisition::RecordingError;
+use wcal_acquisition::record::{Order, Recorded, record};
 use wcal_core::SessionData;
 use wcal_core::device::DeviceError;
+use wcal_core::device::Mount;
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::record::{Order, Recorded, record};
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::sweep::Mount;
 
 /// Bench seconds per wall second.
 pub const SPEED: f64 = 4.0;
@@ -82,7 +83,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
 
 /// Records without anybody watching.
 pub fn go(order: &Order) -> Result<Recorded, RecordingError> {
-    record(order, &mut NoMount, &AtomicBool::new(false), &mut |_| {})
+    record(order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |_| {})
 }
 
 /// Rows of a session.

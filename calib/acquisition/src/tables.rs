@@ -1,14 +1,14 @@
 //! Text of the reduced tables and of `session.toml`.
 
-use super::clocks::ClockFit;
-use super::error::RecordingError;
-use super::reduce::Reduction;
-use super::rig::Rig;
-use super::run_file::RunFile;
-use super::windows::WindowMean;
-use crate::table::SIMULATED_COLUMN;
+use crate::clocks::ClockFit;
+use crate::error::RecordingError;
+use crate::reduce::Reduction;
+use crate::rig::Rig;
+use crate::run_file::RunFile;
+use crate::windows::WindowMean;
 use nalgebra::Vector3;
 use toml::{Table, Value};
+use wcal_session::SIMULATED_COLUMN;
 
 /// Columns of points.csv and holdout.csv.
 const COLUMNS: [&str; 20] = [

@@ -6,21 +6,12 @@
 //! hull over the middle of the recording. What comes seconds late says nothing of the clocks and is left out of the line: a stream
 //! that falls behind for half a recording would tilt it.
 
-/// A reading that arrives this much later than others did (wall time) says that the bench, or this computer, falls behind, s.
-const LATE_WALL_S: f64 = 2.0;
-/// On a bench faster than real time also one that is this late by the bench's own time: a virtual bench remembers a minute of where its
-/// stage was, s.
-const LATE_BENCH_S: f64 = 50.0;
+use wcal_core::clock::late_s;
+
 /// Pairs are thinned to the best of each interval of this length, s.
 const INTERVAL_S: f64 = 1.0;
 /// Intervals that count as recent: a crystal drifts by a millisecond in them, a busy host recovers.
 const RECENT: usize = 10;
-
-/// Lateness (bench time, s) from which on a reading is called late, on a bench that runs `clock_scale` times as fast as real time.
-#[must_use]
-pub fn late_s(clock_scale: f64) -> f64 {
-    (LATE_WALL_S * clock_scale).min(LATE_BENCH_S)
-}
 
 /// Error of the clocks' alignment that does no harm (wall time), s: what a busy host delays by.
 const ALIGNED_S: f64 = 0.02;

@@ -1,10 +1,10 @@
 //! One whisker's readings out of the scans: assigned, flagged, temperature compensated; nothing is filled in.
 
-use super::assign::ChannelMap;
-use super::error::RecordingError;
-use super::rig::InterrogatorRig;
+use crate::assign::ChannelMap;
+use crate::error::RecordingError;
 use wcal_core::FbgSpec;
 use wcal_core::device::FbgReading;
+use wcal_core::rig_devices::InterrogatorRig;
 use wcal_core::stream::{Flags, Sensed};
 
 const PM_PER_NM: f64 = 1e3;
@@ -150,7 +150,7 @@ impl WhiskerReader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::rig::{Rig, tests::RIG};
+    use crate::rig::{Rig, tests::RIG};
     use wcal_core::device::Clocks;
 
     fn fbg() -> FbgSpec {

@@ -1,7 +1,7 @@
 //! Writes `recording.mcap`: chunks with CRC, on disk within a fraction of a second.
 
-use super::error::RecordingError;
-use super::message::{Recorded, Scan, StagePosition, SweepEvent, topic};
+use crate::error::RecordingError;
+use crate::message::{Recorded, Scan, StagePosition, SweepEvent, topic};
 use foxglove::messages::{Log, Pose, PoseInFrame, Quaternion, RawImage, Timestamp, log::Level};
 use foxglove::{
     Channel, ChannelBuilder, Context, McapWriteOptions, McapWriterHandle, PartialMetadata, RawChannel,
@@ -68,12 +68,12 @@ fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
-pub(super) fn timestamp(seconds: f64) -> Option<Timestamp> {
+pub(crate) fn timestamp(seconds: f64) -> Option<Timestamp> {
     let nanos = nanoseconds(seconds);
     Timestamp::new_checked((nanos / 1_000_000_000) as u32, (nanos % 1_000_000_000) as u32)
 }
 
-pub(super) fn at(seconds: f64) -> PartialMetadata {
+pub(crate) fn at(seconds: f64) -> PartialMetadata {
     PartialMetadata { log_time: Some(nanoseconds(seconds)) }
 }
 
@@ -127,7 +127,7 @@ impl Recorder {
         })
     }
 
-    pub(super) fn context(&self) -> &Arc<Context> {
+    pub(crate) fn context(&self) -> &Arc<Context> {
         &self.context
     }
 
@@ -263,7 +263,7 @@ impl Recorder {
     }
 }
 
-pub(super) fn raw<M: Recorded>(
+pub(crate) fn raw<M: Recorded>(
     context: &Arc<Context>,
     topic: &str,
 ) -> Result<Arc<RawChannel>, RecordingError> {
@@ -275,7 +275,7 @@ pub(super) fn raw<M: Recorded>(
         .map_err(broken)
 }
 
-pub(super) fn log_raw<M: Recorded>(channel: &RawChannel, message: &M, host_s: f64) {
+pub(crate) fn log_raw<M: Recorded>(channel: &RawChannel, message: &M, host_s: f64) {
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
 }
 

@@ -1,7 +1,7 @@
 //! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
 
-use super::error::RecordingError;
-use super::message::{Scan, StagePosition, SweepEvent, topic};
+use crate::error::RecordingError;
+use crate::message::{Scan, StagePosition, SweepEvent, topic};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;

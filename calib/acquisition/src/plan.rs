@@ -1,7 +1,7 @@
 //! Sweep plans: what people write, expanded into steps that are carried out one by one.
 
-use super::error::RecordingError;
-use super::rig::Rig;
+use crate::error::RecordingError;
+use crate::rig::Rig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::Role;
@@ -293,8 +293,8 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    use super::super::path_text::draw;
     use super::*;
+    use crate::path_text::draw;
 
     const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"p\"\n[[block]]\nrole = \"calibration\"\ntrajectories = [1]\ndepths_mm = [1, 3, 5]\n";
 

@@ -1,7 +1,7 @@
 //! The signal as it arrives: rate, losses, health, clocks, and whether it has settled.
 
-use super::assign::{Assigned, ChannelMap};
-use super::clocks::ClockPair;
+use crate::assign::{Assigned, ChannelMap};
+use crate::clocks::ClockPair;
 use std::collections::VecDeque;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
 
@@ -231,7 +231,7 @@ fn slope(xy: &[(f64, f64)]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::rig::{Rig, tests::RIG};
+    use crate::rig::{Rig, tests::RIG};
     use wcal_core::device::{Clocks, InterrogatorHealth};
 
     fn monitor() -> Monitor {

@@ -1,13 +1,13 @@
 //! Records the pairs of a camera pair while a sweep runs, in a thread of its own.
 
-use super::pair::CameraPair;
+use crate::camera_pair::CameraPair;
+use crate::message::SweepEvent;
+use crate::monitor::Monitor;
+use crate::recorder::Recorder;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wcal_core::device::{DeviceError, DeviceErrorKind};
-use wcal_session::recording::message::SweepEvent;
-use wcal_session::recording::monitor::Monitor;
-use wcal_session::recording::recorder::Recorder;
 
 /// Longest wait for a picture (wall time).
 const PATIENCE: Duration = Duration::from_secs(2);

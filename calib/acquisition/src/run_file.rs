@@ -1,6 +1,6 @@
 //! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
 
-use super::error::RecordingError;
+use crate::error::RecordingError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::device::DeviceIdentity;

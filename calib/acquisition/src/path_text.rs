@@ -1,7 +1,7 @@
 //! A plan's path for people: its duration, and a drawing of every trajectory.
 
-use super::plan::{Plan, Step};
-use super::rig::Rig;
+use crate::plan::{Plan, Step};
+use crate::rig::Rig;
 
 /// Rough time that the steps take, s.
 #[must_use]

@@ -1,26 +1,28 @@
 //! One recorded sweep from rig and plan to a reduced session.
 
-use crate::bench_files::{ZaberMount, open_cameras, open_interrogator, open_stage};
-use crate::cameras::watch::watch;
-use crate::host::HostClock;
+use crate::RecordingError;
+use crate::assign::ChannelMap;
+use crate::camera_pair::CameraPair;
+use crate::camera_watch::watch;
+use crate::monitor::Monitor;
+use crate::plan::{Plan, Step};
+use crate::recorder::Recorder;
+use crate::reduce::{Reduction, recordings, reduce};
+use crate::replay::completed_steps;
+use crate::replay_interrogator::ReplayInterrogator;
+use crate::rig::Rig;
+use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
+use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
+use crate::tables::temperature_ratio;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
-use wcal_core::device::{DeviceError, Stage};
+use wcal_core::clock::HostClock;
+use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
 use wcal_core::provenance::sha256_hex;
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::assign::ChannelMap;
-use wcal_session::recording::monitor::Monitor;
-use wcal_session::recording::plan::{Plan, Step};
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::reduce::{Reduction, recordings, reduce};
-use wcal_session::recording::replay::completed_steps;
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::run_file::{RUN_FORMAT, RunFile, RunOutcome};
-use wcal_session::recording::sweep::{Ending, Mount, Progress, SweepBench, SweepReport, acquire, run};
-use wcal_session::recording::tables::temperature_ratio;
+use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
 use wcal_session::write_atomic;
 
 /// What to record and where.
@@ -102,13 +104,43 @@ pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Ve
     Ok((rig, plan, steps))
 }
 
-/// Records a sweep. `manual` presents trajectories where the rig has no motorised mount.
+/// Opens the interrogator of a rig; with the driver `replay` that is a recording.
+///
+/// # Errors
+/// As [`DeviceOpener::interrogator`], or when the recording cannot be read.
+pub fn open_interrogator(
+    devices: &mut dyn DeviceOpener,
+    rig: &InterrogatorRig,
+    clock: HostClock,
+) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
+    match rig.driver.as_str() {
+        "replay" => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+        _ => devices.interrogator(rig, clock),
+    }
+}
+
+/// Opens the camera pair of a rig, if it has one.
+fn open_cameras(
+    devices: &mut dyn DeviceOpener,
+    rig: &Rig,
+    clock: HostClock,
+) -> Result<Option<CameraPair>, DeviceError> {
+    let [first, second] = rig.camera.as_slice() else { return Ok(None) };
+    let cameras = [devices.camera(first, clock)?, devices.camera(second, clock)?];
+    // V4L2 counts the frames of each camera from its own start.
+    let own_numbers = first.driver == "v4l2" || second.driver == "v4l2";
+    let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
+    Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
+}
+
+/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no motorised mount.
 ///
 /// # Errors
 /// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault during the sweep is
 /// no error but part of the report.
 pub fn record(
     order: &Order,
+    devices: &mut dyn DeviceOpener,
     manual: &mut dyn Mount,
     interrupt: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
@@ -116,28 +148,25 @@ pub fn record(
     let (rig, plan, _) = plan_only((&order.places[0], &order.rig), (&order.places[1], &order.plan))?;
     let skip = prepare_folder(order)?;
     let clock = HostClock::start(rig.clock_scale);
-    let (mut stage, chain) = open_stage(&rig.stage, clock)?;
-    let mut interrogator = open_interrogator(&rig.interrogator, clock)?;
-    let mut devices = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
-    devices.insert("interrogator".to_owned(), interrogator.identity()?);
-    let mut cameras = open_cameras(&rig, clock)?;
+    let mut stage = devices.stage(&rig.stage, clock)?;
+    let mut interrogator = open_interrogator(devices, &rig.interrogator, clock)?;
+    let mut identities = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
+    identities.insert("interrogator".to_owned(), interrogator.identity()?);
+    let mut cameras = open_cameras(devices, &rig, clock)?;
     let names: [String; 2] =
         std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
     if let Some(pair) = &mut cameras {
-        let identities = names.iter().cloned().zip(pair.identities()?);
-        devices.extend(identities.map(|(name, identity)| (format!("camera_{name}"), identity)));
+        let own = names.iter().cloned().zip(pair.identities()?);
+        identities.extend(own.map(|(name, identity)| (format!("camera_{name}"), identity)));
     }
     // Every position is checked against the unit's own travel before the first move.
     let steps = plan.steps(&rig, stage.travel_mm()?)?;
-    let mut motor = match &chain {
-        Some(chain) => ZaberMount::open(&rig.mount, std::rc::Rc::clone(chain), clock)?,
-        None => None,
-    };
+    let mut motor = devices.mount(&rig.mount, clock)?;
     let mount: &mut dyn Mount = match &mut motor {
-        Some(motor) => motor,
+        Some(motor) => motor.as_mut(),
         None => manual,
     };
-    let (about, simulated) = describe(order, &rig, &plan, devices)?;
+    let (about, simulated) = describe(order, &rig, &plan, identities)?;
     let number = recordings(&order.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&order.folder.join(&name), about)?;
@@ -147,7 +176,7 @@ pub fn record(
     }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
-    let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { Ok(open_stage(&rig.stage, clock)?.0) };
+    let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { devices.stage(&rig.stage, clock) };
     let mut sweep = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
         if let Some(pair) = &mut cameras {
@@ -170,8 +199,7 @@ pub fn record(
     // Scans that came while the last step ended are in the recording as well.
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
     let reduction = reduce(&order.folder);
-    let repeats = chain.map_or(0, |c| c.borrow().repeats());
-    let recorded = Recorded { sweep, reduction, repeats, simulated };
+    let recorded = Recorded { sweep, reduction, repeats: devices.repeats(), simulated };
     add_outcome(&order.folder, name, &recorded)?;
     Ok(recorded)
 }
@@ -277,7 +305,7 @@ fn describe(
     order: &Order,
     rig: &Rig,
     plan: &Plan,
-    devices: BTreeMap<String, wcal_core::device::DeviceIdentity>,
+    devices: BTreeMap<String, DeviceIdentity>,
 ) -> Result<(BTreeMap<String, String>, bool), RecordingError> {
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),

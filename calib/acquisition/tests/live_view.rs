@@ -3,9 +3,9 @@
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::tracks::TrackChannels;
 use wcal_core::device::{Clocks, FbgReading};
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::tracks::TrackChannels;
 
 fn handshake(address: SocketAddr, protocol: &str) -> TcpStream {
     let mut link = TcpStream::connect(address).unwrap();

@@ -1,7 +1,8 @@
 //! Which peak belongs to which grating.
 
-use super::rig::{InterrogatorRig, Rig};
+use crate::rig::Rig;
 use wcal_core::device::FbgReading;
+use wcal_core::rig_devices::InterrogatorRig;
 
 /// Peaks closer than this cannot be told apart, nm.
 const SEPARATION_NM: f64 = 0.002;

@@ -1,27 +1,18 @@
 //! Carries out the steps of a plan on any stage and interrogator, recording everything.
 
-use super::monitor::{Monitor, StreamCounts};
-use super::plan::{Plan, Step};
-use super::recorder::Recorder;
-use super::rig::Rig;
-use super::steps::Sweep;
+use crate::monitor::{Monitor, StreamCounts};
+use crate::plan::{Plan, Step};
+use crate::recorder::Recorder;
+use crate::rig::Rig;
+use crate::steps::Sweep;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Stage, StageReading};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Mount, Stage, StageReading};
 
 /// A stream that is silent this long has failed (wall time).
-pub(super) const SILENCE: Duration = Duration::from_secs(2);
-
-/// Turns the whisker to a trajectory.
-pub trait Mount {
-    /// Presents `trajectory`; returns when it stands.
-    ///
-    /// # Errors
-    /// When it cannot be reached or the user declines.
-    fn select(&mut self, trajectory: u32) -> Result<(), DeviceError>;
-}
+pub(crate) const SILENCE: Duration = Duration::from_secs(2);
 
 /// Opens the stage again after its link was lost.
 pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
@@ -146,7 +137,7 @@ pub fn acquire(
     let _ = interrogator.stop();
 }
 
-pub(super) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
+pub(crate) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
     monitor.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -1,15 +1,16 @@
 //! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when something fails.
 
-use super::error::RecordingError;
-use super::message::SweepEvent;
-use super::plan::{Plan, Pose, Step};
-use super::rig::{Approach, Rig};
-use super::sweep::{Progress, SILENCE, SweepBench, lock};
+use crate::error::RecordingError;
+use crate::message::SweepEvent;
+use crate::plan::{Plan, Pose, Step};
+use crate::rig::Rig;
+use crate::sweep::{Progress, SILENCE, SweepBench, lock};
 use foxglove::messages::log::Level;
 use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use wcal_core::device::{DeviceError, DeviceErrorKind, StageReading};
+use wcal_core::rig_devices::Approach;
 
 /// Pause between stage polls while it moves, and while it stands.
 const POLL_MOVING: Duration = Duration::from_millis(4);
@@ -26,21 +27,21 @@ const WINDOWS: usize = 5;
 const REACH: u32 = 5;
 
 /// A sweep on its way.
-pub(super) struct Sweep<'b, 'r, 'p> {
-    pub(super) bench: SweepBench<'b>,
-    pub(super) rig: &'r Rig,
-    pub(super) plan: &'r Plan,
-    pub(super) steps: usize,
-    pub(super) step: usize,
-    pub(super) trajectory: Option<u32>,
-    pub(super) last: StageReading,
-    pub(super) unsettled: usize,
-    pub(super) progress: &'p mut dyn FnMut(&Progress),
+pub(crate) struct Sweep<'b, 'r, 'p> {
+    pub(crate) bench: SweepBench<'b>,
+    pub(crate) rig: &'r Rig,
+    pub(crate) plan: &'r Plan,
+    pub(crate) steps: usize,
+    pub(crate) step: usize,
+    pub(crate) trajectory: Option<u32>,
+    pub(crate) last: StageReading,
+    pub(crate) unsettled: usize,
+    pub(crate) progress: &'p mut dyn FnMut(&Progress),
 }
 
 impl Sweep<'_, '_, '_> {
     /// Reference, stream, and a safe place before the first move toward the wire.
-    pub(super) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
+    pub(crate) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
         match self.bench.stage.read() {
             Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
                 self.bench.stage.start_home()?;
@@ -60,7 +61,7 @@ impl Sweep<'_, '_, '_> {
         self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)
     }
 
-    pub(super) fn all_steps(
+    pub(crate) fn all_steps(
         &mut self,
         steps: &[Step],
         skip: &BTreeSet<u32>,
@@ -298,7 +299,7 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe.
-    pub(super) fn make_safe(&mut self, cause: &DeviceError) -> bool {
+    pub(crate) fn make_safe(&mut self, cause: &DeviceError) -> bool {
         let mut stopped = self.bench.stage.stop().is_ok();
         for _ in 0..REACH {
             if stopped {

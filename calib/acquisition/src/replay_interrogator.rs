@@ -1,10 +1,10 @@
 //! A recording as an interrogator: the same scans, once more, for every caller of the trait.
 
+use crate::replay::{End, Message, read};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::time::Duration;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
-use wcal_session::recording::replay::{End, Message, read};
 
 /// Scans given at once: as many as a busy host reads from a real unit.
 const BATCH: usize = 200;

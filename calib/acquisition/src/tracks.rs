@@ -1,8 +1,8 @@
 //! Contact points and events of `wcal track`, beside the raw streams in a recording and on a live view.
 
-use super::error::RecordingError;
-use super::message::Recorded;
-use super::recorder::{Recorder, at, log_raw, raw, timestamp};
+use crate::error::RecordingError;
+use crate::message::Recorded;
+use crate::recorder::{Recorder, at, log_raw, raw, timestamp};
 use foxglove::messages::{Pose, PoseInFrame, Quaternion, Vector3};
 use foxglove::{Channel, ChannelBuilder, RawChannel};
 use prost_types::field_descriptor_proto::Type;

@@ -4,10 +4,10 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use wcal_acquisition::message::Scan;
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::{End, Message, read};
 use wcal_core::device::{Clocks, FbgReading};
-use wcal_session::recording::message::Scan;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::replay::{End, Message, read};
 
 const RATE_HZ: f64 = 2000.0;
 

@@ -1,18 +1,18 @@
 //! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
 
-use super::assign::ChannelMap;
-use super::clocks::{ClockFit, ClockPair};
-use super::error::RecordingError;
-use super::lag;
-use super::message::{StagePosition, SweepEvent};
-use super::replay::{Message, read};
-use super::rig::Rig;
-use super::run_file::RunFile;
-use super::tables::{self, Row, Stream};
-use super::windows::Samples;
-use crate::write_atomic;
+use crate::assign::ChannelMap;
+use crate::clocks::{ClockFit, ClockPair};
+use crate::error::RecordingError;
+use crate::lag;
+use crate::message::{StagePosition, SweepEvent};
+use crate::replay::{Message, read};
+use crate::rig::Rig;
+use crate::run_file::RunFile;
+use crate::tables::{self, Row, Stream};
+use crate::windows::Samples;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use wcal_session::write_atomic;
 
 /// Length of the window of a row on the fly, s.
 const MOVING_WINDOW_S: f64 = 0.02;

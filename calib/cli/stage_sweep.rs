@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use wcal_acquisition::path_text::{draw, duration_s};
 use wcal_acquisition::plan::Step;
-use wcal_acquisition::record::{Order, Recorded, plan_only, record};
+use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::sweep::{Ending, Progress};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
 use wcal_drivers::Drivers;
@@ -85,7 +85,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let interrupt = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupt);
     ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
-    let order = Order {
+    let order = RecordRequest {
         rig,
         plan,
         places: [&rig_file, &arguments.plan].map(|p| p.display().to_string()),
@@ -161,7 +161,7 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
+fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     let sweep = &recorded.sweep;
     let (ending, cause) = match &sweep.ending {
         Ending::Finished => ("finished", None),

@@ -6,7 +6,7 @@ use wcal_core::device::DeviceError;
 
 /// What went wrong while planning, recording or reducing.
 #[derive(Debug, Error)]
-pub enum RecordingError {
+pub enum AcquisitionError {
     /// A rig, plan or recording that cannot be used.
     #[error("{place}: expected {expected}, found {found}")]
     Input {
@@ -35,7 +35,7 @@ pub enum RecordingError {
     Device(#[from] DeviceError),
 }
 
-impl RecordingError {
+impl AcquisitionError {
     /// An input error.
     pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Input { place: place.into(), expected: expected.into(), found: found.into() }

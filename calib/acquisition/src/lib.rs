@@ -28,4 +28,4 @@ pub mod tracks;
 pub mod whisker_reader;
 pub mod windows;
 
-pub use error::RecordingError;
+pub use error::AcquisitionError;

@@ -25,7 +25,7 @@ pub mod topic {
 }
 
 /// A message with its schema.
-pub trait Recorded: prost::Message + Default {
+pub trait McapMessage: prost::Message + Default {
     /// Schema name.
     const NAME: &'static str;
     /// Field name, number, type and whether it repeats.
@@ -86,7 +86,7 @@ pub struct Scan {
     pub buffer_percent: u32,
 }
 
-impl Recorded for Scan {
+impl McapMessage for Scan {
     const NAME: &'static str = "wcal.Scan";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
         ("serial", 1, Type::Uint64, false),
@@ -166,7 +166,7 @@ pub struct StagePosition {
     pub flags: Vec<String>,
 }
 
-impl Recorded for StagePosition {
+impl McapMessage for StagePosition {
     const NAME: &'static str = "wcal.StagePosition";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
         ("host_s", 1, Type::Double, false),
@@ -239,7 +239,7 @@ pub struct SweepEvent {
     pub sealed: bool,
 }
 
-impl Recorded for SweepEvent {
+impl McapMessage for SweepEvent {
     const NAME: &'static str = "wcal.SweepEvent";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
         ("kind", 1, Type::String, false),

@@ -1,6 +1,6 @@
 //! Sweep plans: what people write, expanded into steps that are carried out one by one.
 
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use crate::rig::Rig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -162,11 +162,11 @@ impl Plan {
     ///
     /// # Errors
     /// Field, what was expected and what was found; `place` names the file.
-    pub fn parse(place: &str, text: &str) -> Result<Self, RecordingError> {
+    pub fn parse(place: &str, text: &str) -> Result<Self, AcquisitionError> {
         let plan: Self = toml::from_str(text)
-            .map_err(|e| RecordingError::input(place, "a plan file", e.to_string().trim()))?;
+            .map_err(|e| AcquisitionError::input(place, "a plan file", e.to_string().trim()))?;
         let fail = |field: String, expected: &str, found: String| {
-            Err(RecordingError::input(format!("{place}: {field}"), expected, found))
+            Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
         };
         if plan.format != PLAN_FORMAT {
             return fail("format".to_owned(), PLAN_FORMAT, plan.format);
@@ -202,7 +202,7 @@ impl Plan {
     ///
     /// # Errors
     /// Trajectories the rig lacks, and positions outside its limits.
-    pub fn steps(&self, rig: &Rig, travel_mm: [f64; 2]) -> Result<Vec<Step>, RecordingError> {
+    pub fn steps(&self, rig: &Rig, travel_mm: [f64; 2]) -> Result<Vec<Step>, AcquisitionError> {
         let mut steps = Vec::new();
         if self.soak_s > 0.0 {
             steps.push(Step::Soak);
@@ -216,7 +216,7 @@ impl Plan {
             for trajectory in &block.trajectories {
                 if rig.trajectory(*trajectory).is_none() {
                     let found = format!("trajectory {trajectory}");
-                    return Err(RecordingError::input(
+                    return Err(AcquisitionError::input(
                         "plan: trajectories",
                         "trajectories of the rig",
                         found,
@@ -243,12 +243,12 @@ impl Block {
     }
 
     /// Rest, loading, unloading, for every speed and replicate.
-    fn path(&self, trajectory: u32, rig: &Rig, steps: &mut Vec<Step>) -> Result<(), RecordingError> {
+    fn path(&self, trajectory: u32, rig: &Rig, steps: &mut Vec<Step>) -> Result<(), AcquisitionError> {
         let own = [rig.stage.speed_mm_s];
         let speeds = if self.speeds_mm_s.is_empty() { &own[..] } else { &self.speeds_mm_s };
         if let Some(fast) = speeds.iter().find(|s| !(**s > 0.0 && **s <= rig.stage.speed_mm_s)) {
             let expected = format!("speeds up to the rig's {} mm/s", rig.stage.speed_mm_s);
-            return Err(RecordingError::input("plan: speeds_mm_s", expected, fast.to_string()));
+            return Err(AcquisitionError::input("plan: speeds_mm_s", expected, fast.to_string()));
         }
         let mut replicate = 0;
         for _ in 0..self.replicates {

@@ -1,6 +1,6 @@
 //! One recorded sweep from rig and plan to a reduced session.
 
-use crate::RecordingError;
+use crate::AcquisitionError;
 use crate::assign::ChannelMap;
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
@@ -27,7 +27,7 @@ use wcal_session::write_atomic;
 
 /// What to record and where.
 #[derive(Debug, Clone)]
-pub struct Order {
+pub struct RecordRequest {
     /// Text of rig.toml.
     pub rig: String,
     /// Text of the plan.
@@ -52,18 +52,18 @@ pub struct Order {
 
 /// What came of it.
 #[derive(Debug)]
-pub struct Recorded {
+pub struct RecordResult {
     /// The sweep.
     pub sweep: SweepReport,
     /// The tables, or why there are none: a sweep that stopped before its first window has nothing to reduce.
-    pub reduction: Result<Reduction, RecordingError>,
+    pub reduction: Result<Reduction, AcquisitionError>,
     /// Questions to the stage that had to be repeated.
     pub repeats: u64,
     /// Whether the devices were simulated.
     pub simulated: bool,
 }
 
-impl Recorded {
+impl RecordResult {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
@@ -98,7 +98,7 @@ impl Recorded {
 ///
 /// # Errors
 /// Whatever does not fit.
-pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), RecordingError> {
+pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), AcquisitionError> {
     let (rig, plan) = (Rig::parse(rig.0, rig.1)?, Plan::parse(plan.0, plan.1)?);
     let steps = plan.steps(&rig, [0.0, rig.stage.travel_mm])?;
     Ok((rig, plan, steps))
@@ -139,14 +139,14 @@ fn open_cameras(
 /// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault during the sweep is
 /// no error but part of the report.
 pub fn record(
-    order: &Order,
+    request: &RecordRequest,
     devices: &mut dyn DeviceOpener,
     manual: &mut dyn Mount,
     interrupt: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
-) -> Result<Recorded, RecordingError> {
-    let (rig, plan, _) = plan_only((&order.places[0], &order.rig), (&order.places[1], &order.plan))?;
-    let skip = prepare_folder(order)?;
+) -> Result<RecordResult, AcquisitionError> {
+    let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
+    let skip = prepare_folder(request)?;
     let clock = HostClock::start(rig.clock_scale);
     let mut stage = devices.stage(&rig.stage, clock)?;
     let mut interrogator = open_interrogator(devices, &rig.interrogator, clock)?;
@@ -166,13 +166,13 @@ pub fn record(
         Some(motor) => motor.as_mut(),
         None => manual,
     };
-    let (about, simulated) = describe(order, &rig, &plan, identities)?;
-    let number = recordings(&order.folder).len() + 1;
+    let (about, simulated) = describe(request, &rig, &plan, identities)?;
+    let number = recordings(&request.folder).len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
-    let recorder = Recorder::create(&order.folder.join(&name), about)?;
-    let live = order.live.map(|address| recorder.serve(address)).transpose()?;
+    let recorder = Recorder::create(&request.folder.join(&name), about)?;
+    let live = request.live.map(|address| recorder.serve(address)).transpose()?;
     if let Some(view) = &live {
-        (order.on_live)(view.address());
+        (request.on_live)(view.address());
     }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
@@ -191,23 +191,23 @@ pub fn record(
             recorder: &recorder,
             interrupt,
         };
-        let report = run(bench, &rig, &plan, &steps, &skip, order.home, progress);
+        let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
         done.store(true, Ordering::SeqCst);
         report
     });
     recorder.finish()?;
     // Scans that came while the last step ended are in the recording as well.
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
-    let reduction = reduce(&order.folder);
-    let recorded = Recorded { sweep, reduction, repeats: devices.repeats(), simulated };
-    add_outcome(&order.folder, name, &recorded)?;
+    let reduction = reduce(&request.folder);
+    let recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
+    add_outcome(&request.folder, name, &recorded)?;
     Ok(recorded)
 }
 
 /// Adds to run.json what came of this run.
-fn add_outcome(folder: &Path, recording: String, recorded: &Recorded) -> Result<(), RecordingError> {
+fn add_outcome(folder: &Path, recording: String, recorded: &RecordResult) -> Result<(), AcquisitionError> {
     let path = folder.join("run.json");
-    let io = |source| RecordingError::Io { action: "reading", path: path.clone(), source };
+    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
     let mut run = RunFile::parse(&std::fs::read_to_string(&path).map_err(io)?)?;
     let (ending, cause) = match &recorded.sweep.ending {
         Ending::Finished => ("finished", None),
@@ -224,17 +224,17 @@ fn add_outcome(folder: &Path, recording: String, recorded: &Recorded) -> Result<
     save(&path, &as_text(&run)?)
 }
 
-fn as_text(run: &RunFile) -> Result<String, RecordingError> {
-    serde_json::to_string_pretty(run).map_err(|e| RecordingError::Recorder(e.to_string()))
+fn as_text(run: &RunFile) -> Result<String, AcquisitionError> {
+    serde_json::to_string_pretty(run).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
 /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
-fn prepare_folder(order: &Order) -> Result<BTreeSet<u32>, RecordingError> {
-    let folder = &order.folder;
+fn prepare_folder(request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
+    let folder = &request.folder;
     let place = folder.display().to_string();
     let begun = folder.join("rig.toml").exists();
-    if order.resume {
-        for (name, text) in [("rig.toml", &order.rig), ("plan.toml", &order.plan)] {
+    if request.resume {
+        for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
             same(folder, name, text)?;
         }
         let mut skip = BTreeSet::new();
@@ -245,25 +245,25 @@ fn prepare_folder(order: &Order) -> Result<BTreeSet<u32>, RecordingError> {
     }
     if begun {
         let expected = "a new folder (or --resume)";
-        return Err(RecordingError::input(place, expected, "one that holds a session"));
+        return Err(AcquisitionError::input(place, expected, "one that holds a session"));
     }
-    let io = |source| RecordingError::Io { action: "creating", path: folder.clone(), source };
+    let io = |source| AcquisitionError::Io { action: "creating", path: folder.clone(), source };
     std::fs::create_dir_all(folder).map_err(io)?;
-    for (name, text) in [("rig.toml", &order.rig), ("plan.toml", &order.plan)] {
+    for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
         save(&folder.join(name), text)?;
     }
     Ok(BTreeSet::new())
 }
 
 /// Ports may differ between the runs of one session, plans and geometry may not.
-fn same(folder: &Path, name: &str, text: &str) -> Result<(), RecordingError> {
+fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
     let path = folder.join(name);
-    let io = |source| RecordingError::Io { action: "reading", path: path.clone(), source };
+    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
     let old = std::fs::read_to_string(&path).map_err(io)?;
     if without_links(&old) == without_links(text) {
         return Ok(());
     }
-    Err(RecordingError::input(
+    Err(AcquisitionError::input(
         path.display().to_string(),
         "the same content as when the session was begun",
         "other content",
@@ -290,8 +290,8 @@ fn without_links(text: &str) -> Option<toml::Table> {
     Some(table)
 }
 
-fn save(path: &Path, text: &str) -> Result<(), RecordingError> {
-    write_atomic(path, text.as_bytes()).map_err(|e| RecordingError::Recorder(e.to_string()))
+fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
+    write_atomic(path, text.as_bytes()).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
 /// Rig, plan and time of creation, to the fraction of a second that it states.
@@ -302,20 +302,20 @@ fn session_id(rig: &str, plan: &str, created: &str) -> String {
 
 /// Writes run.json; the same facts go into the recording. Says whether the devices are simulated, too.
 fn describe(
-    order: &Order,
+    request: &RecordRequest,
     rig: &Rig,
     plan: &Plan,
     devices: BTreeMap<String, DeviceIdentity>,
-) -> Result<(BTreeMap<String, String>, bool), RecordingError> {
+) -> Result<(BTreeMap<String, String>, bool), AcquisitionError> {
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),
-        id: session_id(&rig.name, &plan.name, &order.created),
+        id: session_id(&rig.name, &plan.name, &request.created),
         medium: plan.medium.clone(),
-        created: order.created.clone(),
+        created: request.created.clone(),
         program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
-        command: order.command.clone(),
-        rig_sha256: sha256_hex(order.rig.as_bytes()),
-        plan_sha256: sha256_hex(order.plan.as_bytes()),
+        command: request.command.clone(),
+        rig_sha256: sha256_hex(request.rig.as_bytes()),
+        plan_sha256: sha256_hex(request.plan.as_bytes()),
         devices,
         clock_scale: rig.clock_scale,
         runs: Vec::new(),
@@ -323,7 +323,7 @@ fn describe(
     };
     let run = RunFile { simulated: run.is_simulated(), ..run };
     let text = as_text(&run)?;
-    let path = order.folder.join("run.json");
+    let path = request.folder.join("run.json");
     // A resumed session keeps the identity it was begun with.
     if path.exists() {
         same_bench(&path, run.simulated)?;
@@ -332,21 +332,21 @@ fn describe(
     }
     let about = BTreeMap::from([
         ("run".to_owned(), text),
-        ("rig".to_owned(), order.rig.clone()),
-        ("plan".to_owned(), order.plan.clone()),
+        ("rig".to_owned(), request.rig.clone()),
+        ("plan".to_owned(), request.plan.clone()),
     ]);
     Ok((about, run.simulated))
 }
 
 /// Measured and simulated scans never share a session.
-fn same_bench(run_file: &Path, simulated: bool) -> Result<(), RecordingError> {
-    let io = |source| RecordingError::Io { action: "reading", path: run_file.to_owned(), source };
+fn same_bench(run_file: &Path, simulated: bool) -> Result<(), AcquisitionError> {
+    let io = |source| AcquisitionError::Io { action: "reading", path: run_file.to_owned(), source };
     let begun = RunFile::parse(&std::fs::read_to_string(run_file).map_err(io)?)?;
     if begun.is_simulated() == simulated {
         return Ok(());
     }
     let name = |simulated: bool| if simulated { "a virtual bench" } else { "a real bench" };
-    Err(RecordingError::input(
+    Err(AcquisitionError::input(
         run_file.display().to_string(),
         format!("{}, as when the session was begun", name(begun.is_simulated())),
         name(simulated),

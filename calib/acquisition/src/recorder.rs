@@ -1,7 +1,7 @@
 //! Writes `recording.mcap`: chunks with CRC, on disk within a fraction of a second.
 
-use crate::error::RecordingError;
-use crate::message::{Recorded, Scan, StagePosition, SweepEvent, topic};
+use crate::error::AcquisitionError;
+use crate::message::{McapMessage, Scan, StagePosition, SweepEvent, topic};
 use foxglove::messages::{Log, Pose, PoseInFrame, Quaternion, RawImage, Timestamp, log::Level};
 use foxglove::{
     Channel, ChannelBuilder, Context, McapWriteOptions, McapWriterHandle, PartialMetadata, RawChannel,
@@ -82,13 +82,13 @@ impl Recorder {
     ///
     /// # Errors
     /// When the file exists or cannot be written.
-    pub fn create(path: &Path, about: BTreeMap<String, String>) -> Result<Self, RecordingError> {
+    pub fn create(path: &Path, about: BTreeMap<String, String>) -> Result<Self, AcquisitionError> {
         let file = OpenOptions::new()
             .write(true)
             .create_new(true)
             .open(path)
-            .map_err(RecordingError::io("creating", path))?;
-        let copy = file.try_clone().map_err(RecordingError::io("creating", path))?;
+            .map_err(AcquisitionError::io("creating", path))?;
+        let copy = file.try_clone().map_err(AcquisitionError::io("creating", path))?;
         let context = Context::new();
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
         let options =
@@ -105,14 +105,14 @@ impl Recorder {
     ///
     /// # Errors
     /// When the channels cannot be made.
-    pub fn without_file() -> Result<Self, RecordingError> {
+    pub fn without_file() -> Result<Self, AcquisitionError> {
         Self::on(Context::new(), None)
     }
 
     fn on(
         context: Arc<Context>,
         file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
-    ) -> Result<Self, RecordingError> {
+    ) -> Result<Self, AcquisitionError> {
         let now = Instant::now();
         Ok(Self {
             scans: raw::<Scan>(&context, topic::SCAN)?,
@@ -136,11 +136,11 @@ impl Recorder {
     ///
     /// # Errors
     /// When the address cannot be used.
-    pub fn serve(&self, address: SocketAddr) -> Result<LiveView, RecordingError> {
+    pub fn serve(&self, address: SocketAddr) -> Result<LiveView, AcquisitionError> {
         let server = WebSocketServer::new().name("wcal").context(&self.context);
         let bound = server.bind(address.ip().to_string(), address.port()).start_blocking();
         let server = bound.map_err(|e| {
-            RecordingError::input(
+            AcquisitionError::input(
                 format!("live view at {address}"),
                 "a free address of this machine",
                 e.to_string(),
@@ -153,7 +153,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn scan(&self, reading: &FbgReading) -> Result<(), RecordingError> {
+    pub fn scan(&self, reading: &FbgReading) -> Result<(), AcquisitionError> {
         log_raw(&self.scans, &Scan::from(reading), reading.clocks.host_s);
         self.keep_pace()
     }
@@ -162,7 +162,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn stage(&self, reading: &StageReading) -> Result<(), RecordingError> {
+    pub fn stage(&self, reading: &StageReading) -> Result<(), AcquisitionError> {
         log_raw(&self.stage, &StagePosition::from(reading), reading.clocks.host_s);
         self.keep_pace()
     }
@@ -183,7 +183,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn event(&self, host_s: f64, event: &SweepEvent) -> Result<(), RecordingError> {
+    pub fn event(&self, host_s: f64, event: &SweepEvent) -> Result<(), AcquisitionError> {
         log_raw(&self.events, event, host_s);
         self.flush()
     }
@@ -204,7 +204,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn picture(&self, name: &str, frame: &CameraFrame) -> Result<(), RecordingError> {
+    pub fn picture(&self, name: &str, frame: &CameraFrame) -> Result<(), AcquisitionError> {
         let mut images = self.images.lock().unwrap_or_else(PoisonError::into_inner);
         let channel = images.entry(name.to_owned()).or_insert_with(|| {
             ChannelBuilder::new(format!("{}{name}", topic::CAMERA)).context(&self.context).build()
@@ -227,21 +227,21 @@ impl Recorder {
     ///
     /// # Errors
     /// When the disk does not take it; what was flushed before stays readable.
-    pub fn finish(self) -> Result<(), RecordingError> {
+    pub fn finish(self) -> Result<(), AcquisitionError> {
         let Some((writer, file)) = self.file else { return Ok(()) };
         writer.close().map_err(broken)?;
-        file.sync_all().map_err(|e| RecordingError::Recorder(e.to_string()))
+        file.sync_all().map_err(|e| AcquisitionError::Recorder(e.to_string()))
     }
 
     /// Brings everything so far into the file.
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn flush(&self) -> Result<(), RecordingError> {
+    pub fn flush(&self) -> Result<(), AcquisitionError> {
         self.file.as_ref().map_or(Ok(()), |(writer, _)| writer.flush().map_err(broken))
     }
 
-    fn keep_pace(&self) -> Result<(), RecordingError> {
+    fn keep_pace(&self) -> Result<(), AcquisitionError> {
         let now = Instant::now();
         let sync = {
             let mut pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
@@ -257,16 +257,18 @@ impl Recorder {
         };
         self.flush()?;
         match &self.file {
-            Some((_, file)) if sync => file.sync_data().map_err(|e| RecordingError::Recorder(e.to_string())),
+            Some((_, file)) if sync => {
+                file.sync_data().map_err(|e| AcquisitionError::Recorder(e.to_string()))
+            }
             _ => Ok(()),
         }
     }
 }
 
-pub(crate) fn raw<M: Recorded>(
+pub(crate) fn raw<M: McapMessage>(
     context: &Arc<Context>,
     topic: &str,
-) -> Result<Arc<RawChannel>, RecordingError> {
+) -> Result<Arc<RawChannel>, AcquisitionError> {
     ChannelBuilder::new(topic)
         .context(context)
         .message_encoding("protobuf")
@@ -275,10 +277,10 @@ pub(crate) fn raw<M: Recorded>(
         .map_err(broken)
 }
 
-pub(crate) fn log_raw<M: Recorded>(channel: &RawChannel, message: &M, host_s: f64) {
+pub(crate) fn log_raw<M: McapMessage>(channel: &RawChannel, message: &M, host_s: f64) {
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
 }
 
-fn broken(error: foxglove::FoxgloveError) -> RecordingError {
-    RecordingError::Recorder(error.to_string())
+fn broken(error: foxglove::FoxgloveError) -> AcquisitionError {
+    AcquisitionError::Recorder(error.to_string())
 }

@@ -2,7 +2,7 @@
 
 use crate::assign::ChannelMap;
 use crate::clocks::{ClockFit, ClockPair};
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use crate::lag;
 use crate::message::{StagePosition, SweepEvent};
 use crate::replay::{Message, read};
@@ -120,17 +120,17 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// When rig, run file or recording cannot be read, or nothing was recorded.
-pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
+pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let text = |name: &str| {
         let path = folder.join(name);
-        std::fs::read_to_string(&path).map_err(RecordingError::io("reading", &path))
+        std::fs::read_to_string(&path).map_err(AcquisitionError::io("reading", &path))
     };
     let rig = Rig::parse("rig.toml", &text("rig.toml")?)?;
     let run = RunFile::parse(&text("run.json")?)?;
     let parts = recordings(folder);
     if parts.is_empty() {
         let place = folder.display().to_string();
-        return Err(RecordingError::input(place, "recording.mcap", "none"));
+        return Err(AcquisitionError::input(place, "recording.mcap", "none"));
     }
     let mut result = Reduction::default();
     let mut rows = Vec::new();
@@ -144,14 +144,14 @@ pub fn reduce(folder: &Path) -> Result<Reduction, RecordingError> {
     result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
-        write_atomic(&folder.join(name), bytes).map_err(|e| RecordingError::Recorder(e.to_string()))?;
+        write_atomic(&folder.join(name), bytes).map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
     }
     let names: Vec<String> =
         parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
     let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
     let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
     write_atomic(&folder.join("session.toml"), session.as_bytes())
-        .map_err(|e| RecordingError::Recorder(e.to_string()))?;
+        .map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
     Ok(result)
 }
 
@@ -171,7 +171,7 @@ fn reduce_part(
     origin_s: &mut Option<f64>,
     rows: &mut Vec<Row>,
     result: &mut Reduction,
-) -> Result<(), RecordingError> {
+) -> Result<(), AcquisitionError> {
     // First pass: what was done, where the stage was, how the clocks ran.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures) = (None::<u64>, 0);

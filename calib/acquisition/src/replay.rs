@@ -1,6 +1,6 @@
 //! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
 
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use crate::message::{Scan, StagePosition, SweepEvent, topic};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -62,9 +62,9 @@ const MAX_RECORD_BYTES: u64 = 256 << 20;
 ///
 /// # Errors
 /// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
-pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, RecordingError> {
-    let mut file = File::open(path).map_err(RecordingError::io("opening", path))?;
-    let size = file.metadata().map_err(RecordingError::io("opening", path))?.len();
+pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
+    let mut file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
     // No record is longer than its file, whatever its length says.
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
     let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
@@ -73,7 +73,7 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Recording
     while let Some(event) = reader.next_event() {
         match event {
             Ok(LinearReadEvent::ReadRequest(need)) => {
-                let count = file.read(reader.insert(need)).map_err(RecordingError::io("reading", path))?;
+                let count = file.read(reader.insert(need)).map_err(AcquisitionError::io("reading", path))?;
                 reader.notify_read(count);
             }
             Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => match Chunk::parse(data) {
@@ -87,7 +87,7 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Recording
                 }
                 Some(Chunk::Compressed(name)) => {
                     let expected = "chunks without compression, as wcal records them";
-                    return Err(RecordingError::input(path.display().to_string(), expected, name));
+                    return Err(AcquisitionError::input(path.display().to_string(), expected, name));
                 }
                 None => end.damaged_chunks += 1,
             },
@@ -96,7 +96,11 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Recording
             }
             // A recorder that was killed before its first flush leaves an empty file, no other bytes.
             Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
-                return Err(RecordingError::input(path.display().to_string(), "an MCAP file", "other bytes"));
+                return Err(AcquisitionError::input(
+                    path.display().to_string(),
+                    "an MCAP file",
+                    "other bytes",
+                ));
             }
             Err(e) => {
                 end.cut_off = Some(e.to_string());
@@ -169,7 +173,7 @@ impl Topics {
         opcode: u8,
         body: &[u8],
         take: &mut impl FnMut(Message),
-    ) -> Result<bool, RecordingError> {
+    ) -> Result<bool, AcquisitionError> {
         match opcode {
             op::CHANNEL => {
                 let found = channel(body);
@@ -211,17 +215,17 @@ fn message(mut body: &[u8]) -> Option<(u64, u64, &[u8])> {
 }
 
 /// Whether as much of the magic bytes is there as the file's length allows.
-fn begins_like_mcap(path: &Path) -> Result<bool, RecordingError> {
+fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
     let mut start = Vec::new();
-    let file = File::open(path).map_err(RecordingError::io("opening", path))?;
+    let file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = mcap::MAGIC.len();
-    file.take(size as u64).read_to_end(&mut start).map_err(RecordingError::io("reading", path))?;
+    file.take(size as u64).read_to_end(&mut start).map_err(AcquisitionError::io("reading", path))?;
     Ok(mcap::MAGIC.starts_with(&start))
 }
 
-fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, RecordingError> {
+fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, AcquisitionError> {
     let bad = |e: prost::DecodeError| {
-        RecordingError::input(
+        AcquisitionError::input(
             format!("{}: {topic}", path.display()),
             "a message of its schema",
             e.to_string(),
@@ -255,7 +259,7 @@ struct PictureTime {
 ///
 /// # Errors
 /// As for [`read`].
-pub fn completed_steps(path: &Path) -> Result<Vec<u32>, RecordingError> {
+pub fn completed_steps(path: &Path) -> Result<Vec<u32>, AcquisitionError> {
     let mut done = Vec::new();
     read(path, |message| {
         if let Message::Event(event) = message

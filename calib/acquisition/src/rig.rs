@@ -1,6 +1,6 @@
 //! `rig.toml`: what stands on the bench. Parts that belong to the session are copied into it as they are.
 
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use nalgebra::Vector3;
 use serde::Deserialize;
 use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, StageRig};
@@ -91,11 +91,11 @@ impl Rig {
     ///
     /// # Errors
     /// Field, what was expected and what was found; `place` names the file.
-    pub fn parse(place: &str, text: &str) -> Result<Self, RecordingError> {
+    pub fn parse(place: &str, text: &str) -> Result<Self, AcquisitionError> {
         let rig: Self = toml::from_str(text)
-            .map_err(|e| RecordingError::input(place, "a rig file", e.to_string().trim()))?;
+            .map_err(|e| AcquisitionError::input(place, "a rig file", e.to_string().trim()))?;
         let fail = |field: &str, expected: &str, found: String| {
-            Err(RecordingError::input(format!("{place}: {field}"), expected, found))
+            Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
         };
         let s = &rig.stage;
         let [low, high] = s.soft_limits_mm;
@@ -164,7 +164,12 @@ impl Rig {
     ///
     /// # Errors
     /// What is allowed and what was asked for.
-    pub fn check_depth(&self, what: &str, depth_mm: f64, travel_mm: [f64; 2]) -> Result<(), RecordingError> {
+    pub fn check_depth(
+        &self,
+        what: &str,
+        depth_mm: f64,
+        travel_mm: [f64; 2],
+    ) -> Result<(), AcquisitionError> {
         let position = self.stage.zero_mm + depth_mm;
         let low = self.stage.soft_limits_mm[0].max(travel_mm[0]);
         let high = self.stage.soft_limits_mm[1].min(travel_mm[1]);
@@ -172,7 +177,7 @@ impl Rig {
             return Ok(());
         }
         let expected = format!("a stage position in {low:.3}..{high:.3} mm");
-        Err(RecordingError::input(what, expected, format!("{position:.3} mm")))
+        Err(AcquisitionError::input(what, expected, format!("{position:.3} mm")))
     }
 }
 

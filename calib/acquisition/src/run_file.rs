@@ -1,6 +1,6 @@
 //! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
 
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::device::DeviceIdentity;
@@ -69,12 +69,12 @@ impl RunFile {
     ///
     /// # Errors
     /// What was expected and what was found.
-    pub fn parse(text: &str) -> Result<Self, RecordingError> {
+    pub fn parse(text: &str) -> Result<Self, AcquisitionError> {
         let run: Self = serde_json::from_str(text)
-            .map_err(|e| RecordingError::input("run.json", "a run file", e.to_string()))?;
+            .map_err(|e| AcquisitionError::input("run.json", "a run file", e.to_string()))?;
         if run.format == RUN_FORMAT {
             return Ok(run);
         }
-        Err(RecordingError::input("run.json: format", RUN_FORMAT, run.format))
+        Err(AcquisitionError::input("run.json: format", RUN_FORMAT, run.format))
     }
 }

@@ -1,6 +1,6 @@
 //! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when something fails.
 
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
 use crate::plan::{Plan, Pose, Step};
 use crate::rig::Rig;
@@ -21,7 +21,7 @@ const ARRIVAL_MM: f64 = 0.005;
 const SYNC_MM: f64 = 1.0;
 const SYNC_MM_S: f64 = 4.0;
 /// Share of a window's scans that must have come, and windows tried.
-const LEAST_COVERED: f64 = 0.5;
+const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
 /// Attempts to reach a lost stage again to stop it.
 const REACH: u32 = 5;
@@ -159,7 +159,7 @@ impl Sweep<'_, '_, '_> {
 
     /// An averaging window that the stream covers: one that fell into a gap is taken again.
     fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
-        let least = LEAST_COVERED * average_s * self.rig.interrogator.rate_hz;
+        let least = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
         for _ in 0..WINDOWS {
             let begin_s = self.device_s();
             let end_s = begin_s + average_s;
@@ -168,7 +168,7 @@ impl Sweep<'_, '_, '_> {
                 return Ok((begin_s, end_s));
             }
         }
-        let expected = format!("{LEAST_COVERED} of a window's scans in one of {WINDOWS}");
+        let expected = format!("{MIN_COVERED} of a window's scans in one of {WINDOWS}");
         Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
     }
 
@@ -345,7 +345,7 @@ impl Sweep<'_, '_, '_> {
     }
 }
 
-fn disk(error: &RecordingError) -> DeviceError {
+fn disk(error: &AcquisitionError) -> DeviceError {
     let kind = DeviceErrorKind::Configuration;
     DeviceError::new(kind, "recorder", "record", "space on disk", error.to_string())
 }

@@ -1,7 +1,7 @@
 //! Text of the reduced tables and of `session.toml`.
 
 use crate::clocks::ClockFit;
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use crate::reduce::Reduction;
 use crate::rig::Rig;
 use crate::run_file::RunFile;
@@ -98,10 +98,10 @@ pub struct Row {
 
 fn csv_text(
     write: impl FnOnce(&mut csv::Writer<Vec<u8>>) -> csv::Result<()>,
-) -> Result<Vec<u8>, RecordingError> {
+) -> Result<Vec<u8>, AcquisitionError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    write(&mut writer).map_err(|e| RecordingError::Recorder(e.to_string()))?;
-    writer.into_inner().map_err(|e| RecordingError::Recorder(e.to_string()))
+    write(&mut writer).map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
+    writer.into_inner().map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
 /// Files of the tables: points.csv, holdout.csv where there are such rows, compensation.csv, outliers.csv. Simulated readings are
@@ -113,7 +113,7 @@ pub fn write_tables(
     rig: &Rig,
     rows: &[Row],
     simulated: bool,
-) -> Result<Vec<(String, Vec<u8>)>, RecordingError> {
+) -> Result<Vec<(String, Vec<u8>)>, AcquisitionError> {
     let (holdout, points): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|r| r.sealed);
     let mut files = vec![("points.csv".to_owned(), table(&points, simulated)?)];
     if !holdout.is_empty() {
@@ -145,7 +145,7 @@ pub fn write_tables(
     Ok(files)
 }
 
-fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, RecordingError> {
+fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
     csv_text(|out| {
         out.write_record(COLUMNS.iter().copied().chain(simulated.then_some(SIMULATED_COLUMN)))?;
         for (k, row) in rows.iter().enumerate() {
@@ -221,7 +221,7 @@ pub fn session_toml(
     recordings: &[String],
     holdout: bool,
     result: &Reduction,
-) -> Result<String, RecordingError> {
+) -> Result<String, AcquisitionError> {
     let text = |s: &str| Value::String(s.to_owned());
     let mut files = Table::new();
     files.insert("points".to_owned(), text("points.csv"));
@@ -278,10 +278,10 @@ pub fn session_toml(
     provenance.insert("rig_sha256".to_owned(), text(&run.rig_sha256));
     provenance.insert("plan_sha256".to_owned(), text(&run.plan_sha256));
     root.insert("provenance".to_owned(), Value::Table(provenance));
-    toml::to_string(&root).map_err(|e| RecordingError::Recorder(e.to_string()))
+    toml::to_string(&root).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<Table, RecordingError> {
+fn devices(run: &RunFile, recordings: &[String], result: &Reduction) -> Result<Table, AcquisitionError> {
     let mut devices = Table::new();
     for (role, identity) in &run.devices {
         let mut table = Table::new();

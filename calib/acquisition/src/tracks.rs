@@ -1,7 +1,7 @@
 //! Contact points and events of `wcal track`, beside the raw streams in a recording and on a live view.
 
-use crate::error::RecordingError;
-use crate::message::Recorded;
+use crate::error::AcquisitionError;
+use crate::message::McapMessage;
 use crate::recorder::{Recorder, at, log_raw, raw, timestamp};
 use foxglove::messages::{Pose, PoseInFrame, Quaternion, Vector3};
 use foxglove::{Channel, ChannelBuilder, RawChannel};
@@ -63,7 +63,7 @@ pub struct ContactPoint {
     pub base_mm_s: Vec<f64>,
 }
 
-impl Recorded for ContactPoint {
+impl McapMessage for ContactPoint {
     const NAME: &'static str = "wcal.ContactPoint";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
         ("whisker", 1, Type::String, false),
@@ -114,7 +114,7 @@ pub struct ContactEventMessage {
     pub ring: Vec<f64>,
 }
 
-impl Recorded for ContactEventMessage {
+impl McapMessage for ContactEventMessage {
     const NAME: &'static str = "wcal.ContactEvent";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
         ("whisker", 1, Type::String, false),
@@ -141,7 +141,7 @@ impl TrackChannels {
     ///
     /// # Errors
     /// When the recorder does not take them.
-    pub fn new(recorder: &Recorder, whiskers: &[String]) -> Result<Self, RecordingError> {
+    pub fn new(recorder: &Recorder, whiskers: &[String]) -> Result<Self, AcquisitionError> {
         let context = recorder.context();
         let pose = |name: &String| {
             let topic = format!("{}{}", topic::POSE, if name.is_empty() { "whisker" } else { name });
@@ -187,7 +187,7 @@ mod tests {
     use prost::Message as _;
     use prost_types::FileDescriptorSet;
 
-    fn described<M: Recorded>() -> usize {
+    fn described<M: McapMessage>() -> usize {
         let set = FileDescriptorSet::decode(&*M::schema().data).unwrap();
         set.file[0].message_type[0].field.len()
     }

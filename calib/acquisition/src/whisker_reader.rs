@@ -1,11 +1,11 @@
 //! One whisker's readings out of the scans: assigned, flagged, temperature compensated; nothing is filled in.
 
 use crate::assign::ChannelMap;
-use crate::error::RecordingError;
+use crate::error::AcquisitionError;
 use wcal_core::FbgSpec;
 use wcal_core::device::FbgReading;
 use wcal_core::rig_devices::InterrogatorRig;
-use wcal_core::stream::{Flags, Sensed};
+use wcal_core::stream::{Flags, WhiskerReading};
 
 const PM_PER_NM: f64 = 1e3;
 /// Largest difference between the scan rate that is stated and that of the device's clock.
@@ -36,10 +36,10 @@ impl WhiskerReader {
         interrogator: &InterrogatorRig,
         whisker: &str,
         fbg: &FbgSpec,
-    ) -> Result<Self, RecordingError> {
+    ) -> Result<Self, AcquisitionError> {
         let of = if whisker.is_empty() { String::new() } else { format!(" of whisker {whisker}") };
         let fail = |field: &str, expected: String, found: String| {
-            Err(RecordingError::input(format!("{place}: {field}{of}"), expected, found))
+            Err(AcquisitionError::input(format!("{place}: {field}{of}"), expected, found))
         };
         let Some(nominal_nm) = fbg.nominal_nm else {
             let expected = "a calibration with nominal wavelengths".to_owned();
@@ -80,7 +80,7 @@ impl WhiskerReader {
     ///
     /// # Errors
     /// After the first second: another scan rate than stated, or a grating that never had a peak.
-    pub fn take(&mut self, reading: &FbgReading, dropped: bool) -> Result<Sensed, RecordingError> {
+    pub fn take(&mut self, reading: &FbgReading, dropped: bool) -> Result<WhiskerReading, AcquisitionError> {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         let first = *self.first.get_or_insert((reading.serial, device_s));
         let mut flags = Flags::default();
@@ -114,7 +114,7 @@ impl WhiskerReader {
             self.fbg.compensated_pm(raw_pm, reference_pm)
         });
         self.judge(first, reading)?;
-        Ok(Sensed {
+        Ok(WhiskerReading {
             serial: reading.serial,
             t_s: device_s - first.1,
             shift_pm,
@@ -124,7 +124,7 @@ impl WhiskerReader {
     }
 
     /// Once, after a second of scans.
-    fn judge(&mut self, first: (u64, f64), reading: &FbgReading) -> Result<(), RecordingError> {
+    fn judge(&mut self, first: (u64, f64), reading: &FbgReading) -> Result<(), AcquisitionError> {
         let Some((serial, last_s)) = self.last else { return Ok(()) };
         let scans = serial.saturating_sub(first.0) as f64;
         if self.judged || scans < self.rate_hz {
@@ -134,13 +134,13 @@ impl WhiskerReader {
         let found_hz = scans / (last_s - first.1);
         if !((found_hz / self.rate_hz - 1.0).abs() <= RATE_SHARE) {
             let expected = format!("{} scans a second (rate_hz)", self.rate_hz);
-            return Err(RecordingError::input(&self.name, expected, format!("{found_hz:.1}")));
+            return Err(AcquisitionError::input(&self.name, expected, format!("{found_hz:.1}")));
         }
         for (name, seen) in ["fbg_ref", "fbg_1", "fbg_2"].iter().zip(self.seen) {
             if seen == 0 && (*name != "fbg_ref" || self.fbg.needs_reference()) {
                 let expected = format!("a peak of {name} in its window (channel map)");
                 let all = format!("none in a second; the last scan has {:?} nm", reading.peaks_nm);
-                return Err(RecordingError::input(&self.name, expected, all));
+                return Err(AcquisitionError::input(&self.name, expected, all));
             }
         }
         Ok(())
@@ -163,7 +163,7 @@ mod tests {
         }
     }
 
-    fn reader(from: &str, to: &str) -> Result<WhiskerReader, RecordingError> {
+    fn reader(from: &str, to: &str) -> Result<WhiskerReader, AcquisitionError> {
         let rig = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap();
         WhiskerReader::new("rig.toml", &rig.interrogator, "", &fbg())
     }

@@ -20,7 +20,7 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
-pub use error::{Defect, DefectFields, SessionError};
+pub use error::{InputError, InputErrorFields, SessionError};
 pub use findings::{Finding, Severity, duplicated_readings, examine};
 pub use holdout::{add_session, attach_holdout};
 pub use session::{CLOCK_PROBLEM, LoadedSession, SESSION_FORMAT, load};

@@ -1,6 +1,6 @@
 //! Writing so that a reader sees the old content or the new one, never half of it.
 
-use crate::error::{Defect, SessionError};
+use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, load};
 use std::fs;
 use std::io::Write;
@@ -55,7 +55,11 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
     let fail = |source| SessionError::Io { action: "writing", path: folder.to_owned(), source };
     refuse_existing(folder)?;
     let name = folder.file_name().ok_or_else(|| {
-        SessionError::from(Defect::new(&folder.display().to_string(), "the name of a new folder", "no name"))
+        SessionError::from(InputError::new(
+            &folder.display().to_string(),
+            "the name of a new folder",
+            "no name",
+        ))
     })?;
     let parent = match folder.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -82,7 +86,7 @@ fn refuse_existing(folder: &Path) -> Result<(), SessionError> {
     };
     if taken {
         let name = folder.display().to_string();
-        return Err(Defect::new(&name, "a folder that does not exist yet", "one with content").into());
+        return Err(InputError::new(&name, "a folder that does not exist yet", "one with content").into());
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ mod common;
 use common::{NoMount, PLAN, bench, order, rows};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use wcal_acquisition::record::{Recorded, record};
+use wcal_acquisition::record::{RecordResult, record};
 use wcal_acquisition::sweep::Ending;
 use wcal_core::device::DeviceErrorKind as Kind;
 use wcal_drivers::bench::VirtualBench;
@@ -29,7 +29,12 @@ enum Outcome {
 }
 
 /// One run: the fault comes at a step of its own, on the move when `moving`.
-fn run(fault: Fault, extra: &str, step: usize, moving: bool) -> (VirtualBench, tempfile::TempDir, Recorded) {
+fn run(
+    fault: Fault,
+    extra: &str,
+    step: usize,
+    moving: bool,
+) -> (VirtualBench, tempfile::TempDir, RecordResult) {
     let (bench, dir) = (bench(extra), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);

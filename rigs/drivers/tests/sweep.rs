@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use wcal_acquisition::assign::ChannelMap;
 use wcal_acquisition::monitor::Monitor;
-use wcal_acquisition::record::{Order, record};
+use wcal_acquisition::record::{RecordRequest, record};
 use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::run_file::RunFile;
@@ -117,7 +117,7 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let before = bench.true_stage();
     let wide = order(&bench, &PLAN.replace("3.0]", "30.0]"), dir.path());
     assert!(go(&wide).unwrap_err().to_string().contains("stage position"));
-    let unreferenced = Order { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
+    let unreferenced = RecordRequest { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
     let recorded = go(&unreferenced).unwrap();
     assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
     assert_eq!(bench.true_stage(), before);

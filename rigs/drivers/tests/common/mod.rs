@@ -3,8 +3,8 @@
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
-use wcal_acquisition::RecordingError;
-use wcal_acquisition::record::{Order, Recorded, record};
+use wcal_acquisition::AcquisitionError;
+use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_core::SessionData;
 use wcal_core::device::DeviceError;
 use wcal_core::device::Mount;
@@ -66,8 +66,8 @@ pub fn rig(bench: &VirtualBench) -> String {
 }
 
 /// A new session in `folder`.
-pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
-    Order {
+pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
+    RecordRequest {
         rig: rig(bench),
         plan: plan.to_owned(),
         places: ["rig.toml", "plan.toml"].map(str::to_owned),
@@ -82,7 +82,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
 }
 
 /// Records without anybody watching.
-pub fn go(order: &Order) -> Result<Recorded, RecordingError> {
+pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
     record(order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |_| {})
 }
 

@@ -35,6 +35,12 @@ pub enum AcquisitionError {
     Device(#[from] DeviceError),
 }
 
+impl From<wcal_core::files::FileError> for AcquisitionError {
+    fn from(error: wcal_core::files::FileError) -> Self {
+        Self::Io { action: error.action, path: error.path, source: error.source }
+    }
+}
+
 impl AcquisitionError {
     /// An input error.
     pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {

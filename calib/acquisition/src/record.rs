@@ -21,9 +21,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use wcal_core::clock::HostClock;
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
+use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
-use wcal_session::write_atomic;
 
 /// What to record and where.
 #[derive(Debug, Clone)]
@@ -291,7 +291,7 @@ fn without_links(text: &str) -> Option<toml::Table> {
 }
 
 fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
-    write_atomic(path, text.as_bytes()).map_err(|e| AcquisitionError::Recorder(e.to_string()))
+    Ok(write_atomic(path, text.as_bytes())?)
 }
 
 /// Rig, plan and time of creation, to the fraction of a second that it states.

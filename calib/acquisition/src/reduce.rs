@@ -12,7 +12,7 @@ use crate::tables::{self, Row, Stream};
 use crate::windows::Samples;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use wcal_session::write_atomic;
+use wcal_core::files::write_atomic;
 
 /// Length of the window of a row on the fly, s.
 const MOVING_WINDOW_S: f64 = 0.02;
@@ -144,14 +144,13 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
-        write_atomic(&folder.join(name), bytes).map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
+        write_atomic(&folder.join(name), bytes)?;
     }
     let names: Vec<String> =
         parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
     let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
     let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
-    write_atomic(&folder.join("session.toml"), session.as_bytes())
-        .map_err(|e| AcquisitionError::Recorder(e.to_string()))?;
+    write_atomic(&folder.join("session.toml"), session.as_bytes())?;
     Ok(result)
 }
 

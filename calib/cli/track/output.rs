@@ -224,7 +224,7 @@ impl TrackFiles {
     pub fn finish(mut self, summary: &serde_json::Value, print: bool) -> Result<()> {
         self.flush()?;
         let text = serde_json::to_string_pretty(summary)?;
-        wcal_session::write_atomic(&beside(&self.out, ".json"), text.as_bytes())?;
+        wcal_core::files::write_atomic(&beside(&self.out, ".json"), text.as_bytes())?;
         if print {
             println!("{text}");
         }

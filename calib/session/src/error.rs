@@ -111,6 +111,12 @@ impl From<InputError> for SessionError {
     }
 }
 
+impl From<wcal_core::files::FileError> for SessionError {
+    fn from(error: wcal_core::files::FileError) -> Self {
+        Self::Io { action: error.action, path: error.path, source: error.source }
+    }
+}
+
 impl SessionError {
     /// Wraps an I/O error; a missing file becomes an error that says which file was expected.
     pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {

@@ -27,4 +27,4 @@ pub use session::{CLOCK_PROBLEM, LoadedSession, SESSION_FORMAT, load};
 pub use table::SIMULATED_COLUMN;
 pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
 pub use whisker::{ReadingTable, load_table};
-pub use write::{SessionFiles, write_atomic, write_session};
+pub use write::{SessionFiles, write_session};

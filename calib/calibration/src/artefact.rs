@@ -1,6 +1,8 @@
-//! calibration.json: what it may hold, how it is sealed, read and judged.
+//! `calibration.json`: what it may hold, how it is sealed and read.
 
-use anyhow::{Context, bail};
+use crate::apply::{Calibration, WhiskerCalibration};
+use crate::error::CalibrationError;
+use crate::trust::TrustIssue;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
@@ -24,6 +26,7 @@ pub enum CalibrationModel {
 }
 
 /// Program, command, time, seed, files, and whether the session is simulated.
+#[must_use]
 pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
     Provenance {
         program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
@@ -35,19 +38,23 @@ pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
     }
 }
 
-impl CalibrationModel {
-    /// Checks effects, laws, versions and sizes by name, before anything is computed with them: the one place for every command.
-    fn check(&self) -> anyhow::Result<()> {
+/// The one place that tells the kinds apart.
+impl std::ops::Deref for CalibrationModel {
+    type Target = dyn Calibration;
+
+    fn deref(&self) -> &Self::Target {
         match self {
-            Self::Map(map) => map.check()?,
-            Self::Physical(model) => model.check()?,
-            Self::Scalar(model) => model.check()?,
+            Self::Map(map) => map,
+            Self::Physical(model) => model,
+            Self::Scalar(model) => model,
         }
-        Ok(())
     }
 }
 
 /// A calibration with its content hash; `whisker` is the wire that it was made with.
+///
+/// # Errors
+/// Where the model cannot be written as JSON.
 pub fn seal(
     session: &str,
     verification: VerificationStatus,
@@ -55,7 +62,7 @@ pub fn seal(
     model: CalibrationModel,
     provenance: Provenance,
     whisker: Option<&WhiskerSpec>,
-) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
+) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
     let mut file = CalibrationFile {
         format: CALIBRATION_FORMAT.to_owned(),
         session: session.to_owned(),
@@ -71,57 +78,62 @@ pub fn seal(
     Ok(file)
 }
 
-/// Reads the file and checks format and content hash.
-pub fn read_calibration(path: &Path) -> anyhow::Result<CalibrationFile<CalibrationModel>> {
+/// Reads the file and checks format, model and content hash.
+///
+/// # Errors
+/// Where the file cannot be read, is no calibration, or was changed.
+pub fn read_calibration(path: &Path) -> Result<CalibrationFile<CalibrationModel>, CalibrationError> {
     match read_unsealed(path)? {
         (file, None) => Ok(file),
-        (_, Some(changed)) => bail!(changed),
+        (_, Some(changed)) => Err(CalibrationError::Changed(changed)),
     }
 }
 
 /// Reads the file and checks its format and its model; says so where the content is not what was sealed.
-pub fn read_unsealed(path: &Path) -> anyhow::Result<(CalibrationFile<CalibrationModel>, Option<String>)> {
-    let name = path.display();
-    let bytes = std::fs::read(path).with_context(|| format!("reading {name}"))?;
+///
+/// # Errors
+/// Where the file cannot be read or is no calibration.
+pub fn read_unsealed(
+    path: &Path,
+) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
+    let refuse =
+        |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
+    let bytes =
+        std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
     let value: serde_json::Value =
-        serde_json::from_slice(&bytes).with_context(|| format!("{name}: expected a calibration in JSON"))?;
+        serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.
     let format = value.get("format").and_then(serde_json::Value::as_str);
     if format != Some(CALIBRATION_FORMAT) {
         let found = format.map_or_else(|| "nothing".to_owned(), |f| format!("{f:?}"));
-        bail!("{name}: field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
+        let detail = format!("field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
+        return Err(CalibrationError::content(path, detail));
     }
     let raw: CalibrationFile<serde_json::Value> =
-        serde_json::from_value(value).with_context(|| format!("{name}: expected a calibration"))?;
-    let found = raw.compute_hash()?;
-    let changed = (found != raw.content_sha256).then(|| {
-        format!(
-            "{name}: field `content_sha256`: expected {found}, found {}: the file was changed",
-            raw.content_sha256
-        )
+        serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
+    let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
+    let changed = (found != raw.content_sha256).then(|| TrustIssue::Changed {
+        place: path.display().to_string(),
+        content_sha256: found,
+        stated_sha256: raw.content_sha256,
     });
     let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
-        .with_context(|| format!("{name}: expected a model of kind \"map\", \"physical\" or \"scalar\""))?;
-    file.model.check().with_context(|| name.to_string())?;
+        .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
+    file.model.check().map_err(|e| CalibrationError::content(path, e))?;
     Ok((file, changed))
 }
 
-/// What speaks against using the calibration now.
-pub fn standing(
-    file: &CalibrationFile<CalibrationModel>,
-    now: jiff::Timestamp,
-) -> anyhow::Result<Vec<String>> {
-    let mut doubts = Vec::new();
-    if let Some(expires) = &file.expires {
-        let until: jiff::Timestamp = expires.parse().with_context(|| {
-            format!("calibration: field `expires`: expected an RFC 3339 time, found {expires:?}")
-        })?;
-        if now > until {
-            doubts.push(format!("the calibration expired at {expires}"));
-        }
-    }
-    if file.verification == VerificationStatus::Failed {
-        doubts.push("the calibration failed its verification".to_owned());
-    }
-    Ok(doubts)
+/// As one of a whisker.
+///
+/// # Errors
+/// Where it is of another kind of session.
+pub fn of_whisker<'a>(
+    path: &Path,
+    file: &'a CalibrationFile<CalibrationModel>,
+) -> Result<&'a dyn WhiskerCalibration, CalibrationError> {
+    file.model.whisker().ok_or_else(|| {
+        let detail =
+            format!("expected a whisker's calibration, found one of kind {:?}", file.model.session_kind());
+        CalibrationError::content(path, detail)
+    })
 }

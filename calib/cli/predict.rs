@@ -5,7 +5,7 @@ use crate::simulated::{is_simulated, mark_table};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_calibration::{Calibration, read_calibration, standing};
+use wcal_calibration::{read_calibration, standing};
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
 use wcal_core::clock::HostClock;
-use wcal_core::device::Mount;
 use wcal_core::rig_devices::DeviceOpener;
 use wcal_drivers::Drivers;
 

@@ -2,7 +2,7 @@
 
 use crate::trust::TrustIssue;
 use std::path::{Path, PathBuf};
-use wcal_session::SessionError;
+use wcal_session::{InputError, SessionError};
 
 /// What went wrong, and where.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +43,12 @@ pub enum CalibrationError {
     /// The model inside is damaged, of another version, or cannot answer.
     #[error(transparent)]
     Model(#[from] wcal_trace::scalar::ModelError),
+}
+
+impl From<InputError> for CalibrationError {
+    fn from(error: InputError) -> Self {
+        Self::Table(error.into())
+    }
 }
 
 impl CalibrationError {

@@ -1,6 +1,6 @@
 //! A calibration that `verify` is to judge, on readings that were not in its fit.
 
-use crate::apply::{Calibration, SessionSystem};
+use crate::apply::SessionSystem;
 use crate::artefact::{CalibrationModel, read_calibration};
 use crate::error::CalibrationError;
 use std::path::Path;

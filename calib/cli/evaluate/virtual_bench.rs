@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_calibration::{Calibration, CalibrationModel, read_calibration};
+use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
 use wcal_map::{Candidate, FitOptions, fit_map};

@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
-    Calibration, CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
+    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
 };
 use wcal_core::{CalibrationFile, VerificationStatus};
 use wcal_track::bayes::Filters;

@@ -10,16 +10,17 @@ use wcal_acquisition::assign::ChannelMap;
 use wcal_acquisition::monitor::Monitor;
 use wcal_acquisition::record::{RecordRequest, record};
 use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay_interrogator::ReplayInterrogator;
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::run_file::RunFile;
 use wcal_acquisition::sweep::{Ending, acquire};
 use wcal_core::Role;
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
 use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::replay::ReplayInterrogator;
 
 #[test]
 fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
@@ -73,7 +74,7 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let mut order = order(&bench, PLAN, dir.path());
     let interrupt = AtomicBool::new(false);
     let mut lost = false;
-    let first = record(&order, &mut NoMount, &interrupt, &mut |p| {
+    let first = record(&order, &mut Drivers::default(), &mut NoMount, &interrupt, &mut |p| {
         if p.step >= 4 && !std::mem::replace(&mut lost, true) {
             bench.inject(Fault::LostSamples { count: 37 });
         }

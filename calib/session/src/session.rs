@@ -2,6 +2,7 @@
 
 use crate::document::{self, Section};
 use crate::error::{InputError, SessionError, quote};
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
@@ -12,8 +13,6 @@ use wcal_core::{
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
-/// Warnings that say that time runs backwards start with this.
-pub const CLOCK_PROBLEM: &str = "clock_problem";
 
 /// A session that was read and checked.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +36,7 @@ pub struct LoadedSession {
     /// `session.toml` as written.
     pub meta: toml::Table,
     /// What deserves attention: unknown keys and columns, stage against groove, time ([`CLOCK_PROBLEM`]), missing labels.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<SessionWarning>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
 }
@@ -140,19 +139,23 @@ fn read_kind(root: &Section<'_>) -> Result<SessionKind, InputError> {
 fn read_medium(
     root: &Section<'_>,
     kind: SessionKind,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<String, InputError> {
     match root.text("medium")? {
         Some(medium) => Ok(medium),
         None if kind == SessionKind::Whisker => {
-            warnings.push("session.toml: medium is not given; taken as \"air\"".to_owned());
+            warnings.push(SessionWarning::new("session.toml", WarningKind::NoMedium));
             Ok("air".to_owned())
         }
         None => Ok("unspecified".to_owned()),
     }
 }
 
-fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, InputError> {
+fn read_files(
+    root: &Section<'_>,
+    folder: &Path,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<Files, InputError> {
     let section = root.section("files")?;
     let section = section.ok_or_else(|| root.error("files", "a table [files]", "nothing"))?;
     let relative = |key: &str| -> Result<Option<String>, InputError> {
@@ -174,9 +177,7 @@ fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> 
         rest_shape: relative("rest_shape")?,
     };
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
-        warnings.push(format!(
-            "session.toml: the recording {name} is not there; tables cannot be rebuilt from it"
-        ));
+        warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
     whisker_meta::warn_unknown(&section, warnings);
     Ok(files)
@@ -205,7 +206,7 @@ fn load_whisker(
     files: &Files,
     medium: &str,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerData, SessionError> {
     let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
     inputs.append(&mut meta.inputs);
@@ -245,7 +246,7 @@ fn load_transducer(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerData, SessionError> {
     let meta = transducer::read_meta(root, warnings)?;
     let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
@@ -281,7 +282,7 @@ fn load_axis(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<AxisData, SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;

@@ -35,10 +35,12 @@ pub struct LoadedSession {
     pub inputs: Vec<InputFile>,
     /// `session.toml` as written.
     pub meta: toml::Table,
-    /// What deserves attention: unknown keys and columns, stage against groove, time ([`CLOCK_PROBLEM`]), missing labels.
+    /// What deserves attention: unknown keys and columns, stage against groove, time, missing labels.
     pub warnings: Vec<SessionWarning>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
+    /// Folder with the pictures of its points, where it has them.
+    pub pictures: Option<PathBuf>,
 }
 
 struct Files {
@@ -46,6 +48,7 @@ struct Files {
     holdout: Option<String>,
     twin: Option<String>,
     rest_shape: Option<String>,
+    pictures: Option<PathBuf>,
 }
 
 /// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
@@ -97,6 +100,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         meta,
         warnings,
         points_file,
+        pictures: files.pictures,
     })
 }
 
@@ -175,12 +179,27 @@ fn read_files(
         holdout: relative("holdout")?,
         twin: relative("twin")?,
         rest_shape: relative("rest_shape")?,
+        pictures: pictures_folder(&section, folder)?,
     };
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
         warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
     whisker_meta::warn_unknown(&section, warnings);
     Ok(files)
+}
+
+/// `pictures` of `[files]`: a folder inside the session's.
+fn pictures_folder(section: &Section<'_>, folder: &Path) -> Result<Option<PathBuf>, InputError> {
+    let Some(name) = section.text("pictures")? else { return Ok(None) };
+    let path = folder.join(&name);
+    let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    // A link could lead out of the session.
+    let linked = path.symlink_metadata().is_ok_and(|about| about.is_symlink());
+    if name.is_empty() || !Path::new(&name).components().all(plain) || linked || !path.is_dir() {
+        let expected = "a folder in the session's, its path relative to it and without \"..\"";
+        return Err(section.error("pictures", expected, quote(&name)));
+    }
+    Ok(Some(path))
 }
 
 /// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.

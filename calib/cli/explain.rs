@@ -6,10 +6,10 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::Arc;
-use wcal_trace::candidate::{Candidate, Law, Role};
-use wcal_trace::effects::whisker_catalogue;
+use wcal_trace::effect::{Effect, EffectModel, Role};
 use wcal_trace::scalar::effects::scalar_catalogue;
 use wcal_trace::scalar::frame::{Declared, Frame, Scaling};
+use wcal_trace::whisker::effects::whisker_catalogue;
 
 /// The file formats, for `wcal formats` and `wcal help formats`.
 pub const FORMATS: &str = include_str!("formats.txt");
@@ -25,20 +25,20 @@ pub struct ExplainArgs {
 }
 
 /// A catalogue: the kind of session that it is for, and its effects.
-type Catalogue = (&'static str, Vec<Arc<dyn Candidate>>);
+type Catalogue = (&'static str, Vec<Arc<dyn Effect>>);
 
 /// The catalogues by kind of session.
 fn catalogues() -> [Catalogue; 3] {
-    let scalar = |declared| -> Vec<Arc<dyn Candidate>> {
+    let scalar = |declared| -> Vec<Arc<dyn Effect>> {
         // Laws and ranges do not depend on rows; one covariate stands for all.
         let frame = Frame::new(Vec::new(), &Scaling::of(&[]), declared);
         scalar_catalogue(&frame, &["covariate".to_owned()])
             .into_iter()
-            .map(|e| e as Arc<dyn Candidate>)
+            .map(|e| e as Arc<dyn Effect>)
             .collect()
     };
     [
-        ("whisker", whisker_catalogue().into_iter().map(|e| e as Arc<dyn Candidate>).collect()),
+        ("whisker", whisker_catalogue().into_iter().map(|e| e as Arc<dyn Effect>).collect()),
         ("transducer", scalar(Declared::Polynomial(1))),
         ("axis", scalar(Declared::Axis)),
     ]
@@ -53,7 +53,7 @@ pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
     let Some(id) = &args.effect else {
         return written(&listed(&catalogues));
     };
-    let found: Vec<(&str, &Arc<dyn Candidate>)> = catalogues
+    let found: Vec<(&str, &Arc<dyn Effect>)> = catalogues
         .iter()
         .flat_map(|(kind, effects)| effects.iter().map(move |e| (*kind, e)))
         .filter(|(_, e)| e.id() == id)
@@ -106,7 +106,7 @@ fn listed(catalogues: &[Catalogue]) -> String {
 }
 
 /// An effect with its laws.
-fn in_full(kind: &str, effect: &dyn Candidate) -> String {
+fn in_full(kind: &str, effect: &dyn Effect) -> String {
     let mut out = format!("  {}\n  source: {}\n", effect.sentence(), effect.source());
     let _ = writeln!(out, "  columns: {}", columns(kind, effect.id()));
     for (laws, note) in
@@ -117,7 +117,7 @@ fn in_full(kind: &str, effect: &dyn Candidate) -> String {
     out
 }
 
-fn of_law(law: &Law, note: &str) -> String {
+fn of_law(law: &EffectModel, note: &str) -> String {
     let mut out = format!("  law {}{note}\n", law.name);
     for p in &law.parameters {
         let [low, high] = p.range;

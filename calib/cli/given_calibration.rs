@@ -7,7 +7,7 @@ use wcal_core::verify_document::CalibrationJudgement;
 use wcal_core::{CalibrationFile, InputFile, Purpose, VerificationStatus};
 use wcal_session::LoadedSession;
 use wcal_trace::scalar::{self, ScalarSystem};
-use wcal_trace::verify::MeasurementModel;
+use wcal_trace::verify::SessionModel;
 use wcal_trace::verify::judgement::{Judged, judge};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 

@@ -13,8 +13,8 @@ use std::process::ExitCode;
 use wcal_core::CalibrationFile;
 use wcal_map::{MapArtefact, MapPredictor};
 use wcal_session::load_table;
-use wcal_trace::path::WhiskerPath;
 use wcal_trace::whisker::PhysicalModel;
+use wcal_trace::whisker::path::WhiskerPath;
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]

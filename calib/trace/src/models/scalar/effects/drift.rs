@@ -1,0 +1,34 @@
+//! Drift of the zero, in proportion to time, or to the order where there is no time.
+
+use super::{law, needs_order};
+use crate::effect::{Effect, EffectModel};
+use crate::scalar::frame::Frame;
+use crate::scalar::system::ScalarEffect;
+
+/// See the module.
+pub struct Drift;
+
+impl Effect for Drift {
+    fn id(&self) -> &'static str {
+        "drift"
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        vec![law("linear", Vec::new(), &[("rate", "response/duration")])]
+    }
+    fn sentence(&self) -> &'static str {
+        "The zero drifts during the session."
+    }
+    fn source(&self) -> &'static str {
+        "linear in time; in the order of the readings where the table has no times"
+    }
+}
+
+impl ScalarEffect for Drift {
+    fn not_observable(&self, frame: &Frame) -> Option<String> {
+        needs_order(frame)
+    }
+    fn columns(&self, _law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        out.push(frame.clock().to_vec());
+        true
+    }
+}

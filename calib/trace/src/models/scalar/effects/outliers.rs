@@ -1,0 +1,26 @@
+//! Single readings far outside the noise.
+
+use super::law;
+use crate::effect::{Effect, EffectModel};
+use crate::scalar::system::ScalarEffect;
+
+/// See the module.
+pub struct Outliers;
+
+impl Effect for Outliers {
+    fn id(&self) -> &'static str {
+        "outliers"
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        vec![law("single-readings", Vec::new(), &[])]
+    }
+    fn sentence(&self) -> &'static str {
+        "Single readings lie far outside the noise of the others."
+    }
+    fn source(&self) -> &'static str {
+        "found reading by reading (engine: outliers), not by a law"
+    }
+}
+
+// Found reading by reading: see the outlier stage.
+impl ScalarEffect for Outliers {}

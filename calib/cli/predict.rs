@@ -203,19 +203,8 @@ pub fn moments_of_model(path: &Path, model: &PhysicalModel) -> anyhow::Result<Ve
         table.rows.iter().map(|r| wcal_core::WhiskerRow { seating: last, ..r.clone() }).collect();
     let rows: Vec<_> = table_rows.iter().collect();
     let history = WhiskerPath::new(&rows, &[], &wcal_core::MomentAxes::default(), &model.fbg, None, None);
-    for effect in &model.effects {
-        let absent = match effect.id.as_str() {
-            "temperature-mismatch" => (!history.columns.temperature).then_some("a temperature or fbg_ref_nm"),
-            "zero-drift" | "creep" => (!history.columns.time).then_some("t_s"),
-            _ => None,
-        };
-        if let Some(column) = absent {
-            bail!(
-                "{}: the calibration carries {}: expected {column} in every row, found none",
-                path.display(),
-                effect.id
-            );
-        }
+    if let Some((id, column)) = model.missing_column(&history) {
+        bail!("{}: the calibration carries {id}: expected {column} in every row, found none", path.display());
     }
     let inferred = model.infer(&history, None);
     let mut order: Vec<usize> = (0..rows.len()).collect();

@@ -24,6 +24,10 @@ pub trait MeasurementModel: Sync {
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
     /// The catalogue.
     fn catalogue(&self) -> &[std::sync::Arc<dyn Effect>];
+    /// Catalogue entry of single readings far outside the noise.
+    fn outliers(&self) -> Option<usize> {
+        self.catalogue().iter().position(|e| e.in_single_readings())
+    }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;
     /// Group of each reading (trajectory, cycle); resampling keeps groups whole.

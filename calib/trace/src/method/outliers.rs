@@ -5,8 +5,8 @@
 //! for which the smaller three quarters of the residuals have the least sum of squares.
 
 use super::fit::{Fit, Weights, fit, linear};
+use super::noise::tails::outlying;
 use super::signature::nuisance;
-use super::tails::outlying;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;

@@ -12,7 +12,6 @@ use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
-use crate::whisker::effects::SLIP_OUTLIERS;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
@@ -199,11 +198,7 @@ impl SearchResult {
 const REFITS: usize = 7;
 
 fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
-    system
-        .catalogue()
-        .iter()
-        .position(|c| c.id() == SLIP_OUTLIERS || c.id() == "outliers")
-        .filter(|&e| system.not_observable(e).is_none())
+    system.outliers().filter(|&e| system.not_observable(e).is_none())
 }
 
 /// Refits `terms` from each start and keeps the best physical one (else the best).

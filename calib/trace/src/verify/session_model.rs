@@ -89,8 +89,6 @@ pub trait SessionModel: MeasurementModel + Sized {
     }
     /// Where a reading comes from.
     fn origin(&self, reading: usize) -> Origin;
-    /// Catalogue entry of single readings far outside the noise.
-    fn outliers(&self) -> Option<usize>;
     /// Fitted values of an effect with intervals, in the session's units.
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
     /// A sentence of the catalogue in the words of the session.

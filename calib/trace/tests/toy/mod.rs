@@ -47,7 +47,7 @@ impl Effect for Toy {
         };
         let linear = if self.0 == BEND { vec![("square", "1")] } else { Vec::new() };
         let largest_share = (self.0 == BEND).then_some(BEND_SHARE);
-        vec![EffectModel { name: "only", parameters, linear, largest_share }]
+        vec![EffectModel { name: "only", parameters, linear, largest_share, needs: Vec::new() }]
     }
     fn refinements(&self) -> Vec<EffectModel> {
         if self.0 != SHELF {
@@ -63,7 +63,16 @@ impl Effect for Toy {
             |name| Parameter { name, unit: "1", range: [0.0, 0.5], role: Role::Amplitude { probe: 0.02 } };
         let parameters =
             vec![height("height"), place("place"), height("second_height"), place("second_place")];
-        vec![EffectModel { name: "two", parameters, linear: Vec::new(), largest_share: None }]
+        vec![EffectModel {
+            name: "two",
+            parameters,
+            linear: Vec::new(),
+            largest_share: None,
+            needs: Vec::new(),
+        }]
+    }
+    fn in_single_readings(&self) -> bool {
+        self.0 == OUTLIERS
     }
     fn sentence(&self) -> &'static str {
         "Something acts."

@@ -1,6 +1,6 @@
 //! An existing calibration at the readings of a session, against their responses.
 
-use super::session_model::{ModelError, ScalarModel};
+use super::model::{ModelError, ScalarModel};
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::inference::t95;

@@ -66,10 +66,6 @@ impl SessionModel for ScalarSystem {
         Origin { source, line, point, role: row.role }
     }
 
-    fn outliers(&self) -> Option<usize> {
-        self.catalogue().iter().position(|c| c.id() == "outliers")
-    }
-
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
         of_effect(self, &h.fit, effect, self.names())
     }

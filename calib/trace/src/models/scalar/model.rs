@@ -1,11 +1,12 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions at new readings.
 
+use super::effects::scalar_catalogue;
 use super::frame::{Declared, Frame, ScalarRow, Scaling};
 use super::parameters::Names;
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::system::{ScalarSystem, relative_sd_at};
-use crate::effect::EffectTerm;
+use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::spread::{Spread, SpreadLaw};
@@ -123,6 +124,9 @@ impl ModelError {
         Self::Shape { what: what.into(), expected: expected.to_string(), found: found.to_string() }
     }
 }
+
+/// What an effect that follows the order of the fitted readings lacks in any other rows.
+const ONLY_THAT_SESSION: &str = "an effect that depends on more than the order of that session's readings";
 
 /// Largest degree of a declared model (constant, linear, quadratic).
 const MAX_DEGREE: usize = 2;
@@ -244,32 +248,27 @@ impl ScalarModel {
             .map(|t| {
                 let unknown = || ModelError::UnknownEffect { effect: t.id.clone(), law: t.law.clone() };
                 let effect = system.catalogue().iter().position(|c| c.id() == t.id).ok_or_else(unknown)?;
-                let laws = system.catalogue()[effect].laws();
-                let law = laws.iter().position(|l| l.name == t.law).ok_or_else(unknown)?;
-                if laws[law].parameters.len() != t.values.len() {
+                let (law, form) = system.catalogue()[effect].law_named(&t.law).ok_or_else(unknown)?;
+                if form.parameters.len() != t.values.len() {
                     let what = format!("values of {} ({})", t.id, t.law);
-                    return Err(ModelError::shape(what, laws[law].parameters.len(), t.values.len()));
+                    return Err(ModelError::shape(what, form.parameters.len(), t.values.len()));
                 }
                 Ok(EffectTerm { effect, law, values: t.values.clone() })
             })
             .collect()
     }
 
-    /// What an effect needs of new rows, where they lack it.
-    fn missing(&self, effect: &ModelTerm, frame: &Frame) -> Option<String> {
-        let clock = matches!(effect.id.as_str(), "drift" | "step" | "creep" | "lag")
-            || matches!(effect.law.as_str(), "over-time" | "over-order");
-        if clock && (self.scaling.time.is_none() || effect.law == "over-order") {
-            return Some("an effect that depends on more than the order of that session's readings".into());
-        }
-        match effect.id.as_str() {
-            _ if clock => frame.time.is_none().then(|| "t_s in every row".to_owned()),
-            "temperature" => frame.temperature.is_none().then(|| "temperature_degc in every row".to_owned()),
-            "hysteresis" | "backlash" => {
-                frame.direction.is_none().then(|| "direction, or t_s, in every row".to_owned())
-            }
+    /// What an effect's law needs of new rows, where they lack it.
+    fn missing(&self, needs: &[Need], frame: &Frame) -> Option<&'static str> {
+        let lacks = |need: &Need| match need {
+            Need::Order => Some(ONLY_THAT_SESSION),
+            Need::Time | Need::Clock if self.scaling.time.is_none() => Some(ONLY_THAT_SESSION),
+            Need::Time | Need::Clock => frame.time.is_none().then_some("t_s in every row"),
+            Need::Temperature => frame.temperature.is_none().then_some("temperature_degc in every row"),
+            Need::BothDirections => frame.direction.is_none().then_some("direction, or t_s, in every row"),
             _ => None,
-        }
+        };
+        needs.iter().find_map(lacks)
     }
 
     /// Predicts at `rows` (their `y` is not used), in their order. Memory effects run over the rows in the order of their times.
@@ -288,13 +287,14 @@ impl ScalarModel {
             })
             .collect();
         let frame = Frame::of_new_rows(numbered, &self.scaling, self.declared);
-        for effect in &self.effects {
-            if let Some(needs) = self.missing(effect, &frame) {
-                return Err(ModelError::Column { effect: effect.id.clone(), needs });
-            }
-        }
         let system = ScalarSystem::new(frame, &self.covariates).with_offset(self.offset);
         let terms = self.terms(&system)?;
+        for t in &terms {
+            let effect = &system.catalogue()[t.effect];
+            if let Some(needs) = self.missing(&effect.law(t.law).needs, &system.frame) {
+                return Err(ModelError::Column { effect: effect.id().to_owned(), needs: needs.to_owned() });
+            }
+        }
         let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
         square(&self.covariance, slots, slots)?;
         let fitted = Fitted {
@@ -332,8 +332,10 @@ impl ScalarModel {
     /// As [`Self::predict`], and where the response does not determine the stimulus.
     pub fn invert(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         let no = |why: &str| ModelError::Column { effect: "the inverse".into(), needs: why.to_owned() };
-        let memory = |t: &&ModelTerm| matches!(t.id.as_str(), "creep" | "hysteresis" | "backlash" | "lag");
-        if let Some(t) = self.effects.iter().find(memory) {
+        let catalogue =
+            scalar_catalogue(&Frame::of_new_rows(Vec::new(), &self.scaling, self.declared), &self.covariates);
+        let remembers = |t: &&ModelTerm| catalogue.iter().any(|e| e.id() == t.id && e.has_memory());
+        if let Some(t) = self.effects.iter().find(remembers) {
             return Err(no(&format!("a model without memory (it carries {}); give the stimulus", t.id)));
         }
         let at = |x: &[f64]| -> Result<Vec<ScalarPrediction>, ModelError> {

@@ -4,7 +4,6 @@ use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity;
 use crate::method::search::Hypothesis;
-use crate::verify::SessionModel;
 use wcal_core::verify_document::NextMeasurement;
 
 /// More repetitions than this are not worth proposing.
@@ -27,7 +26,7 @@ pub fn next_measurement(
         .map(|h| ((&h.fit.residual - &best.fit.residual).norm() / sd, *h))
         .min_by(|a, b| a.0.total_cmp(&b.0))?;
     let (d, rival) = nearest;
-    let power = |sessions: usize| rivalry::power(d * d * sessions as f64);
+    let power = |sessions: usize| ambiguity::power(d * d * sessions as f64);
     let repeats = (1..=MAX_REPEATS).find(|&k| power(k + 1) >= 0.9);
     let mut separates = id(best);
     separates.extend(id(rival).into_iter().filter(|i| !separates.contains(i)).collect::<Vec<_>>());

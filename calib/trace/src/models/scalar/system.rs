@@ -4,7 +4,7 @@ use super::admission::number;
 use super::effects;
 use super::frame::{Declared, Frame, ScalarRow};
 use super::parameters::Names;
-use crate::effect::{Effect, EffectTerm};
+use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
 use crate::method::noise::NoiseInputs;
 use crate::method::noise::spread::{Spread, SpreadLaw};
@@ -14,17 +14,45 @@ use std::sync::Arc;
 
 /// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
 pub trait ScalarEffect: Effect {
-    /// Why the effect cannot be seen in this session; none where it can.
+    /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
     fn not_observable(&self, _frame: &Frame) -> Option<String> {
         None
     }
+    /// The power of the stimulus that it adds to a polynomial of one degree less.
+    fn degree(&self) -> Option<usize> {
+        None
+    }
     /// Changes the effective stimulus of every reading, in half ranges.
-    fn warp(&self, _law: usize, _values: &[f64], _frame: &Frame, _u: &mut [f64]) -> bool {
+    fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
         true
     }
     /// Appends columns (one value a reading) with free coefficients.
-    fn columns(&self, _law: usize, _values: &[f64], _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
+    fn columns(&self, _values: &Values, _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
         true
+    }
+}
+
+/// Why a session does not give what a law needs; none where it does.
+fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {
+    match need {
+        Need::Slope => {
+            (!frame.sloped()).then_some("the declared model is constant: it does not follow the stimulus")
+        }
+        Need::Time => frame.time.is_none().then_some("the session has no time stamps"),
+        Need::Clock | Need::Order => (!frame.ordered).then_some(
+            "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
+        ),
+        Need::BothDirections => frame.direction.is_none().then_some(
+            "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
+        ),
+        Need::Temperature => {
+            frame.temperature.is_none().then_some("the session has no temperature column, or it is constant")
+        }
+        Need::Covariate => {
+            let none = frame.covariates.iter().all(Option::is_none);
+            none.then_some("the table has no further covariate that varies")
+        }
+        Need::Motion | Need::MovingBase | Need::Weight => None,
     }
 }
 
@@ -146,6 +174,12 @@ impl ScalarSystem {
         self
     }
 
+    /// The effects with their hooks.
+    #[must_use]
+    pub fn effects(&self) -> &[Arc<dyn ScalarEffect>] {
+        &self.effects
+    }
+
     /// Trend of the spread, where one was found.
     #[must_use]
     pub fn spread(&self) -> Option<&Spread> {
@@ -195,8 +229,16 @@ impl MeasurementModel for ScalarSystem {
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let frame = &self.frame;
         let mut u = frame.u.clone();
-        for t in terms {
-            if !self.effects[t.effect].warp(t.law, &t.values, frame, &mut u) {
+        let laws: Vec<EffectModel> = terms.iter().map(|t| self.effects[t.effect].law(t.law)).collect();
+        let active = || {
+            let values = |(t, law)| {
+                let term: &EffectTerm = t;
+                (&self.effects[term.effect], Values::new(law, term.law, &term.values))
+            };
+            terms.iter().zip(&laws).map(values)
+        };
+        for (effect, values) in active() {
+            if !effect.warp(&values, frame, &mut u) {
                 return None;
             }
         }
@@ -211,8 +253,8 @@ impl MeasurementModel for ScalarSystem {
                 vec![u.iter().zip(&frame.u).map(|(e, c)| 1.0 + um * (e - c)).collect()]
             }
         };
-        for t in terms {
-            if !self.effects[t.effect].columns(t.law, &t.values, frame, &mut columns) {
+        for (effect, values) in active() {
+            if !effect.columns(&values, frame, &mut columns) {
                 return None;
             }
         }
@@ -225,7 +267,9 @@ impl MeasurementModel for ScalarSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        self.effects[effect].not_observable(&self.frame)
+        let effect = &self.effects[effect];
+        let unmet = effect.needs().into_iter().find_map(|need| unmet(need, &self.frame));
+        unmet.map(str::to_owned).or_else(|| effect.not_observable(&self.frame))
     }
 
     fn groups(&self) -> &[u32] {

@@ -2,14 +2,13 @@
 
 use super::admission::{clock_fault, number, refusal, thin};
 use super::frame::{Declared, Frame, ScalarData, Scaling};
+use super::model::ScalarModel;
 use super::parameters::Names;
 use super::polynomial::{Polynomial, polynomial};
-use super::session_model::ScalarModel;
 use super::spread_trend::weak_trend;
 use super::steadiness::{Steadiness, steadiness};
 use super::system::ScalarSystem;
 use crate::error::TraceError;
-use crate::measurement_model::MeasurementModel;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::spread::Spread;
 use crate::method::search::{Evidence, Hypothesis};
@@ -55,12 +54,7 @@ fn degree(system: &ScalarSystem, accepted: &Hypothesis) -> Option<usize> {
     let Declared::Polynomial(declared) = system.frame.declared else { return None };
     let mut powers: Vec<usize> = Vec::new();
     for t in &accepted.fit.terms {
-        powers.push(match system.catalogue()[t.effect].id() {
-            "scale" => 1,
-            "nonlinearity-quadratic" => 2,
-            "nonlinearity-cubic" => 3,
-            _ => return None,
-        });
+        powers.push(system.effects()[t.effect].degree()?);
     }
     powers.sort_unstable();
     let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();

@@ -1,7 +1,7 @@
 //! An existing calibration at the readings of a session, against the moments of the poses.
 
 use super::physical::PhysicalModel;
-use super::system::WhiskerSystem;
+use super::system::{ActiveEffect, WhiskerSystem};
 use crate::effect::EffectTerm;
 use crate::verify::HeldOut;
 use crate::verify::judgement::Judged;
@@ -31,7 +31,7 @@ fn chosen(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
 /// equilibrium at the poses.
 #[must_use]
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel, only_sealed: bool) -> Option<Vec<Judged>> {
-    let terms: Vec<EffectTerm> = model.terms().into_iter().map(|(_, term)| term).collect();
+    let terms: Vec<EffectTerm> = model.terms().into_iter().map(ActiveEffect::into_term).collect();
     let (sensed, base) = system.moments(&terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
     let inferred = model.infer(&system.path, Some(&memory));

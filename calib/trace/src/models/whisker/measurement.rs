@@ -19,7 +19,6 @@ use crate::method::noise::Noise;
 use crate::method::search::{Hypothesis, SearchResult, declared};
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
-use crate::whisker::effects::SLIP_OUTLIERS;
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
@@ -51,10 +50,6 @@ impl SessionModel for WhiskerSystem {
     fn origin(&self, reading: usize) -> Origin {
         let row = self.row(reading);
         Origin { source: row.source.clone(), line: row.line, point: row.point, role: row.role }
-    }
-
-    fn outliers(&self) -> Option<usize> {
-        self.catalogue().iter().position(|c| c.id() == SLIP_OUTLIERS)
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {

@@ -25,5 +25,5 @@ pub mod verify;
 
 pub use physical::PhysicalModel;
 pub use stream::PhysicalStream;
-pub use system::{Memory, Moments, WhiskerEffect, WhiskerSystem};
+pub use system::{ActiveEffect, Memory, Moments, WhiskerEffect, WhiskerSystem};
 pub use verify::{Verified, WhiskerVerification, verify_whisker};

@@ -1,7 +1,7 @@
 //! Stage 10: the measurement that would decide between surviving explanations.
 
 use super::system::WhiskerSystem;
-use crate::effect::EffectTerm;
+use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity::power;
 use crate::method::fit::Fit;
@@ -197,8 +197,12 @@ pub fn next_measurement(
         chosen.iter().map(|&k| candidates[evaluated[k].proposal].pose.clone()).collect();
     let expected_power = decides(&reached);
     let instruction = if expected_power < 0.5 {
-        let slow = |id: &String| id == "temperature-mismatch" || id == "zero-drift";
-        let needed = if separates.iter().any(slow) {
+        let slow = |t: &EffectTerm| {
+            let effect = &system.catalogue()[t.effect];
+            let by_clock = |need: &Need| matches!(need, Need::Time | Need::Temperature);
+            effect.needs().iter().any(by_clock) && !effect.has_memory()
+        };
+        let needed = if rivals.iter().chain([&best]).any(|h| h.fit.terms.iter().any(slow)) {
             "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \
              reading every minute; then `wcal verify --add` that session"
         } else {

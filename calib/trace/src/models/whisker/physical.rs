@@ -1,7 +1,7 @@
 //! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
 
-use super::system::{WhiskerEffect, WhiskerSystem};
-use crate::effect::EffectTerm;
+use super::system::{ActiveEffect, WhiskerSystem};
+use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::inference::covariance;
 use crate::method::search::Hypothesis;
@@ -10,7 +10,6 @@ use crate::scalar::model::square;
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 use wcal_core::FbgSpec;
 use wcal_core::verify_document::EffectParameter;
 
@@ -121,8 +120,7 @@ impl PhysicalModel {
         for a in &self.effects {
             let unknown = || ModelError::UnknownEffect { effect: a.id.clone(), law: a.law.clone() };
             let effect = catalogue.iter().find(|e| e.id() == a.id).ok_or_else(unknown)?;
-            let laws = effect.laws().into_iter().chain(effect.refinements());
-            let law = laws.into_iter().find(|l| l.name == a.law).ok_or_else(unknown)?;
+            let (_, law) = effect.law_named(&a.law).ok_or_else(unknown)?;
             if a.values.len() != law.parameters.len() {
                 let what = format!("values of {} ({})", a.id, a.law);
                 return Err(ModelError::shape(what, law.parameters.len(), a.values.len()));
@@ -154,28 +152,37 @@ impl PhysicalModel {
         Ok(())
     }
 
-    /// The catalogue's effects with their terms.
-    pub(super) fn terms(&self) -> Vec<(Arc<dyn WhiskerEffect>, EffectTerm)> {
+    /// The accepted effects with their values by name.
+    pub(super) fn terms(&self) -> Vec<ActiveEffect> {
         let catalogue = crate::whisker::effects::whisker_catalogue();
         self.effects
             .iter()
             .filter_map(|a| {
                 let index = catalogue.iter().position(|e| e.id() == a.id)?;
-                let mut laws = catalogue[index].laws();
-                laws.extend(catalogue[index].refinements());
-                let law = laws.iter().position(|l| l.name == a.law)?;
-                Some((catalogue[index].clone(), EffectTerm { effect: index, law, values: a.values.clone() }))
+                let (law, _) = catalogue[index].law_named(&a.law)?;
+                let term = EffectTerm { effect: index, law, values: a.values.clone() };
+                Some(ActiveEffect::new(catalogue[index].clone(), term))
             })
             .collect()
     }
 
+    /// The first accepted effect that needs a column which `path` lacks to infer moments, and that column.
+    #[must_use]
+    pub fn missing_column(&self, path: &WhiskerPath) -> Option<(&str, &'static str)> {
+        let lacks = |need: &Need| match need {
+            Need::Temperature => (!path.columns.temperature).then_some("a temperature or fbg_ref_nm"),
+            Need::Time => (!path.columns.time).then_some("t_s"),
+            _ => None,
+        };
+        let terms = self.terms();
+        self.effects
+            .iter()
+            .zip(&terms)
+            .find_map(|(a, t)| Some((a.id.as_str(), t.needs().iter().find_map(lacks)?)))
+    }
+
     /// Predicted shifts at `sensed` moments, readings x channels, pm.
-    fn readout(
-        &self,
-        terms: &[(Arc<dyn WhiskerEffect>, EffectTerm)],
-        path: &WhiskerPath,
-        sensed: &[[f64; 2]],
-    ) -> DMatrix<f64> {
+    fn readout(&self, terms: &[ActiveEffect], path: &WhiskerPath, sensed: &[[f64; 2]]) -> DMatrix<f64> {
         let columns = self.columns(terms, path, sensed);
         DMatrix::from_fn(sensed.len(), 2, |i, c| {
             columns.iter().zip(&self.coefficients).map(|(col, b)| col[i] * b[c]).sum()
@@ -185,7 +192,7 @@ impl PhysicalModel {
     /// Columns of the readout at `sensed` moments, one value a reading each.
     pub(super) fn columns(
         &self,
-        terms: &[(Arc<dyn WhiskerEffect>, EffectTerm)],
+        terms: &[ActiveEffect],
         path: &WhiskerPath,
         sensed: &[[f64; 2]],
     ) -> Vec<Vec<f64>> {
@@ -195,8 +202,8 @@ impl PhysicalModel {
             sensed.iter().map(|m| m[1]).collect(),
         ];
         columns.extend(path.seating_columns(self.seatings));
-        for (effect, t) in terms {
-            effect.columns(t.law, &t.values, path, sensed, &mut columns);
+        for a in terms {
+            a.effect.columns(&a.values(), path, sensed, &mut columns);
         }
         columns
     }
@@ -249,7 +256,7 @@ impl PhysicalModel {
     /// shift, the moment at its fold, the closest one, comes out. The slope is taken by differences because effects add columns.
     pub(super) fn sensed(
         &self,
-        terms: &[(Arc<dyn WhiskerEffect>, EffectTerm)],
+        terms: &[ActiveEffect],
         path: &WhiskerPath,
         inverse: &Matrix2<f64>,
     ) -> Vec<[f64; 2]> {
@@ -329,7 +336,7 @@ pub(super) fn hidden(sensed: &[f64; 2], sd: &[f64; 2]) -> bool {
 ///
 /// Where nothing is sensed beyond noise, a dead zone hides the moment: the reading keeps what it shows.
 fn undo_memory(
-    terms: &[(Arc<dyn WhiskerEffect>, EffectTerm)],
+    terms: &[ActiveEffect],
     path: &WhiskerPath,
     sensed: &[[f64; 2]],
     sds: &[[f64; 2]],
@@ -352,8 +359,8 @@ fn undo_memory(
     };
     for _ in 0..40 {
         let mut at_nodes: Vec<[f64; 2]> = source.iter().map(|&i| base[i]).collect();
-        for (effect, t) in terms {
-            effect.sensor(t.law, &t.values, path, &mut at_nodes);
+        for a in terms {
+            a.effect.sensor(&a.values(), path, &mut at_nodes);
         }
         let mut change: f64 = 0.0;
         for (node, m) in path.nodes.iter().zip(&at_nodes) {

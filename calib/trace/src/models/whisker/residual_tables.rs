@@ -78,7 +78,10 @@ pub(super) fn isolability(system: &WhiskerSystem, found: &SearchResult) -> (Vec<
         .iter()
         .map(|h| {
             let ids: Vec<&str> = h.fit.terms.iter().map(|t| system.catalogue()[t.effect].id()).collect();
-            if ids.is_empty() { crate::whisker::effects::SLIP_OUTLIERS.to_owned() } else { ids.join(" + ") }
+            match system.outliers().filter(|_| ids.is_empty()) {
+                Some(single) => system.catalogue()[single].id().to_owned(),
+                None => ids.join(" + "),
+            }
         })
         .collect();
     let vectors: Vec<_> = shown.iter().map(|h| explained(&found.base, h)).collect();

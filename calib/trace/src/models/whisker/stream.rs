@@ -1,18 +1,16 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
 use super::physical::{PhysicalModel, VALID_SHARE, hidden};
-use super::system::{Memory, WhiskerEffect};
-use crate::effect::EffectTerm;
+use super::system::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
 use nalgebra::Matrix2;
-use std::sync::Arc;
 use wcal_core::MomentAxes;
 use wcal_core::stream::{MomentStream, StreamMoments};
 
 /// A calibration with accepted effects that takes readings one by one. New readings belong to the last seating that it saw.
 pub struct PhysicalStream {
     model: PhysicalModel,
-    terms: Vec<(Arc<dyn WhiskerEffect>, EffectTerm)>,
+    terms: Vec<ActiveEffect>,
     inverse: Matrix2<f64>,
     memories: Vec<Box<dyn Memory>>,
     last_s: Option<f64>,
@@ -26,7 +24,7 @@ impl PhysicalStream {
     pub fn new(model: PhysicalModel) -> Option<Self> {
         let inverse = model.sensitivity().try_inverse()?;
         let terms = model.terms();
-        let memories = terms.iter().filter_map(|(effect, t)| effect.memory(t.law, &t.values)).collect();
+        let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
         let reading = Reading {
             line: None,
             x_mm: 0.0,

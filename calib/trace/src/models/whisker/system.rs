@@ -1,6 +1,6 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
-use crate::effect::{Effect, EffectTerm};
+use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::whisker::effects;
@@ -24,21 +24,17 @@ pub trait Memory: Send {
 
 /// Where an effect of the whisker acts; every hook does nothing by default.
 pub trait WhiskerEffect: Effect {
-    /// Why the effect cannot be seen in this session; none where it can.
-    fn not_observable(&self, _path: &WhiskerPath, _data: &WhiskerData) -> Option<String> {
-        None
-    }
     /// Changes the effective stage position of every node, mm.
-    fn pose(&self, _law: usize, _values: &[f64], _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
+    fn pose(&self, _values: &Values, _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
     /// Changes the mechanics of wire, root and groove.
-    fn rod_parameters(&self, _law: usize, _values: &[f64], _mechanics: &mut RodParameters) {}
-    /// What the gratings feel of moments that come one after the other; none where they feel them as they are.
-    fn memory(&self, _law: usize, _values: &[f64]) -> Option<Box<dyn Memory>> {
+    fn rod(&self, _values: &Values, _rod: &mut RodParameters) {}
+    /// What the gratings sense of moments that come one after the other; none where they sense them as they are.
+    fn memory(&self, _values: &Values) -> Option<Box<dyn Memory>> {
         None
     }
-    /// Changes the moments that the gratings feel at every node, N mm.
-    fn sensor(&self, law: usize, values: &[f64], path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let Some(mut memory) = self.memory(law, values) else { return };
+    /// Changes the moments that the gratings sense at every node, N mm.
+    fn sensor(&self, values: &Values, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+        let Some(mut memory) = self.memory(values) else { return };
         let mut last_s = None;
         for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
             let dt_s = last_s.map(|last| node.t_s - last);
@@ -51,12 +47,66 @@ pub trait WhiskerEffect: Effect {
     /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
     fn columns(
         &self,
-        _law: usize,
-        _values: &[f64],
+        _values: &Values,
         _path: &WhiskerPath,
         _moments_nmm: &[[f64; 2]],
         _out: &mut Vec<Vec<f64>>,
     ) {
+    }
+}
+
+/// An effect that acts: its law and values.
+pub struct ActiveEffect {
+    /// The effect.
+    pub effect: Arc<dyn WhiskerEffect>,
+    law: EffectModel,
+    term: EffectTerm,
+}
+
+impl ActiveEffect {
+    /// `term` of a catalogue's effect.
+    #[must_use]
+    pub fn new(effect: Arc<dyn WhiskerEffect>, term: EffectTerm) -> Self {
+        Self { law: effect.law(term.law), effect, term }
+    }
+
+    /// What its law needs of a session.
+    #[must_use]
+    pub fn needs(&self) -> &[Need] {
+        &self.law.needs
+    }
+
+    /// Its place in the catalogue, law and values.
+    #[must_use]
+    pub fn into_term(self) -> EffectTerm {
+        self.term
+    }
+
+    /// Values of its parameters, by name.
+    #[must_use]
+    pub fn values(&self) -> Values<'_> {
+        Values::new(&self.law, self.term.law, &self.term.values)
+    }
+}
+
+/// Why a session does not give what a law needs; none where it does.
+fn unmet(need: Need, path: &WhiskerPath, data: &WhiskerData) -> Option<&'static str> {
+    let has = &path.columns;
+    match need {
+        Need::Time | Need::Clock => (!has.time).then_some("the session has no time stamps"),
+        Need::Temperature => (!has.temperature).then_some("the session has no temperature"),
+        Need::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
+        Need::MovingBase => Some("the base does not move on the stage, so the fluid does not drag on it"),
+        Need::Weight if !has.gravity => Some("the session does not give the direction of gravity"),
+        Need::Weight => data
+            .whisker
+            .density_kg_m3
+            .is_none()
+            .then_some("the session does not give the density of the wire"),
+        Need::BothDirections => {
+            (!has.both_directions).then_some("the session has no readings of both directions")
+        }
+        Need::Order | Need::Slope | Need::Covariate => None,
     }
 }
 
@@ -174,20 +224,26 @@ impl WhiskerSystem {
         }
     }
 
+    /// The effects of `terms` with their values by name.
+    fn active(&self, terms: &[EffectTerm]) -> Vec<ActiveEffect> {
+        terms.iter().map(|t| ActiveEffect::new(self.effects[t.effect].clone(), t.clone())).collect()
+    }
+
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
     #[must_use]
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
         let mut rod_parameters = RodParameters::default();
-        for t in terms {
-            self.effects[t.effect].pose(t.law, &t.values, path, &mut xs);
-            self.effects[t.effect].rod_parameters(t.law, &t.values, &mut rod_parameters);
+        let active = self.active(terms);
+        for a in &active {
+            a.effect.pose(&a.values(), path, &mut xs);
+            a.effect.rod(&a.values(), &mut rod_parameters);
         }
         let base = self.rod_tables.moments(&path.nodes, &xs, &rod_parameters)?;
         let mut sensed = base.clone();
-        for t in terms {
-            self.effects[t.effect].sensor(t.law, &t.values, path, &mut sensed);
+        for a in &active {
+            a.effect.sensor(&a.values(), path, &mut sensed);
         }
         let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {
             path.nodes.iter().zip(all).filter(|(n, _)| n.reading.is_some()).map(|(_, m)| *m).collect()
@@ -286,8 +342,8 @@ impl MeasurementModel for WhiskerSystem {
             sensed.iter().map(|m| m[1]).collect(),
         ];
         columns.extend(self.path.seating_columns(self.seatings));
-        for t in terms {
-            self.effects[t.effect].columns(t.law, &t.values, &self.path, &sensed, &mut columns);
+        for a in self.active(terms) {
+            a.effect.columns(&a.values(), &self.path, &sensed, &mut columns);
         }
         let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
         design.iter().all(|v| v.is_finite()).then_some(design)
@@ -298,7 +354,8 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        self.effects[effect].not_observable(&self.path, &self.data)
+        let needs = self.effects[effect].needs();
+        needs.into_iter().find_map(|need| unmet(need, &self.path, &self.data)).map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {

@@ -1,8 +1,8 @@
 //! Backlash: after a reversal the output stays until the play is taken up.
 
 use super::memory::play;
-use super::{amplitude, law, needs_both_directions, needs_slope};
-use crate::effect::{Effect, EffectModel};
+use super::{amplitude, law};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::{Declared, Frame};
 use crate::scalar::system::ScalarEffect;
 
@@ -17,12 +17,20 @@ impl Effect for Backlash {
         "backlash"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        let play = law("play", vec![amplitude("backlash", "half-range", [0.0, 0.5], 0.01)], &[]);
+        let play = law("play", vec![amplitude("backlash", "half-range", [0.0, 0.5], 0.01)], &[])
+            .needing(&[Need::Slope, Need::BothDirections]);
         if self.declared == Declared::Axis {
-            vec![play, law("reversal", Vec::new(), &[("reversal_value", "response")])]
+            vec![
+                play,
+                law("reversal", Vec::new(), &[("reversal_value", "response")])
+                    .needing(&[Need::BothDirections]),
+            ]
         } else {
             vec![play]
         }
+    }
+    fn has_memory(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "After a reversal the output stays until the play is taken up."
@@ -33,18 +41,15 @@ impl Effect for Backlash {
 }
 
 impl ScalarEffect for Backlash {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_slope(frame).or_else(|| needs_both_directions(frame))
-    }
-    fn warp(&self, law: usize, values: &[f64], _frame: &Frame, u: &mut [f64]) -> bool {
-        if law == 0 {
-            let held = play(u, values[0]);
+    fn warp(&self, values: &Values, _frame: &Frame, u: &mut [f64]) -> bool {
+        if values.law() == "play" {
+            let held = play(u, values.of("backlash"));
             u.copy_from_slice(&held);
         }
         true
     }
-    fn columns(&self, law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        if law == 1 {
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        if values.law() == "reversal" {
             let Some(direction) = &frame.direction else { return false };
             // Zero on the way up: the coefficient is the difference down less up.
             out.push(direction.iter().map(|d| 0.5 * (1.0 - d)).collect());

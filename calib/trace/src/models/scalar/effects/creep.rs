@@ -1,8 +1,8 @@
 //! Creep: the response goes on moving after the stimulus has changed.
 
 use super::memory::relaxed;
-use super::{amplitude, law, needs_time, shape};
-use crate::effect::{Effect, EffectModel};
+use super::{amplitude, law, shape};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -22,13 +22,18 @@ impl Effect for Creep {
                     shape("time_constant", "duration", [1e-3, 3.0], &[0.003, 0.01, 0.03, 0.1, 0.3, 1.0]),
                 ],
                 &[],
-            ),
+            )
+            .needing(&[Need::Time]),
             law(
                 "settling",
                 vec![shape("time_constant", "duration", [0.01, 0.6], &[0.02, 0.05, 0.1, 0.2, 0.4])],
                 &[("size_at_start", "response")],
-            ),
+            )
+            .needing(&[Need::Time]),
         ]
+    }
+    fn has_memory(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "The response goes on moving after the stimulus has changed: it creeps."
@@ -39,24 +44,23 @@ impl Effect for Creep {
 }
 
 impl ScalarEffect for Creep {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_time(frame)
-    }
-    fn warp(&self, law: usize, values: &[f64], frame: &Frame, u: &mut [f64]) -> bool {
-        if law == 1 {
+    fn warp(&self, values: &Values, frame: &Frame, u: &mut [f64]) -> bool {
+        if values.law() == "settling" {
             return true;
         }
         let (true, Some(time)) = (frame.sloped(), &frame.time) else { return false };
-        let slow = relaxed(u, time, values[1]);
+        let slow = relaxed(u, time, values.of("time_constant"));
+        let fraction = values.of("creep_fraction");
         for (v, r) in u.iter_mut().zip(slow) {
-            *v += values[0] * r;
+            *v += fraction * r;
         }
         true
     }
-    fn columns(&self, law: usize, values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        if law == 1 {
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        if values.law() == "settling" {
             let Some(time) = &frame.time else { return false };
-            out.push(time.iter().map(|t| (-t / values[0]).exp()).collect());
+            let constant = values.of("time_constant");
+            out.push(time.iter().map(|t| (-t / constant).exp()).collect());
         }
         true
     }

@@ -1,7 +1,7 @@
 //! A further covariate acts on the response.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -18,7 +18,9 @@ impl Effect for CrossAxis {
     fn laws(&self) -> Vec<EffectModel> {
         // One law a covariate; the names stand in the session.
         (0..self.count.max(1))
-            .map(|_| law("covariate", Vec::new(), &[("slope", "response/covariate")]))
+            .map(|_| {
+                law("covariate", Vec::new(), &[("slope", "response/covariate")]).needing(&[Need::Covariate])
+            })
             .collect()
     }
     fn sentence(&self) -> &'static str {
@@ -30,15 +32,8 @@ impl Effect for CrossAxis {
 }
 
 impl ScalarEffect for CrossAxis {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        frame
-            .covariates
-            .iter()
-            .all(Option::is_none)
-            .then(|| "the table has no further covariate that varies".to_owned())
-    }
-    fn columns(&self, law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        let Some(Some(column)) = frame.covariates.get(law) else { return false };
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        let Some(Some(column)) = frame.covariates.get(values.index()) else { return false };
         out.push(column.clone());
         true
     }

@@ -1,7 +1,7 @@
 //! Drift of the zero, in proportion to time, or to the order where there is no time.
 
-use super::{law, needs_order};
-use crate::effect::{Effect, EffectModel};
+use super::law;
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -13,7 +13,7 @@ impl Effect for Drift {
         "drift"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear", Vec::new(), &[("rate", "response/duration")])]
+        vec![law("linear", Vec::new(), &[("rate", "response/duration")]).needing(&[Need::Clock])]
     }
     fn sentence(&self) -> &'static str {
         "The zero drifts during the session."
@@ -24,10 +24,7 @@ impl Effect for Drift {
 }
 
 impl ScalarEffect for Drift {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_order(frame)
-    }
-    fn columns(&self, _law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+    fn columns(&self, _values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         out.push(frame.clock().to_vec());
         true
     }

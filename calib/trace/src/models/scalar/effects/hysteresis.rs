@@ -1,8 +1,8 @@
 //! Hysteresis: the response depends on whether the stimulus was rising or falling.
 
 use super::memory::bouc_wen;
-use super::{amplitude, law, needs_both_directions, shape};
-use crate::effect::{Effect, EffectModel};
+use super::{amplitude, law, shape};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::{Declared, Frame};
 use crate::scalar::system::ScalarEffect;
 
@@ -24,11 +24,16 @@ impl Effect for Hysteresis {
                 shape("width", "half-range", [0.005, 2.0], &[0.02, 0.1, 0.3, 1.0]),
             ],
             &[],
-        );
+        )
+        .needing(&[Need::BothDirections]);
         if self.declared == Declared::Axis {
             return vec![gradual];
         }
-        vec![law("by-direction", Vec::new(), &[("half_loop", "response")]), gradual]
+        let plain = law("by-direction", Vec::new(), &[("half_loop", "response")]);
+        vec![plain.needing(&[Need::BothDirections]), gradual]
+    }
+    fn has_memory(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "The response differs between rising and falling stimulus, as with friction or hysteresis."
@@ -39,24 +44,22 @@ impl Effect for Hysteresis {
 }
 
 impl ScalarEffect for Hysteresis {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_both_directions(frame)
-    }
-    fn warp(&self, law: usize, values: &[f64], frame: &Frame, u: &mut [f64]) -> bool {
-        if law == 0 && self.declared != Declared::Axis {
+    fn warp(&self, values: &Values, frame: &Frame, u: &mut [f64]) -> bool {
+        if values.law() == "by-direction" {
             return true;
         }
         if !frame.sloped() {
             return false;
         }
-        let state = bouc_wen(u, values[1]);
+        let state = bouc_wen(u, values.of("width"));
+        let half_loop = values.of("half_loop");
         for (v, s) in u.iter_mut().zip(state) {
-            *v += values[0] * s;
+            *v += half_loop * s;
         }
         true
     }
-    fn columns(&self, law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        if law == 0 && self.declared != Declared::Axis {
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        if values.law() == "by-direction" {
             let Some(direction) = &frame.direction else { return false };
             out.push(direction.clone());
         }

@@ -1,8 +1,8 @@
 //! Lag: the response belongs to an earlier stimulus.
 
 use super::memory::{delayed, relaxed};
-use super::{amplitude, law, needs_slope, needs_time};
-use crate::effect::{Effect, EffectModel};
+use super::{amplitude, law};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -15,9 +15,14 @@ impl Effect for Lag {
     }
     fn laws(&self) -> Vec<EffectModel> {
         vec![
-            law("delay", vec![amplitude("delay", "duration", [0.0, 0.1], 2e-3)], &[]),
-            law("first-order", vec![amplitude("time_constant", "duration", [0.0, 0.1], 2e-3)], &[]),
+            law("delay", vec![amplitude("delay", "duration", [0.0, 0.1], 2e-3)], &[])
+                .needing(&[Need::Slope, Need::Time]),
+            law("first-order", vec![amplitude("time_constant", "duration", [0.0, 0.1], 2e-3)], &[])
+                .needing(&[Need::Slope, Need::Time]),
         ]
+    }
+    fn has_memory(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "The response lags behind the stimulus in time."
@@ -28,14 +33,15 @@ impl Effect for Lag {
 }
 
 impl ScalarEffect for Lag {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_slope(frame).or_else(|| needs_time(frame))
-    }
-    fn warp(&self, law: usize, values: &[f64], frame: &Frame, u: &mut [f64]) -> bool {
+    fn warp(&self, values: &Values, frame: &Frame, u: &mut [f64]) -> bool {
         let Some(time) = &frame.time else { return false };
-        if values[0] > 0.0 {
-            let late = if law == 0 { delayed(u, time, values[0]) } else { relaxed(u, time, values[0]) };
-            u.copy_from_slice(&late);
+        let late = match values.law() {
+            "delay" => values.of("delay"),
+            _ => values.of("time_constant"),
+        };
+        if late > 0.0 {
+            let moved = if values.law() == "delay" { delayed(u, time, late) } else { relaxed(u, time, late) };
+            u.copy_from_slice(&moved);
         }
         true
     }

@@ -59,7 +59,7 @@ fn law(
     parameters: Vec<Parameter>,
     linear: &[(&'static str, &'static str)],
 ) -> EffectModel {
-    EffectModel { name, parameters, linear: linear.to_vec(), largest_share: None }
+    EffectModel { name, parameters, linear: linear.to_vec(), largest_share: None, needs: Vec::new() }
 }
 
 fn amplitude(name: &'static str, unit: &'static str, range: [f64; 2], probe: f64) -> Parameter {
@@ -68,28 +68,4 @@ fn amplitude(name: &'static str, unit: &'static str, range: [f64; 2], probe: f64
 
 fn shape(name: &'static str, unit: &'static str, range: [f64; 2], grid: &'static [f64]) -> Parameter {
     Parameter { name, unit, range, role: Role::Shape { grid } }
-}
-
-/// Effects that act on the stimulus need a declared model that follows it.
-fn needs_slope(frame: &Frame) -> Option<String> {
-    (!frame.sloped()).then(|| "the declared model is constant: it does not follow the stimulus".to_owned())
-}
-
-/// Memory effects need readings in both directions.
-fn needs_both_directions(frame: &Frame) -> Option<String> {
-    frame.direction.is_none().then(|| {
-        "the table has no readings in both directions (column direction, or times with rising and falling stimulus)".to_owned()
-    })
-}
-
-/// Effects of the clock need time stamps, or an order that can be trusted.
-fn needs_order(frame: &Frame) -> Option<String> {
-    (!frame.ordered).then(|| {
-        "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown".to_owned()
-    })
-}
-
-/// Effects of time need time stamps.
-fn needs_time(frame: &Frame) -> Option<String> {
-    frame.time.is_none().then(|| "the session has no time stamps".to_owned())
 }

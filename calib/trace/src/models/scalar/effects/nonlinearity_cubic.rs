@@ -1,7 +1,7 @@
 //! Nonlinearity of the response: a term in the cube of the stimulus, about the middle of the range.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -24,7 +24,10 @@ impl Effect for NonlinearityCubic {
 }
 
 impl ScalarEffect for NonlinearityCubic {
-    fn columns(&self, _law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+    fn degree(&self) -> Option<usize> {
+        Some(3)
+    }
+    fn columns(&self, _values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         out.push(frame.u.iter().map(|u| u.powi(3)).collect());
         true
     }

@@ -14,6 +14,9 @@ impl Effect for Outliers {
     fn laws(&self) -> Vec<EffectModel> {
         vec![law("single-readings", Vec::new(), &[])]
     }
+    fn in_single_readings(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "Single readings lie far outside the noise of the others."
     }
@@ -22,5 +25,4 @@ impl Effect for Outliers {
     }
 }
 
-// Found reading by reading: see the outlier stage.
 impl ScalarEffect for Outliers {}

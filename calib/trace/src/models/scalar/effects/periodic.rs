@@ -1,7 +1,7 @@
 //! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
 
 use super::{PERIODIC, law, shape};
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::{Frame, correlation};
 use crate::scalar::system::ScalarEffect;
 
@@ -31,8 +31,8 @@ impl Effect for Periodic {
         let cycles = |unit| vec![shape("period", unit, [MIN_CYCLES, 120.0], &GRID)];
         vec![
             law("over-stimulus", cycles("period:stimulus"), &columns),
-            law("over-time", cycles("period:time"), &columns),
-            law("over-order", cycles("period:order"), &columns),
+            law("over-time", cycles("period:time"), &columns).needing(&[Need::Time]),
+            law("over-order", cycles("period:order"), &columns).needing(&[Need::Order]),
         ]
     }
     fn sentence(&self) -> &'static str {
@@ -93,13 +93,13 @@ const SAME: f64 = 0.9999;
 const MIN_PLACES: usize = 12;
 
 /// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
-fn variable(law: usize, frame: &Frame) -> Option<(Vec<f64>, usize)> {
+fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     // New rows are not searched: they follow the law that was fitted.
     let same = |a: &[f64], b: &[f64]| !frame.new_rows && correlation(a, b).abs() > SAME;
     let n = frame.scaling.count;
     match law {
-        0 => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
-        1 => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
+        "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
+        "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
         _ => {
             let known =
                 frame.time.as_ref().is_some_and(|t| same(t, &frame.order)) || same(&frame.u, &frame.order);
@@ -112,16 +112,17 @@ impl ScalarEffect for Periodic {
     fn not_observable(&self, frame: &Frame) -> Option<String> {
         (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
     }
-    fn columns(&self, law: usize, values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        let Some((place, places)) = variable(law, frame) else { return false };
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        let Some((place, places)) = variable(values.law(), frame) else { return false };
         // Above half a cycle from place to place a frequency is another one's alias.
-        let aliased = places < MIN_PLACES || values[0] > 0.5 * (places as f64 - 1.0);
+        let cycles = values.of("period");
+        let aliased = places < MIN_PLACES || cycles > 0.5 * (places as f64 - 1.0);
         if aliased && !frame.new_rows {
             return false;
         }
-        let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * values[0] * p).collect();
+        let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * cycles * p).collect();
         let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
-        if law > 0 && !frame.new_rows && locked() {
+        if values.law() != "over-stimulus" && !frame.new_rows && locked() {
             return false;
         }
         out.push(phase.iter().map(|p| p.sin()).collect());

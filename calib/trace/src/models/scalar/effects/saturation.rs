@@ -1,7 +1,7 @@
 //! Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all.
 
-use super::{amplitude, law, needs_slope, shape};
-use crate::effect::{Effect, EffectModel};
+use super::{amplitude, law, shape};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -19,8 +19,10 @@ impl Effect for Saturation {
         // A share of one is complete saturation.
         let share = amplitude("slope_lost", "1", [0.0, 1.0], 0.2);
         vec![
-            law("upper-knee", vec![share, shape("knee", "stimulus", [-0.9, 0.98], UPPER)], &[]),
-            law("lower-knee", vec![share, shape("knee", "stimulus", [-0.98, 0.9], LOWER)], &[]),
+            law("upper-knee", vec![share, shape("knee", "stimulus", [-0.9, 0.98], UPPER)], &[])
+                .needing(&[Need::Slope]),
+            law("lower-knee", vec![share, shape("knee", "stimulus", [-0.98, 0.9], LOWER)], &[])
+                .needing(&[Need::Slope]),
         ]
     }
     fn sentence(&self) -> &'static str {
@@ -32,18 +34,16 @@ impl Effect for Saturation {
 }
 
 impl ScalarEffect for Saturation {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_slope(frame)
-    }
-    fn warp(&self, law: usize, values: &[f64], frame: &Frame, u: &mut [f64]) -> bool {
-        let (share, knee) = (values[0], values[1]);
+    fn warp(&self, values: &Values, frame: &Frame, u: &mut [f64]) -> bool {
+        let (share, knee) = (values.of("slope_lost"), values.of("knee"));
+        let upper = values.law() == "upper-knee";
         // Toward zero a lost slope is a dead zone.
-        let away = if law == 0 { knee >= frame.zero_u } else { knee <= frame.zero_u };
+        let away = if upper { knee >= frame.zero_u } else { knee <= frame.zero_u };
         if !away {
             return false;
         }
         for v in u {
-            let beyond = if law == 0 { (*v - knee).max(0.0) } else { (*v - knee).min(0.0) };
+            let beyond = if upper { (*v - knee).max(0.0) } else { (*v - knee).min(0.0) };
             *v -= share * beyond;
         }
         true

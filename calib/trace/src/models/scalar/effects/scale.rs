@@ -1,7 +1,7 @@
 //! Scale error: the response follows x (1 + e); a free slope takes it up whole.
 
 use super::{amplitude, law};
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -31,15 +31,19 @@ impl Effect for Scale {
 }
 
 impl ScalarEffect for Scale {
-    fn warp(&self, _law: usize, values: &[f64], frame: &Frame, u: &mut [f64]) -> bool {
-        if let (true, Some(e)) = (self.sloped, values.first()) {
+    fn warp(&self, values: &Values, frame: &Frame, u: &mut [f64]) -> bool {
+        if self.sloped {
+            let error = values.of("relative_scale");
             for v in u {
-                *v += e * (*v - frame.zero_u);
+                *v += error * (*v - frame.zero_u);
             }
         }
         true
     }
-    fn columns(&self, _law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+    fn degree(&self) -> Option<usize> {
+        Some(1)
+    }
+    fn columns(&self, _values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         if !self.sloped {
             out.push(frame.u.clone());
         }

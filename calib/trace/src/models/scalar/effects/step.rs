@@ -1,7 +1,7 @@
 //! Step: from some reading on, every response is shifted.
 
-use super::{law, needs_order, shape};
-use crate::effect::{Effect, EffectModel};
+use super::{law, shape};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -27,7 +27,10 @@ impl Effect for Step {
         "step"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("once", vec![shape("place", "clock", [0.0, 1.0], &GRID)], &[("height", "response")])]
+        vec![
+            law("once", vec![shape("place", "clock", [0.0, 1.0], &GRID)], &[("height", "response")])
+                .needing(&[Need::Clock]),
+        ]
     }
     fn sentence(&self) -> &'static str {
         "From one reading on every response is shifted by the same amount."
@@ -38,11 +41,9 @@ impl Effect for Step {
 }
 
 impl ScalarEffect for Step {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        needs_order(frame)
-    }
-    fn columns(&self, _law: usize, values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= values[0]))).collect();
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        let place = values.of("place");
+        let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= place))).collect();
         let after = column.iter().filter(|v| **v > 0.0).count();
         let few = after < MIN_EACH_SIDE || column.len() - after < MIN_EACH_SIDE;
         if few && !frame.new_rows {

@@ -1,7 +1,7 @@
 //! Temperature moves the zero or the sensitivity.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::scalar::frame::Frame;
 use crate::scalar::system::ScalarEffect;
 
@@ -14,8 +14,9 @@ impl Effect for Temperature {
     }
     fn laws(&self) -> Vec<EffectModel> {
         vec![
-            law("zero", Vec::new(), &[("zero_shift", "response/degc")]),
-            law("sensitivity", Vec::new(), &[("slope_shift", "response/half-range/degc")]),
+            law("zero", Vec::new(), &[("zero_shift", "response/degc")]).needing(&[Need::Temperature]),
+            law("sensitivity", Vec::new(), &[("slope_shift", "response/half-range/degc")])
+                .needing(&[Need::Temperature]),
         ]
     }
     fn sentence(&self) -> &'static str {
@@ -27,15 +28,9 @@ impl Effect for Temperature {
 }
 
 impl ScalarEffect for Temperature {
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        frame
-            .temperature
-            .is_none()
-            .then(|| "the session has no temperature column, or it is constant".to_owned())
-    }
-    fn columns(&self, law: usize, _values: &[f64], frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
         let Some(rise) = &frame.temperature else { return false };
-        let column = if law == 0 {
+        let column = if values.law() == "zero" {
             rise.clone()
         } else {
             rise.iter().zip(&frame.u).map(|(t, u)| t * (u - frame.zero_u)).collect()

@@ -1,7 +1,7 @@
 //! Compliance of the root: it turns by C m about the transverse axes.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_tables::RodParameters;
 
@@ -32,9 +32,13 @@ impl Effect for BaseCompliance {
 }
 
 impl WhiskerEffect for BaseCompliance {
-    fn rod_parameters(&self, law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        let second = if law == 0 { values[0] } else { values[1] };
-        rod_parameters.compliance_rad_per_nmm[0] += values[0];
-        rod_parameters.compliance_rad_per_nmm[1] += second;
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        let names = match values.law() {
+            "isotropic" => ["compliance_rad_per_nmm"; 2],
+            _ => ["compliance_y_rad_per_nmm", "compliance_z_rad_per_nmm"],
+        };
+        for (compliance, name) in rod.compliance_rad_per_nmm.iter_mut().zip(names) {
+            *compliance += values.of(name);
+        }
     }
 }

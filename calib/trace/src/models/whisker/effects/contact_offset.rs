@@ -1,7 +1,7 @@
 //! Constant offset of the groove in the rig frame (three components; one along the wire is weak).
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_tables::RodParameters;
 
@@ -29,9 +29,9 @@ impl Effect for ContactOffset {
 }
 
 impl WhiskerEffect for ContactOffset {
-    fn rod_parameters(&self, _law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        for (offset, value) in rod_parameters.offset_mm.iter_mut().zip(values) {
-            *offset += value;
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        for (offset, name) in rod.offset_mm.iter_mut().zip(["offset_x_mm", "offset_y_mm", "offset_z_mm"]) {
+            *offset += values.of(name);
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
-use crate::whisker::path::WhiskerPath;
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
@@ -14,13 +13,13 @@ impl Effect for Creep {
     }
     fn laws(&self) -> Vec<EffectModel> {
         vec![
-            law("prony").amplitude("creep_fraction", "1", [0.0, 0.3], 0.02).shape(
+            law("prony").needing(&[Need::Time]).amplitude("creep_fraction", "1", [0.0, 0.3], 0.02).shape(
                 "time_constant_s",
                 "s",
                 [0.3, 3000.0],
                 &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0],
             ),
-            law("log-time").amplitude("creep_fraction", "1", [0.0, 0.3], 0.02),
+            law("log-time").needing(&[Need::Time]).amplitude("creep_fraction", "1", [0.0, 0.3], 0.02),
         ]
     }
     fn refinements(&self) -> Vec<EffectModel> {
@@ -28,11 +27,15 @@ impl Effect for Creep {
         let seconds = [0.3, 3000.0];
         vec![
             law("prony-2")
+                .needing(&[Need::Time])
                 .amplitude("creep_fraction", "1", [0.0, 0.3], 0.02)
                 .shape("time_constant_s", "s", seconds, GRID)
                 .amplitude("second_creep_fraction", "1", [0.0, 0.3], 0.02)
                 .shape("second_time_constant_s", "s", seconds, GRID),
         ]
+    }
+    fn has_memory(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "The gratings go on moving after the load has changed, as a bond that creeps."
@@ -43,16 +46,20 @@ impl Effect for Creep {
 }
 
 impl WhiskerEffect for Creep {
-    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.time).then(|| "the session has no time stamps".to_owned())
-    }
-
-    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
+    fn memory(&self, values: &Values) -> Option<Box<dyn Memory>> {
         // Weights and time constants; equal weights on constants spaced by half decades make creep in log time from 1 s to about an hour.
-        let spectrum: Vec<(f64, f64)> = match law {
-            0 => vec![(values[0], values[1])],
-            1 => (0..8).map(|k| (values[0] / 8.0, 10f64.powf(0.5 * f64::from(k)))).collect(),
-            _ => vec![(values[0], values[1]), (values[2], values[3])],
+        let spectrum: Vec<(f64, f64)> = match values.law() {
+            "log-time" => {
+                let share = values.of("creep_fraction") / 8.0;
+                (0..8).map(|k| (share, 10f64.powf(0.5 * f64::from(k)))).collect()
+            }
+            law => {
+                let mut terms = vec![(values.of("creep_fraction"), values.of("time_constant_s"))];
+                if law == "prony-2" {
+                    terms.push((values.of("second_creep_fraction"), values.of("second_time_constant_s")));
+                }
+                terms
+            }
         };
         let relaxed = vec![[0.0; 2]; spectrum.len()];
         Some(Box::new(Relaxing { spectrum, relaxed, last: [0.0; 2] }))

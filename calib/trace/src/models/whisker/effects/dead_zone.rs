@@ -1,7 +1,7 @@
 //! No response below a moment m0.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
@@ -26,8 +26,8 @@ impl Effect for DeadZone {
 }
 
 impl WhiskerEffect for DeadZone {
-    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
-        Some(Box::new(Play { radial: law == 0, threshold_nmm: values[0] }))
+    fn memory(&self, values: &Values) -> Option<Box<dyn Memory>> {
+        Some(Box::new(Play { radial: values.law() == "radial", threshold_nmm: values.of("threshold_nmm") }))
     }
 }
 

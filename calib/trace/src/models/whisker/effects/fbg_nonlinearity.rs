@@ -1,7 +1,7 @@
 //! Quadratic form of the moment in each channel.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -35,8 +35,7 @@ impl Effect for FbgNonlinearity {
 impl WhiskerEffect for FbgNonlinearity {
     fn columns(
         &self,
-        _law: usize,
-        _values: &[f64],
+        _values: &Values,
         _path: &WhiskerPath,
         moments_nmm: &[[f64; 2]],
         out: &mut Vec<Vec<f64>>,

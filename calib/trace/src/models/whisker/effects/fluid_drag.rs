@@ -1,9 +1,8 @@
 //! Drag of the fluid on a moving base.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need};
 use crate::whisker::WhiskerEffect;
-use crate::whisker::path::WhiskerPath;
 
 /// See the module.
 pub struct FluidDrag;
@@ -13,7 +12,7 @@ impl Effect for FluidDrag {
         "fluid-drag"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("quadratic")]
+        vec![law("quadratic").needing(&[Need::MovingBase])]
     }
     fn sentence(&self) -> &'static str {
         "The surrounding water drags on the wire while the base moves."
@@ -23,8 +22,4 @@ impl Effect for FluidDrag {
     }
 }
 
-impl WhiskerEffect for FluidDrag {
-    fn not_observable(&self, _path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        Some("the base does not move on the stage, so the fluid does not drag on it".to_owned())
-    }
-}
+impl WhiskerEffect for FluidDrag {}

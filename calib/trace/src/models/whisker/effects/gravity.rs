@@ -1,9 +1,8 @@
 //! Weight less buoyancy of the wire.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::WhiskerEffect;
-use crate::whisker::path::WhiskerPath;
 use crate::whisker::rod_tables::RodParameters;
 
 /// See the module.
@@ -14,7 +13,7 @@ impl Effect for Gravity {
         "gravity"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("weight").amplitude("weight_share", "1", [0.0, 1.5], 1.0)]
+        vec![law("weight").needing(&[Need::Weight]).amplitude("weight_share", "1", [0.0, 1.5], 1.0)]
     }
     fn sentence(&self) -> &'static str {
         "The weight of the wire bends it."
@@ -25,17 +24,7 @@ impl Effect for Gravity {
 }
 
 impl WhiskerEffect for Gravity {
-    fn not_observable(&self, path: &WhiskerPath, data: &wcal_core::WhiskerData) -> Option<String> {
-        if !path.columns.gravity {
-            return Some("the session does not give the direction of gravity".to_owned());
-        }
-        data.whisker
-            .density_kg_m3
-            .is_none()
-            .then(|| "the session does not give the density of the wire".to_owned())
-    }
-
-    fn rod_parameters(&self, _law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        rod_parameters.weight += values[0];
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        rod.weight += values.of("weight_share");
     }
 }

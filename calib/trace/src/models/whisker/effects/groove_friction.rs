@@ -1,7 +1,7 @@
 //! Friction along the wire in the V-groove: stick inside the cone, slip at its edge, with the history of the whole path.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_tables::RodParameters;
 
@@ -23,6 +23,9 @@ impl Effect for GrooveFriction {
             ),
         ]
     }
+    fn helped_by(&self) -> Option<&'static str> {
+        Some("direction (readings of loading and unloading)")
+    }
     fn sentence(&self) -> &'static str {
         "The wire drags in the V-groove: the contact force has a part along the wire until it slips."
     }
@@ -32,10 +35,10 @@ impl Effect for GrooveFriction {
 }
 
 impl WhiskerEffect for GrooveFriction {
-    fn rod_parameters(&self, law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        rod_parameters.friction += values[0];
-        if law == 1 {
-            rod_parameters.moving_share = values[1];
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        rod.friction += values.of("friction_coefficient");
+        if values.law() == "coulomb-two-speed" {
+            rod.moving_share = values.of("moving_share");
         }
     }
 }

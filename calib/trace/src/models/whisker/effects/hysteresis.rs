@@ -1,7 +1,7 @@
 //! Rate-independent memory of the moment. Readings taken while loading only show it too: the wire comes back unloaded between them.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
@@ -55,6 +55,12 @@ impl Effect for Hysteresis {
                 .amplitude("play_4_nmm", "N mm", size, 0.01),
         ]
     }
+    fn helped_by(&self) -> Option<&'static str> {
+        Some("the order of the rows, better t_s; direction (readings of loading and unloading)")
+    }
+    fn has_memory(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "The readings depend on whether the load was rising or falling, whatever the speed."
     }
@@ -64,25 +70,23 @@ impl Effect for Hysteresis {
 }
 
 impl WhiskerEffect for Hysteresis {
-    fn memory(&self, law: usize, values: &[f64]) -> Option<Box<dyn Memory>> {
-        let loops: Vec<(f64, f64)> = if law == STACK {
-            values.iter().copied().zip(STACK_WIDTHS_NMM).collect()
+    fn memory(&self, values: &Values) -> Option<Box<dyn Memory>> {
+        let loops: Vec<(f64, f64)> = if values.law() == "prandtl-ishlinskii" {
+            values.all().iter().copied().zip(STACK_WIDTHS_NMM).collect()
         } else {
-            values.chunks(2).map(|p| (p[0], p[1])).collect()
+            values.all().chunks(2).map(|p| (p[0], p[1])).collect()
         };
         let states = vec![[0.0; 2]; loops.len()];
-        Some(Box::new(Loops { law, loops, states, before: [0.0; 2] }))
+        Some(Box::new(Loops { law: values.law(), loops, states, before: [0.0; 2] }))
     }
 }
 
-/// Index of the stack of plays among the laws.
-const STACK: usize = 5;
-/// Half widths of its plays, N mm.
+/// Half widths of the plays of the stack, N mm.
 const STACK_WIDTHS_NMM: [f64; 4] = [0.04, 0.1, 0.25, 0.6];
 
 /// Sizes and widths of the loops with their states.
 struct Loops {
-    law: usize,
+    law: &'static str,
     loops: Vec<(f64, f64)>,
     states: Vec<[f64; 2]>,
     before: [f64; 2],
@@ -112,14 +116,16 @@ impl Memory for Loops {
 }
 
 /// State of a hysteresis law, scaled to +-1, after a step of the moment.
-fn next(law: usize, mut state: [f64; 2], step: [f64; 2], width: f64) -> [f64; 2] {
+fn next(law: &str, mut state: [f64; 2], step: [f64; 2], width: f64) -> [f64; 2] {
     let length = step[0].hypot(step[1]);
     match law {
-        0 => [0, 1].map(|c| approach(state[c], step[c].signum(), step[c].abs() / width)),
-        2 if length > 0.0 => [0, 1].map(|c| approach(state[c], step[c] / length, length / width)),
-        2 => state,
+        "bouc-wen" => [0, 1].map(|c| approach(state[c], step[c].signum(), step[c].abs() / width)),
+        "bouc-wen-vector" if length > 0.0 => {
+            [0, 1].map(|c| approach(state[c], step[c] / length, length / width))
+        }
+        "bouc-wen-vector" => state,
         // Play in the plane: the state follows on a rope of one length.
-        3 => {
+        "play-vector" => {
             state = [0, 1].map(|c| state[c] + step[c] / width);
             let far = state[0].hypot(state[1]).max(1.0);
             state.map(|x| x / far)

@@ -23,9 +23,6 @@ use crate::effect::{EffectModel, Parameter, Role};
 use crate::whisker::WhiskerEffect;
 use std::sync::Arc;
 
-/// Identifier of the effect that is found by single readings, not by a law.
-pub const SLIP_OUTLIERS: &str = "slip-outliers";
-
 /// Every effect of FORMATS.md for kind "whisker".
 #[must_use]
 pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
@@ -53,7 +50,7 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
 
 /// A law without parameters of either kind yet.
 fn law(name: &'static str) -> EffectModel {
-    EffectModel { name, parameters: Vec::new(), linear: Vec::new(), largest_share: None }
+    EffectModel { name, parameters: Vec::new(), linear: Vec::new(), largest_share: None, needs: Vec::new() }
 }
 
 impl EffectModel {

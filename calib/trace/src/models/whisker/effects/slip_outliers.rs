@@ -15,6 +15,9 @@ impl Effect for SlipOutliers {
     fn laws(&self) -> Vec<EffectModel> {
         vec![law("single-readings")]
     }
+    fn in_single_readings(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "In single readings the wire was not in the vertex of the groove."
     }
@@ -23,6 +26,4 @@ impl Effect for SlipOutliers {
     }
 }
 
-impl WhiskerEffect for SlipOutliers {
-    // Found reading by reading: see the outlier stage.
-}
+impl WhiskerEffect for SlipOutliers {}

@@ -1,7 +1,7 @@
 //! Lost motion of the stage: after a reversal the groove stays until the play is taken up.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -18,6 +18,9 @@ impl Effect for StageBacklash {
             law("play-centred").amplitude("backlash_mm", "mm", [0.0, 0.3], 0.01),
         ]
     }
+    fn helped_by(&self) -> Option<&'static str> {
+        Some("direction (readings of loading and unloading)")
+    }
     fn sentence(&self) -> &'static str {
         "The stage lags behind its command after a reversal."
     }
@@ -27,10 +30,10 @@ impl Effect for StageBacklash {
 }
 
 impl WhiskerEffect for StageBacklash {
-    fn pose(&self, law: usize, values: &[f64], path: &WhiskerPath, xs_mm: &mut [f64]) {
-        let play = values[0];
+    fn pose(&self, values: &Values, path: &WhiskerPath, xs_mm: &mut [f64]) {
+        let play = values.of("backlash_mm");
         // Loading reads true where the axis was referenced that way; centred play is off by half on either side.
-        let shift = if law == 0 { 0.0 } else { -0.5 * play };
+        let shift = if values.law() == "play-from-loading" { 0.0 } else { -0.5 * play };
         let mut line = None;
         let mut held = 0.0;
         for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {

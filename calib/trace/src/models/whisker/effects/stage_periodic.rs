@@ -1,7 +1,7 @@
 //! Periodic error of the stage: A sin(2 pi x / pitch) + B cos(2 pi x / pitch).
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -20,6 +20,9 @@ impl Effect for StagePeriodic {
                 .shape("pitch_mm", "mm", [0.25, 1.3], &[0.6096, 0.3048, 1.2192]),
         ]
     }
+    fn helped_by(&self) -> Option<&'static str> {
+        Some("stage_mm")
+    }
     fn sentence(&self) -> &'static str {
         "The stage position has an error that repeats with the screw."
     }
@@ -29,10 +32,11 @@ impl Effect for StagePeriodic {
 }
 
 impl WhiskerEffect for StagePeriodic {
-    fn pose(&self, _law: usize, values: &[f64], _path: &WhiskerPath, xs_mm: &mut [f64]) {
+    fn pose(&self, values: &Values, _path: &WhiskerPath, xs_mm: &mut [f64]) {
+        let [sine_mm, cosine_mm, pitch_mm] = ["sine_mm", "cosine_mm", "pitch_mm"].map(|name| values.of(name));
         for x in xs_mm {
-            let (sin, cos) = (std::f64::consts::TAU * *x / values[2]).sin_cos();
-            *x += values[0] * sin + values[1] * cos;
+            let (sin, cos) = (std::f64::consts::TAU * *x / pitch_mm).sin_cos();
+            *x += sine_mm * sin + cosine_mm * cos;
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Scale error of the stage: x (1 + e).
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -15,6 +15,9 @@ impl Effect for StageScale {
     fn laws(&self) -> Vec<EffectModel> {
         vec![law("linear").amplitude("relative_scale", "1", [-0.03, 0.03], 0.01)]
     }
+    fn helped_by(&self) -> Option<&'static str> {
+        Some("stage_mm")
+    }
     fn sentence(&self) -> &'static str {
         "The stage travels a constant factor more or less than commanded."
     }
@@ -24,9 +27,10 @@ impl Effect for StageScale {
 }
 
 impl WhiskerEffect for StageScale {
-    fn pose(&self, _law: usize, values: &[f64], _path: &WhiskerPath, xs_mm: &mut [f64]) {
+    fn pose(&self, values: &Values, _path: &WhiskerPath, xs_mm: &mut [f64]) {
+        let relative_scale = values.of("relative_scale");
         for x in xs_mm {
-            *x *= 1.0 + values[0];
+            *x *= 1.0 + relative_scale;
         }
     }
 }

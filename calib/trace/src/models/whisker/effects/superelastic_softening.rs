@@ -1,7 +1,7 @@
 //! Superelastic softening past a yield curvature.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_tables::RodParameters;
 use wcal_rod::Softening;
@@ -38,12 +38,13 @@ impl Effect for SuperelasticSoftening {
 }
 
 impl WhiskerEffect for SuperelasticSoftening {
-    fn rod_parameters(&self, law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        if values[0] <= 0.0 {
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        let share = values.of("softening_share");
+        if share <= 0.0 {
             return;
         }
-        let (left, onset_per_m) = (1.0 - values[0], values[1]);
-        rod_parameters.softening = Some(if law == 0 {
+        let (left, onset_per_m) = (1.0 - share, values.of("onset_per_m"));
+        rod.softening = Some(if values.law() == "section-plateau" {
             Softening::Section { onset_per_m, hardening: left }
         } else {
             Softening::Bilinear { onset_per_m, ratio: left }

@@ -1,7 +1,7 @@
 //! Rest of the temperature compensation: dk (T - T0) in each channel.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -13,7 +13,7 @@ impl Effect for TemperatureMismatch {
         "temperature-mismatch"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear").column("mismatch_pm_per_degc", "pm/degC")]
+        vec![law("linear").needing(&[Need::Temperature]).column("mismatch_pm_per_degc", "pm/degC")]
     }
     fn sentence(&self) -> &'static str {
         "The sensing and the reference grating do not follow temperature alike, so compensation leaves a rest."
@@ -24,14 +24,9 @@ impl Effect for TemperatureMismatch {
 }
 
 impl WhiskerEffect for TemperatureMismatch {
-    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.temperature).then(|| "the session has no temperature".to_owned())
-    }
-
     fn columns(
         &self,
-        _law: usize,
-        _values: &[f64],
+        _values: &Values,
         path: &WhiskerPath,
         _moments_nmm: &[[f64; 2]],
         out: &mut Vec<Vec<f64>>,

@@ -1,7 +1,7 @@
 //! A delay between stage and wavelengths: the reading belongs to x - v tau.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -13,7 +13,7 @@ impl Effect for TimeLag {
         "time-lag"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("delay").amplitude("lag_s", "s", [0.0, 1.0], 0.02)]
+        vec![law("delay").needing(&[Need::Motion]).amplitude("lag_s", "s", [0.0, 1.0], 0.02)]
     }
     fn sentence(&self) -> &'static str {
         "Readings taken while the stage moves belong to an earlier position."
@@ -24,14 +24,11 @@ impl Effect for TimeLag {
 }
 
 impl WhiskerEffect for TimeLag {
-    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.speeds).then(|| "no reading was taken while the stage moved".to_owned())
-    }
-
-    fn pose(&self, _law: usize, values: &[f64], path: &WhiskerPath, xs_mm: &mut [f64]) {
+    fn pose(&self, values: &Values, path: &WhiskerPath, xs_mm: &mut [f64]) {
+        let lag_s = values.of("lag_s");
         for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {
             if let Some(i) = node.reading {
-                *x -= path.readings[i].velocity_mm_s * values[0];
+                *x -= path.readings[i].velocity_mm_s * lag_s;
             }
         }
     }

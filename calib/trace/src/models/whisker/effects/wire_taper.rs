@@ -1,7 +1,7 @@
 //! Bending stiffness that varies along the wire.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_tables::RodParameters;
 
@@ -24,7 +24,7 @@ impl Effect for WireTaper {
 }
 
 impl WhiskerEffect for WireTaper {
-    fn rod_parameters(&self, _law: usize, values: &[f64], rod_parameters: &mut RodParameters) {
-        rod_parameters.taper += values[0];
+    fn rod(&self, values: &Values, rod: &mut RodParameters) {
+        rod.taper += values.of("relative_stiffness_change");
     }
 }

@@ -1,7 +1,7 @@
 //! Drift of the zero, linear in time.
 
 use super::law;
-use crate::effect::{Effect, EffectModel};
+use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -13,7 +13,7 @@ impl Effect for ZeroDrift {
         "zero-drift"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear").column("drift_pm_per_min", "pm/min")]
+        vec![law("linear").needing(&[Need::Time]).column("drift_pm_per_min", "pm/min")]
     }
     fn sentence(&self) -> &'static str {
         "The zero of the readings drifts with time."
@@ -24,14 +24,9 @@ impl Effect for ZeroDrift {
 }
 
 impl WhiskerEffect for ZeroDrift {
-    fn not_observable(&self, path: &WhiskerPath, _data: &wcal_core::WhiskerData) -> Option<String> {
-        (!path.columns.time).then(|| "the session has no time stamps".to_owned())
-    }
-
     fn columns(
         &self,
-        _law: usize,
-        _values: &[f64],
+        _values: &Values,
         path: &WhiskerPath,
         _moments_nmm: &[[f64; 2]],
         out: &mut Vec<Vec<f64>>,

@@ -191,7 +191,7 @@ fn a_wave_in_time_is_seen_with_its_driver() {
         &Options { seed: 1, draws: 500, ..Options::default() },
     );
     assert!(g.generic());
-    assert_eq!((g.covariates[0].driver.as_str(), g.covariates[0].shape), ("t_s", "sinusoid"));
+    assert_eq!((g.covariates[0].covariate.as_str(), g.covariates[0].shape), ("t_s", "sinusoid"));
     let period = g.covariates[0].period.unwrap();
     assert!((period - 13.0).abs() < 1.5, "{period}");
 }

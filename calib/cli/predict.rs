@@ -1,20 +1,11 @@
 //! `wcal predict`: moments, responses or position errors at new readings.
 
-mod scalar;
-
-use crate::artefact::{CalibrationModel, read_calibration, standing};
 use crate::output::{check_file, write_file};
 use crate::simulated::{is_simulated, mark_table};
-use anyhow::{Context, bail};
 use clap::Args;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_core::CalibrationFile;
-use wcal_map::{MapArtefact, MapPredictor};
-use wcal_session::load_table;
-use wcal_trace::whisker::PhysicalModel;
-use wcal_trace::whisker::path::WhiskerPath;
+use wcal_calibration::{read_calibration, standing};
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]
@@ -51,11 +42,31 @@ pub struct PredictArgs {
 pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
-    match &file.model {
-        CalibrationModel::Map(artefact) => by_map(args, &file, artefact),
-        CalibrationModel::Physical(model) => by_model(args, &file, model),
-        CalibrationModel::Scalar(model) => scalar::by_scalar(args, &file, model),
+    let applied = file.model.apply(&args.table)?;
+    for warning in &applied.warnings {
+        eprintln!("warning: {warning}");
     }
+    let simulated = file.provenance.simulated || is_simulated(&args.table);
+    // A table from simulated data says so in a column.
+    write_file(&args.out, mark_table(&applied.csv, simulated).as_bytes())?;
+    let mut doubts: Vec<String> =
+        standing(&file, jiff::Timestamp::now())?.iter().map(ToString::to_string).collect();
+    let place = args.table.display();
+    doubts.extend(applied.outside.map(|o| format!("{place}: {o}; marked in outside_valid_region")));
+    for doubt in &doubts {
+        eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });
+    }
+    if simulated {
+        eprintln!("SIMULATED: the calibration or the readings are not measured");
+    }
+    if args.json {
+        let (rows, name) = (applied.rows, file.model.name());
+        let summary = serde_json::json!({
+            "format": "wcal-predict/1", "simulated": simulated, "rows": rows, "map": name, "doubts": doubts, "out": args.out,
+        });
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    }
+    Ok(ExitCode::from(if doubts.is_empty() || args.force { 0 } else { 4 }))
 }
 
 /// Whether a table with this first line is a result of `predict`.
@@ -64,6 +75,7 @@ fn is_prediction(first: &str) -> bool {
     // A track has moments and the mark, too, and the time.
     first.starts_with("point,") && has("outside_valid_region") && !has("t_s")
 }
+<<<<<<< HEAD
 
 /// Through a fitted map.
 fn by_map(
@@ -271,3 +283,5 @@ fn finish(
     }
     Ok(ExitCode::from(if doubts.is_empty() || args.force { 0 } else { 4 }))
 }
+=======
+>>>>>>> main

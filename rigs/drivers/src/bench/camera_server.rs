@@ -3,7 +3,7 @@
 use super::link::Wire;
 use super::scene::SceneState;
 use super::world::Shared;
-use std::io;
+use std::io::{self, Read};
 use std::net::TcpStream;
 use std::time::Duration;
 
@@ -31,12 +31,8 @@ pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<(
         let due_s = trigger as f64 * period_s;
         let now_s = shared.clock.now_s();
         if now_s < due_s {
-            // Waits for commands meanwhile, 5 ms at a time.
-            if shared.clock.wall(due_s - now_s) > Duration::from_millis(6) {
-                obey(shared, &mut link, &mut heard)?;
-            } else {
-                std::thread::sleep(shared.clock.wall(due_s - now_s));
-            }
+            obey(shared, &mut link, &mut heard)?;
+            std::thread::sleep(shared.clock.wall(due_s - now_s).min(Duration::from_millis(20)));
             continue;
         }
         let second = index == 1;
@@ -67,7 +63,15 @@ pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<(
 /// Carries out what the client asks: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
 fn obey(shared: &Shared, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
     let mut bytes = [0_u8; COMMAND_LIMIT];
-    let count = Wire::receive(link, &mut bytes)?;
+    // Commands are taken up as they come; nobody waits for them.
+    link.set_nonblocking(true)?;
+    let found = link.read(&mut bytes);
+    link.set_nonblocking(false)?;
+    let count = match found {
+        Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+        Err(e) if e.kind() == io::ErrorKind::WouldBlock => 0,
+        other => other?,
+    };
     for byte in &bytes[..count] {
         if *byte != b'\n' {
             heard.push(*byte);

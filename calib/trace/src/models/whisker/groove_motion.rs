@@ -4,8 +4,8 @@
 //! `cov(b) = F F'` each column of F gives one common unknown of unit variance. What is left is the reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
-use super::system::WhiskerSystem;
 use super::rod_tables::RodParameters;
+use super::system::WhiskerSystem;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
 use wcal_rod::Rod;
 
@@ -55,11 +55,11 @@ pub struct MovedReading {
 #[must_use]
 pub fn accepted_wire(system: &WhiskerSystem, model: &PhysicalModel) -> Option<AcceptedWire> {
     let mut mechanics = RodParameters::default();
-    for (effect, term) in model.terms() {
-        effect.mechanics(term.law, &term.values, &mut mechanics);
+    for active in model.terms() {
+        active.effect.rod(&active.values(), &mut mechanics);
     }
     Some(AcceptedWire {
-        rod: system.bench.rod(&mechanics)?,
+        rod: system.rod_tables.rod(&mechanics)?,
         friction: mechanics.friction,
         moving_share: mechanics.moving_share,
         offset_mm: Vector3::from(mechanics.offset_mm),
@@ -74,8 +74,8 @@ pub fn moved_readings(system: &WhiskerSystem, model: &PhysicalModel) -> Option<V
     let inverse = model.sensitivity().try_inverse()?;
     let terms = model.terms();
     let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
-    for (effect, term) in &terms {
-        effect.pose(term.law, &term.values, path, &mut xs);
+    for active in &terms {
+        active.effect.pose(&active.values(), path, &mut xs);
     }
     let mut effective = vec![0.0; path.readings.len()];
     for (node, x) in path.nodes.iter().zip(&xs) {
@@ -84,8 +84,8 @@ pub fn moved_readings(system: &WhiskerSystem, model: &PhysicalModel) -> Option<V
         }
     }
     let inferred = model.infer(path, None);
-    let felt = model.felt(&terms, path, &inverse);
-    let columns = model.columns(&terms, path, &felt);
+    let sensed = model.sensed(&terms, path, &inverse);
+    let columns = model.columns(&terms, path, &sensed);
     let factor = factor(model);
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
     let count = model.coefficients.len();

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use wcal_acquisition::message::SweepEvent;
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::completed_steps;
 use wcal_core::device::{Clocks, FbgReading, StageReading};
-use wcal_session::recording::message::SweepEvent;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::replay::completed_steps;
 
 /// Bench seconds per wall second.
 const SPEED: f64 = 20.0;

@@ -1,8 +1,8 @@
 //! A session folder as a whole.
 
 use crate::document::{self, Section};
-use crate::error::{Defect, SessionError, quote};
-use crate::whisker::{self, Demand};
+use crate::error::{InputError, SessionError, quote};
+use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
@@ -102,7 +102,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
 }
 
 /// The mark of simulated data; sessions from before it, and other content of `[provenance]`, are taken as measured.
-fn read_simulated(root: &Section<'_>) -> Result<bool, Defect> {
+fn read_simulated(root: &Section<'_>) -> Result<bool, InputError> {
     match root.value("provenance") {
         Some(toml::Value::Table(_)) => {
             let section = root.section("provenance")?;
@@ -112,32 +112,36 @@ fn read_simulated(root: &Section<'_>) -> Result<bool, Defect> {
     }
 }
 
-fn check_format(root: &Section<'_>) -> Result<(), Defect> {
+fn check_format(root: &Section<'_>) -> Result<(), InputError> {
     let format = root.required_text("format", &format!("{SESSION_FORMAT:?}"))?;
     if format == SESSION_FORMAT {
         return Ok(());
     }
-    let defect = root.defect("format", format!("{SESSION_FORMAT:?}"), quote(&format));
+    let error = root.error("format", format!("{SESSION_FORMAT:?}"), quote(&format));
     let version = format.strip_prefix("wcal-session/").and_then(|v| v.parse::<u32>().ok());
     Err(match version {
         Some(version) if version > 1 => {
-            defect.hint("the session was written in a newer format; update wcal to read it")
+            error.hint("the session was written in a newer format; update wcal to read it")
         }
-        _ => defect,
+        _ => error,
     })
 }
 
-fn read_kind(root: &Section<'_>) -> Result<SessionKind, Defect> {
+fn read_kind(root: &Section<'_>) -> Result<SessionKind, InputError> {
     let expected = "\"whisker\", \"transducer\" or \"axis\"";
     match root.required_text("kind", expected)?.as_str() {
         "whisker" => Ok(SessionKind::Whisker),
         "transducer" => Ok(SessionKind::Transducer),
         "axis" => Ok(SessionKind::Axis),
-        other => Err(root.defect("kind", expected, quote(other))),
+        other => Err(root.error("kind", expected, quote(other))),
     }
 }
 
-fn read_medium(root: &Section<'_>, kind: SessionKind, warnings: &mut Vec<String>) -> Result<String, Defect> {
+fn read_medium(
+    root: &Section<'_>,
+    kind: SessionKind,
+    warnings: &mut Vec<String>,
+) -> Result<String, InputError> {
     match root.text("medium")? {
         Some(medium) => Ok(medium),
         None if kind == SessionKind::Whisker => {
@@ -148,21 +152,21 @@ fn read_medium(root: &Section<'_>, kind: SessionKind, warnings: &mut Vec<String>
     }
 }
 
-fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, Defect> {
+fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, InputError> {
     let section = root.section("files")?;
-    let section = section.ok_or_else(|| root.defect("files", "a table [files]", "nothing"))?;
-    let relative = |key: &str| -> Result<Option<String>, Defect> {
+    let section = section.ok_or_else(|| root.error("files", "a table [files]", "nothing"))?;
+    let relative = |key: &str| -> Result<Option<String>, InputError> {
         let Some(name) = section.text(key)? else { return Ok(None) };
         match outside(folder, &name) {
             Some(found) => {
                 let expected = "a file in the session's folder, its path relative to it and without \"..\"";
-                Err(section.defect(key, expected, found))
+                Err(section.error(key, expected, found))
             }
             None => Ok(Some(name)),
         }
     };
     let points = relative("points")?
-        .ok_or_else(|| section.defect("points", "the name of the points table", "nothing"))?;
+        .ok_or_else(|| section.error("points", "the name of the points table", "nothing"))?;
     let files = Files {
         points,
         holdout: relative("holdout")?,
@@ -208,7 +212,8 @@ fn load_whisker(
     let length_mm = whisker_checks::length_mm(&meta.whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
-        let table = whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, Demand::Session)?;
+        let table =
+            whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &meta.trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
@@ -259,13 +264,17 @@ fn load_transducer(
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.
-pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), Defect> {
+pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), InputError> {
     if points == holdout {
         return Ok(());
     }
     let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-    Err(Defect::new(name, format!("the covariates of the points table ({})", list(points)), list(holdout))
-        .at(1))
+    Err(InputError::new(
+        name,
+        format!("the covariates of the points table ({})", list(points)),
+        list(holdout),
+    )
+    .at(1))
 }
 
 fn load_axis(
@@ -295,9 +304,9 @@ fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Sealed<R> {
     Sealed::new(sealed)
 }
 
-fn require_unsealed(file: &str, rows: usize) -> Result<(), Defect> {
+fn require_unsealed(file: &str, rows: usize) -> Result<(), InputError> {
     if rows > 0 {
         return Ok(());
     }
-    Err(Defect::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
+    Err(InputError::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
 }

@@ -6,20 +6,21 @@ use common::{NoMount, PLAN, bench, go, order, rows};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use wcal_acquisition::assign::ChannelMap;
+use wcal_acquisition::monitor::Monitor;
+use wcal_acquisition::record::{RecordRequest, record};
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay_interrogator::ReplayInterrogator;
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::run_file::RunFile;
+use wcal_acquisition::sweep::{Ending, acquire};
 use wcal_core::Role;
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
 use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::record::{Order, record};
-use wcal_drivers::replay::ReplayInterrogator;
-use wcal_session::recording::assign::ChannelMap;
-use wcal_session::recording::monitor::Monitor;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::run_file::RunFile;
-use wcal_session::recording::sweep::{Ending, acquire};
 
 #[test]
 fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
@@ -62,7 +63,7 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll.
     assert!(reduction.clocks[0].offset_s > 60.0, "{:?}", reduction.clocks);
     assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.25), "{:?}", reduction.lag_s);
-    let again = wcal_session::recording::reduce::reduce(&order.folder).unwrap();
+    let again = wcal_acquisition::reduce::reduce(&order.folder).unwrap();
     assert_eq!(again.rows, reduction.rows, "reducing twice gives the same");
     assert!(go(&order).is_err(), "a session is never overwritten");
 }
@@ -73,7 +74,7 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let mut order = order(&bench, PLAN, dir.path());
     let interrupt = AtomicBool::new(false);
     let mut lost = false;
-    let first = record(&order, &mut NoMount, &interrupt, &mut |p| {
+    let first = record(&order, &mut Drivers::default(), &mut NoMount, &interrupt, &mut |p| {
         if p.step >= 4 && !std::mem::replace(&mut lost, true) {
             bench.inject(Fault::LostSamples { count: 37 });
         }
@@ -117,7 +118,7 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let before = bench.true_stage();
     let wide = order(&bench, &PLAN.replace("3.0]", "30.0]"), dir.path());
     assert!(go(&wide).unwrap_err().to_string().contains("stage position"));
-    let unreferenced = Order { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
+    let unreferenced = RecordRequest { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
     let recorded = go(&unreferenced).unwrap();
     assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
     assert_eq!(bench.true_stage(), before);

@@ -458,7 +458,11 @@ fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
     assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
     let loaded = wcal_session::load(folder.path()).expect("loads");
     for expected in ["points 1: scans are missing in the averaging window", "points 2: scans came late"] {
-        assert!(loaded.warnings.iter().any(|w| w.contains(expected)), "{expected}: {:?}", loaded.warnings);
+        assert!(
+            loaded.warnings.iter().any(|w| w.to_string().contains(expected)),
+            "{expected}: {:?}",
+            loaded.warnings
+        );
     }
 }
 

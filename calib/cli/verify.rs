@@ -280,7 +280,7 @@ fn of_scalar_session(
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
-    document.notes.extend(session.warnings.iter().cloned());
+    document.notes.extend(session.warnings.iter().map(ToString::to_string));
     if seen {
         document
             .notes

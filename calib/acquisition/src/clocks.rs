@@ -58,6 +58,12 @@ impl ClockFit {
     pub fn device_s(&self, host_s: f64) -> f64 {
         host_s + self.offset_s + self.drift * (host_s - self.origin_host_s)
     }
+
+    /// Host time at a device time, s.
+    #[must_use]
+    pub fn host_s(&self, device_s: f64) -> f64 {
+        self.origin_host_s + (device_s - self.offset_s - self.origin_host_s) / (1.0 + self.drift)
+    }
 }
 
 impl Default for ClockPair {
@@ -209,6 +215,7 @@ mod tests {
         }
         let fit = pair.fit().unwrap();
         assert!((fit.drift - 50e-6).abs() < 5e-6 && fit.drift_sd < 5e-6 && !fit.broken(), "{fit:?}");
+        assert!((fit.host_s(fit.device_s(1.7e9 + 20.0)) - (1.7e9 + 20.0)).abs() < 1e-6);
         assert!((fit.device_s(1.7e9 + 20.0) - (1000.0 + 20.0 * (1.0 + 50e-6))).abs() < 1e-3, "{fit:?}");
     }
 

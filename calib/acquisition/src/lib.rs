@@ -13,6 +13,7 @@ pub mod lag;
 pub mod message;
 pub mod monitor;
 pub mod path_text;
+pub mod pictures;
 pub mod plan;
 pub mod record;
 pub mod recorder;

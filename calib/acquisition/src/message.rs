@@ -18,8 +18,13 @@ pub mod topic {
     pub const EVENT: &str = "/sweep/event";
     /// Text for people (`foxglove.Log`).
     pub const LOG: &str = "/log";
-    /// Pictures (`foxglove.RawImage`): followed by the camera's name.
+    /// Every frame of every camera, without its pixels.
+    pub const FRAME: &str = "/camera-frame";
+    /// Small pictures now and then (`foxglove.CompressedImage`; `foxglove.RawImage`, every frame, in older recordings): followed by the
+    /// camera's name.
     pub const CAMERA: &str = "/camera/";
+    /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by the camera's name.
+    pub const POSE_PICTURE: &str = "/pose-picture/";
     /// Groove in the base frame (`foxglove.PoseInFrame`).
     pub const GROOVE: &str = "/groove/pose";
 }
@@ -257,6 +262,41 @@ impl McapMessage for SweepEvent {
         ("settled", 13, Type::Bool, false),
         ("detail", 14, Type::String, false),
         ("sealed", 15, Type::Bool, false),
+    ];
+}
+
+/// A frame of a camera, without its pixels.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct FrameInfo {
+    /// Name of the camera.
+    #[prost(string, tag = "1")]
+    pub camera: String,
+    /// Number of the trigger.
+    #[prost(uint64, tag = "2")]
+    pub trigger: u64,
+    /// Host time of arrival, s.
+    #[prost(double, tag = "3")]
+    pub host_s: f64,
+    /// Start of exposure by the camera's clock, s; absent where it has none.
+    #[prost(double, optional, tag = "4")]
+    pub device_s: Option<f64>,
+    /// Exposure, s; absent where it is not known.
+    #[prost(double, optional, tag = "5")]
+    pub exposure_s: Option<f64>,
+    /// Step of the plan whose settled pose it shows; absent for all others.
+    #[prost(uint32, optional, tag = "6")]
+    pub step: Option<u32>,
+}
+
+impl McapMessage for FrameInfo {
+    const NAME: &'static str = "wcal.FrameInfo";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("camera", 1, Type::String, false),
+        ("trigger", 2, Type::Uint64, false),
+        ("host_s", 3, Type::Double, false),
+        ("device_s", 4, Type::Double, false),
+        ("exposure_s", 5, Type::Double, false),
+        ("step", 6, Type::Uint32, false),
     ];
 }
 

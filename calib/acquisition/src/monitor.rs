@@ -44,6 +44,8 @@ pub struct Monitor {
     unusable_run: u32,
     clocks: ClockPair,
     fault: Option<DeviceError>,
+    /// Step whose settled pose is to be pictured, and since when, host time, s.
+    picture: Option<(u32, f64)>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -71,6 +73,7 @@ impl Monitor {
             unusable_run: 0,
             clocks: ClockPair::new(clock_scale),
             fault: None,
+            picture: None,
         }
     }
 
@@ -125,6 +128,22 @@ impl Monitor {
             }
             None => self.counts.pairs_refused += 1,
         }
+    }
+
+    /// Asks for a pair of pictures of the settled pose of a step, exposed after a host time, s.
+    pub fn want_picture(&mut self, step: u32, since_host_s: f64) {
+        self.picture = Some((step, since_host_s));
+    }
+
+    /// The step that is to be pictured, and the host time after which, s.
+    #[must_use]
+    pub fn wanted_picture(&self) -> Option<(u32, f64)> {
+        self.picture
+    }
+
+    /// Withdraws the wish for a picture, because it was taken or is too late; says whether there was one.
+    pub fn end_picture(&mut self) -> bool {
+        self.picture.take().is_some()
     }
 
     /// Ends the sweep with this fault, unless there is one already.

@@ -180,8 +180,8 @@ pub fn record(
     let mut sweep = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
         if let Some(pair) = &mut cameras {
-            let (names, monitor, recorder, done) = (&names, &monitor, &recorder, &done);
-            scope.spawn(move || watch(pair, names, monitor, recorder, done));
+            let (names, monitor, recorder, done, rig) = (&names, &monitor, &recorder, &done, &rig);
+            scope.spawn(move || watch(pair, names, monitor, recorder, done, rig.clock_scale));
         }
         let bench = SweepBench {
             stage,

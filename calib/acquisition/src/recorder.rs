@@ -1,8 +1,9 @@
 //! Writes `recording.mcap`: chunks with CRC, on disk within a fraction of a second.
 
 use crate::error::AcquisitionError;
-use crate::message::{McapMessage, Scan, StagePosition, SweepEvent, topic};
-use foxglove::messages::{Log, Pose, PoseInFrame, Quaternion, RawImage, Timestamp, log::Level};
+use crate::message::{FrameInfo, McapMessage, Scan, StagePosition, SweepEvent, topic};
+use crate::pictures::{lossless, preview};
+use foxglove::messages::{CompressedImage, Log, Pose, PoseInFrame, Quaternion, Timestamp, log::Level};
 use foxglove::{
     Channel, ChannelBuilder, Context, McapWriteOptions, McapWriterHandle, PartialMetadata, RawChannel,
     WebSocketServer, WebSocketServerHandle,
@@ -30,9 +31,10 @@ pub struct Recorder {
     scans: Arc<RawChannel>,
     stage: Arc<RawChannel>,
     events: Arc<RawChannel>,
+    frames: Arc<RawChannel>,
     log: Channel<Log>,
     groove: Channel<PoseInFrame>,
-    images: Mutex<HashMap<String, Channel<RawImage>>>,
+    images: Mutex<HashMap<String, Channel<CompressedImage>>>,
     pace: Mutex<Pace>,
 }
 
@@ -64,7 +66,7 @@ struct Pace {
     synced: Instant,
 }
 
-fn nanoseconds(seconds: f64) -> u64 {
+pub(crate) fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
 }
 
@@ -118,6 +120,7 @@ impl Recorder {
             scans: raw::<Scan>(&context, topic::SCAN)?,
             stage: raw::<StagePosition>(&context, topic::STAGE)?,
             events: raw::<SweepEvent>(&context, topic::EVENT)?,
+            frames: raw::<FrameInfo>(&context, topic::FRAME)?,
             log: ChannelBuilder::new(topic::LOG).context(&context).build(),
             groove: ChannelBuilder::new(topic::GROOVE).context(&context).build(),
             images: Mutex::new(HashMap::new()),
@@ -200,27 +203,47 @@ impl Recorder {
         self.log.log_with_meta(&message, at(host_s));
     }
 
-    /// Records a picture under `/camera/NAME`.
+    /// Records that a frame came, and of a settled pose (`step`) the picture without loss.
     ///
     /// # Errors
-    /// When the disk does not take it.
-    pub fn picture(&self, name: &str, frame: &CameraFrame) -> Result<(), AcquisitionError> {
+    /// When the frame cannot be stored or the disk does not take it.
+    pub fn frame(&self, name: &str, frame: &CameraFrame, step: Option<u32>) -> Result<(), AcquisitionError> {
+        let info = FrameInfo {
+            camera: name.to_owned(),
+            trigger: frame.trigger,
+            host_s: frame.clocks.host_s,
+            device_s: frame.clocks.device_s,
+            exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
+            step,
+        };
+        log_raw(&self.frames, &info, frame.clocks.host_s);
+        if step.is_some() {
+            self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?);
+        }
+        self.keep_pace()
+    }
+
+    /// Records a small picture for people under `/camera/NAME`.
+    ///
+    /// # Errors
+    /// When the frame cannot be stored or the disk does not take it.
+    pub fn preview(&self, name: &str, frame: &CameraFrame) -> Result<(), AcquisitionError> {
+        self.picture(&format!("{}{name}", topic::CAMERA), name, frame, "jpeg", preview(frame)?);
+        self.keep_pace()
+    }
+
+    fn picture(&self, topic: &str, name: &str, frame: &CameraFrame, format: &str, data: Vec<u8>) {
         let mut images = self.images.lock().unwrap_or_else(PoisonError::into_inner);
-        let channel = images.entry(name.to_owned()).or_insert_with(|| {
-            ChannelBuilder::new(format!("{}{name}", topic::CAMERA)).context(&self.context).build()
-        });
-        let message = RawImage {
+        let channel = images
+            .entry(topic.to_owned())
+            .or_insert_with(|| ChannelBuilder::new(topic).context(&self.context).build());
+        let message = CompressedImage {
             timestamp: timestamp(frame.clocks.device_s.unwrap_or(frame.clocks.host_s)),
             frame_id: name.to_owned(),
-            width: frame.width_px,
-            height: frame.height_px,
-            encoding: "mono8".to_owned(),
-            step: frame.width_px,
-            data: frame.grey.clone().into(),
+            data: data.into(),
+            format: format.to_owned(),
         };
         channel.log_with_meta(&message, at(frame.clocks.host_s));
-        drop(images);
-        self.keep_pace()
     }
 
     /// Closes the file with its index.

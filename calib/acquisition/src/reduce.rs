@@ -5,6 +5,7 @@ use crate::clocks::{ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
 use crate::message::{StagePosition, SweepEvent};
+use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
 use crate::run_file::RunFile;
@@ -50,6 +51,8 @@ pub struct Reduction {
     pub damaged_chunks: u64,
     /// Camera pairs recorded, and refused.
     pub pairs: [u64; 2],
+    /// Pictures of settled poses written, and poses whose pair did not come.
+    pub pictures: [usize; 2],
     /// Delay of the interrogator behind the stage at each sync move, s.
     pub lag_s: Vec<f64>,
     /// Fits of the interrogator's clock, one a recording.
@@ -92,6 +95,7 @@ impl Reduction {
             ),
             (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
             (refused > 0, format!("{refused} camera pairs refused")),
+            (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
         ];
         let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
         all.chain(self.clock_warnings()).collect()
@@ -135,13 +139,18 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let mut result = Reduction::default();
     let mut rows = Vec::new();
     let mut origin_s = None;
-    for part in &parts {
-        reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?;
+    let (mut clocks, mut part_of_row) = (Vec::new(), Vec::new());
+    for (number, part) in parts.iter().enumerate() {
+        clocks.push(reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?);
+        part_of_row.resize(rows.len(), number);
     }
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
     result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
+    let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
+    let pictured = pictured_rows(&rows, &part_of_row);
+    result.pictures[0] = write_pictures(folder, &cameras, &parts, &clocks, &pictured)?;
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
@@ -152,6 +161,18 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
     write_atomic(&folder.join("session.toml"), session.as_bytes())?;
     Ok(result)
+}
+
+/// Settled rows with their numbers in points.csv or holdout.csv.
+fn pictured_rows(rows: &[Row], part_of_row: &[usize]) -> Vec<PicturedRow> {
+    let mut next = [0; 2];
+    let mut all = Vec::new();
+    for (row, part) in rows.iter().zip(part_of_row) {
+        let point = next[usize::from(row.sealed)];
+        next[usize::from(row.sealed)] += 1;
+        all.extend(row.step.map(|step| PicturedRow { part: *part, step, point, sealed: row.sealed }));
+    }
+    all
 }
 
 /// A window in device time, waiting for its samples.
@@ -170,10 +191,10 @@ fn reduce_part(
     origin_s: &mut Option<f64>,
     rows: &mut Vec<Row>,
     result: &mut Reduction,
-) -> Result<(), AcquisitionError> {
+) -> Result<PartClocks, AcquisitionError> {
     // First pass: what was done, where the stage was, how the clocks ran.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
-    let (mut next_serial, mut pictures) = (None::<u64>, 0);
+    let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
@@ -188,19 +209,29 @@ fn reduce_part(
         Message::Stage(reading) => stage.push(reading),
         Message::Event(event) => {
             result.pairs[1] += u64::from(event.kind == "pair-refused");
+            result.pictures[1] += usize::from(event.kind == "picture-missed");
             events.push(event);
         }
         Message::Picture(camera, host_s, device_s) => {
             pictures += 1;
+            // The list of frames has it, too, where there is one.
             cameras.entry(camera).or_default().add(host_s, device_s);
         }
-        Message::Other(..) => {}
+        Message::Frame(frame) => {
+            frames += 1;
+            let device_s = frame.device_s.unwrap_or(frame.host_s);
+            cameras.entry(frame.camera).or_default().add(frame.host_s, device_s);
+        }
+        Message::PosePicture(..) | Message::Other(..) => {}
     })?;
-    result.pairs[0] += pictures / 2;
+    // Older recordings hold every picture and no list of frames.
+    result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
-    result.camera_clocks.extend(cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))));
-    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(()) };
+    let cameras: BTreeMap<String, ClockFit> =
+        cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
+    result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
+    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
     result.clocks.push(fit);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
     let mut windows = windows_of(&events);
@@ -263,7 +294,7 @@ fn reduce_part(
             None => result.empty_windows += 1,
         }
     }
-    Ok(())
+    Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
 }
 
 /// Share of a window that lies in gaps of the stream; `lost` in order of time.
@@ -321,6 +352,7 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
     let loaded = event.role != "rest" && stage_mm >= 0.0;
     Some(Row {
         role: event.role.clone(),
+        step: (!moving).then_some(event.step),
         sealed: event.sealed,
         trajectory: event.trajectory,
         replicate: event.replicate,

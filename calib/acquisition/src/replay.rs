@@ -1,7 +1,7 @@
 //! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
 
 use crate::error::AcquisitionError;
-use crate::message::{Scan, StagePosition, SweepEvent, topic};
+use crate::message::{FrameInfo, Scan, StagePosition, SweepEvent, topic};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
@@ -20,7 +20,11 @@ pub enum Message {
     Stage(StagePosition),
     /// An event of the sweep.
     Event(SweepEvent),
-    /// A picture: name of the camera, host time, start of exposure by the camera's clock, s.
+    /// A frame of a camera, without its pixels.
+    Frame(FrameInfo),
+    /// The picture of a settled pose: name of the camera, host time (ns), PNG.
+    PosePicture(String, u64, Vec<u8>),
+    /// A picture for people: name of the camera, host time, start of exposure by the camera's clock, s.
     Picture(String, f64, f64),
     /// Anything else: topic and host time, s.
     Other(String, f64),
@@ -235,8 +239,13 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
         topic::SCAN => Message::Scan(Scan::decode(bytes).map_err(bad)?),
         topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
         topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
+        topic::FRAME => Message::Frame(FrameInfo::decode(bytes).map_err(bad)?),
         other => {
             let host_s = log_time as f64 * 1e-9;
+            if let Some(name) = other.strip_prefix(topic::POSE_PICTURE) {
+                let picture = CompressedPicture::decode(bytes).map_err(bad)?;
+                return Ok(Message::PosePicture(name.to_owned(), log_time, picture.data));
+            }
             match other.strip_prefix(topic::CAMERA) {
                 Some(name) => {
                     let at = PictureTime::decode(bytes).map_err(bad)?.timestamp.unwrap_or_default();
@@ -248,7 +257,14 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
     })
 }
 
-/// The time stamp of a `foxglove.RawImage`; its pixels are passed over.
+/// The content of a `foxglove.CompressedImage`.
+#[derive(Clone, PartialEq, prost::Message)]
+struct CompressedPicture {
+    #[prost(bytes = "vec", tag = "2")]
+    data: Vec<u8>,
+}
+
+/// The time stamp of a `foxglove.RawImage` or `foxglove.CompressedImage`; pixels are passed over.
 #[derive(Clone, PartialEq, prost::Message)]
 struct PictureTime {
     #[prost(message, optional, tag = "1")]

@@ -137,6 +137,12 @@ impl Rig {
         if !matches!(rig.camera.len(), 0 | 2) {
             return fail("camera", "no camera or two", rig.camera.len().to_string());
         }
+        // Names become folders of the session.
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+        let odd = |name: &str| name.is_empty() || name == "holdout" || !name.chars().all(plain);
+        if let Some(camera) = rig.camera.iter().find(|c| odd(&c.name)) {
+            return fail("camera.name", "letters, digits, - and _, and not \"holdout\"", camera.name.clone());
+        }
         for (k, t) in rig.trajectory.iter().enumerate() {
             if !(Vector3::from(t.direction).norm() > 1e-6) {
                 return fail("trajectory.direction", "a direction", format!("{:?}", t.direction));

@@ -23,6 +23,8 @@ const SYNC_MM_S: f64 = 4.0;
 /// Share of a window's scans that must have come, and windows tried.
 const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
+/// Longest wait for the pair of a pose after its averaging window (wall time).
+const PICTURE: Duration = Duration::from_secs(3);
 /// Attempts to reach a lost stage again to stop it.
 const REACH: u32 = 5;
 
@@ -152,9 +154,27 @@ impl Sweep<'_, '_, '_> {
             let text = format!("step {}: the signal did not settle in {} s", self.step, settle.timeout_s);
             self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text);
         }
+        if !self.rig.camera.is_empty() {
+            let since_host_s = self.last.clocks.host_s;
+            lock(self.bench.monitor).want_picture(self.step as u32, since_host_s);
+        }
         let (begin_s, end_s) = self.window(pose.average_s)?;
+        self.wait_for_picture()?;
         let event = self.pose_event("window", pose);
         self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
+    }
+
+    /// The stage stands until the pair of the pose is recorded; a pose whose pair does not come goes on without.
+    fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
+        let start = Instant::now();
+        while lock(self.bench.monitor).wanted_picture().is_some() && start.elapsed() < PICTURE {
+            self.tick(POLL_STANDING)?;
+        }
+        if lock(self.bench.monitor).end_picture() {
+            let kind = "picture-missed".to_owned();
+            self.event(&SweepEvent { kind, ..SweepEvent::default() })?;
+        }
+        Ok(())
     }
 
     /// An averaging window that the stream covers: one that fell into a gap is taken again.

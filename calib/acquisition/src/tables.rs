@@ -66,6 +66,8 @@ impl Stream {
 pub struct Row {
     /// Role.
     pub role: String,
+    /// Step of the plan, of a settled row.
+    pub step: Option<u32>,
     /// Belongs to the holdout file.
     pub sealed: bool,
     /// Trajectory.
@@ -229,6 +231,9 @@ pub fn session_toml(
         files.insert("holdout".to_owned(), text("holdout.csv"));
     }
     files.insert("recording".to_owned(), text(&recordings[0]));
+    if result.pictures[0] > 0 {
+        files.insert("pictures".to_owned(), text("pictures/"));
+    }
     let mut fbg = rig.fbg.clone();
     let nominal = |name: &str| rig.grating(name).map(|g| Value::Float(g.nominal_nm));
     fbg.insert(

@@ -4,6 +4,7 @@ use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::FbgSpec;
 use wcal_core::stream::MomentStream;
+use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
 use wcal_trace::verify::MeasurementModel;
 use wcal_trace::verify::judgement::Judged;
@@ -97,7 +98,7 @@ pub struct AppliedTable {
     /// How many readings lie outside the valid region, in words; none where all lie inside.
     pub outside: Option<String>,
     /// What is odd about the table of readings.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<SessionWarning>,
 }
 
 /// Moments of one reading.
@@ -127,5 +128,5 @@ pub struct MomentTable {
     /// One a reading, in the table's order.
     pub rows: Vec<MomentRow>,
     /// What is odd about the table.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<SessionWarning>,
 }

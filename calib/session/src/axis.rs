@@ -3,6 +3,7 @@
 use crate::error::SessionError;
 use crate::row::{Clock, PointNumbers};
 use crate::table::Table;
+use crate::warning::SessionWarning;
 use crate::whisker::unused_columns;
 use std::path::Path;
 use wcal_core::{AxisRow, InputFile};
@@ -11,7 +12,7 @@ use wcal_core::{AxisRow, InputFile};
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(Vec<AxisRow>, InputFile), SessionError> {
     let mut table = Table::open(path, name)?;
     let (point, role) = (table.required("point")?, table.required("role")?);

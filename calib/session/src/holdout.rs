@@ -2,6 +2,7 @@
 
 use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, check_covariates, load};
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
@@ -142,7 +143,7 @@ fn attach_session(
             every_row(&mut added, |row| row.source = renamed(&row.source));
             if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
-                    session.warnings.push(format!("{folder}: labels of its twin are not used"));
+                    session.warnings.push(SessionWarning::new(&folder, WarningKind::TwinNotUsed));
                 }
                 place_after(data, &mut added);
             }
@@ -171,10 +172,13 @@ fn attach_session(
     // What is partly simulated is not measured.
     if session.simulated != other.simulated {
         let which = if other.simulated { &other.id } else { &session.id };
-        session.warnings.push(format!("measured and SIMULATED sessions are joined: {which:?} is simulated"));
+        let kind = WarningKind::JoinedWithSimulated(which.clone());
+        session.warnings.push(SessionWarning::new("session.toml", kind));
         session.simulated = true;
     }
-    session.warnings.extend(other.warnings.iter().map(|w| renamed(w)));
+    session
+        .warnings
+        .extend(other.warnings.into_iter().map(|w| SessionWarning { file: renamed(&w.file), ..w }));
     session.inputs.extend(other.inputs.into_iter().map(|mut input| {
         input.path = renamed(&input.path);
         if purpose == Purpose::Holdout && input.purpose == Purpose::Fit {
@@ -200,7 +204,7 @@ fn merge_trajectories(
     data: &mut WhiskerData,
     added: &mut WhiskerData,
     file: &str,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(), InputError> {
     const SAME: f64 = 1e-6;
     for mut trajectory in std::mem::take(&mut added.trajectories) {
@@ -222,7 +226,7 @@ fn merge_trajectories(
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")
                 })?;
                 let old = trajectory.id;
-                warnings.push(format!("{file}: trajectory {old} is another path here and is called {new}"));
+                warnings.push(SessionWarning::new(file, WarningKind::TrajectoryRenamed { old, new }));
                 let rename = |row: &mut WhiskerRow| {
                     if row.trajectory == Some(old) {
                         row.trajectory = Some(new);

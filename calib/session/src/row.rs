@@ -2,6 +2,7 @@
 
 use crate::error::{InputError, quote};
 use crate::table::Column;
+use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use wcal_core::Role;
 
@@ -184,12 +185,8 @@ impl Clock {
     }
 
     /// A warning, if time ran backwards.
-    pub(crate) fn warning(&self, file: &str) -> Option<String> {
+    pub(crate) fn warning(&self, file: &str) -> Option<SessionWarning> {
         let (line, back_s) = self.first_jump?;
-        let times = self.jumps;
-        let tag = crate::session::CLOCK_PROBLEM;
-        Some(format!(
-            "{tag}: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
-        ))
+        Some(SessionWarning::new(file, WarningKind::ClockProblem { times: self.jumps, line, back_s }))
     }
 }

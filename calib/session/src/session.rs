@@ -2,6 +2,7 @@
 
 use crate::document::{self, Section};
 use crate::error::{InputError, SessionError, quote};
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
@@ -12,8 +13,6 @@ use wcal_core::{
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
-/// Warnings that say that time runs backwards start with this.
-pub const CLOCK_PROBLEM: &str = "clock_problem";
 
 /// A session that was read and checked.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,10 +35,12 @@ pub struct LoadedSession {
     pub inputs: Vec<InputFile>,
     /// `session.toml` as written.
     pub meta: toml::Table,
-    /// What deserves attention: unknown keys and columns, stage against groove, time ([`CLOCK_PROBLEM`]), missing labels.
-    pub warnings: Vec<String>,
+    /// What deserves attention: unknown keys and columns, stage against groove, time, missing labels.
+    pub warnings: Vec<SessionWarning>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
+    /// Folder with the pictures of its points, where it has them.
+    pub pictures: Option<PathBuf>,
 }
 
 struct Files {
@@ -47,6 +48,7 @@ struct Files {
     holdout: Option<String>,
     twin: Option<String>,
     rest_shape: Option<String>,
+    pictures: Option<PathBuf>,
 }
 
 /// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
@@ -98,6 +100,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         meta,
         warnings,
         points_file,
+        pictures: files.pictures,
     })
 }
 
@@ -140,19 +143,23 @@ fn read_kind(root: &Section<'_>) -> Result<SessionKind, InputError> {
 fn read_medium(
     root: &Section<'_>,
     kind: SessionKind,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<String, InputError> {
     match root.text("medium")? {
         Some(medium) => Ok(medium),
         None if kind == SessionKind::Whisker => {
-            warnings.push("session.toml: medium is not given; taken as \"air\"".to_owned());
+            warnings.push(SessionWarning::new("session.toml", WarningKind::NoMedium));
             Ok("air".to_owned())
         }
         None => Ok("unspecified".to_owned()),
     }
 }
 
-fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, InputError> {
+fn read_files(
+    root: &Section<'_>,
+    folder: &Path,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<Files, InputError> {
     let section = root.section("files")?;
     let section = section.ok_or_else(|| root.error("files", "a table [files]", "nothing"))?;
     let relative = |key: &str| -> Result<Option<String>, InputError> {
@@ -172,14 +179,27 @@ fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> 
         holdout: relative("holdout")?,
         twin: relative("twin")?,
         rest_shape: relative("rest_shape")?,
+        pictures: pictures_folder(&section, folder)?,
     };
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
-        warnings.push(format!(
-            "session.toml: the recording {name} is not there; tables cannot be rebuilt from it"
-        ));
+        warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
     whisker_meta::warn_unknown(&section, warnings);
     Ok(files)
+}
+
+/// `pictures` of `[files]`: a folder inside the session's.
+fn pictures_folder(section: &Section<'_>, folder: &Path) -> Result<Option<PathBuf>, InputError> {
+    let Some(name) = section.text("pictures")? else { return Ok(None) };
+    let path = folder.join(&name);
+    let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    // A link could lead out of the session.
+    let linked = path.symlink_metadata().is_ok_and(|about| about.is_symlink());
+    if name.is_empty() || !Path::new(&name).components().all(plain) || linked || !path.is_dir() {
+        let expected = "a folder in the session's, its path relative to it and without \"..\"";
+        return Err(section.error("pictures", expected, quote(&name)));
+    }
+    Ok(Some(path))
 }
 
 /// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.
@@ -205,7 +225,7 @@ fn load_whisker(
     files: &Files,
     medium: &str,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerData, SessionError> {
     let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
     inputs.append(&mut meta.inputs);
@@ -245,7 +265,7 @@ fn load_transducer(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerData, SessionError> {
     let meta = transducer::read_meta(root, warnings)?;
     let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
@@ -281,7 +301,7 @@ fn load_axis(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<AxisData, SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;

@@ -4,6 +4,7 @@ use crate::document::Section;
 use crate::error::{InputError, SessionError, quote};
 use crate::row::{Clock, PointNumbers};
 use crate::table::Table;
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::warn_unknown;
 use std::path::Path;
 use wcal_core::{InputFile, TransducerModel, TransducerRow};
@@ -18,7 +19,7 @@ pub(crate) struct TransducerMeta {
 /// Reads `[transducer]`.
 pub(crate) fn read_meta(
     root: &Section<'_>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerMeta, InputError> {
     let section = root.section("transducer")?;
     let section = section.ok_or_else(|| root.error("transducer", "a table [transducer]", "nothing"))?;
@@ -49,7 +50,7 @@ pub(crate) struct TransducerTable {
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerTable, SessionError> {
     let mut table = Table::open(path, name)?;
     let (point, role) = (table.required("point")?, table.required("role")?);
@@ -64,7 +65,8 @@ pub(crate) fn read_rows(
             extra.retain(|(index, column)| {
                 let usable = matches!(row.number_at(*index, column), Ok(Some(_)));
                 if !usable {
-                    warnings.push(format!("{name}: column {column} holds no numbers and is not used"));
+                    let kind = WarningKind::ColumnWithoutNumbers(column.clone());
+                    warnings.push(SessionWarning::new(name, kind));
                 }
                 usable
             });

@@ -3,6 +3,7 @@
 use crate::error::{InputError, SessionError};
 use crate::row::{Clock, PointNumbers, Row};
 use crate::table::{Column, Table};
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::WAVELENGTH_NM;
 use nalgebra::Vector3;
 use std::collections::HashSet;
@@ -30,7 +31,7 @@ pub struct ReadingTable {
     /// The file and its hash.
     pub input: InputFile,
     /// What deserves attention.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<SessionWarning>,
     /// Optional columns that are present, by name.
     pub columns: Vec<String>,
 }
@@ -137,45 +138,33 @@ pub(crate) fn read_rows(
     let mut warnings = unused_columns(&table);
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
-    let mut marked = [("lost", Vec::new()), ("late", Vec::new())];
+    let [mut lost, mut late] = [Vec::new(), Vec::new()];
     while let Some(row) = table.next_row()? {
         let order = i64::try_from(rows.len()).unwrap_or(i64::MAX);
         let reading = read_row(&row, &columns, fbg, &known, requirement, order)?;
         points.note(&row, reading.point)?;
         clock.note(row.line, reading.t_s);
-        if let Some(word) = row.stream(columns.stream)? {
-            marked.iter_mut().filter(|m| m.0 == word).for_each(|m| m.1.push(reading.point));
+        match row.stream(columns.stream)? {
+            Some("lost") => lost.push(reading.point),
+            Some("late") => late.push(reading.point),
+            _ => {}
         }
         rows.push(reading);
     }
-    warnings.extend(marked.iter().filter_map(|(word, points)| stream_warning(name, word, points)));
+    if !lost.is_empty() {
+        warnings.push(SessionWarning::new(name, WarningKind::ScansLost(lost)));
+    }
+    if !late.is_empty() {
+        warnings.push(SessionWarning::new(name, WarningKind::ScansLate(late)));
+    }
     warnings.extend(clock.warning(name));
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
 }
 
-/// Readings whose averaging windows met a stream that was not whole.
-fn stream_warning(name: &str, word: &str, points: &[i64]) -> Option<String> {
-    /// More points are counted, not named.
-    const MAX_NAMED: usize = 20;
-    if points.is_empty() {
-        return None;
-    }
-    let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();
-    if points.len() > MAX_NAMED {
-        named.push(format!("and {} more", points.len() - MAX_NAMED));
-    }
-    let what = if word == "lost" {
-        "scans are missing in the averaging window"
-    } else {
-        "scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen behind"
-    };
-    Some(format!("{name}: points {}: {what}", named.join(", ")))
-}
-
-pub(crate) fn unused_columns(table: &Table) -> Vec<String> {
-    let unused = table.unused();
-    unused.iter().map(|(_, c)| format!("{}: column {c} is not known and not used", table.file())).collect()
+pub(crate) fn unused_columns(table: &Table) -> Vec<SessionWarning> {
+    let of = |column: String| SessionWarning::new(table.file(), WarningKind::UnknownColumn(column));
+    table.unused().into_iter().map(|(_, column)| of(column)).collect()
 }
 
 fn read_row(
@@ -308,7 +297,7 @@ pub(crate) fn read_twin(
     path: &Path,
     name: &str,
     rows: &[WhiskerRow],
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(Vec<TwinLabel>, InputFile), SessionError> {
     let mut table = Table::open(path, name)?;
     let point = table.required("point")?;
@@ -339,11 +328,8 @@ pub(crate) fn read_twin(
     }
     let input = table.finish()?;
     if labels.len() < known.len() {
-        warnings.push(format!(
-            "{name}: {} of {} points have no label",
-            known.len() - labels.len(),
-            known.len()
-        ));
+        let kind = WarningKind::Unlabelled { points: known.len() - labels.len(), of: known.len() };
+        warnings.push(SessionWarning::new(name, kind));
     }
     Ok((labels, input))
 }

@@ -1,6 +1,7 @@
 //! Checks of whisker rows against geometry: reach of the wire, stage against groove, units.
 
 use crate::error::InputError;
+use crate::warning::{SessionWarning, WarningKind};
 use nalgebra::Vector3;
 use wcal_core::observation::RestShape;
 use wcal_core::{Role, Trajectory, WhiskerRow};
@@ -37,7 +38,7 @@ pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), Inp
 pub(crate) fn check_stage(
     rows: &[WhiskerRow],
     trajectories: &[Trajectory],
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(), InputError> {
     let (mut count, mut worst_mm, mut worst) = (0_usize, 0.0_f64, None);
     for row in rows {
@@ -56,11 +57,9 @@ pub(crate) fn check_stage(
         }
     }
     if let Some(row) = worst {
-        let (file, line) = (&row.source, row.line);
-        warnings.push(format!(
-            "{file}: groove and origin + stage_mm * direction differ by more than {AGREEMENT_MM} mm in {count} row(s), \
-             most by {worst_mm:.3} mm at line {line}"
-        ));
+        let (limit_mm, rows, line) = (AGREEMENT_MM, count, row.line);
+        let kind = WarningKind::StageDisagrees { limit_mm, rows, worst_mm, line };
+        warnings.push(SessionWarning::new(&row.source, kind));
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 use crate::document::Section;
 use crate::error::{InputError, SessionError};
 use crate::table::Table;
+use crate::warning::{SessionWarning, WarningKind};
 use nalgebra::Vector3;
 use std::path::Path;
 use wcal_core::observation::RestShape;
@@ -28,7 +29,7 @@ pub(crate) fn read(
     root: &Section<'_>,
     folder: &Path,
     shape_file: Option<&str>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerMeta, SessionError> {
     let section = root.section("whisker")?;
     let section = section.ok_or_else(|| root.error("whisker", "a table [whisker]", "nothing"))?;
@@ -55,13 +56,9 @@ pub(crate) fn read(
     Ok(WhiskerMeta { whisker, moments, fbg, trajectories, inputs })
 }
 
-pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<String>) {
-    warnings.extend(
-        section
-            .unknown_keys()
-            .into_iter()
-            .map(|key| format!("session.toml: key {key} is not known and not used")),
-    );
+pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<SessionWarning>) {
+    let of = |key: String| SessionWarning::new("session.toml", WarningKind::UnknownKey(key));
+    warnings.extend(section.unknown_keys().into_iter().map(of));
 }
 
 fn spec(
@@ -69,7 +66,7 @@ fn spec(
     folder: &Path,
     shape_file: Option<&str>,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerSpec, SessionError> {
     let length_mm = section.number_in("length_mm", 1.0, 2000.0)?;
     let straight_mm = section.number_in("straight_mm", 0.0, 2000.0)?;
@@ -85,10 +82,9 @@ fn spec(
             let file = shape_file.unwrap_or("session.toml");
             check_polyline(file, &points)?;
             let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-            if let Some(declared) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
-                warnings.push(format!(
-                    "{file}: the rest shape is {polyline_mm:.3} mm long, length_mm says {declared}"
-                ));
+            if let Some(declared_mm) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
+                let kind = WarningKind::RestShapeLength { polyline_mm, declared_mm };
+                warnings.push(SessionWarning::new(file, kind));
             }
             RestShape::Polyline(points)
         }
@@ -198,7 +194,10 @@ fn gratings(section: &Section<'_>) -> Result<FbgSpec, InputError> {
     })
 }
 
-fn trajectories(root: &Section<'_>, warnings: &mut Vec<String>) -> Result<Vec<Trajectory>, InputError> {
+fn trajectories(
+    root: &Section<'_>,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<Vec<Trajectory>, InputError> {
     let mut out: Vec<Trajectory> = Vec::new();
     for section in root.sections("trajectory")? {
         let id = match section.number("id")? {

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{NoMount, PLAN, bench, go, order, rows};
+use common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -171,4 +171,56 @@ fn a_bench_that_falls_behind_its_clock_knows_it() {
     let found = behind(true);
     assert!(found.is_some_and(|s| s > 60.0), "{found:?}");
     assert_eq!(behind(false), None, "control");
+}
+
+/// Every settled pose has its pair of pictures, in the session and, the same bytes, in the recording; between them there are small ones.
+#[test]
+fn settled_poses_have_their_pictures_and_reduce_rebuilds_them_bit_for_bit() {
+    let bench = bench("\n[cameras]\ncount = 2\n");
+    let dir = tempfile::tempdir().unwrap();
+    let order = order(&bench, PLAN, dir.path());
+    let recorded = go(&order).unwrap();
+    let reduction = recorded.reduction.unwrap();
+    let rows = rows(&order.folder);
+    assert_eq!(reduction.pictures, [2 * rows.rows.len(), 0], "{:?}", recorded.sweep);
+    let pictures = order.folder.join("pictures");
+    let all = |folder: &std::path::Path| -> Vec<(String, Vec<u8>)> {
+        let mut found = Vec::new();
+        for camera in ["left", "right"] {
+            for row in &rows.rows {
+                let name = format!("{camera}/{:05}.png", row.point);
+                found.push((name.clone(), std::fs::read(folder.join(&name)).unwrap()));
+            }
+        }
+        found.push(("table".to_owned(), std::fs::read(folder.join("pictures.csv")).unwrap()));
+        found
+    };
+    let before = all(&pictures);
+    // Each was exposed while its pose was held: after arrival and not long after the averaging window, whose end is t_s of the row.
+    let table = String::from_utf8(before.last().unwrap().1.clone()).unwrap();
+    for line in table.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let (point, t_s): (i64, f64) = (cells[0].parse().unwrap(), cells[3].parse().unwrap());
+        let row = rows.rows.iter().find(|r| r.point == point).unwrap();
+        let after_s = t_s - (row.t_s.unwrap() - row.dwell_s.unwrap());
+        assert!(
+            after_s > 0.0 && after_s < row.dwell_s.unwrap() + 3.0 * SPEED,
+            "{line}: {after_s} s after arrival"
+        );
+        assert!((cells[5].parse::<f64>().unwrap() - 0.005).abs() < 1e-9, "{line}");
+    }
+    std::fs::remove_dir_all(&pictures).unwrap();
+    wcal_acquisition::reduce::reduce(&order.folder).unwrap();
+    assert!(all(&pictures) == before, "the same bytes");
+    // A preview is not a pose's picture: the recording is far smaller than its frames.
+    let bytes = std::fs::metadata(order.folder.join("recording.mcap")).unwrap().len();
+    let raw = recorded.sweep.counts.pairs * 2 * 640 * 480;
+    assert!(bytes < raw / 3, "{bytes} of {raw}");
+    let loaded = wcal_session::load(&order.folder).unwrap();
+    assert!(loaded.pictures.is_some() && loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    // Control: a session that names a folder outside is refused.
+    let toml = order.folder.join("session.toml");
+    let text = std::fs::read_to_string(&toml).unwrap();
+    std::fs::write(&toml, text.replace("pictures/", "../pictures")).unwrap();
+    assert!(wcal_session::load(&order.folder).unwrap_err().to_string().contains("files.pictures"));
 }

@@ -46,7 +46,7 @@ pub struct Law {
 
 /// An effect of a catalogue.
 pub trait Candidate: Send + Sync {
-    /// Identifier of FORMATS.md.
+    /// Identifier of docs/src/formats.md.
     fn id(&self) -> &'static str;
     /// Laws, the plainest first.
     fn laws(&self) -> Vec<Law>;

@@ -26,7 +26,7 @@ use std::sync::Arc;
 /// Identifier of the effect that is found by single readings, not by a law.
 pub const SLIP_OUTLIERS: &str = "slip-outliers";
 
-/// Every effect of FORMATS.md for kind "whisker".
+/// Every effect of docs/src/formats.md for kind "whisker".
 #[must_use]
 pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
     vec![

@@ -6,7 +6,7 @@ use super::linear::{Basis, in_channel};
 use crate::candidate::{System, Term};
 use nalgebra::DVector;
 
-/// A generic signature with its driver and shape (FORMATS.md, `unknown`).
+/// A generic signature with its driver and shape (docs/src/formats.md, `unknown`).
 #[derive(Debug, Clone)]
 pub struct DriverAtom {
     /// Covariate.

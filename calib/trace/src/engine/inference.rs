@@ -93,7 +93,7 @@ pub fn parameters(system: &dyn System, h: &Hypothesis, effect: usize) -> Vec<Eff
     out
 }
 
-/// Signature cosine above which two explanations are one class (FORMATS.md).
+/// Signature cosine above which two explanations are one class (docs/src/formats.md).
 pub const CLASS_COSINE: f64 = 0.995;
 
 /// What an explanation takes out of the declared model's residual.

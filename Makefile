@@ -3,7 +3,7 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge python3-pip
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test setup check exam peers
+.PHONY: demo test setup check exam peers docs
 
 setup:
 	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -36,3 +36,12 @@ peers: setup
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv
 	tests/peers/.venv/bin/pip install -q numpy scipy scikit-learn opencv-python-headless pandas pyarrow mujoco==3.17.0
 	python3 tests/peers/run_all.py $(if $(YCB),--ycb "$(YCB)") $(PEERS)
+
+# The pages of docs/ as a book, in target/book; mdBook comes into .mdbook (some minutes, once) where none of this version is there.
+MDBOOK_VERSION := 0.5.4
+MDBOOK := .mdbook/bin/mdbook
+docs:
+	@test "$$($(MDBOOK) --version 2>/dev/null)" = "mdbook v$(MDBOOK_VERSION)" || \
+	  cargo install mdbook --version $(MDBOOK_VERSION) --locked --no-default-features --features search --root .mdbook
+	@mkdir -p target; $(MDBOOK) build docs >target/book.log 2>&1; code=$$?; cat target/book.log; test $$code = 0
+	@! grep -qE 'WARN|ERROR' target/book.log

@@ -40,7 +40,7 @@ struct WhiskerKeys {
     shear_gpa: f64,
 }
 
-/// NiTi (SYSTEM).
+/// NiTi (docs/src/system.md).
 fn youngs_gpa() -> f64 {
     75.0
 }

@@ -4,7 +4,7 @@ use crate::sealed::Sealed;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// The three kinds of session (FORMATS.md).
+/// The three kinds of session (docs/src/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SessionKind {
@@ -47,7 +47,7 @@ pub struct WhiskerSpec {
     pub gravity_direction: Option<Vector3<f64>>,
 }
 
-/// Density of NiTi where a whisker states none, kg/m^3 (SYSTEM, released).
+/// Density of NiTi where a whisker states none, kg/m^3 (docs/src/system.md, released).
 const NITI_KG_M3: f64 = 6450.0;
 
 impl WhiskerSpec {
@@ -57,7 +57,7 @@ impl WhiskerSpec {
         self.density_kg_m3.unwrap_or(NITI_KG_M3)
     }
 
-    /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc of 20 mm (SYSTEM).
+    /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc of 20 mm (docs/src/system.md).
     #[must_use]
     pub fn nominal() -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! `verify.json` (format `wcal-verify/1`, FORMATS.md).
+//! `verify.json` (format `wcal-verify/1`, docs/src/formats.md).
 
 use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
@@ -59,7 +59,7 @@ pub struct EffectParameter {
 /// An effect that the data asks for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NamedEffect {
-    /// Identifier of FORMATS.md.
+    /// Identifier of docs/src/formats.md.
     pub id: String,
     /// Effects that this data cannot tell apart from it, itself included.
     pub class: Vec<String>,

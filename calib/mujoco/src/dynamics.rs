@@ -1,6 +1,6 @@
 //! Damping and contact of MuJoCo's wire: the paper's grid from coarse to fine, then NLopt around the best (all SIMULATED trials).
 //!
-//! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, SYSTEM), and on
+//! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, docs/src/system.md), and on
 //! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
 
 mod bench;

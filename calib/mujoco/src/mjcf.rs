@@ -2,7 +2,7 @@
 //!
 //! The rest shape is in the bodies' poses, so that every spring rests at zero. Twist and bending have their own stiffness, which a ball
 //! joint cannot have; three hinges in one place turn as it does up to the second order of a joint's angle. The clamp's spring spans half
-//! a link: the plain layout is too stiff there by 1.5/N (TRACING, Rod). No plugin is needed.
+//! a link: the plain layout is too stiff there by 1.5/N (docs/src/method.md, Rod). No plugin is needed.
 
 use crate::TwinError;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
@@ -65,7 +65,7 @@ impl Default for Touch {
 }
 
 impl Touch {
-    /// As released with the paper (SYSTEM, Twin: Cable).
+    /// As released with the paper (docs/src/system.md, Twin: Cable).
     pub const RELEASED: Self = Self {
         friction: 0.2,
         turning_m: [1e-4; 2],

@@ -279,7 +279,7 @@ mod tests {
         let up = root_nmm(&water, Vector3::z() * (speed * 1e3));
         // Drag is against the way: down at +x, which is a moment about +y.
         assert!((up.y - exact).abs() < 1e-3 * exact && up.x.abs() + up.z.abs() < 1e-9, "{up} {exact}");
-        // SYSTEM: some 0.005 N mm at 0.1 m/s, with a drag coefficient of one; White's is larger at this Reynolds number.
+        // docs/src/system.md: some 0.005 N mm at 0.1 m/s, with a drag coefficient of one; White's is larger at this Reynolds number.
         assert!((0.004..0.012).contains(&exact), "{exact}");
         // A current of the base's own velocity leaves no drag; along the wire there is none either (negative controls).
         let with = Physics { current_mm_s: Vector3::z() * 100.0, ..water.clone() };

@@ -11,7 +11,7 @@ use std::cell::Cell;
 use std::f64::consts::FRAC_PI_2;
 use wcal_rod::{Contact, Near, Surface};
 
-/// How sweeps are drawn (SYSTEM: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
+/// How sweeps are drawn (docs/src/system.md: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepPlan {
@@ -48,7 +48,7 @@ pub struct SweepPlan {
 pub enum Turn {
     /// At random, uniform over rotations.
     Haar,
-    /// Upright as its mesh is (+z up, along the base's +y): four faces in turn, a quarter turn apart (SYSTEM, Evaluation).
+    /// Upright as its mesh is (+z up, along the base's +y): four faces in turn, a quarter turn apart (docs/src/system.md, Evaluation).
     Faces,
 }
 

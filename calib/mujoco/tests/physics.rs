@@ -146,7 +146,7 @@ fn physics_that_cannot_be_is_named() {
     }
 }
 
-/// The links' base moment against the continuous rod's, held at the same place by a frictionless point (SYSTEM's ideal contact).
+/// The links' base moment against the continuous rod's, held at the same place by a frictionless point (ideal contact of docs/src/method.md).
 #[test]
 fn base_moments_of_sweeps_are_the_rods() {
     let names = ["can", "vase", "ball", "rock"];

@@ -3,7 +3,7 @@
 //! Inextensible wire, clamped at the root: r' = R e1, R' = R [u]x, m = R D (u - u0), m(s) = (P - r(s)) x F up to the contact at
 //! s_c, free beyond. Lengths in mm, forces in N, moments in N mm, base frame.
 //!
-//! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in TRACING of the project.
+//! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in docs/src/method.md, Rod.
 
 mod blocks;
 pub mod chain;

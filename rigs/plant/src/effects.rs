@@ -110,7 +110,7 @@ pub struct Range {
 }
 
 impl Kind {
-    /// Identifier of FORMATS.md (`unknown` outside it), and the law.
+    /// Identifier of docs/src/formats.md (`unknown` outside it), and the law.
     pub fn name(self) -> (&'static str, &'static str) {
         match self {
             FrictionCoulomb => ("groove-friction", "coulomb"),
@@ -177,7 +177,7 @@ impl Kind {
         })
     }
 
-    /// Amplitude's range (TRACING.md's table; the unit is that of the amplitude in [`Effect::parameters`]).
+    /// Amplitude's range (docs/src/method.md's table; the unit is that of the amplitude in [`Effect::parameters`]).
     pub fn range(self) -> Range {
         let (low, high) = match self {
             FrictionCoulomb | FrictionPresliding => (0.05, 0.40),
@@ -254,7 +254,7 @@ impl Effect {
         let shape = match kind {
             FrictionPresliding => vec![rng.random_range(0.02..0.2)],
             FrictionStribeck => vec![rng.random_range(0.6..0.95)],
-            // Screw lead of the LSM-A stage, 0.6096 mm (TRACING.md).
+            // Screw lead of the LSM-A stage, 0.6096 mm (docs/src/method.md).
             PeriodicLead => vec![0.6096, rng.random_range(0.0..tau)],
             PeriodicHarmonics => {
                 vec![

@@ -19,7 +19,7 @@ const UNITS: [f64; 4] = [0.2, 0.1, 0.01, 0.01];
 const BROKEN: f64 = 1e3;
 /// Material time of the undamped wire, s: what the step of 1 ms can follow.
 const BARE_S: f64 = 1e-3;
-/// Speeds of the sweep, mm/s (SYSTEM's measured pair), and its length, mm.
+/// Speeds of the sweep, mm/s (the measured pair of docs/src/system.md), and its length, mm.
 const SPEEDS_MM_S: [f64; 2] = [3.2, 7.7];
 const SWEEP_MM: f64 = 28.0;
 /// Plate: how far the wire at rest is pressed by it, and half its side, mm. Steps that bend the wire, and those watched of one that falls on

@@ -94,7 +94,7 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
     out
 }
 
-/// Signature cosine above which two explanations are one class (FORMATS.md).
+/// Signature cosine above which two explanations are one class (docs/src/formats.md).
 pub const CLASS_COSINE: f64 = 0.995;
 
 /// What an explanation takes out of the declared model's residual.

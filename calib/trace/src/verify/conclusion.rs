@@ -1,4 +1,4 @@
-//! Stages 8 and 9: the verdict from what the search found, in the order of FORMATS.md.
+//! Stages 8 and 9: the verdict from what the search found, in the order of docs/src/formats.md.
 
 use super::session_model::SessionModel;
 use crate::error::TraceError;
@@ -196,7 +196,7 @@ fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> St
     format!("Something{beyond} is left that nothing in the catalogue explains{follows}.")
 }
 
-/// Applies the order of FORMATS.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
+/// Applies the order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
 #[must_use]
 pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[TwinFault]) -> Conclusion {
     // What a generic driver explains better than the catalogue does is named after no effect.

@@ -1,4 +1,4 @@
-//! `verify`: the residual loop, one procedure for every kind of session. The stages are those of docs/method.md.
+//! `verify`: the residual loop, one procedure for every kind of session. The stages are those of docs/src/method.md.
 
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;

@@ -79,7 +79,7 @@ pub trait SessionModel: MeasurementModel + Sized {
     /// Predictions at every reading.
     type Predictions;
 
-    /// Kind as in FORMATS.md.
+    /// Kind as in docs/src/formats.md.
     fn kind(&self) -> &'static str;
     /// Unit of the measured values.
     fn unit(&self) -> String;

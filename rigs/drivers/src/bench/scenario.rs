@@ -290,7 +290,7 @@ pub struct TrajectoryScenario {
     pub direction: [f64; 3],
 }
 
-/// Three contact arc lengths, three directions each (SYSTEM.md: 9 linear trajectories).
+/// Three contact arc lengths, three directions each (docs/src/system.md: 9 linear trajectories).
 fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
     let mut list = Vec::new();
     for arclength_mm in [18.0, 31.0, 45.0] {

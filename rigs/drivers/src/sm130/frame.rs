@@ -126,7 +126,7 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
 pub(crate) mod tests {
     use super::*;
 
-    /// A frame written by hand after the table of DEVICES.md: two peaks on CH1, one on CH3.
+    /// A frame written by hand after the table of docs/src/devices.md: two peaks on CH1, one on CH3.
     pub(crate) fn sample_frame(serial: u32) -> Vec<u8> {
         let mut b = vec![0_u8; HEADER];
         b[12..14].copy_from_slice(&3_u16.to_le_bytes());

@@ -18,7 +18,7 @@ use wcal_core::observation::Role;
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations, cycles).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelTerm {
-    /// Identifier of FORMATS.md.
+    /// Identifier of docs/src/formats.md.
     pub id: String,
     /// Law.
     pub law: String,

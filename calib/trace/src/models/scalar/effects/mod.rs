@@ -31,7 +31,7 @@ pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 /// Identifier of the periodic effect.
 pub const PERIODIC: &str = "periodic";
 
-/// Every effect of FORMATS.md for kinds "transducer" and "axis".
+/// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
 #[must_use]
 pub fn scalar_catalogue(frame: &Frame, covariate_names: &[String]) -> Vec<Arc<dyn ScalarEffect>> {
     vec![

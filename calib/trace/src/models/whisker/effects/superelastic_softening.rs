@@ -33,7 +33,7 @@ impl Effect for SuperelasticSoftening {
         "The wire softens where it is bent most: the alloy begins to transform."
     }
     fn source(&self) -> &'static str {
-        "NiTi transformation at 0.4-1 % surface strain; section law of a plateau in TRACING"
+        "NiTi transformation at 0.4-1 % surface strain; section law of a plateau in docs/src/method.md"
     }
 }
 

@@ -7,11 +7,12 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::imports::read_cameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::import::read_cameras;
+use wcal_vision::calibrate::reference::differences;
 use wcal_vision::pairs::list_pictures;
-use wcal_vision::reference::differences;
 
 /// What is on the board.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -136,7 +137,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         document.warnings.extend(differences(&document, reference));
     }
     let text = serde_json::to_string_pretty(&document)?;
-    for (name, content) in wcal_vision::exchange::exports(&document)? {
+    for (name, content) in wcal_vision::calibrate::export::exports(&document)? {
         out.put(&name, content);
     }
     out.put("stereo.json", text.as_str());

@@ -10,6 +10,7 @@ pub mod observation;
 pub mod provenance;
 pub mod residual;
 pub mod sealed;
+pub mod shapes_document;
 pub mod stream;
 pub mod verify_document;
 

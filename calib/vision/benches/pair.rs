@@ -2,13 +2,14 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoCameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::pairs::PairFiles;
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes::shapes_of_pairs;
+use wcal_vision::shape::folder::shapes_of_pairs;
+use wcal_vision::stereo::StereoCameras;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/stereo_bench").join(name)

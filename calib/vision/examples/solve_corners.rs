@@ -5,8 +5,9 @@
 use nalgebra::Vector2;
 use serde_json::{Value, json};
 use std::time::Instant;
-use wcal_vision::bundle::{BoardView, BundleState, Free, solve};
-use wcal_vision::calibrate::{board_points, calibrate_stereo};
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
+use wcal_vision::calibrate::solution::calibrate_stereo;
 
 fn main() -> anyhow::Result<()> {
     let input: Value = serde_json::from_reader(std::io::stdin())?;

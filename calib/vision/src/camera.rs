@@ -1,5 +1,13 @@
-//! The camera model: pinhole with OpenCV's five distortion coefficients, axes x right, y down, z forward,
-//! pixel centres at integers. Source: OpenCV documentation, module calib3d, "Detailed Description".
+//! The camera model: pinhole with OpenCV's five distortion coefficients (Brown-Conrady), axes x right, y down, z forward, pixel centres
+//! at integers.
+//!
+//! ```text
+//! (x, y) = (X/Z, Y/Z),  r^2 = x^2 + y^2
+//! x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+//! y_d = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+//! u = fx x_d + cx,  v = fy y_d + cy
+//! ```
+//! Source: OpenCV documentation, module calib3d, "Detailed Description".
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
@@ -135,4 +143,24 @@ impl Camera {
         }
         ((self.distort(&n).0 - target).norm() < 1e-9).then_some(n)
     }
+}
+
+/// The pixel at which the same camera without distortion shows what this pixel shows: straight edges are straight there. The pixel
+/// itself where no camera is known or its distortion folds over.
+pub(crate) fn undistorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera
+        .and_then(|c| {
+            let n = c.undistort(p)?;
+            Some(Vector2::new(c.focal_px[0] * n.x + c.centre_px[0], c.focal_px[1] * n.y + c.centre_px[1]))
+        })
+        .unwrap_or(*p)
+}
+
+/// The inverse of [`undistorted_px`].
+pub(crate) fn distorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera.map_or(*p, |c| {
+        let n = Vector2::new((p.x - c.centre_px[0]) / c.focal_px[0], (p.y - c.centre_px[1]) / c.focal_px[1]);
+        let d = c.distort(&n).0;
+        Vector2::new(c.focal_px[0] * d.x + c.centre_px[0], c.focal_px[1] * d.y + c.centre_px[1])
+    })
 }

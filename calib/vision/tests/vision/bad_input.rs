@@ -1,10 +1,11 @@
 //! Pictures and files that cannot be used: one clear reason each, the rest of the batch goes on.
 
 use crate::common;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoDocument;
-use wcal_vision::imports::read_cameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::picture::Picture;
 
 fn board() -> Board {

@@ -7,11 +7,12 @@ use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use rayon::prelude::*;
-use wcal_vision::apriltag_ffi::draw_tag;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::camera::Camera;
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoDocument;
+use wcal_vision::tags::apriltag_ffi::draw_tag;
 
 const WIDTH: usize = 1280;
 const HEIGHT: usize = 960;

@@ -2,10 +2,12 @@
 
 use crate::common;
 use nalgebra::Vector2;
-use wcal_vision::bundle::BoardView;
-use wcal_vision::calibrate::{board_points, calibrate_stereo};
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::{BoardSize, Finder, Refinement, find_chessboard, refine};
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::bundle::BoardView;
+use wcal_vision::calibrate::chessboard::{BoardSize, Finder, Refinement, find_chessboard, refine};
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::solution::calibrate_stereo;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 
@@ -46,7 +48,7 @@ fn from_the_pictures_alone_all_pairs_fit_better_than_by_any_hand_tuned_window() 
 
 #[test]
 fn with_opencvs_corners_the_result_is_that_of_cv2_and_of_mrcal() {
-    use wcal_vision::bundle::{BundleState, Free, solve};
+    use wcal_vision::calibrate::bundle::{BundleState, Free, solve};
     let points = board_points(9, 6, 1.0);
     let views = views(Refinement::Gradient(5));
     let solution = calibrate_stereo(&points, views, [640, 480]).unwrap();

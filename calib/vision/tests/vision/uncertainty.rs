@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use rayon::prelude::*;
-use wcal_vision::bundle::{BoardView, BundleState, Free, solve};
-use wcal_vision::calibrate::board_points;
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;
 
 fn truth() -> BundleState {

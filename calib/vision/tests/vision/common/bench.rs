@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use std::collections::HashMap;
-use wcal_vision::apriltag_ffi::draw_tag;
 use wcal_vision::camera::Camera;
 use wcal_vision::picture::Picture;
+use wcal_vision::tags::apriltag_ffi::draw_tag;
 
 pub const WIDTH: usize = 1280;
 pub const HEIGHT: usize = 960;

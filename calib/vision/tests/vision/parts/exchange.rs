@@ -1,9 +1,9 @@
 //! Exports come back; malformed files are refused.
 
-use wcal_vision::document::StereoDocument;
-use wcal_vision::exchange::exports;
-use wcal_vision::imports::{import_kalibr, import_opencv, import_ros, imported, read_cameras};
-use wcal_vision::reference::differences;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::export::exports;
+use wcal_vision::calibrate::import::{import_kalibr, import_opencv, import_ros, imported, read_cameras};
+use wcal_vision::calibrate::reference::differences;
 
 fn document() -> StereoDocument {
     let pose =

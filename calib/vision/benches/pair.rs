@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use wcal_vision::calibrate::board::{Board, Pattern};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::pairs::PairFiles;
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
@@ -19,7 +20,8 @@ fn cameras() -> StereoCameras {
     let board =
         Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
     let side = |s: &str| fixture(&format!("board/{s}")).display().to_string();
-    let (document, _) = calibrate_folders(&side("left"), &side("right"), &board, &|_| {}).expect("board");
+    let (document, _) =
+        calibrate_folders(&side("left"), &side("right"), &board, OPENCV5, &|_| {}).expect("board");
     document.stereo_cameras().expect("cameras")
 }
 

@@ -10,14 +10,30 @@
 //! Sources: Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (Schur complement); mrcal documentation, "Board
 //! deformation" (warp).
 
-use crate::camera::{Camera, INTRINSICS};
+use crate::camera::{Camera, MAX_INTRINSICS};
 use crate::rigid::{hat, updated};
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Vector2, Vector3, Vector6};
 
-/// Parameters shared by all views: two cameras, right_from_left (rotation, translation), warp.
-pub const SHARED: usize = 2 * INTRINSICS + 8;
-const EXTRINSIC: usize = 2 * INTRINSICS;
-const WARP: usize = EXTRINSIC + 6;
+/// Places of the parameters shared by all views: left camera, right camera, right_from_left (rotation, translation), warp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Layout {
+    /// Intrinsic parameters of one camera.
+    intrinsics: usize,
+}
+
+impl Layout {
+    fn extrinsic(self) -> usize {
+        2 * self.intrinsics
+    }
+
+    fn warp(self) -> usize {
+        self.extrinsic() + 6
+    }
+
+    fn shared(self) -> usize {
+        self.warp() + 2
+    }
+}
 
 /// Corners of one view, px, one entry a board point; none where the camera does not show it.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,6 +59,13 @@ pub struct BundleState {
     pub left_from_board: Vec<Isometry3<f64>>,
 }
 
+impl BundleState {
+    /// Both cameras have a lens of one model.
+    fn layout(&self) -> Layout {
+        Layout { intrinsics: self.cameras[0].intrinsics() }
+    }
+}
+
 /// Which shared parameters are estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Free {
@@ -63,13 +86,14 @@ impl Free {
         Self { left: true, right: true, extrinsic: true, warp }
     }
 
-    fn mask(self) -> [bool; SHARED] {
-        std::array::from_fn(|k| match k {
-            k if k < INTRINSICS => self.left,
-            k if k < EXTRINSIC => self.right,
-            k if k < WARP => self.extrinsic,
+    fn mask(self, layout: Layout) -> Vec<bool> {
+        let place = |k: usize| match k {
+            k if k < layout.intrinsics => self.left,
+            k if k < layout.extrinsic() => self.right,
+            k if k < layout.warp() => self.extrinsic,
             _ => self.warp,
-        })
+        };
+        (0..layout.shared()).map(place).collect()
     }
 }
 
@@ -89,6 +113,12 @@ pub struct BundleSolution {
 }
 
 impl BundleSolution {
+    /// Variance of one intrinsic parameter of the left (0) or right (1) camera.
+    pub(crate) fn variance_of(&self, camera: usize, k: usize) -> f64 {
+        let place = camera * self.state.cameras[0].intrinsics() + k;
+        self.shared_covariance[(place, place)]
+    }
+
     /// Per-corner RMS over both cameras, px: `sqrt(sum |e|^2 / corners)`.
     #[must_use]
     pub fn rms_px(&self) -> f64 {
@@ -112,8 +142,8 @@ pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
 struct Normal {
     cost: f64,
     corners: usize,
-    shared: Vec<[f64; SHARED]>,
-    shared_gradient: [f64; SHARED],
+    shared: Vec<Vec<f64>>,
+    shared_gradient: Vec<f64>,
     views: Vec<ViewNormal>,
 }
 
@@ -172,18 +202,22 @@ fn linearise(
 ) -> Normal {
     let board = warped(points, shapes, state.warp);
     let extrinsic = state.right_from_left.rotation.to_rotation_matrix();
+    let layout = state.layout();
     let mut n = Normal {
         cost: 0.0,
         corners: 0,
-        shared: vec![[0.0; SHARED]; SHARED],
-        shared_gradient: [0.0; SHARED],
+        shared: vec![vec![0.0; layout.shared()]; layout.shared()],
+        shared_gradient: vec![0.0; layout.shared()],
         views: Vec::with_capacity(views.len()),
     };
     for (view, pose) in views.iter().zip(&state.left_from_board) {
         let rotation = pose.rotation.to_rotation_matrix();
         let normal_axis = rotation.matrix().column(2).into_owned();
-        let mut part =
-            ViewNormal { cross: vec![[0.0; 6]; SHARED], own: Matrix6::zeros(), gradient: Vector6::zeros() };
+        let mut part = ViewNormal {
+            cross: vec![[0.0; 6]; layout.shared()],
+            own: Matrix6::zeros(),
+            gradient: Vector6::zeros(),
+        };
         for (k, p) in board.iter().enumerate() {
             let rotated = rotation * p;
             let in_left = rotated + pose.translation.vector;
@@ -200,20 +234,20 @@ fn linearise(
                 n.cost += e.norm_squared();
                 n.corners += 1;
                 // Only the own camera, the relative pose and the warp are touched: columns and their place among all.
-                let mut columns: [(usize, [f64; 2]); INTRINSICS + 8] = [(0, [0.0; 2]); INTRINSICS + 8];
+                let mut columns = [(0, [0.0; 2]); MAX_INTRINSICS + 8];
                 let mut count = 0;
                 let mut push = |place: usize, x: f64, y: f64| {
                     columns[count] = (place, [x, y]);
                     count += 1;
                 };
-                for k in 0..INTRINSICS {
-                    push(side * INTRINSICS + k, by_camera[(0, k)], by_camera[(1, k)]);
+                for k in 0..layout.intrinsics {
+                    push(side * layout.intrinsics + k, by_camera[(0, k)], by_camera[(1, k)]);
                 }
                 let by_left: Matrix2x3<f64> = if side == 1 {
                     let by_turn = -by_point * hat(&(extrinsic * in_left));
                     for k in 0..3 {
-                        push(EXTRINSIC + k, by_turn[(0, k)], by_turn[(1, k)]);
-                        push(EXTRINSIC + 3 + k, by_point[(0, k)], by_point[(1, k)]);
+                        push(layout.extrinsic() + k, by_turn[(0, k)], by_turn[(1, k)]);
+                        push(layout.extrinsic() + 3 + k, by_point[(0, k)], by_point[(1, k)]);
                     }
                     by_point * extrinsic.matrix()
                 } else {
@@ -221,7 +255,7 @@ fn linearise(
                 };
                 let along = by_left * normal_axis;
                 for (w, shape) in shapes[k].iter().enumerate() {
-                    push(WARP + w, along.x * shape, along.y * shape);
+                    push(layout.warp() + w, along.x * shape, along.y * shape);
                 }
                 let by_turn = -by_left * hat(&rotated);
                 let own: [[f64; 6]; 2] = std::array::from_fn(|r| {
@@ -266,8 +300,8 @@ impl Normal {
 type SharedStep = (DVector<f64>, Vec<Vector6<f64>>, DMatrix<f64>);
 
 /// Solves for the shared step and the view steps with damping `lambda`; none where the normal matrix is singular.
-fn step(normal: &Normal, mask: &[bool; SHARED], lambda: f64) -> Option<SharedStep> {
-    let free: Vec<usize> = (0..SHARED).filter(|&k| mask[k]).collect();
+fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
+    let free: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
     let mut schur = DMatrix::<f64>::from_fn(free.len(), free.len(), |i, j| normal.shared[free[i]][free[j]]);
     for i in 0..free.len() {
         schur[(i, i)] *= 1.0 + lambda;
@@ -295,7 +329,7 @@ fn step(normal: &Normal, mask: &[bool; SHARED], lambda: f64) -> Option<SharedSte
             inverse * (gradient - Vector6::from_column_slice(coupled.as_slice()))
         })
         .collect();
-    let mut full = DVector::<f64>::zeros(SHARED);
+    let mut full = DVector::<f64>::zeros(mask.len());
     for (i, &k) in free.iter().enumerate() {
         full[k] = shared[i];
     }
@@ -303,17 +337,21 @@ fn step(normal: &Normal, mask: &[bool; SHARED], lambda: f64) -> Option<SharedSte
 }
 
 fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -> BundleState {
+    let layout = state.layout();
     let camera = |c: usize| {
         let mut p = state.cameras[c].parameters();
         for (k, value) in p.iter_mut().enumerate() {
-            *value += shared[c * INTRINSICS + k];
+            *value += shared[c * layout.intrinsics + k];
         }
         state.cameras[c].with_parameters(&p)
     };
     BundleState {
         cameras: [camera(0), camera(1)],
-        right_from_left: updated(&state.right_from_left, &Vector6::from_fn(|k, _| shared[EXTRINSIC + k])),
-        warp: [state.warp[0] + shared[WARP], state.warp[1] + shared[WARP + 1]],
+        right_from_left: updated(
+            &state.right_from_left,
+            &Vector6::from_fn(|k, _| shared[layout.extrinsic() + k]),
+        ),
+        warp: [state.warp[0] + shared[layout.warp()], state.warp[1] + shared[layout.warp() + 1]],
         left_from_board: state.left_from_board.iter().zip(views).map(|(p, s)| updated(p, s)).collect(),
     }
 }
@@ -324,7 +362,7 @@ fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -
 #[must_use]
 pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, free: Free) -> BundleSolution {
     let shapes = warp_shapes(points);
-    let mask = free.mask();
+    let mask = free.mask(start.layout());
     let mut state = start;
     let mut normal = linearise(&state, points, &shapes, views);
     let mut lambda = 1e-3;
@@ -359,8 +397,8 @@ pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, f
     let count = mask.iter().filter(|&&m| m).count();
     let redundancy = (2 * normal.corners) as f64 - (count + 6 * views.len()) as f64;
     let variance = normal.cost / redundancy.max(1.0);
-    let mut covariance = DMatrix::<f64>::zeros(SHARED, SHARED);
-    let indices: Vec<usize> = (0..SHARED).filter(|&k| mask[k]).collect();
+    let mut covariance = DMatrix::<f64>::zeros(mask.len(), mask.len());
+    let indices: Vec<usize> = (0..mask.len()).filter(|&k| mask[k]).collect();
     let inverse = step(&normal, &mask, 0.0).and_then(|s| s.2.cholesky()).map(|c| c.inverse());
     for (i, &a) in indices.iter().enumerate() {
         for (j, &b) in indices.iter().enumerate() {

@@ -1,8 +1,8 @@
 //! Why a calibration is refused, why a view is left out, and what makes a result weak.
 
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
-use crate::calibrate::initial::{Corners, MonoEstimate, board_pose, consensus, median};
-use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS};
+use crate::calibrate::initial::{Corners, MonoEstimate, board_pose, both_rms, consensus, median};
+use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use nalgebra::{Vector2, Vector3};
 
@@ -56,12 +56,12 @@ pub(crate) fn explain_disagreement(
     points: &[Vector3<f64>],
     views: &[BoardView],
     mono: &[MonoEstimate],
-    image_size_px: [usize; 2],
     mono_rms_px: f64,
     joint_rms_px: f64,
 ) -> VisionError {
     let right: Vec<Corners> = views.iter().map(|v| v.right.clone()).collect();
     let n = views.len();
+    let (image_size_px, lens) = (mono[0].camera.image_size_px, mono[0].camera.lens);
     let score = |left: &MonoEstimate, right: &MonoEstimate, corners: &[Corners]| {
         median(&consensus(points, left, right, corners).1)
     };
@@ -82,7 +82,7 @@ pub(crate) fn explain_disagreement(
         ));
     }
     let mirrored: Vec<Corners> = right.iter().map(|c| mirror(points, c, image_size_px[0] as f64)).collect();
-    if let Ok(other) = crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px) {
+    if let Ok(other) = crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px, lens) {
         causes.push((
             score(&mono[0], &other, &mirrored),
             "one camera's pictures are mirrored left to right".into(),
@@ -170,8 +170,7 @@ pub(crate) fn refuse_unphysical(
         );
     }
     for (side, name) in [(0, "left"), (1, "right")] {
-        let relative = solution.shared_covariance[(side * INTRINSICS, side * INTRINSICS)].sqrt()
-            / solution.state.cameras[side].focal_px[0];
+        let relative = solution.variance_of(side, 0).sqrt() / solution.state.cameras[side].focal_px[0];
         if relative > 0.1 {
             return refuse(
                 format!("{name} camera: a focal length known to 10 %"),
@@ -190,12 +189,9 @@ fn fold_radius(camera: &Camera, views: &[BoardView], left: bool) -> Option<f64> 
         .flatten()
         .filter_map(|c| camera.undistort(c).map(|n| n.norm()).or(Some(f64::INFINITY)))
         .fold(0.0, f64::max);
-    let [k1, k2, _, _, k3] = camera.distortion;
     let limit = reach.min(3.0);
     (1..=200).map(|k| f64::from(k) / 200.0 * limit).find_map(|r| {
-        let r2 = r * r;
-        let slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3));
-        (slope <= 0.0).then_some(r * camera.focal_px[0])
+        (camera.lens.radial_slope(&camera.distortion, r) <= 0.0).then_some(r * camera.focal_px[0])
     })
 }
 
@@ -249,10 +245,10 @@ pub(crate) fn weak_geometry(
             warnings.push(format!("{name} camera: corners cover {covered} of 48 fields of the picture; the distortion is a guess elsewhere"));
         }
         for k in 0..4 {
-            let sd = solution.shared_covariance[(side * INTRINSICS + k, side * INTRINSICS + k)].sqrt();
+            let sd = solution.variance_of(side, k).sqrt();
             let focal = state.cameras[side].focal_px[0];
             if sd > 0.01 * focal {
-                warnings.push(format!("{name} camera: {} is known to {sd:.1} px only", INTRINSIC_NAMES[k]));
+                warnings.push(format!("{name} camera: {} is known to {sd:.1} px only", PINHOLE_NAMES[k]));
             }
         }
     }

@@ -1,9 +1,10 @@
 //! `stereo.json` (format `wcal-stereo/1`): written by `stereo-calibrate`, read by `stereo-shape`.
 
-use crate::camera::{Camera, INTRINSIC_NAMES};
+use crate::camera::lens::{MAX_COEFFICIENTS, OPENCV5, lens_named};
+use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use crate::rigid::pose_from_rows;
-use crate::stereo::{STEREO_PARAMETERS, StereoCameras};
+use crate::stereo::StereoCameras;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -14,9 +15,9 @@ pub const STEREO_FORMAT: &str = "wcal-stereo/1";
 /// Lens distortion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DistortionDocument {
-    /// Always `opencv5`.
+    /// Model of the lens: `opencv5` or `fisheye`.
     pub model: String,
-    /// k1, k2, p1, p2, k3.
+    /// `opencv5`: k1, k2, p1, p2, k3; `fisheye`: k1, k2, k3, k4.
     pub coefficients: Vec<f64>,
 }
 
@@ -30,7 +31,7 @@ pub struct CameraDocument {
     pub k: [[f64; 3]; 3],
     /// Distortion.
     pub distortion: DistortionDocument,
-    /// Standard deviation of fx, fy, cx, cy (px), k1, k2, p1, p2, k3.
+    /// Standard deviation of fx, fy, cx, cy (px) and of the coefficients by their names.
     #[serde(default)]
     pub sd: BTreeMap<String, f64>,
 }
@@ -111,7 +112,7 @@ pub struct StereoDocument {
     /// Sd of the projection of a point at the board's mean depth over a 3x3 grid of the picture (rows from the top), left and right, px.
     #[serde(default)]
     pub projection_sd_px: Vec<Vec<f64>>,
-    /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24), units as above.
+    /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24; 22 x 22 for `fisheye`), units as above.
     #[serde(default)]
     pub covariance: Vec<Vec<f64>>,
     /// Remarks that matter.
@@ -146,22 +147,27 @@ impl StereoDocument {
             return Err(format!("2 cameras expected, {} found", self.cameras.len()));
         }
         let camera = |c: &CameraDocument| -> Result<Camera, String> {
-            let d: [f64; 5] = match (c.distortion.model.as_str(), c.distortion.coefficients.as_slice()) {
-                ("opencv5", d) if d.len() == 5 => std::array::from_fn(|k| d[k]),
-                ("opencv5", d) if d.len() == 4 => [d[0], d[1], d[2], d[3], 0.0],
-                (model, d) => {
-                    return Err(format!(
-                        "camera {}: distortion \"opencv5\" with 5 coefficients expected, \"{model}\" with {} found",
-                        c.name,
-                        d.len()
-                    ));
-                }
-            };
+            let lens = lens_named(&c.distortion.model, |lens| lens.model())
+                .map_err(|why| format!("camera {}: distortion.model: {why}", c.name))?;
+            let (given, count) = (&c.distortion.coefficients, lens.coefficient_names().len());
+            // OpenCV's four coefficients are its five without k3.
+            let without_k3 = lens == OPENCV5 && given.len() == 4;
+            if given.len() != count && !without_k3 {
+                return Err(format!(
+                    "camera {}: distortion \"{}\" with {count} coefficients expected, {} found",
+                    c.name,
+                    lens.model(),
+                    given.len()
+                ));
+            }
+            let mut distortion = [0.0; MAX_COEFFICIENTS];
+            distortion[..given.len()].copy_from_slice(given);
             let camera = Camera {
                 image_size_px: self.image_size_px,
                 focal_px: [c.k[0][0], c.k[1][1]],
                 centre_px: [c.k[0][2], c.k[1][2]],
-                distortion: d,
+                lens,
+                distortion,
             };
             let p = camera.parameters();
             if p.iter().any(|v| !v.is_finite()) || p[0] <= 0.0 || p[1] <= 0.0 {
@@ -172,15 +178,24 @@ impl StereoDocument {
             }
             Ok(camera)
         };
-        let covariance = (self.covariance.len() == STEREO_PARAMETERS
-            && self.covariance.iter().all(|r| r.len() == STEREO_PARAMETERS))
-        .then(|| DMatrix::from_fn(STEREO_PARAMETERS, STEREO_PARAMETERS, |i, j| self.covariance[i][j]));
-        Ok(StereoCameras {
+        let mut stereo = StereoCameras {
             cameras: [camera(&self.cameras[0])?, camera(&self.cameras[1])?],
             right_from_left: pose_from_rows(&self.right_from_left)
                 .ok_or("right_from_left: a rigid 4x4 transform expected")?,
-            covariance,
-        })
+            covariance: None,
+        };
+        let [left, right] = [0, 1].map(|k| stereo.cameras[k].lens);
+        if left != right {
+            return Err(format!(
+                "lenses of one model expected, {} and {} found",
+                left.model(),
+                right.model()
+            ));
+        }
+        let n = stereo.parameters();
+        let square = self.covariance.len() == n && self.covariance.iter().all(|r| r.len() == n);
+        stereo.covariance = square.then(|| DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
+        Ok(stereo)
     }
 }
 
@@ -191,7 +206,10 @@ pub fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocumen
     CameraDocument {
         name: name.into(),
         k: std::array::from_fn(|i| std::array::from_fn(|j| k[(i, j)])),
-        distortion: DistortionDocument { model: "opencv5".into(), coefficients: camera.distortion.to_vec() },
-        sd: INTRINSIC_NAMES.iter().zip(sd).map(|(n, s)| ((*n).to_string(), *s)).collect(),
+        distortion: DistortionDocument {
+            model: camera.lens.model().into(),
+            coefficients: camera.parameters().split_off(PINHOLE_NAMES.len()),
+        },
+        sd: camera.parameter_names().zip(sd).map(|(n, s)| (n.to_string(), *s)).collect(),
     }
 }

@@ -4,12 +4,12 @@ use crate::calibrate::board::{Board, Pattern, board_points};
 use crate::calibrate::bundle::BoardView;
 use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard};
 use crate::calibrate::document::{
-    BoardDocument, RejectedView, STEREO_FORMAT, STEREO_PARAMETERS, StereoDocument, camera_document,
+    BoardDocument, RejectedView, STEREO_FORMAT, StereoDocument, camera_document,
 };
 use crate::calibrate::markers::{self, MarkerBoard};
 use crate::calibrate::refinement::{View, choose_refinement};
 use crate::calibrate::solution::{StereoSolution, calibrate_stereo, leave_one_out};
-use crate::camera::INTRINSICS;
+use crate::camera::lens::Lens;
 use crate::error::VisionError;
 use crate::pairs::{PairFiles, list_pictures, pair_files};
 use crate::picture::Picture;
@@ -18,7 +18,7 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Calibrates from two folders or patterns. `progress` is told what is done.
+/// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is told what is done.
 ///
 /// # Errors
 /// Where the folders hold no pairs, no board is found, or the calibration is refused.
@@ -26,6 +26,7 @@ pub fn calibrate_folders(
     left: &str,
     right: &str,
     board: &Board,
+    lens: &'static dyn Lens,
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<(StereoDocument, StereoSolution), VisionError> {
     let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
@@ -36,7 +37,8 @@ pub fn calibrate_folders(
             check_size(&files, board.size)?;
             let (views, size) = usable(&files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
             let points = board_points(board.size.columns, board.size.rows, board.square_mm);
-            let (refined, tried, chosen) = choose_refinement(&points, board.size, &views, size, progress)?;
+            let (refined, tried, chosen) =
+                choose_refinement(&points, board.size, &views, (size, lens), progress)?;
             (points, refined, size, tried, chosen)
         }
         Pattern::Charuco { .. } | Pattern::AprilGrid { .. } => {
@@ -47,7 +49,8 @@ pub fn calibrate_folders(
         }
     };
     progress(&format!("{} pairs show the board; solving", views.len()));
-    let solution = calibrate_stereo(&points, views, image_size).map_err(|e| with_rejections(e, &rejected))?;
+    let solution =
+        calibrate_stereo(&points, views, image_size, lens).map_err(|e| with_rejections(e, &rejected))?;
     let mut document = document(board, image_size, &points, &solution, refinement, chosen);
     document.rejected_views.splice(0..0, rejected);
     Ok((document, solution))
@@ -283,8 +286,11 @@ fn document(
 ) -> StereoDocument {
     let (state, covariance) = (&solution.bundle.state, &solution.bundle.shared_covariance);
     let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+    // Shared parameters: left, right, relative pose (6), warp (2).
+    let intrinsics = state.cameras[0].intrinsics();
+    let (extrinsic, warp) = (2 * intrinsics, 2 * intrinsics + 6);
     let camera = |c: usize, name: &str| {
-        let sds: Vec<f64> = (0..INTRINSICS).map(|k| sd(c * INTRINSICS + k)).collect();
+        let sds: Vec<f64> = (0..intrinsics).map(|k| sd(c * intrinsics + k)).collect();
         camera_document(name, &state.cameras[c], &sds)
     };
     StereoDocument {
@@ -292,7 +298,7 @@ fn document(
         image_size_px,
         cameras: vec![camera(0, "left"), camera(1, "right")],
         right_from_left: rows(&state.right_from_left),
-        right_from_left_sd: (18..24).map(sd).collect(),
+        right_from_left_sd: (extrinsic..warp).map(sd).collect(),
         rms_px: solution.bundle.rms_px(),
         per_view_rms_px: solution.per_view_rms_px.clone(),
         views: solution.views.iter().map(|v| v.name.clone()).collect(),
@@ -309,14 +315,12 @@ fn document(
             rows: board.size.rows,
             square_mm: board.square_mm,
             warp_mm: state.warp,
-            warp_sd_mm: if solution.warp_used { [sd(24), sd(25)] } else { [0.0; 2] },
+            warp_sd_mm: if solution.warp_used { [sd(warp), sd(warp + 1)] } else { [0.0; 2] },
         },
         refinement,
         refinement_chosen,
         projection_sd_px: projection_sd(points, solution),
-        covariance: (0..STEREO_PARAMETERS)
-            .map(|i| (0..STEREO_PARAMETERS).map(|j| covariance[(i, j)]).collect())
-            .collect(),
+        covariance: (0..warp).map(|i| (0..warp).map(|j| covariance[(i, j)]).collect()).collect(),
         warnings: solution.warnings.clone(),
         provenance: wcal_core::Provenance::default(),
     }
@@ -331,10 +335,11 @@ fn projection_sd(points: &[Vector3<f64>], solution: &StereoSolution) -> Vec<Vec<
     (0..2)
         .map(|c| {
             let camera = &state.cameras[c];
+            let intrinsics = camera.intrinsics();
             let block = solution
                 .bundle
                 .shared_covariance
-                .view((c * INTRINSICS, c * INTRINSICS), (INTRINSICS, INTRINSICS));
+                .view((c * intrinsics, c * intrinsics), (intrinsics, intrinsics));
             let [w, h] = camera.image_size_px.map(|v| v as f64);
             (0..9)
                 .map(|k| {
@@ -345,7 +350,10 @@ fn projection_sd(points: &[Vector3<f64>], solution: &StereoSolution) -> Vec<Vec<
                         .and_then(|n| {
                             camera.project_with_jacobian(&Vector3::new(n.x * depth, n.y * depth, depth))
                         })
-                        .map_or(f64::NAN, |(_, _, j)| ((j * block * j.transpose()).trace() / 2.0).sqrt())
+                        .map_or(f64::NAN, |(_, _, j)| {
+                            let j = j.columns(0, intrinsics);
+                            ((j * block * j.transpose()).trace() / 2.0).sqrt()
+                        })
                 })
                 .collect()
         })

@@ -3,11 +3,12 @@
 use crate::calibrate::document::{
     BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
 };
+use crate::camera::lens::{Lens, OPENCV5, lens_named};
 use crate::error::VisionError;
 use nalgebra::{Matrix3, Vector3};
 use std::path::PathBuf;
 
-/// Numbers between the brackets that follow `key:` (OpenCV and ROS write matrices so).
+/// ImportedCamera between the brackets that follow `key:` (OpenCV and ROS write matrices so).
 fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>, VisionError> {
     let missing = |found: &str| {
         VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
@@ -34,28 +35,49 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
     Ok(values)
 }
 
+/// The text that follows `key:` on a line.
+fn named<'t>(text: &'t str, key: &str) -> Option<&'t str> {
+    text.lines().find_map(|l| Some(l.trim().strip_prefix(key)?.strip_prefix(':')?.trim()))
+}
+
 fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
-    text.lines()
-        .find_map(|l| l.trim().strip_prefix(&format!("{key}:")).map(|v| v.trim().to_string()))
+    named(text, key)
         .and_then(|v| v.parse().ok())
         .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
 }
 
-/// A document from imported numbers (`fx, fy, cx, cy` and five distortion coefficients a camera); nothing is known of its errors.
+/// ImportedCamera of an imported camera.
+#[derive(Debug, Clone)]
+pub struct ImportedCamera {
+    /// `fx, fy, cx, cy`, px.
+    pub pinhole: [f64; 4],
+    /// Model of the lens.
+    pub lens: &'static dyn Lens,
+    /// Its coefficients.
+    pub coefficients: Vec<f64>,
+}
+
+/// A document from imported numbers; nothing is known of its errors.
 ///
 /// # Errors
-/// Where the pose is not rigid.
+/// Where the pose is not rigid, or the lenses are of two models.
 pub fn imported(
     name: &str,
     image_size_px: [usize; 2],
-    cameras: [([f64; 4], [f64; 5]); 2],
+    cameras: [ImportedCamera; 2],
     right_from_left: [[f64; 4]; 4],
 ) -> Result<StereoDocument, VisionError> {
-    let camera = |which: &str, ([fx, fy, cx, cy], distortion): ([f64; 4], [f64; 5])| CameraDocument {
-        name: which.into(),
-        k: [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-        distortion: DistortionDocument { model: "opencv5".into(), coefficients: distortion.to_vec() },
-        sd: std::collections::BTreeMap::new(),
+    let camera = |which: &str, numbers: ImportedCamera| {
+        let [fx, fy, cx, cy] = numbers.pinhole;
+        CameraDocument {
+            name: which.into(),
+            k: [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+            distortion: DistortionDocument {
+                model: numbers.lens.model().into(),
+                coefficients: numbers.coefficients,
+            },
+            sd: std::collections::BTreeMap::new(),
+        }
     };
     let [left, right] = cameras;
     let document = StereoDocument {
@@ -120,11 +142,14 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
 /// # Errors
 /// Where a key is missing or malformed, or the cameras are not physical.
 pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
-    let camera = |k: usize| -> Result<([f64; 4], [f64; 5]), VisionError> {
+    let model = named(text, "distortion_model").unwrap_or_else(|| OPENCV5.model());
+    let lens = lens_named(model, |lens| lens.model())
+        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+    let camera = |k: usize| -> Result<ImportedCamera, VisionError> {
         let m = bracketed(name, text, &format!("M{k}"), 9)
             .or_else(|_| bracketed(name, text, &format!("K{k}"), 9))?;
-        let d = bracketed(name, text, &format!("D{k}"), 5)?;
-        Ok(([m[0], m[4], m[2], m[5]], std::array::from_fn(|i| d[i])))
+        let coefficients = bracketed(name, text, &format!("D{k}"), lens.coefficient_names().len())?;
+        Ok(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients })
     };
     let (r, t) = (bracketed(name, text, "R", 9)?, bracketed(name, text, "T", 3)?);
     let pose = std::array::from_fn(|i| {
@@ -138,25 +163,27 @@ pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionErr
     imported(name, size, [camera(1)?, camera(2)?], pose)
 }
 
-/// Reads a Kalibr camchain with two pinhole-radtan cameras (metres).
+/// Reads a Kalibr camchain with two pinhole cameras, both radtan or both equidistant (metres).
 ///
 /// # Errors
 /// As [`import_opencv`]; other camera or distortion models are refused by name.
 pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
     let (first, second) =
         text.split_once("cam1:").ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
-    let camera = |part: &str| -> Result<([f64; 4], [f64; 5]), VisionError> {
-        for (key, wanted) in [("camera_model", "pinhole"), ("distortion_model", "radtan")] {
-            let found =
-                part.lines().find_map(|l| l.trim().strip_prefix(&format!("{key}:"))).unwrap_or("none");
-            if found.trim() != wanted {
-                return Err(VisionError::content(name, format!("{key}: {wanted}"), found.trim()));
-            }
+    let camera = |part: &str| -> Result<ImportedCamera, VisionError> {
+        let found = named(part, "camera_model").unwrap_or("none");
+        if found != "pinhole" {
+            return Err(VisionError::content(name, "camera_model: pinhole", found));
         }
+        let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| lens.kalibr_model())
+            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
         let i = bracketed(name, part, "intrinsics", 4)?;
-        let d = bracketed(name, part, "distortion_coeffs", 4)?;
-        let k3 = part.lines().find_map(|l| l.trim().strip_prefix("k3:")?.trim().parse().ok()).unwrap_or(0.0);
-        Ok(([i[0], i[1], i[2], i[3]], [d[0], d[1], d[2], d[3], k3]))
+        let mut coefficients = bracketed(name, part, "distortion_coeffs", 4)?;
+        // Ours stands beside Kalibr's four.
+        if lens == OPENCV5 {
+            coefficients.push(named(part, "k3").and_then(|v| v.parse().ok()).unwrap_or(0.0));
+        }
+        Ok(ImportedCamera { pinhole: [i[0], i[1], i[2], i[3]], lens, coefficients })
     };
     let size = bracketed(name, first, "resolution", 2)?;
     let after = second
@@ -190,17 +217,16 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
 /// As [`import_opencv`]; other distortion models are refused by name.
 pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, VisionError> {
     let mut sizes = [[0; 2]; 2];
-    let mut cameras = [([0.0; 4], [0.0; 5]); 2];
+    let mut cameras = Vec::with_capacity(2);
     let mut rotations = [Matrix3::zeros(); 2];
     for (k, text) in texts.iter().enumerate() {
-        let found = text.lines().find_map(|l| l.trim().strip_prefix("distortion_model:")).unwrap_or("none");
-        if found.trim() != "plumb_bob" {
-            return Err(VisionError::content(name, "distortion_model: plumb_bob", found.trim()));
-        }
+        let lens = lens_named(named(text, "distortion_model").unwrap_or("none"), |lens| lens.ros_model())
+            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
         sizes[k] = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
         let m = bracketed(name, text, "camera_matrix", 9)?;
-        let d = bracketed(name, text, "distortion_coefficients", 5)?;
-        cameras[k] = ([m[0], m[4], m[2], m[5]], std::array::from_fn(|i| d[i]));
+        let count = lens.coefficient_names().len();
+        let coefficients = bracketed(name, text, "distortion_coefficients", count)?;
+        cameras.push(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients });
         rotations[k] = Matrix3::from_row_slice(&bracketed(name, text, "rectification_matrix", 9)?);
     }
     if sizes[0] != sizes[1] {
@@ -223,5 +249,7 @@ pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, Vision
             (i, j) => r[(i, j)],
         })
     });
-    imported(name, sizes[0], cameras, pose)
+    let [right, left] = [cameras.pop(), cameras.pop()];
+    let cameras = left.zip(right).ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
+    imported(name, sizes[0], cameras.into(), pose)
 }

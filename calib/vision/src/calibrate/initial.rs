@@ -2,6 +2,7 @@
 
 use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
 use crate::camera::Camera;
+use crate::camera::lens::{Lens, MAX_COEFFICIENTS};
 use crate::error::{OpenCvContext, VisionError};
 use crate::rigid::pose_from_parts;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Vector2, Vector3};
@@ -25,6 +26,7 @@ pub struct MonoEstimate {
 
 type ImageAndObject = (Vector<Point2f>, Vector<Point3f>);
 
+/// Corners that the picture shows, with their points on the board.
 fn visible(points: &[Vector3<f64>], corners: &Corners) -> ImageAndObject {
     points
         .iter()
@@ -44,11 +46,14 @@ pub fn board_pose(
     points: &[Vector3<f64>],
     corners: &Corners,
 ) -> Result<Isometry3<f64>, VisionError> {
-    let (image, object) = visible(points, corners);
+    // As the same camera would see them without its lens: the solver knows pinholes only.
+    let straight: Corners =
+        corners.iter().map(|c| c.as_ref().and_then(|c| camera.undistorted_px(c))).collect();
+    let (image, object) = visible(points, &straight);
     let k = camera.matrix();
     let k = Mat::from_slice_2d(&[[k[(0, 0)], 0.0, k[(0, 2)]], [0.0, k[(1, 1)], k[(1, 2)]], [0.0, 0.0, 1.0]])
         .doing("camera matrix")?;
-    let d = Mat::from_slice(&camera.distortion).doing("distortion")?.try_clone().doing("distortion")?;
+    let d = Mat::default();
     let (mut rvec, mut tvec) = (Vector::<f64>::new(), Vector::<f64>::new());
     let ok =
         calib3d::solve_pnp(&object, &image, &k, &d, &mut rvec, &mut tvec, false, calib3d::SOLVEPNP_ITERATIVE)
@@ -86,6 +91,7 @@ pub fn calibrate_alone(
     points: &[Vector3<f64>],
     views: &[Corners],
     image_size_px: [usize; 2],
+    lens: &'static dyn Lens,
 ) -> Result<MonoEstimate, VisionError> {
     if views.len() < 3 {
         return Err(VisionError::result(
@@ -102,7 +108,7 @@ pub fn calibrate_alone(
     let width = image_size_px[0] as f64;
     let plausible = |f: f64| f.is_finite() && f > 0.2 * width && f < 50.0 * width;
     // Nearly parallel boards leave the focal length open: then a ladder of values is tried.
-    let mut ladder: Vec<f64> = [0.7, 1.2, 2.5, 5.0].iter().map(|s| s * width).collect();
+    let mut ladder: Vec<f64> = [0.7, 1.2, 2.5, 5.0, 0.35].iter().map(|s| s * width).collect();
     if plausible(guess) {
         ladder.insert(0, guess);
     }
@@ -112,7 +118,8 @@ pub fn calibrate_alone(
             image_size_px,
             focal_px: [focal; 2],
             centre_px: [0.5 * (width - 1.0), 0.5 * (image_size_px[1] as f64 - 1.0)],
-            distortion: [0.0; 5],
+            lens,
+            distortion: [0.0; MAX_COEFFICIENTS],
         };
         let poses: Result<Vec<_>, _> = views.iter().map(|v| board_pose(&camera, points, v)).collect();
         let Ok(left_from_board) = poses else { continue };

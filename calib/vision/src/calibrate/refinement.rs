@@ -4,6 +4,7 @@ use crate::calibrate::bundle::BoardView;
 use crate::calibrate::chessboard::{BoardSize, Refinement, refine};
 use crate::calibrate::initial::Corners;
 use crate::calibrate::solution::calibrate_stereo;
+use crate::camera::lens::Lens;
 use crate::error::VisionError;
 use crate::picture::Picture;
 use nalgebra::{Vector2, Vector3};
@@ -30,7 +31,7 @@ pub(crate) fn choose_refinement(
     points: &[Vector3<f64>],
     size: BoardSize,
     views: &[View],
-    image_size: [usize; 2],
+    (image_size, lens): ([usize; 2], &'static dyn Lens),
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<Refined, VisionError> {
     let mut tried = BTreeMap::new();
@@ -60,7 +61,7 @@ pub(crate) fn choose_refinement(
             .zip(&corners)
             .map(|(v, [l, r])| BoardView { name: v.name.clone(), left: l.clone(), right: r.clone() })
             .collect();
-        match calibrate_stereo(points, bundle.clone(), image_size) {
+        match calibrate_stereo(points, bundle.clone(), image_size, lens) {
             Ok(solution) => {
                 // Views left out would flatter a way: each costs as if it had four times the RMS.
                 let rms =

@@ -9,8 +9,9 @@ use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Free, res
 use crate::calibrate::checks;
 use crate::calibrate::document::{HeldOut, RejectedView};
 use crate::calibrate::initial::{
-    Corners, MonoEstimate, board_pose, calibrate_alone, consensus, median, view_rms,
+    Corners, MonoEstimate, both_rms, calibrate_alone, consensus, median, view_rms,
 };
+use crate::camera::lens::Lens;
 use crate::error::VisionError;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -45,6 +46,7 @@ pub fn calibrate_stereo(
     points: &[Vector3<f64>],
     views: Vec<BoardView>,
     image_size_px: [usize; 2],
+    lens: &'static dyn Lens,
 ) -> Result<StereoSolution, VisionError> {
     if views.len() < 3 {
         return Err(VisionError::result(
@@ -55,8 +57,10 @@ pub fn calibrate_stereo(
     }
     let sides: [Vec<Corners>; 2] =
         [views.iter().map(|v| v.left.clone()).collect(), views.iter().map(|v| v.right.clone()).collect()];
-    let mono: Vec<MonoEstimate> =
-        sides.par_iter().map(|s| calibrate_alone(points, s, image_size_px)).collect::<Result<_, _>>()?;
+    let mono: Vec<MonoEstimate> = sides
+        .par_iter()
+        .map(|s| calibrate_alone(points, s, image_size_px, lens))
+        .collect::<Result<_, _>>()?;
     let (relative, errors) = consensus(points, &mono[0], &mono[1], &sides[1]);
     let mono_rms = median(&[median(&mono[0].view_rms_px), median(&mono[1].view_rms_px)]);
     // Unlike the joint solve, one view's relative pose is coarse: a loose bound, the views are judged again below.
@@ -88,7 +92,7 @@ pub fn calibrate_stereo(
     let majority = used.len() >= 3 && 2 * used.len() > views.len();
     let typical = median(&used.iter().map(|&v| last.get(v).copied().unwrap_or(f64::NAN)).collect::<Vec<_>>());
     if !majority || typical > 4.0 * mono_rms.max(0.05) {
-        return Err(checks::explain_disagreement(points, &views, &mono, image_size_px, mono_rms, typical));
+        return Err(checks::explain_disagreement(points, &views, &mono, mono_rms, typical));
     }
     let rejected = (0..views.len())
         .filter(|v| !used.contains(v))
@@ -166,7 +170,8 @@ fn with_warp_if_needed(
     flat: BundleSolution,
 ) -> (BundleSolution, bool) {
     let bent = solve(points, views, flat.state.clone(), Free::all(true));
-    let redundancy = (2 * bent.corners) as f64 - (26 + 6 * views.len()) as f64;
+    let shared = bent.shared_covariance.nrows();
+    let redundancy = (2 * bent.corners) as f64 - (shared + 6 * views.len()) as f64;
     let f = (flat.cost_px2 - bent.cost_px2) / 2.0 / (bent.cost_px2 / redundancy.max(1.0));
     // 6.95 is the 99.9 % quantile of F(2, n) for n > 500; smaller samples need more, and there no warp is safer.
     if bent.converged && f > 6.95 { (bent, true) } else { (flat, false) }

@@ -165,12 +165,8 @@ pub fn shapes_of_pairs(
             document
         }))
         .collect();
-    let document = ShapesDocument {
-        format: SHAPES_FORMAT.into(),
-        pairs,
-        warnings,
-        provenance: wcal_core::Provenance::default(),
-    };
+    let document =
+        ShapesDocument { format: SHAPES_FORMAT.into(), pairs, warnings, ..ShapesDocument::default() };
     ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
 }
 

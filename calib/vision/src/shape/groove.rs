@@ -12,7 +12,7 @@ use crate::rigid::hat;
 use crate::shape::curve::CurveShape;
 use crate::shape::joint::{PairUncertainty, node_covariance};
 use crate::shape::pair_fit::PairFit;
-use crate::stereo::{STEREO_PARAMETERS, StereoCameras};
+use crate::stereo::StereoCameras;
 use crate::tags::base_pose::RigPose;
 use crate::tags::pose as tag_pose;
 use nalgebra::{Matrix3, Matrix3x6, Point3, Vector3};
@@ -93,6 +93,7 @@ pub fn groove_document(
         distance_from_vertex_mm: place.away.norm(),
         apex_mm,
         by_tag_mm: [by_tag.x, by_tag.y, by_tag.z],
+        covariance_mm2: Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]))),
     }
 }
 
@@ -171,15 +172,9 @@ fn tag_position_covariance(
         // The calibration moves base and rig tag together: their sum is taken below, not one by one.
         let base_part = uncertain.by_calibration.rows(0, 6);
         noise -= base_part * c * base_part.transpose();
-        let mut total = nalgebra::DMatrix::<f64>::zeros(3, STEREO_PARAMETERS);
-        for k in 0..STEREO_PARAMETERS {
-            let h = if k < 18 && k % 9 >= 4 {
-                1e-3
-            } else if (18..21).contains(&k) {
-                1e-5
-            } else {
-                0.05
-            };
+        let mut total = nalgebra::DMatrix::<f64>::zeros(3, stereo.parameters());
+        for k in 0..stereo.parameters() {
+            let h = stereo.difference_step(k);
             let gradient = |s: &StereoCameras| {
                 tag_pose::linearise(s, &rig.observations, &rig.left_from_tag)
                     .map_or_else(nalgebra::Vector6::zeros, |l| l.2)

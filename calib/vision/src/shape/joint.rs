@@ -13,7 +13,7 @@
 use crate::rigid::updated;
 use crate::shape::curve_fit::{Prior, linearise, observation_residuals, stepped, with_prior};
 use crate::shape::pair_fit::PairFit;
-use crate::stereo::{STEREO_PARAMETERS, StereoCameras};
+use crate::stereo::StereoCameras;
 use crate::tags::base_pose::FolderBase;
 use crate::tags::pose as tag_pose;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
@@ -72,7 +72,7 @@ impl Joint {
 pub struct PairUncertainty {
     /// (6 + parameters) square.
     pub covariance: DMatrix<f64>,
-    /// Rows as above, 24 columns.
+    /// Rows as above, a column for each parameter of the cameras.
     pub by_calibration: DMatrix<f64>,
     /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
     pub shared_mm: f64,
@@ -194,16 +194,6 @@ impl SchurComplement {
     }
 }
 
-/// Step of each calibration parameter for finite differences: small against its effect's curvature.
-fn calibration_step(k: usize) -> f64 {
-    match k {
-        k if k < 18 && k % 9 < 4 => 0.01,
-        k if k < 18 => 1e-4,
-        k if k < 21 => 1e-6,
-        _ => 1e-3,
-    }
-}
-
 /// Derivative of the observations' right-hand side by the calibration.
 fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     let points = fit.model.shape(&fit.state).points;
@@ -211,9 +201,9 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
         observation_residuals(s, &fit.left_from_base, &points, fit.model.step_mm, &fit.observations)
     };
     let now = residuals(stereo);
-    let mut out = DMatrix::zeros(fit.system.data.nrows(), STEREO_PARAMETERS);
-    for k in 0..STEREO_PARAMETERS {
-        let h = calibration_step(k);
+    let mut out = DMatrix::zeros(fit.system.data.nrows(), stereo.parameters());
+    for k in 0..stereo.parameters() {
+        let h = stereo.difference_step(k);
         let there = residuals(&stereo.moved(k, h));
         let change = DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
         out.set_column(k, &(&fit.system.rows_weighted * change));
@@ -228,9 +218,9 @@ fn tag_sensitivity(stereo: &StereoCameras, base: &FolderBase) -> DMatrix<f64> {
         tag_pose::linearise(s, &base.observations, pose).map_or_else(Vector6::zeros, |l| l.2)
     };
     let now = gradient(stereo);
-    let mut out = DMatrix::zeros(6, STEREO_PARAMETERS);
-    for k in 0..STEREO_PARAMETERS {
-        let h = calibration_step(k);
+    let mut out = DMatrix::zeros(6, stereo.parameters());
+    for k in 0..stereo.parameters() {
+        let h = stereo.difference_step(k);
         out.set_column(k, &((gradient(&stereo.moved(k, h)) - now) / h));
     }
     out

@@ -12,7 +12,7 @@ use crate::shape::curve_fit::{in_camera, stepped};
 use crate::shape::describe::places;
 use crate::shape::joint::{PairUncertainty, depth_axis};
 use crate::shape::pair_fit::PairFit;
-use crate::stereo::{STEREO_PARAMETERS, StereoCameras};
+use crate::stereo::StereoCameras;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector3};
 use wcal_core::shapes_document::SharedError;
 
@@ -26,7 +26,7 @@ pub(crate) fn camera_errors(
     fits: &[Result<PairFit, String>],
     uncertain: &[Option<PairUncertainty>],
 ) -> DMatrix<f64> {
-    let none = DMatrix::zeros(STEREO_PARAMETERS, 0);
+    let none = DMatrix::zeros(stereo.parameters(), 0);
     let Some(c) = &stereo.covariance else { return none };
     // In units of the standard deviations: pixels and radians differ by orders of magnitude.
     let sd = c.diagonal().map(|v| v.max(0.0).sqrt().max(1e-300));
@@ -34,7 +34,7 @@ pub(crate) fn camera_errors(
     let parts = correlation.symmetric_eigen();
     let root = parts.eigenvalues.map(|v| v.max(0.0).sqrt());
     let factor = DMatrix::from_diagonal(&sd) * parts.eigenvectors * DMatrix::from_diagonal(&root);
-    let mut moved = DMatrix::zeros(STEREO_PARAMETERS, STEREO_PARAMETERS);
+    let mut moved = DMatrix::zeros(stereo.parameters(), stereo.parameters());
     for (fit, u) in fits.iter().zip(uncertain) {
         if let (Ok(fit), Some(u)) = (fit, u) {
             let way = nodes_by_calibration(fit, u) * &factor;
@@ -42,7 +42,7 @@ pub(crate) fn camera_errors(
         }
     }
     let axes = moved.symmetric_eigen();
-    let mut order: Vec<usize> = (0..STEREO_PARAMETERS).collect();
+    let mut order: Vec<usize> = (0..stereo.parameters()).collect();
     order.sort_by(|a, b| axes.eigenvalues[*b].total_cmp(&axes.eigenvalues[*a]));
     let total: f64 = axes.eigenvalues.iter().sum();
     let mut left = total;
@@ -102,7 +102,7 @@ fn nodes_by_calibration(fit: &PairFit, u: &PairUncertainty) -> DMatrix<f64> {
 
 /// The pictures show the tip where they do: with other cameras that is another arc length.
 fn length_change_mm(stereo: &StereoCameras, fit: &PairFit, u: &PairUncertainty, error: &DVector<f64>) -> f64 {
-    let other = (0..STEREO_PARAMETERS).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
+    let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
     let (pose, state) = stepped(&fit.left_from_base, &fit.state, &(&u.by_calibration * error));
     let end = |state: &crate::shape::curve::CurveState, arc_mm: f64| {
         let points = fit.model.shape(state).points;

@@ -84,8 +84,7 @@ impl<'a> Scene<'a> {
         let (q, by_n) = c.distort(&n);
         let run = by_n * Vector2::new(d.x - n.x * d.z, d.y - n.y * d.z);
         let along = Vector2::new(c.focal_px[0] * run.x, c.focal_px[1] * run.y).try_normalize(1e-9)?;
-        let px = Vector2::new(c.focal_px[0] * q.x + c.centre_px[0], c.focal_px[1] * q.y + c.centre_px[1]);
-        Some((px, Vector2::new(-along.y, along.x)))
+        Some((c.pixel(&q), Vector2::new(-along.y, along.x)))
     }
 
     /// Where one camera sees a place, in mm at its depth, and the direction of the image's normal there, rad.

@@ -9,6 +9,7 @@ use wcal_core::shapes_document::ShapesDocument;
 use wcal_vision::calibrate::board::{Board, Pattern};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
@@ -26,7 +27,8 @@ fn stereo() -> &'static StereoCameras {
         let board =
             Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
         let (document, _) =
-            calibrate_folders(&folder("board/left"), &folder("board/right"), &board, &|_| {}).unwrap();
+            calibrate_folders(&folder("board/left"), &folder("board/right"), &board, OPENCV5, &|_| {})
+                .unwrap();
         document.stereo_cameras().unwrap()
     })
 }

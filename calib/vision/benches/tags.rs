@@ -3,7 +3,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::path::Path;
 use wcal_vision::picture::Picture;
-use wcal_vision::tags::{Search, detect_tags, find_tags};
+use wcal_vision::tags::detection::{Search, detect_tags, find_tags};
 
 const FAMILY: &str = "tag36h11";
 

@@ -4,6 +4,7 @@ mod bad_input;
 mod bench_pictures;
 mod common;
 mod drawn_bench;
+mod fisheye_board;
 mod marker_boards;
 mod opencv_pairs;
 mod parts;

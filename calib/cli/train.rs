@@ -30,7 +30,7 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
-    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects or stretched copies of them: trained on beside the first, never held out or scored (may be repeated)
+    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: trained on beside the first, never held out or scored (may be repeated)
     #[arg(long, value_name = "DIR")]
     pub beside: Vec<PathBuf>,
     /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
@@ -39,7 +39,7 @@ pub struct TrainArgs {
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
-    /// Network: default (weights over the rod's inverse curve, three layers), deep (the same with five), paper, or baseline (40 thousand parameters, nothing of the rod)
+    /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
@@ -48,9 +48,6 @@ pub struct TrainArgs {
     /// Largest learning rate
     #[arg(long, default_value_t = TrainSettings::default().rate)]
     pub rate: f64,
-    /// Passes for which noise, drift and windows are drawn once: drawing takes as long as ten passes (the filters run over every sweep)
-    #[arg(long, default_value_t = TrainSettings::default().reuse)]
-    pub reuse: usize,
     /// Objects held out for the early stop and the spread; an eighth of all without it
     #[arg(long)]
     pub held_out: Option<usize>,
@@ -115,11 +112,9 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         check_one_dataset(folder)?;
     }
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
-    ensure!(args.reuse > 0, "--reuse: expected 1 or more, found 0");
     let settings = TrainSettings {
         epochs: args.epochs,
         rate: args.rate,
-        reuse: args.reuse,
         seed: args.seed,
         ..TrainSettings::default()
     };

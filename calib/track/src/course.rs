@@ -4,7 +4,6 @@ use crate::{Tare, TrackError};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_mujoco::objects::original;
 use wcal_mujoco::{Mesh, read};
 
 /// The contact nearest to the base; where several are one (`apart`), the place where their forces act: their mean by what they carry.
@@ -121,16 +120,14 @@ impl Course {
     }
 }
 
-/// Kept courses of a dataset's folder, by object; `objects` narrows them down to these and their stretched copies where it is not empty.
+/// Kept courses of a dataset's folder, by object; `objects` narrows them down to these where it is not empty.
 ///
 /// # Errors
 /// Names the shard that is damaged or holds what is not a number.
 pub fn read_courses(folder: &Path, objects: &[String]) -> Result<BTreeMap<String, Vec<Course>>, TrackError> {
     let mut all: BTreeMap<String, Vec<Course>> = BTreeMap::new();
     for (name, manifest) in read::manifests(folder)? {
-        if objects.is_empty()
-            || objects.iter().any(|o| *o == manifest.object || o == original(&manifest.object))
-        {
+        if objects.is_empty() || objects.contains(&manifest.object) {
             let courses = read_shard(folder, &name, &manifest.object)?;
             all.entry(manifest.object).or_default().extend(courses);
         }

@@ -14,7 +14,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::Mesh;
-use wcal_mujoco::objects::original;
 use wcal_mujoco::read::manifests;
 
 mod benches;
@@ -34,7 +33,7 @@ pub struct Making<'a> {
     pub from: Option<&'a Path>,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// default, deep, paper or baseline.
+    /// default, paper or baseline.
     pub preset: &'a str,
     /// How it is trained.
     pub settings: TrainSettings,
@@ -63,10 +62,6 @@ pub fn make_model(
     heard: impl FnMut(&Pass),
 ) -> Result<Card, TrackError> {
     let mut all = course::read_courses(making.sweeps, &[])?;
-    if let Some(copy) = all.keys().find(|name| original(name) != name.as_str()) {
-        let expected = "objects as they are; stretched copies go beside them";
-        return Err(TrackError::value(making.sweeps.display().to_string(), expected, copy.clone()));
-    }
     let eighth = (all.len() / 8).max(1);
     let apart = [making.held_out.unwrap_or(eighth), making.unseen.unwrap_or(eighth)];
     let mut objects = Split::draw(all.keys().cloned().collect(), apart, making.settings.seed)?;

@@ -256,7 +256,7 @@ pub fn network_grid() -> InverseGrid {
     InverseGrid { step_mm: 1.0, refine: 2, leans: 8, ..InverseGrid::default() }
 }
 
-/// Sizes of a preset on a curve; default and deep ones weigh two filters.
+/// Sizes of a preset on a curve; the default one weighs two filters.
 ///
 /// # Errors
 /// Names the presets.
@@ -266,9 +266,8 @@ pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<
         || NetworkConfig::small(FeatureMaker::width(nodes, two_filters), knots(nodes).len(), two_filters);
     match name {
         "default" => Ok(on_curve()),
-        "deep" => Ok(NetworkConfig { layers: 5, ..on_curve() }),
         "paper" => Ok(NetworkConfig::paper(FeatureMaker::width(nodes, false))),
         "baseline" => Ok(NetworkConfig::baseline()),
-        _ => Err(TrackError::value("preset", "default, deep, paper or baseline", name)),
+        _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
     }
 }

@@ -235,7 +235,7 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert!(text(&run.stderr).contains("model.safetensors"), "{}", text(&run.stderr));
 }
 
-/// Trained beside sweeps with friction, begun with another model, with a spread for each class of objects.
+/// Trained with additional sweeps with friction, begun with another model, with a spread for each class of objects.
 #[test]
 fn a_training_goes_on_from_a_model_beside_other_physics_and_with_classes() {
     let folder = tempfile::tempdir().unwrap();
@@ -259,8 +259,8 @@ fn a_training_goes_on_from_a_model_beside_other_physics_and_with_classes() {
     let before = good(&[&["train", &sweeps, "--out", &first][..], &epochs].concat());
     assert!(before.get("began_with").is_none() && before.get("sd_factors_by_class").is_none(), "{before}");
     let more = ["train", &sweeps, "--from", &first, "--classes", &classes, "--out", &model];
-    let beside = ["--beside", &rough];
-    let card = good(&[&more[..], &beside, &epochs].concat());
+    let additional = ["--additional", &rough];
+    let card = good(&[&more[..], &additional, &epochs].concat());
     assert_eq!(card["began_with"], before["weights_sha256"]);
     assert_eq!(card["data_beside"][0].as_object().unwrap().len(), 3, "{card}");
     assert_ne!(card["data_beside"][0]["ball"], card["data"]["ball"]);

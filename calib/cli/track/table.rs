@@ -1,10 +1,10 @@
 //! Tracks of a table of readings.
 
-use super::checks::Loaded;
-use super::found::{Found, write_surface};
+use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, known_places, velocities};
 use super::motion::Motions;
 use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::artefact::CalibrationModel;
 use crate::predict::{Moments, moments_of_map, moments_of_model};
@@ -18,7 +18,7 @@ use std::process::ExitCode;
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
-use wcal_track::live::BasePose;
+use wcal_track::stream::BasePose;
 use wcal_track::{Sample, Tare};
 
 /// A step this many times the median is a gap.
@@ -49,7 +49,7 @@ fn median(mut steps: Vec<f64>) -> Option<f64> {
 ///
 /// # Errors
 /// Where the table cannot be used, or a row has no time.
-pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitCode> {
+pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result<ExitCode> {
     let (rows, fbg) = match &loaded.file.model {
         CalibrationModel::Map(artefact) => {
             let rows = moments_of_map(path, artefact).with_context(|| loaded.place.display().to_string())?;
@@ -70,7 +70,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
     let mut tare = Tare::new(args.tare_s);
-    let mut found = Found::new("");
+    let mut found = ContactHistory::new("");
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -132,7 +132,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     }
     let mut summary = json!({
         "format": FORMAT, "source": path, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
-        "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
+        "outside_valid_region": outside, "doubts": loaded.doubts.messages(), "lag_s": 0.0, "tare_s": args.tare_s,
         "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
@@ -152,7 +152,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
     }
     motions.say("", rows.len() as u64);
-    if let Some(said) = groove.as_ref().and_then(KnownGroove::said) {
+    if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
         eprintln!("{said}");
     }
     let misstated = groove.as_ref().is_some_and(KnownGroove::misstated);

@@ -1,7 +1,7 @@
 //! Built-in objects: primitives and look-alikes of everyday things, closed and oriented.
 
 use crate::{Mesh, TwinError};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 

@@ -212,7 +212,7 @@ fn read_shard(folder: &Path, name: &str, object: &str) -> Result<Vec<SweepSeries
 
 #[cfg(test)]
 mod tests {
-    use super::{Contact, count_contacts, first};
+    use super::{Contact, count_contacts, nearest_contact};
     use nalgebra::Vector3;
 
     #[test]

@@ -203,11 +203,11 @@ mod tests {
         let apart: Vec<ContactEvidence> =
             (0..200).map(|k| of(f64::from(k) / 100.0 - 0.995, k < 100)).collect();
         let found = two_contacts(&apart, &apart).unwrap();
-        assert!(found.detection.f1 > 0.98 && found.explained_by_one < 0.05, "{given_truth:?}");
+        assert!(found.detection.f1 > 0.98 && found.explained_by_one < 0.05, "{found:?}");
         // Negative control: the same evidence for both.
         let alike: Vec<ContactEvidence> = (0..400).map(|k| of(f64::from(k / 2 + 1), k % 2 == 0)).collect();
         let found = two_contacts(&alike, &alike).unwrap();
-        assert!(found.detection.f1 < 0.7 && found.explained_by_one > 0.9, "{given_truth:?}");
+        assert!(found.detection.f1 < 0.7 && found.explained_by_one > 0.9, "{found:?}");
         assert!((found.f1_always - 2.0 / 3.0).abs() < 1e-9);
         assert_eq!(two_contacts(&[], &alike), None);
     }

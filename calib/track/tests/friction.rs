@@ -25,7 +25,7 @@ fn meshes() -> BTreeMap<String, Mesh> {
 
 fn all_series(plan: &SweepPlan) -> BTreeMap<String, Vec<SweepSeries>> {
     let order = SweepRequest { whisker: &WhiskerSpec::nominal(), plan, seed: SEED, sweeps: SWEEPS };
-    meshes().into_iter().map(|(name, mesh)| (name, drawn(&mesh, &order).unwrap())).collect()
+    meshes().into_iter().map(|(name, mesh)| (name, generate_sweeps(&mesh, &order).unwrap())).collect()
 }
 
 /// Mean over objects of the median distance to the true contact where it is followed, mm.

@@ -264,12 +264,12 @@ fn a_network_that_weighs_two_filters_needs_both() {
     let error = one.check().unwrap_err().to_string();
     assert!(error.contains("filters below the network"), "{error}");
     let all = samples(&all_series()["can"][1]);
-    let with_beside = |beside| {
+    let with_frictionless = |frictionless| {
         let filters = FilterBank { frictionless: Some(frictionless), ..both.filters };
         Tracker { filters, ..both.clone() }.track_series(&all)
     };
-    // The first filter beside itself: another answer than with the one for objects without friction.
-    let (alone, apart) = (with_beside(both.filters.frictional), both.track_series(&all));
+    // The frictional filter in both places: another answer than with the one for objects without friction.
+    let (alone, apart) = (with_frictionless(both.filters.frictional), both.track_series(&all));
     assert!(alone.iter().zip(&apart).any(|(a, b)| (a.point_mm[0] - b.point_mm[0]).abs() > 0.1));
 }
 

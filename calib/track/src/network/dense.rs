@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn what_is_dropped_gets_no_gradient_and_what_it_is_added_to_gets_all() {
-        let dropout = DropoutConfig::new(0.25).init();
+        let layer = DropoutConfig::new(0.25).init();
         let [onto, x] = [random([2, 30, 16]), random([2, 30, 16])].map(|t| t.detach().require_grad());
-        let out = dropout(&dropout, onto.clone(), x.clone());
+        let out = dropout(&layer, onto.clone(), x.clone());
         let gradients = (out.clone() * 2.0).sum().backward();
         let (by_onto, by_x) = (onto.grad(&gradients).unwrap(), x.grad(&gradients).unwrap());
         assert_eq!((by_onto - 2.0).abs().max().into_scalar::<f32>(), 0.0);
@@ -206,9 +206,9 @@ mod tests {
 
     #[test]
     fn nothing_is_dropped_where_nothing_is_learnt() {
-        let dropout = DropoutConfig::new(0.25).init();
+        let layer = DropoutConfig::new(0.25).init();
         let [onto, x] = [random([2, 3, 16]), random([2, 3, 16])].map(|t| t.inner());
-        let off = dropout(&dropout, onto.clone(), x.clone()) - (onto + x);
+        let off = dropout(&layer, onto.clone(), x.clone()) - (onto + x);
         assert_eq!(off.abs().max().into_scalar::<f32>(), 0.0);
     }
 }

@@ -1,25 +1,25 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
-mod checks;
+mod contact_history;
 mod feed;
-mod found;
 mod groove;
 mod live;
 mod motion;
 mod output;
 mod table;
+mod trust;
 mod whiskers;
 
-pub use checks::told;
+pub use trust::filters_for;
 
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
-use checks::{Judged, Loaded};
 use clap::Args;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use trust::{CheckedCalibration, WhiskerModel};
 use wcal_acquisition::rig::Rig;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
@@ -136,10 +136,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let stream_s = (!matches!(source, Source::Table(_))).then(|| 1.0 / args.rate_hz);
     let mut judged = Vec::new();
     for name in &names {
-        let mut one = Judged::read(name, &calibrations[name], read_card(&folders[name])?)?;
+        let mut one = CheckedCalibration::read(name, &calibrations[name], read_card(&folders[name])?)?;
         match (&source, stream_s) {
-            (Source::Table(path), _) => one.judge_step(table::median_step_s(path)?),
-            (_, step_s) => one.judge_step(step_s),
+            (Source::Table(path), _) => one.check_step(table::median_step_s(path)?),
+            (_, step_s) => one.check_step(step_s),
         }
         judged.push(one);
     }
@@ -161,12 +161,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                 // How a class differs is known from clean sweeps.
                 let [unknown, known] = tracker.sd_factors;
                 let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
-                tracker.sd_factors = [unknown.times(differs[0]), known.times(differs[1])];
+                tracker.sd_factors = [unknown.scaled(differs[0]), known.scaled(differs[1])];
             }
             trackers.insert(folder, tracker);
         }
     }
-    let loaded: Vec<Loaded<'_>> =
+    let loaded: Vec<WhiskerModel<'_>> =
         names.iter().zip(judged).map(|(n, j)| j.with(&trackers[folders[n].as_path()])).collect();
     if let (Source::Table(path), true) = (&source, args.mcap.is_some() || args.live.is_some()) {
         bail!("{}: expected a stream for --mcap and --live, found a table", path.display());
@@ -259,7 +259,7 @@ fn exit_code(args: &TrackArgs, found: Outcome) -> ExitCode {
     })
 }
 
-/// A cloud needs to know where the base was: said before anything is written.
+/// A cloud needs the pose of the base: checked before anything is written.
 fn refuse_surface(args: &TrackArgs, posed: bool) -> Result<()> {
     if args.surface && !posed && args.base_mm_s.is_none() {
         bail!(

@@ -36,22 +36,6 @@ fn built_in_objects_are_closed_and_their_inside_is_inside() {
     }
 }
 
-#[test]
-fn a_stretched_copy_is_another_closed_shape_with_a_name_of_its_own() {
-    let size = |mesh: &Mesh| mesh.high_mm - mesh.low_mm;
-    let (whole, copy) = (objects::built_in("block").unwrap(), objects::named("block~2", None).unwrap());
-    assert_eq!((copy.name.as_str(), objects::original("block~2")), ("block~2", "block"));
-    assert!(copy.notes.is_empty(), "{:?}", copy.notes);
-    let factors = size(&copy).component_div(&size(&whole));
-    assert!(factors.iter().all(|f| (0.6..1.6).contains(f)), "{factors}");
-    assert!(factors.max() - factors.min() > 0.05, "{factors}");
-    assert_eq!(size(&objects::named("block~2", None).unwrap()), size(&copy));
-    assert!((size(&objects::named("block~3", None).unwrap()) - size(&copy)).norm() > 1.0);
-    // Negative control: what only looks like a copy is none.
-    assert_eq!(["a~b", "block~", "block"].map(objects::original), ["a~b", "block~", "block"]);
-    assert!(objects::named("block~b", None).is_err() && objects::named("no~1", None).is_err());
-}
-
 /// Sign of the distance against the winding number (solid angles of all triangles).
 #[test]
 fn inside_is_where_the_surface_winds_around() {

@@ -6,7 +6,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::BoardView;
-use wcal_vision::calibrate::solution::calibrate_stereo;
+use wcal_vision::calibrate::solution::{StereoSolution, calibrate_stereo};
 use wcal_vision::camera::Camera;
 use wcal_vision::camera::lens::{FISHEYE, OPENCV5};
 
@@ -65,15 +65,18 @@ fn views(points: &[Vector3<f64>], seed: u64) -> Vec<BoardView> {
         .collect()
 }
 
+/// What is left is the noise that was drawn: two coordinates a corner, some 3,000 of them, so that 10 % are more than 7 sd.
+fn explained(solution: &StereoSolution) -> bool {
+    (solution.bundle.rms_px() / 2f64.sqrt() - NOISE_PX).abs() < 0.1 * NOISE_PX
+}
+
 #[test]
 fn a_fisheye_pair_comes_back_within_its_stated_errors() {
     let points = board_points(9, 6, 25.0);
     let solution = calibrate_stereo(&points, views(&points, 1), SIZE_PX, FISHEYE).unwrap();
     assert!(solution.rejected.is_empty(), "{:?}", solution.rejected);
     let state = &solution.bundle.state;
-    // Two coordinates a corner.
-    let rms = solution.bundle.rms_px() / 2f64.sqrt();
-    assert!((rms - NOISE_PX).abs() < 0.1 * NOISE_PX, "{rms}");
+    assert!(explained(&solution), "{}", solution.bundle.rms_px());
     let covariance = &solution.bundle.shared_covariance;
     let mut z2 = Vec::new();
     for (c, drawn) in cameras().iter().enumerate() {
@@ -101,6 +104,6 @@ fn the_other_model_leaves_what_the_fisheye_explains() {
     let points = board_points(9, 6, 25.0);
     match calibrate_stereo(&points, views(&points, 1), SIZE_PX, OPENCV5) {
         Err(why) => assert!(why.to_string().contains("expected"), "{why}"),
-        Ok(solution) => assert!(solution.bundle.rms_px() > 5.0 * NOISE_PX, "{}", solution.bundle.rms_px()),
+        Ok(solution) => assert!(!explained(&solution), "{}", solution.bundle.rms_px()),
     }
 }

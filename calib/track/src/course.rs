@@ -102,14 +102,14 @@ impl Course {
     /// Distance of a point (base frame, mm) to the object's surface after a way of the base, mm.
     #[must_use]
     pub fn surface_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
-        mesh.near(&self.in_object(travel_mm, point_mm), FARTHEST_MM)
+        mesh.closest_point(&self.in_object(travel_mm, point_mm), FARTHEST_MM)
             .map_or(FARTHEST_MM, |n| n.distance_mm.abs())
     }
 
     /// The surface's point nearest to a point (base frame, mm) after a way of the base, mm; the point itself where it is nowhere near.
     #[must_use]
     pub fn on_surface(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> Vector3<f64> {
-        mesh.near(&self.in_object(travel_mm, point_mm), FARTHEST_MM).map_or(*point_mm, |n| {
+        mesh.closest_point(&self.in_object(travel_mm, point_mm), FARTHEST_MM).map_or(*point_mm, |n| {
             self.base_from_object.transform_point(&n.point_mm.into()).coords - Vector3::z() * travel_mm
         })
     }

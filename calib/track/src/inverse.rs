@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_rod::{Chain, Section, Shape};
+use wcal_rod::{DiscreteRod, Section, Shape};
 
 mod force;
 
@@ -109,7 +109,7 @@ impl StaticInverse {
         }
         let shape = Shape::new(&whisker.rest_shape, 0.25)?;
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let chain = Chain::new(&section, &shape, whisker.diameter_mm, grid.links)?;
+        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, grid.links)?;
         let tip_mm = shape.length_mm;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
         let along =
@@ -121,19 +121,14 @@ impl StaticInverse {
             .collect::<Vec<_>>()
             .par_iter()
             .map(|n| {
-                (0..grid.directions)
-                    .flat_map(|d| ray(&chain, n.arclength_mm, d, &grid))
-                    .map(|s| s.0)
-                    .collect()
+                (0..grid.directions).flat_map(|d| ray(&rod, n.arclength_mm, d, &grid)).map(|s| s.0).collect()
             })
             .collect();
         let leaned: Vec<Vec<Vec<Cell>>> = (0..grid.directions)
             .into_par_iter()
             .map(|d| {
-                let square = ray(&chain, tip_mm, d, &grid).into_iter().enumerate();
-                square
-                    .map(|(m, (_, force))| leans(&chain, tip_mm, force, moment(d, m, &grid), &grid))
-                    .collect()
+                let square = ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
+                square.map(|(m, (_, force))| leans(&rod, tip_mm, force, moment(d, m, &grid), &grid)).collect()
             })
             .collect();
         let of_lean = |k: usize| leaned.iter().flatten().map(|at| at[k]).collect();

@@ -7,21 +7,26 @@ use std::process::Command;
 fn allowed(name: &str) -> Option<&'static [&'static str]> {
     Some(match name {
         "wcal-core" => &[],
+        "wcal-acquisition" => &["wcal-core", "wcal-session"],
         "wcal-session" | "wcal-rod" | "wcal-map" | "wcal-report" | "wcal-vision" => &["wcal-core"],
         "wcal-mujoco" => &["wcal-core", "wcal-rod"],
         // A program: wcal speaks to it, nothing depends on it.
         "wcal-mujoco-engine" => &["wcal-mujoco"],
         "wcal-track" => &["wcal-core", "wcal-rod", "wcal-mujoco"],
         "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
-        "wcal-drivers" => &["wcal-core", "wcal-session"],
+        // A device needs its entry of the rig, no session.
+        "wcal-drivers" => &["wcal-core"],
+        "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-map", "wcal-trace"],
         "wcal-plant" => &[],
         "wcal" => &[
             "wcal-core",
             "wcal-session",
+            "wcal-acquisition",
             "wcal-drivers",
             "wcal-rod",
             "wcal-map",
             "wcal-trace",
+            "wcal-calibration",
             "wcal-report",
             "wcal-vision",
             "wcal-mujoco",
@@ -88,10 +93,21 @@ fn dependencies_point_the_way_of_the_design() {
 fn a_wrong_direction_is_seen() {
     let mut graph = graph();
     graph.entry("wcal-core".into()).or_default().insert("wcal-trace".into());
+    graph.entry("wcal-drivers".into()).or_default().insert("wcal-session".into());
+    graph.entry("wcal-acquisition".into()).or_default().insert("wcal-drivers".into());
+    graph.entry("wcal-trace".into()).or_default().insert("wcal-calibration".into());
     graph.entry("wcal-report".into()).or_default().insert("opencv".into());
     graph.entry("wcal-mujoco".into()).or_default().insert("mujoco-rs".into());
     let found = violations(&graph);
-    assert_eq!(found, ["wcal-core -> wcal-trace", "wcal-mujoco -> mujoco-rs", "wcal-report -> opencv"]);
+    let expected = [
+        "wcal-acquisition -> wcal-drivers",
+        "wcal-core -> wcal-trace",
+        "wcal-drivers -> wcal-session",
+        "wcal-mujoco -> mujoco-rs",
+        "wcal-report -> opencv",
+        "wcal-trace -> wcal-calibration",
+    ];
+    assert_eq!(found, expected);
 }
 
 /// What `make peers` runs is there: scripts, packages and examples; an example that was deleted stopped it at its first row once.

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use wcal_acquisition::message::SweepEvent;
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::completed_steps;
 use wcal_core::device::{Clocks, FbgReading, StageReading};
-use wcal_session::recording::message::SweepEvent;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::replay::completed_steps;
 
 /// Bench seconds per wall second.
 const SPEED: f64 = 20.0;
@@ -458,7 +458,11 @@ fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
     assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
     let loaded = wcal_session::load(folder.path()).expect("loads");
     for expected in ["points 1: scans are missing in the averaging window", "points 2: scans came late"] {
-        assert!(loaded.warnings.iter().any(|w| w.contains(expected)), "{expected}: {:?}", loaded.warnings);
+        assert!(
+            loaded.warnings.iter().any(|w| w.to_string().contains(expected)),
+            "{expected}: {:?}",
+            loaded.warnings
+        );
     }
 }
 

@@ -10,10 +10,10 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::time::{Duration, Instant};
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::{Message, read};
 use wcal_core::CalibrationFile;
 use wcal_core::device::FbgReading;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::replay::{Message, read};
 
 fn track(arguments: &[&str]) -> Command {
     let mut command = wcal();

@@ -6,8 +6,9 @@ use anyhow::Context;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_core::files::write_atomic;
 use wcal_report::{IndexEntry, render_index};
-use wcal_session::{load, write_atomic};
+use wcal_session::load;
 
 /// Arguments of `wcal demo`.
 #[derive(Debug, Args)]

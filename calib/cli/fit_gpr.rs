@@ -1,6 +1,5 @@
 //! `wcal fit-gpr`: the wavelength-to-moment map of a session.
 
-use crate::artefact::{CalibrationModel, provenance, seal};
 use crate::labels::{LabelSource, MomentLabels, moment_labels};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::progress::Progress;
@@ -9,6 +8,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_calibration::{CalibrationModel, provenance, seal};
 use wcal_core::map_document::MapDocument;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};

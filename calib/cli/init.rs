@@ -4,7 +4,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_session::write_atomic;
+use wcal_core::files::write_atomic;
 
 /// Arguments of `wcal init`.
 #[derive(Debug, Args)]

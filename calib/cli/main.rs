@@ -1,14 +1,12 @@
 //! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
 
-mod artefact;
 mod demo;
 mod doctor;
 mod evaluate;
 mod explain;
 mod fit_gpr;
 mod fit_whisker;
-mod given_calibration;
 mod import;
 mod init;
 mod labels;

@@ -15,7 +15,7 @@ use clap::Args;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
-use wcal_session::write_atomic;
+use wcal_core::files::{folder_of, sync_folder, write_atomic};
 
 /// Consent to write where something else is.
 #[derive(Clone, Copy, Debug, Args)]
@@ -178,11 +178,7 @@ impl<'a> OutputFolder<'a> {
         for (name, _) in &self.files {
             fs::rename(staging.path().join(name), folder.join(name)).with_context(|| fail("writing into"))?;
         }
-        // A rename is only durable once the folder is.
-        if cfg!(unix) {
-            fs::File::open(folder).and_then(|f| f.sync_all()).with_context(|| fail("writing"))?;
-        }
-        Ok(())
+        Ok(sync_folder(folder)?)
     }
 }
 
@@ -206,7 +202,7 @@ pub fn check_file(path: &Path, command: &str, own: impl Fn(&str) -> bool, force:
             );
         }
     }
-    writable(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+    writable(folder_of(path))
 }
 
 /// First line of a file, in full where it is not longer than 4 kB.

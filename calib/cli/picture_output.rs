@@ -3,8 +3,8 @@
 use crate::simulated::is_simulated;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
+use wcal_core::files::write_atomic;
 use wcal_core::{InputFile, Provenance};
-use wcal_session::write_atomic;
 
 /// Writes a file into the output folder, which is made where it is missing.
 pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf> {

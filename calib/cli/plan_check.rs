@@ -5,11 +5,11 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use wcal_acquisition::plan::{Plan, Pose, Step};
+use wcal_acquisition::record::plan_only;
+use wcal_acquisition::rig::Rig;
 use wcal_core::{SessionData, WhiskerData};
-use wcal_drivers::record::plan_only;
 use wcal_session::load;
-use wcal_session::recording::plan::{Plan, Pose, Step};
-use wcal_session::recording::rig::Rig;
 use wcal_trace::whisker::plan_check::{PlanCheck, PlannedEffect, plan_check};
 
 /// Arguments of `wcal plan-check`.

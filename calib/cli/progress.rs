@@ -15,7 +15,7 @@ const LINES: Duration = Duration::from_secs(10);
 /// Time between redraws on a terminal.
 const REDRAWN: Duration = Duration::from_millis(200);
 /// Part done below which the time left is a guess.
-const LEAST_DONE: f64 = 0.02;
+const MIN_DONE: f64 = 0.02;
 
 /// Where a piece of work is.
 #[derive(Debug, Clone)]
@@ -136,7 +136,7 @@ fn spinner() -> ProgressBar {
 fn line(what: &str, state: &State, elapsed: Duration, now: Instant) -> String {
     let stage = if state.stage.is_empty() { String::new() } else { format!(" {},", state.stage) };
     match state.done {
-        Some(done) if done >= LEAST_DONE => {
+        Some(done) if done >= MIN_DONE => {
             let left_s = now.duration_since(state.since).as_secs_f64() * (1.0 - done) / done;
             format!("{what}:{stage} {:.0} %, about {} left", 100.0 * done, duration(left_s))
         }

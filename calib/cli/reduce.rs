@@ -6,8 +6,8 @@ use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_session::recording::clocks::ClockFit;
-use wcal_session::recording::reduce::{Reduction, reduce};
+use wcal_acquisition::clocks::ClockFit;
+use wcal_acquisition::reduce::{Reduction, reduce};
 
 /// Arguments of `wcal reduce`.
 #[derive(Debug, Args)]

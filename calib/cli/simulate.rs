@@ -166,11 +166,11 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         })?;
         drop(progress);
         let again: Vec<&String> = totals.values().flat_map(|t| &t.again).collect();
-        for line in again.iter().take(MOST_AGAIN) {
+        for line in again.iter().take(MAX_REPEATS_SHOWN) {
             eprintln!("simulate: made again: {line}");
         }
-        if again.len() > MOST_AGAIN {
-            eprintln!("simulate: made again: {} more", again.len() - MOST_AGAIN);
+        if again.len() > MAX_REPEATS_SHOWN {
+            eprintln!("simulate: made again: {} more", again.len() - MAX_REPEATS_SHOWN);
         }
         (totals, Vec::new())
     };
@@ -228,4 +228,4 @@ fn share(text: &str) -> anyhow::Result<[usize; 2]> {
 }
 
 /// Shards made again that are named one by one.
-const MOST_AGAIN: usize = 5;
+const MAX_REPEATS_SHOWN: usize = 5;

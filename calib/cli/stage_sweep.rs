@@ -11,11 +11,12 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind};
-use wcal_drivers::record::{Order, Recorded, plan_only, record};
-use wcal_session::recording::path_text::{draw, duration_s};
-use wcal_session::recording::plan::Step;
-use wcal_session::recording::sweep::{Ending, Mount, Progress};
+use wcal_acquisition::path_text::{draw, duration_s};
+use wcal_acquisition::plan::Step;
+use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
+use wcal_acquisition::sweep::{Ending, Progress};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
+use wcal_drivers::Drivers;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -84,7 +85,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     let interrupt = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupt);
     ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
-    let order = Order {
+    let order = RecordRequest {
         rig,
         plan,
         places: [&rig_file, &arguments.plan].map(|p| p.display().to_string()),
@@ -97,7 +98,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let recorded = record(&order, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    let recorded = record(&order, &mut Drivers::default(), &mut ByHand, &interrupt, &mut |p| view.show(p))?;
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))
@@ -160,7 +161,7 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-fn report(recorded: &Recorded, folder: &Path, as_json: bool) -> Result<()> {
+fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     let sweep = &recorded.sweep;
     let (ending, cause) = match &sweep.ending {
         Ending::Finished => ("finished", None),

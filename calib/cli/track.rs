@@ -12,7 +12,6 @@ mod whiskers;
 
 pub use checks::told;
 
-use crate::artefact::CalibrationModel;
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
 use checks::{Judged, Loaded};
@@ -21,8 +20,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_core::CalibrationFile;
-use wcal_session::recording::rig::Rig;
+use wcal_acquisition::rig::Rig;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
 use wcal_track::model_file::{load, read_card};
@@ -145,7 +143,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         }
         judged.push(one);
     }
-    for (one, doubt) in judged.iter().flat_map(|j| j.doubts.said().iter().map(move |d| (j, d))) {
+    for (one, doubt) in judged.iter().flat_map(|j| j.doubts.messages().into_iter().map(move |d| (j, d))) {
         let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
         eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
     }
@@ -188,7 +186,7 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {
-            let parts = wcal_session::recording::reduce::recordings(path);
+            let parts = wcal_acquisition::reduce::recordings(path);
             if parts.is_empty() {
                 bail!("{}: expected a session folder with recording.mcap, found none", path.display());
             }
@@ -237,14 +235,6 @@ fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeM
         }
     }
     Ok(all)
-}
-
-/// Model of a whisker's calibration; a scalar one is refused.
-fn refuse_scalar(place: &Path, file: &CalibrationFile<CalibrationModel>) -> Result<()> {
-    if let CalibrationModel::Scalar(_) = file.model {
-        bail!("{}: expected a whisker's calibration, found a scalar one", place.display());
-    }
-    Ok(())
 }
 
 /// What speaks against the rows that were written.

@@ -99,7 +99,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
             };
             let (lines, findings) = mujoco::by_mujoco(data, preset, !args.no_tip)?;
             if let Some(path) = &args.report {
-                wcal_session::write_atomic(path, page(args, &session.id, findings).as_bytes())?;
+                wcal_core::files::write_atomic(path, page(args, &session.id, findings).as_bytes())?;
             }
             lines
         }

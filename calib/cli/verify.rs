@@ -1,7 +1,5 @@
 //! `wcal verify`: the residual loop on a session.
 
-use crate::artefact::{CalibrationModel, provenance, seal};
-use crate::given_calibration::GivenCalibration;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -11,6 +9,7 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use wcal_calibration::{CalibrationModel, GivenCalibration, SessionSystem, provenance, seal};
 use wcal_core::verify_document::{CalibrationJudgement, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
@@ -250,7 +249,9 @@ fn of_whisker_session(
         },
         Verified::Done(done) => Outcome {
             unsealing: done.unsealing.clone(),
-            judged: given.map(|g| g.on_whisker(&done.whole, options.search.seed)).transpose()?,
+            judged: given
+                .map(|g| g.judge(SessionSystem::Whisker(&done.whole), options.search.seed))
+                .transpose()?,
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
             report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
@@ -270,7 +271,7 @@ fn of_scalar_session(
         predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
         unsealing: done.unsealing.clone(),
         judged: match (given, &done.whole) {
-            (Some(g), Some(whole)) => Some(g.on_scalar(whole, options.search.seed)?),
+            (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole), options.search.seed)?),
             _ => None,
         },
         model: done.model.clone().map(CalibrationModel::Scalar),
@@ -279,7 +280,7 @@ fn of_scalar_session(
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
-    document.notes.extend(session.warnings.iter().cloned());
+    document.notes.extend(session.warnings.iter().map(ToString::to_string));
     if seen {
         document
             .notes

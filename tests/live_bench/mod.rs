@@ -5,11 +5,11 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
-use wcal_drivers::HostClock;
-use wcal_drivers::bench_files::{ZaberMount, open_stage};
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::sweep::Mount;
+use wcal_core::clock::HostClock;
+use wcal_core::rig_devices::DeviceOpener;
+use wcal_drivers::Drivers;
 
 pub fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
@@ -67,10 +67,11 @@ impl Bench {
         let rig = std::fs::read_to_string(&self.rig).unwrap().replace("tcp://127.0.0.1:PORT", &port);
         let rig = Rig::parse("rig.toml", &rig).unwrap();
         let clock = HostClock::start(speed);
-        let (mut stage, chain) = open_stage(&rig.stage, clock).unwrap();
+        let mut devices = Drivers::default();
+        let mut stage = devices.stage(&rig.stage, clock).unwrap();
         stage.start_home().unwrap();
         until_standing(stage.as_mut());
-        ZaberMount::open(&rig.mount, chain.unwrap(), clock).unwrap().unwrap().select(1).unwrap();
+        devices.mount(&rig.mount, clock).unwrap().unwrap().select(1).unwrap();
         go(stage.as_mut(), 18.0);
         stage
     }

@@ -3,12 +3,12 @@
 use super::virtual_bench::VirtualBench;
 use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
 use super::{EvaluateArgs, both_means, intervals, mean, meshes};
-use crate::artefact::CalibrationModel;
 use crate::track::told;
 use anyhow::Context;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_calibration::CalibrationModel;
 use wcal_mujoco::physics::Medium;
 use wcal_mujoco::{Mesh, SweepPlan, Turn};
 use wcal_track::bayes::BayesSettings;

@@ -3,11 +3,9 @@
 //! The wire differs a little from the one that the tracker was trained on, the groove of its calibration sat elsewhere than declared, and
 //! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
 
-use crate::artefact::{CalibrationModel, read_calibration};
 use crate::fit_gpr::training_set;
 use crate::labels::{LabelSource, moment_labels};
 use crate::output::OutputFolder;
-use crate::predict::{moments_of_map, moments_of_model};
 use crate::verify::{self, VerifyOrder, verify_session};
 use anyhow::{Context, bail};
 use rand::SeedableRng;
@@ -15,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt::Write as _;
 use std::path::Path;
+use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
 use wcal_map::{Candidate, FitOptions, fit_map};
@@ -149,11 +148,8 @@ impl VirtualBench {
     ) -> anyhow::Result<Course> {
         let path = folder.join(format!("{}-{}.csv", course.object, course.sweep));
         std::fs::write(&path, self.readings(course, seed)).with_context(|| path.display().to_string())?;
-        let rows = match by {
-            CalibrationModel::Map(artefact) => moments_of_map(&path, artefact)?,
-            CalibrationModel::Physical(model) => moments_of_model(&path, model)?,
-            CalibrationModel::Scalar(_) => bail!("virtual bench: expected a whisker's calibration"),
-        };
+        let by = by.whisker().context("virtual bench: expected a whisker's calibration")?;
+        let rows = by.moments(&path)?.rows;
         let mut tare = Tare::new(TARE_S);
         let mut seen = course.clone();
         for (instant, row) in seen.instants.iter_mut().zip(&rows) {

@@ -11,9 +11,9 @@ use wcal_report::{
 };
 
 /// Shards that are searched for sweeps to draw.
-const MOST_SHARDS: usize = 40;
+const MAX_SHARDS: usize = 40;
 /// Samples below which a sweep shows nothing.
-const LEAST_SAMPLES: usize = 8;
+const MIN_SAMPLES: usize = 8;
 
 type Table = BTreeMap<String, Column>;
 
@@ -107,7 +107,7 @@ fn engines(twin: &Twin) -> Option<EnginesCompared> {
 fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<ExampleSweep>> {
     let (mut seen, mut found) = (BTreeSet::new(), Vec::new());
     // Spread over the objects.
-    let step = shards.len().div_ceil(MOST_SHARDS).max(1);
+    let step = shards.len().div_ceil(MAX_SHARDS).max(1);
     for shard in shards.iter().step_by(step) {
         let table = |kind: &str| -> anyhow::Result<Option<Table>> {
             let path = folder.join(format!("{shard}.{kind}.parquet"));
@@ -119,7 +119,7 @@ fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<ExampleSweep
         let (Some(sweeps), Some(samples)) = (table("sweeps")?, table("samples")?) else { continue };
         let by_sweep = by_sweep(&samples)?;
         for (index, verdict) in whole(&sweeps, "sweep")?.iter().zip(text(&sweeps, "verdict")?) {
-            let Some(samples) = by_sweep.get(index).filter(|s| s.len() >= LEAST_SAMPLES) else { continue };
+            let Some(samples) = by_sweep.get(index).filter(|s| s.len() >= MIN_SAMPLES) else { continue };
             let events: BTreeSet<&str> =
                 samples.iter().map(|s| s.event.as_str()).filter(|e| *e != "none").collect();
             let new: Vec<String> = [verdict.as_str()]

@@ -1,41 +1,34 @@
 //! What speaks against tracking with a calibration and a model.
 
-use crate::artefact::{CalibrationModel, read_unsealed, standing};
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
+use wcal_calibration::{
+    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
+};
 use wcal_core::{CalibrationFile, VerificationStatus};
-use wcal_map::OutputMap;
 use wcal_track::bayes::Filters;
 use wcal_track::model_file::Card;
 use wcal_track::stream::trained_steps_s;
 use wcal_track::{Stream, Tracker};
 
-/// Doubts, each with a short code for the rows and a sentence for people.
+/// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
 #[derive(Debug, Clone, Default)]
-pub struct Doubts {
-    codes: Vec<&'static str>,
-    said: Vec<String>,
-}
+pub struct TrustIssues(Vec<TrustIssue>);
 
-impl Doubts {
-    fn add(&mut self, code: &'static str, sentence: String) {
-        self.codes.push(code);
-        self.said.push(sentence);
-    }
-
+impl TrustIssues {
     /// Whether there are none.
     pub fn none(&self) -> bool {
-        self.codes.is_empty()
+        self.0.is_empty()
     }
 
     /// Codes with `|` between them.
     pub fn codes(&self) -> String {
-        self.codes.join("|")
+        self.0.iter().map(TrustIssue::code).collect::<Vec<_>>().join("|")
     }
 
     /// Sentences.
-    pub fn said(&self) -> &[String] {
-        &self.said
+    pub fn messages(&self) -> Vec<String> {
+        self.0.iter().map(ToString::to_string).collect()
     }
 }
 
@@ -52,7 +45,7 @@ pub struct Loaded<'a> {
     /// Its card.
     pub card: Card,
     /// What speaks against them.
-    pub doubts: Doubts,
+    pub doubts: TrustIssues,
 }
 
 /// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
@@ -62,17 +55,19 @@ const ZERO: f64 = 0.5;
 
 /// Filters told of the moments that come through a calibration.
 pub fn told(filters: Filters, model: &CalibrationModel) -> Filters {
-    let noise_nmm = match model {
-        CalibrationModel::Map(map) => map.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max),
-        CalibrationModel::Physical(model) => {
-            model.noise_sd_pm / model.sensitivity().singular_values().min().max(1e-9)
-        }
-        CalibrationModel::Scalar(_) => 0.0,
-    };
+    let noise_nmm = model.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
     filters.told(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 
 impl Loaded<'_> {
+    /// Its calibration from wavelengths to moments.
+    ///
+    /// # Errors
+    /// Where it is of another kind of session.
+    pub fn calibration(&self) -> Result<&dyn WhiskerCalibration> {
+        Ok(of_whisker(&self.place, &self.file)?)
+    }
+
     /// A stream whose filters are told of the calibration's noise.
     pub fn stream(&self) -> Stream<'_> {
         self.tracker.stream_told(told(self.tracker.filters, &self.file.model))
@@ -116,7 +111,7 @@ pub struct Judged {
     file: CalibrationFile<CalibrationModel>,
     card: Card,
     /// What speaks against them.
-    pub doubts: Doubts,
+    pub doubts: TrustIssues,
 }
 
 impl Judged {
@@ -140,40 +135,30 @@ impl Judged {
             bail!(why);
         }
         let (file, changed) = read_unsealed(place)?;
-        super::refuse_scalar(place, &file)?;
-        let mut doubts = Doubts::default();
-        if let Some(changed) = changed {
-            doubts.add("changed", changed);
-        }
-        for doubt in standing(&file, jiff::Timestamp::now())? {
-            let code = if doubt.contains("expired") { "expired" } else { "failed" };
-            doubts.add(code, doubt);
-        }
+        of_whisker(place, &file)?;
+        let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
+        issues.extend(standing(&file, jiff::Timestamp::now())?);
         if file.verification == VerificationStatus::Unverified {
-            doubts.add("unverified", "the calibration was never verified".to_owned());
+            issues.push(TrustIssue::NeverVerified);
         }
         match file.whisker.as_ref().map(|w| w.difference(&card.whisker)) {
-            Some(Some(found)) => doubts.add(
-                "other-whisker",
-                format!("the model was trained for another whisker than the calibration's: {found}"),
-            ),
+            Some(Some(found)) => issues.push(TrustIssue::OtherWhisker(found)),
             Some(None) => {}
             None => eprintln!(
                 "warning: {}: it does not say of which whisker; the model is taken to fit",
                 place.display()
             ),
         }
+        let doubts = TrustIssues(issues);
         Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
     }
 
     /// Judges the time between readings (s) by those that the network was trained with.
     pub fn judge_step(&mut self, step_s: Option<f64>) {
-        let [low, high] = trained_steps_s(self.card.training.time_factor);
-        if let Some(step_s) = step_s.filter(|s| !(low..=high).contains(s)) {
-            self.doubts.add(
-                "sample-rate",
-                format!("the network was trained with {low:.3} to {high:.3} s between readings, found {step_s:.3} s"),
-            );
+        let trained_s = trained_steps_s(self.card.training.time_factor);
+        let [low, high] = trained_s;
+        if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
+            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
         }
     }
 }

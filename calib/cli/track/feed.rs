@@ -2,10 +2,10 @@
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use wcal_acquisition::AcquisitionError;
+use wcal_acquisition::message::StagePosition;
+use wcal_acquisition::recorder::Recorder;
 use wcal_core::device::{DeviceError, FbgReading};
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::message::StagePosition;
-use wcal_session::recording::recorder::Recorder;
 
 /// Scans of one place in the queue.
 const BATCH: usize = 50;
@@ -44,7 +44,7 @@ impl Intake {
     ///
     /// # Errors
     /// When the disk does not take them.
-    pub fn scans(&self, readings: Vec<FbgReading>) -> Result<bool, RecordingError> {
+    pub fn scans(&self, readings: Vec<FbgReading>) -> Result<bool, AcquisitionError> {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(recorder) = &self.recorder {
             readings.iter().try_for_each(|r| recorder.scan(r))?;
@@ -67,7 +67,7 @@ impl Intake {
         &self,
         position: StagePosition,
         reading: &wcal_core::device::StageReading,
-    ) -> Result<(), RecordingError> {
+    ) -> Result<(), AcquisitionError> {
         let line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(recorder) = &self.recorder {
             recorder.stage(reading)?;

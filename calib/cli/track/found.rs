@@ -91,7 +91,7 @@ pub fn write_surface(out: &Path, all: &[&Found]) -> Result<Value> {
     let frame = if all.iter().any(|f| f.posed) { "world" } else { "base at the first row" };
     let write = |ending: &str, text: String| -> Result<()> {
         let path = beside(out, ending);
-        wcal_session::write_atomic(&path, text.as_bytes())
+        wcal_core::files::write_atomic(&path, text.as_bytes())
             .with_context(|| format!("writing {}", path.display()))
     };
     write("-cloud.ply", cloud_ply(&cloud, frame))?;

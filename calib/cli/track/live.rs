@@ -17,14 +17,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
+use wcal_acquisition::message::StagePosition;
+use wcal_acquisition::record::open_interrogator;
+use wcal_acquisition::recorder::{LiveView, Recorder};
+use wcal_acquisition::replay::{Message, read};
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::tracks::TrackChannels;
+use wcal_core::clock::HostClock;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
-use wcal_drivers::HostClock;
-use wcal_drivers::bench_files::{open_interrogator, open_stage};
-use wcal_session::recording::message::StagePosition;
-use wcal_session::recording::recorder::{LiveView, Recorder};
-use wcal_session::recording::replay::{Message, read};
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::tracks::TrackChannels;
+use wcal_core::rig_devices::DeviceOpener;
+use wcal_drivers::Drivers;
 
 /// A stream that is silent this long has failed.
 const SILENCE: Duration = Duration::from_secs(2);
@@ -189,7 +191,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) ->
     refuse_surface(args, rig.base.is_some())?;
     let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
     let clock = HostClock::start(rig.clock_scale);
-    let mut interrogator = open_interrogator(&rig.interrogator, clock)?;
+    let mut interrogator = open_interrogator(&mut Drivers::default(), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = TrackFiles::create(&args.out, true)?;
@@ -266,8 +268,8 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
 
 /// Asks the stage that carries the base where it is; it is never moved from here.
 fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) {
-    let mut stage = match open_stage(&rig.stage, clock) {
-        Ok((stage, _)) => stage,
+    let mut stage = match Drivers::default().stage(&rig.stage, clock) {
+        Ok(stage) => stage,
         Err(e) => return intake.fail(e),
     };
     while !done.load(Ordering::SeqCst) {

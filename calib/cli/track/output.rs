@@ -6,8 +6,8 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_session::recording::tracks::{ContactEventMessage, ContactPoint};
 use wcal_track::live::{BasePose, ContactEvent};
 use wcal_track::network::Prediction;
 
@@ -224,7 +224,7 @@ impl TrackFiles {
     pub fn finish(mut self, summary: &serde_json::Value, print: bool) -> Result<()> {
         self.flush()?;
         let text = serde_json::to_string_pretty(summary)?;
-        wcal_session::write_atomic(&beside(&self.out, ".json"), text.as_bytes())?;
+        wcal_core::files::write_atomic(&beside(&self.out, ".json"), text.as_bytes())?;
         if print {
             println!("{text}");
         }

@@ -6,8 +6,6 @@ use super::groove::{KnownGroove, known_places, velocities};
 use super::motion::Motions;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
-use crate::artefact::CalibrationModel;
-use crate::predict::{Moments, moments_of_map, moments_of_model};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -15,6 +13,7 @@ use serde_json::json;
 use std::collections::HashMap;
 use std::path::Path;
 use std::process::ExitCode;
+use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
@@ -50,14 +49,13 @@ fn median(mut steps: Vec<f64>) -> Option<f64> {
 /// # Errors
 /// Where the table cannot be used, or a row has no time.
 pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitCode> {
-    let (rows, fbg) = match &loaded.file.model {
-        CalibrationModel::Map(artefact) => {
-            let rows = moments_of_map(path, artefact).with_context(|| loaded.place.display().to_string())?;
-            (rows, &artefact.fbg)
-        }
-        CalibrationModel::Physical(model) => (moments_of_model(path, model)?, &model.fbg),
-        CalibrationModel::Scalar(_) => bail!("{}: expected a whisker's calibration", loaded.place.display()),
-    };
+    let calibration = loaded.calibration()?;
+    let MomentTable { rows, warnings } =
+        calibration.moments(path).with_context(|| loaded.place.display().to_string())?;
+    for warning in &warnings {
+        eprintln!("warning: {warning}");
+    }
+    let fbg = calibration.fbg();
     check(path, &rows, fbg)?;
     let poses = base_poses(path)?;
     refuse_surface(args, !poses.is_empty())?;
@@ -132,7 +130,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     }
     let mut summary = json!({
         "format": FORMAT, "source": path, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
-        "outside_valid_region": outside, "doubts": loaded.doubts.said(), "lag_s": 0.0, "tare_s": args.tare_s,
+        "outside_valid_region": outside, "doubts": loaded.doubts.messages(), "lag_s": 0.0, "tare_s": args.tare_s,
         "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
@@ -163,7 +161,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
 }
 
 /// Times that go forward, and a reference where the calibration needs one.
-fn check(path: &Path, rows: &[Moments], fbg: &FbgSpec) -> Result<()> {
+fn check(path: &Path, rows: &[MomentRow], fbg: &FbgSpec) -> Result<()> {
     let name = path.display();
     let mut last_s = f64::NEG_INFINITY;
     for m in rows {

@@ -6,22 +6,19 @@ use super::found::{Found, write_surface};
 use super::groove::{KnownGroove, KnownPlace};
 use super::motion::Motions;
 use super::output::{TrackFiles, TrackRow, event_message};
-use crate::artefact::CalibrationModel;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use wcal_acquisition::clocks::ClockPair;
+use wcal_acquisition::message::{StagePosition, SweepEvent};
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::tracks::TrackChannels;
+use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
-use wcal_core::stream::{MomentStream, StreamMoments};
-use wcal_map::MapPredictor;
-use wcal_session::recording::clocks::ClockPair;
-use wcal_session::recording::message::{StagePosition, SweepEvent};
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::sensed::WhiskerReader;
-use wcal_session::recording::tracks::TrackChannels;
-use wcal_trace::whisker::PhysicalStream;
+use wcal_core::stream::StreamMoments;
 use wcal_track::live::{BaseMotion, Chain, ChainSettings, Row, first_mode_hz};
 use wcal_track::{Sample, Stream, Tare};
 
@@ -83,21 +80,9 @@ impl<'a> Whiskers<'a> {
             first_mode_hz: 0.0,
         };
         let one = |l: &'a Loaded<'a>| -> Result<Whisker<'a>> {
-            let (map, fbg): (Box<dyn MomentStream>, _) = match &l.file.model {
-                CalibrationModel::Map(artefact) => {
-                    let map = MapPredictor::new(artefact).with_context(|| l.place.display().to_string())?;
-                    (Box::new(map), &artefact.fbg)
-                }
-                CalibrationModel::Physical(model) => {
-                    let stream = PhysicalStream::new(model.clone()).with_context(|| {
-                        format!("{}: expected a sensitivity that can be inverted", l.place.display())
-                    })?;
-                    (Box::new(stream), &model.fbg)
-                }
-                CalibrationModel::Scalar(_) => {
-                    bail!("{}: expected a whisker's calibration", l.place.display())
-                }
-            };
+            let calibration = l.calibration()?;
+            let place_of = || l.place.display().to_string();
+            let (map, fbg) = (calibration.stream().with_context(place_of)?, calibration.fbg());
             let settings = ChainSettings { first_mode_hz: first_mode_hz(&l.card.whisker), ..settings };
             Ok(Whisker {
                 loaded: l,
@@ -300,7 +285,7 @@ impl Whisker<'_> {
         [base, groove]: [Option<&BaseMotion>; 2],
         base_mm_s: Option<f64>,
         files: &mut TrackFiles,
-    ) -> Result<wcal_session::recording::tracks::ContactPoint> {
+    ) -> Result<wcal_acquisition::tracks::ContactPoint> {
         let [base, groove] = [base, groove].map(|b| b.and_then(|b| b.at(row.t_s)));
         // The groove goes on as the base would go back.
         let past_groove = groove.and_then(|g| g.velocity_mm_s).map(|v| -v);
@@ -357,7 +342,7 @@ impl Whisker<'_> {
         });
         json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
-            "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.said(),
+            "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.messages(),
             "untrained_motion": self.motions.summary(), "known_groove": self.groove.as_ref().and_then(KnownGroove::summary),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,

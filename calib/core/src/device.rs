@@ -200,6 +200,15 @@ pub trait Stage {
     fn stop(&mut self) -> Result<(), DeviceError>;
 }
 
+/// Turns the whisker to a trajectory.
+pub trait Mount {
+    /// Presents `trajectory`; returns when it stands.
+    ///
+    /// # Errors
+    /// When it cannot be reached or the user declines.
+    fn select(&mut self, trajectory: u32) -> Result<(), DeviceError>;
+}
+
 /// State bits that an interrogator sends with its data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct InterrogatorHealth {

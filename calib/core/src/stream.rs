@@ -67,7 +67,7 @@ impl Flags {
 
 /// One reading of one whisker.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sensed {
+pub struct WhiskerReading {
     /// Running number of the scan.
     pub serial: u64,
     /// Time since the first scan, s, by the device's clock.

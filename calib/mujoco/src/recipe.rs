@@ -5,7 +5,6 @@ use crate::{Dataset, Mesh, SweepEngine, TwinError, shard};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
 
@@ -77,9 +76,7 @@ impl Recipe {
         let path = folder.join(FILE);
         let bytes = serde_json::to_vec_pretty(self).map_err(|e| written_wrong(&e))?;
         std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
-        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(TwinError::io("creating", folder))?;
-        file.write_all(&bytes).map_err(TwinError::io("writing", &path))?;
-        file.persist(&path).map(drop).map_err(|e| TwinError::io("writing", &path)(e.error))
+        shard::write_whole(&path, &bytes)
     }
 
     /// What in `found` is not as here, by name.

@@ -25,8 +25,8 @@ use crate::{TwinError, Verdict};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
+use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
 
 /// Version of the tables.
@@ -187,22 +187,10 @@ pub(crate) fn write(
     Ok(manifest)
 }
 
-/// Under a name of its own first: a reader never sees half a file, and two writers do not meet.
+/// A reader never sees half a file.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let fail = |cause| TwinError::Io { action: "writing", path: path.to_owned(), cause };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".wcal-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        // The umask narrows this: whoever shares the folder may read its tables.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder).map_err(fail)?;
-    file.write_all(bytes).map_err(fail)?;
-    file.persist(path).map_err(|e| fail(e.error))?;
-    Ok(())
+    let fail = |e: FileError| TwinError::Io { action: e.action, path: e.path, cause: e.source };
+    write_atomic(path, bytes).map_err(fail)
 }
 
 type Columns = Vec<(&'static str, Column)>;

@@ -149,6 +149,25 @@ impl Shape {
         shape
     }
 
+    /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
+    #[must_use]
+    pub fn extended(&self, by_mm: f64) -> Self {
+        let Some(last) = self.intervals.last().filter(|_| by_mm > 0.0) else { return self.clone() };
+        let u = [0, 1, 2].map(|i| last.u_start[i] + last.u_slope[i] * last.length_mm);
+        let count = (by_mm / last.length_mm).ceil().max(1.0);
+        let (start, length_mm) = (last.start_mm + last.length_mm, by_mm / count);
+        let mut shape = self.clone();
+        shape.intervals.extend((0..count as usize).map(|k| Interval {
+            start_mm: start + length_mm * k as f64,
+            length_mm,
+            u_start: u,
+            u_slope: [0.0; 3],
+        }));
+        shape.length_mm += by_mm;
+        (shape.nodes_mm, shape.frames) = crate::integrate::unloaded(&shape);
+        shape
+    }
+
     /// Interval that holds arc length `s_mm` (the last one past the tip).
     #[must_use]
     pub fn interval_at(&self, s_mm: f64) -> usize {

@@ -3,6 +3,7 @@
 use crate::error::SessionError;
 use crate::row::{Clock, PointNumbers};
 use crate::table::Table;
+use crate::warning::SessionWarning;
 use crate::whisker::unused_columns;
 use std::path::Path;
 use wcal_core::{AxisRow, InputFile};
@@ -11,7 +12,7 @@ use wcal_core::{AxisRow, InputFile};
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(Vec<AxisRow>, InputFile), SessionError> {
     let mut table = Table::open(path, name)?;
     let (point, role) = (table.required("point")?, table.required("role")?);
@@ -48,7 +49,7 @@ pub(crate) fn read_rows(
 }
 
 /// The declared model is measured = commanded + constant: a slope of 1000 or 1/1000 is a unit error.
-fn unit_mismatch(name: &str, rows: &[AxisRow]) -> Result<(), crate::error::Defect> {
+fn unit_mismatch(name: &str, rows: &[AxisRow]) -> Result<(), crate::error::InputError> {
     #[allow(clippy::cast_precision_loss)]
     let n = rows.len().max(1) as f64;
     let mean = |value: fn(&AxisRow) -> f64| rows.iter().map(value).sum::<f64>() / n;
@@ -64,12 +65,12 @@ fn unit_mismatch(name: &str, rows: &[AxisRow]) -> Result<(), crate::error::Defec
     {
         if (slope / factor - 1.0).abs() < 0.02 {
             let found = format!("a slope of {slope:.5} between the columns");
-            let defect = crate::error::Defect::new(
+            let error = crate::error::InputError::new(
                 name,
                 "measured and commanded positions in the same unit, mm",
                 found,
             );
-            return Err(defect.field("measured_mm").hint(hint));
+            return Err(error.field("measured_mm").hint(hint));
         }
     }
     Ok(())

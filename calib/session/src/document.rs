@@ -1,6 +1,6 @@
 //! Typed access to `session.toml` that names the key in every error and remembers which keys were understood.
 
-use crate::error::{Defect, quote};
+use crate::error::{InputError, quote};
 use nalgebra::Vector3;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -14,7 +14,7 @@ pub(crate) struct Section<'a> {
     known: RefCell<BTreeSet<String>>,
 }
 
-type Outcome<T> = Result<T, Defect>;
+type Outcome<T> = Result<T, InputError>;
 
 impl<'a> Section<'a> {
     /// The document's top level.
@@ -26,9 +26,14 @@ impl<'a> Section<'a> {
         if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) }
     }
 
-    /// A defect of one key.
-    pub(crate) fn defect(&self, key: &str, expected: impl Into<String>, found: impl Into<String>) -> Defect {
-        Defect::new(self.file, expected, found).field(self.name(key))
+    /// An error of one key.
+    pub(crate) fn error(
+        &self,
+        key: &str,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> InputError {
+        InputError::new(self.file, expected, found).field(self.name(key))
     }
 
     pub(crate) fn value(&self, key: &str) -> Option<&'a Value> {
@@ -49,7 +54,7 @@ impl<'a> Section<'a> {
             Some(Value::Table(table)) => {
                 Ok(Some(Section { file: self.file, path: self.name(key), table, known: RefCell::default() }))
             }
-            Some(other) => Err(self.defect(key, "a table", describe(other))),
+            Some(other) => Err(self.error(key, "a table", describe(other))),
         }
     }
 
@@ -59,13 +64,13 @@ impl<'a> Section<'a> {
             None => return Ok(Vec::new()),
             Some(Value::Array(entries)) => entries,
             Some(other) => {
-                return Err(self.defect(key, format!("tables written as [[{key}]]"), describe(other)));
+                return Err(self.error(key, format!("tables written as [[{key}]]"), describe(other)));
             }
         };
         let mut out = Vec::with_capacity(entries.len());
         for (index, entry) in entries.iter().enumerate() {
             let Value::Table(table) = entry else {
-                return Err(self.defect(key, format!("tables written as [[{key}]]"), describe(entry)));
+                return Err(self.error(key, format!("tables written as [[{key}]]"), describe(entry)));
             };
             let path = format!("{} #{}", self.name(key), index + 1);
             out.push(Section { file: self.file, path, table, known: RefCell::default() });
@@ -79,7 +84,7 @@ impl<'a> Section<'a> {
             None => Ok(None),
             Some(Value::String(text)) => Ok(Some(text.clone())),
             Some(Value::Datetime(time)) => Ok(Some(time.to_string())),
-            Some(other) => Err(self.defect(key, "text in quotes", describe(other))),
+            Some(other) => Err(self.error(key, "text in quotes", describe(other))),
         }
     }
 
@@ -87,8 +92,8 @@ impl<'a> Section<'a> {
     pub(crate) fn required_text(&self, key: &str, expected: &str) -> Outcome<String> {
         match self.text(key)? {
             Some(text) if !text.trim().is_empty() => Ok(text),
-            Some(_) => Err(self.defect(key, expected, "an empty text")),
-            None => Err(self.defect(key, expected, "nothing")),
+            Some(_) => Err(self.error(key, expected, "an empty text")),
+            None => Err(self.error(key, expected, "nothing")),
         }
     }
 
@@ -97,7 +102,7 @@ impl<'a> Section<'a> {
         match self.value(key) {
             None => Ok(None),
             Some(Value::Boolean(flag)) => Ok(Some(*flag)),
-            Some(other) => Err(self.defect(key, "true or false", describe(other))),
+            Some(other) => Err(self.error(key, "true or false", describe(other))),
         }
     }
 
@@ -113,12 +118,12 @@ impl<'a> Section<'a> {
             return Ok(Some(value));
         }
         let hint = "check the unit in the key's name";
-        Err(self.defect(key, format!("a number between {low} and {high}"), format!("{value}")).hint(hint))
+        Err(self.error(key, format!("a number between {low} and {high}"), format!("{value}")).hint(hint))
     }
 
     /// Finite number within `[low, high]` that must be there.
     pub(crate) fn required_in(&self, key: &str, low: f64, high: f64) -> Outcome<f64> {
-        let missing = || self.defect(key, format!("a number between {low} and {high}"), "nothing");
+        let missing = || self.error(key, format!("a number between {low} and {high}"), "nothing");
         self.number_in(key, low, high)?.ok_or_else(missing)
     }
 
@@ -127,12 +132,12 @@ impl<'a> Section<'a> {
             Value::Float(x) => *x,
             #[allow(clippy::cast_precision_loss)]
             Value::Integer(i) => *i as f64,
-            other => return Err(self.defect(key, "a number", describe(other))),
+            other => return Err(self.error(key, "a number", describe(other))),
         };
         if number.is_finite() {
             Ok(number)
         } else {
-            Err(self.defect(key, "a finite number", format!("{number}")))
+            Err(self.error(key, "a finite number", format!("{number}")))
         }
     }
 
@@ -150,17 +155,17 @@ impl<'a> Section<'a> {
     pub(crate) fn vectors(&self, key: &str) -> Outcome<Option<Vec<Vector3<f64>>>> {
         let Some(value) = self.value(key) else { return Ok(None) };
         let Value::Array(entries) = value else {
-            return Err(self.defect(key, "an array of [x, y, z]", describe(value)));
+            return Err(self.error(key, "an array of [x, y, z]", describe(value)));
         };
         entries.iter().map(|e| self.array::<3>(key, e).map(Vector3::from)).collect::<Outcome<_>>().map(Some)
     }
 
     fn array<const N: usize>(&self, key: &str, value: &Value) -> Outcome<[f64; N]> {
         let Value::Array(entries) = value else {
-            return Err(self.defect(key, format!("an array of {N} numbers"), describe(value)));
+            return Err(self.error(key, format!("an array of {N} numbers"), describe(value)));
         };
         if entries.len() != N {
-            return Err(self.defect(
+            return Err(self.error(
                 key,
                 format!("an array of {N} numbers"),
                 format!("{} entries", entries.len()),
@@ -182,7 +187,7 @@ impl<'a> Section<'a> {
         const TOLERANCE: f64 = 1e-3;
         let length = v.norm();
         if (length - 1.0).abs() > TOLERANCE {
-            return Err(self.defect(
+            return Err(self.error(
                 key,
                 "a vector of length 1 (within 0.001)",
                 format!("length {length:.6}"),
@@ -206,13 +211,13 @@ pub(crate) fn parse(file: &str, bytes: &[u8]) -> Outcome<Table> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes[..e.valid_up_to()].iter().filter(|b| **b == b'\n').count();
-        Defect::new(file, "UTF-8 text", "other bytes").at(line)
+        InputError::new(file, "UTF-8 text", "other bytes").at(line)
     })?;
     text.parse::<Table>().map_err(|e| {
-        let defect = Defect::new(file, "valid TOML", e.message().to_owned());
+        let error = InputError::new(file, "valid TOML", e.message().to_owned());
         match e.span() {
-            Some(span) => defect.at(1 + text[..span.start.min(text.len())].matches('\n').count()),
-            None => defect,
+            Some(span) => error.at(1 + text[..span.start.min(text.len())].matches('\n').count()),
+            None => error,
         }
     })
 }

@@ -3,9 +3,9 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// A defect of a file's content, located as closely as possible.
+/// An error of a file's content, located as closely as possible.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DefectFields {
+pub struct InputErrorFields {
     /// File as named in the session, or its path.
     pub file: String,
     /// Line in the file, header = 1.
@@ -20,23 +20,23 @@ pub struct DefectFields {
     pub hint: Option<String>,
 }
 
-/// A boxed [`DefectFields`]: a result stays small however much the message says.
+/// A boxed [`InputErrorFields`]: a result stays small however much the message says.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Defect(Box<DefectFields>);
+pub struct InputError(Box<InputErrorFields>);
 
-impl std::ops::Deref for Defect {
-    type Target = DefectFields;
+impl std::ops::Deref for InputError {
+    type Target = InputErrorFields;
 
-    fn deref(&self) -> &DefectFields {
+    fn deref(&self) -> &InputErrorFields {
         &self.0
     }
 }
 
-impl Defect {
-    /// A defect of a whole file.
+impl InputError {
+    /// An error of a whole file.
     #[must_use]
     pub fn new(file: &str, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self(Box::new(DefectFields {
+        Self(Box::new(InputErrorFields {
             file: file.to_owned(),
             line: None,
             field: None,
@@ -68,7 +68,7 @@ impl Defect {
     }
 }
 
-impl fmt::Display for Defect {
+impl fmt::Display for InputError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.file)?;
         if let Some(line) = self.line {
@@ -85,7 +85,7 @@ impl fmt::Display for Defect {
     }
 }
 
-impl std::error::Error for Defect {}
+impl std::error::Error for InputError {}
 
 /// Why a session could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -102,20 +102,26 @@ pub enum SessionError {
     },
     /// A file's content cannot be used.
     #[error("{0}")]
-    Content(Defect),
+    Content(InputError),
 }
 
-impl From<Defect> for SessionError {
-    fn from(defect: Defect) -> Self {
-        Self::Content(defect)
+impl From<InputError> for SessionError {
+    fn from(error: InputError) -> Self {
+        Self::Content(error)
+    }
+}
+
+impl From<wcal_core::files::FileError> for SessionError {
+    fn from(error: wcal_core::files::FileError) -> Self {
+        Self::Io { action: error.action, path: error.path, source: error.source }
     }
 }
 
 impl SessionError {
-    /// Wraps an I/O error; a missing file becomes a defect that says which file was expected.
+    /// Wraps an I/O error; a missing file becomes an error that says which file was expected.
     pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
         if source.kind() == std::io::ErrorKind::NotFound {
-            return Defect::new(&path.display().to_string(), "a readable file", "no such file").into();
+            return InputError::new(&path.display().to_string(), "a readable file", "no such file").into();
         }
         Self::Io { action, path: path.to_owned(), source }
     }

@@ -55,8 +55,8 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     time(session, &mut list);
     repeated(&session.data, &mut list);
     sealed(&session.data, &mut list);
-    for warning in session.warnings.iter().filter(|w| !w.starts_with(crate::session::CLOCK_PROBLEM)) {
-        list.add(Severity::Warn, "files", warning.clone());
+    for warning in session.warnings.iter().filter(|w| !w.is_clock_problem()) {
+        list.add(Severity::Warn, "files", warning.to_string());
     }
     list.0
 }
@@ -233,8 +233,8 @@ fn repeated_trajectories(data: &SessionData) -> usize {
 
 fn time(session: &LoadedSession, list: &mut Findings) {
     let mut clean = true;
-    for warning in session.warnings.iter().filter(|w| w.starts_with(crate::session::CLOCK_PROBLEM)) {
-        list.add(Severity::Warn, "time", warning.clone());
+    for warning in session.warnings.iter().filter(|w| w.is_clock_problem()) {
+        list.add(Severity::Warn, "time", warning.to_string());
         clean = false;
     }
     let timed = match &session.data {

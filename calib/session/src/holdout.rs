@@ -1,8 +1,9 @@
 //! Sessions taken together: a holdout that is given apart, or a later session of the same sensor that is fitted too.
 
-use crate::error::{Defect, SessionError};
+use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, check_covariates, load};
-use crate::whisker::{self, Demand};
+use crate::warning::{SessionWarning, WarningKind};
+use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::observation::Role;
@@ -75,7 +76,7 @@ fn refuse_reuse(session: &LoadedSession, before: usize) -> Result<(), SessionErr
     match same {
         Some((fitted, input)) => {
             let found = format!("the content of {}, which is fitted", fitted.path);
-            Err(Defect::new(&input.path, "readings that no fit has seen", found).into())
+            Err(InputError::new(&input.path, "readings that no fit has seen", found).into())
         }
         None => Ok(()),
     }
@@ -87,7 +88,13 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
     let input = match &mut session.data {
         SessionData::Whisker(data) => {
-            let table = whisker::read_rows(path, &name, &mut data.fbg, &data.trajectories, Demand::Session)?;
+            let table = whisker::read_rows(
+                path,
+                &name,
+                &mut data.fbg,
+                &data.trajectories,
+                ColumnRequirement::Session,
+            )?;
             whisker_checks::check_stage(&table.rows, &data.trajectories, &mut session.warnings)?;
             whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&data.whisker.rest_shape))?;
             session.warnings.extend(table.warnings);
@@ -119,7 +126,7 @@ fn attach_session(
     let folder = other.folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let renamed = |name: &str| format!("{folder}/{name}");
     let differs = |what: &str| {
-        Defect::new(&renamed("session.toml"), format!("the {what} of the session"), "another one")
+        InputError::new(&renamed("session.toml"), format!("the {what} of the session"), "another one")
     };
     match (&mut session.data, other.data) {
         (SessionData::Whisker(data), SessionData::Whisker(mut added)) => {
@@ -136,7 +143,7 @@ fn attach_session(
             every_row(&mut added, |row| row.source = renamed(&row.source));
             if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
-                    session.warnings.push(format!("{folder}: labels of its twin are not used"));
+                    session.warnings.push(SessionWarning::new(&folder, WarningKind::TwinNotUsed));
                 }
                 place_after(data, &mut added);
             }
@@ -165,10 +172,13 @@ fn attach_session(
     // What is partly simulated is not measured.
     if session.simulated != other.simulated {
         let which = if other.simulated { &other.id } else { &session.id };
-        session.warnings.push(format!("measured and SIMULATED sessions are joined: {which:?} is simulated"));
+        let kind = WarningKind::JoinedWithSimulated(which.clone());
+        session.warnings.push(SessionWarning::new("session.toml", kind));
         session.simulated = true;
     }
-    session.warnings.extend(other.warnings.iter().map(|w| renamed(w)));
+    session
+        .warnings
+        .extend(other.warnings.into_iter().map(|w| SessionWarning { file: renamed(&w.file), ..w }));
     session.inputs.extend(other.inputs.into_iter().map(|mut input| {
         input.path = renamed(&input.path);
         if purpose == Purpose::Holdout && input.purpose == Purpose::Fit {
@@ -194,8 +204,8 @@ fn merge_trajectories(
     data: &mut WhiskerData,
     added: &mut WhiskerData,
     file: &str,
-    warnings: &mut Vec<String>,
-) -> Result<(), Defect> {
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<(), InputError> {
     const SAME: f64 = 1e-6;
     for mut trajectory in std::mem::take(&mut added.trajectories) {
         let same = |t: &wcal_core::Trajectory| {
@@ -213,10 +223,10 @@ fn merge_trajectories(
                     added.rows.iter().map(|r| r.trajectory).chain(sealed).flatten().max().unwrap_or(0);
                 let new = highest.max(floor).checked_add(1);
                 let new = new.ok_or_else(|| {
-                    Defect::new(file, "a free trajectory id", "none").field("trajectory.id")
+                    InputError::new(file, "a free trajectory id", "none").field("trajectory.id")
                 })?;
                 let old = trajectory.id;
-                warnings.push(format!("{file}: trajectory {old} is another path here and is called {new}"));
+                warnings.push(SessionWarning::new(file, WarningKind::TrajectoryRenamed { old, new }));
                 let rename = |row: &mut WhiskerRow| {
                     if row.trajectory == Some(old) {
                         row.trajectory = Some(new);

@@ -1,7 +1,8 @@
 //! Cells of one row, typed and checked.
 
-use crate::error::{Defect, quote};
+use crate::error::{InputError, quote};
 use crate::table::Column;
+use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use wcal_core::Role;
 
@@ -13,24 +14,23 @@ pub(crate) struct Row<'a> {
     pub(crate) record: &'a ByteRecord,
 }
 
-type Outcome<T> = Result<T, Defect>;
+type Outcome<T> = Result<T, InputError>;
 
 impl Row<'_> {
-    /// A defect of this row's cell in column `field`.
-    pub(crate) fn defect(
+    /// An error of this row's cell in column `field`.
+    pub(crate) fn error(
         &self,
         field: &str,
         expected: impl Into<String>,
         found: impl Into<String>,
-    ) -> Defect {
-        Defect::new(self.file, expected, found).at(self.line).field(field)
+    ) -> InputError {
+        InputError::new(self.file, expected, found).at(self.line).field(field)
     }
 
     fn text(&self, index: usize) -> Outcome<&str> {
         let bytes = self.record.get(index).unwrap_or_default();
         let name = || self.columns.get(index).map_or("", String::as_str);
-        let text =
-            std::str::from_utf8(bytes).map_err(|_| self.defect(name(), "UTF-8 text", "other bytes"))?;
+        let text = std::str::from_utf8(bytes).map_err(|_| self.error(name(), "UTF-8 text", "other bytes"))?;
         Ok(text.trim())
     }
 
@@ -42,11 +42,11 @@ impl Row<'_> {
         }
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(Some(value)),
-            Ok(_) => Err(self.defect(name, "a finite number", quote(text))),
+            Ok(_) => Err(self.error(name, "a finite number", quote(text))),
             Err(_) if text.contains(',') => {
-                Err(self.defect(name, "a number", quote(text)).hint("decimals are written with a dot"))
+                Err(self.error(name, "a number", quote(text)).hint("decimals are written with a dot"))
             }
-            Err(_) => Err(self.defect(name, "a number", quote(text))),
+            Err(_) => Err(self.error(name, "a number", quote(text))),
         }
     }
 
@@ -58,14 +58,14 @@ impl Row<'_> {
     /// Finite number that must be there.
     pub(crate) fn required(&self, column: Column) -> Outcome<f64> {
         self.number_at(column.index, column.name)?
-            .ok_or_else(|| self.defect(column.name, "a number", "nothing"))
+            .ok_or_else(|| self.error(column.name, "a number", "nothing"))
     }
 
     /// Finite number, zero or more.
     pub(crate) fn not_negative(&self, column: Option<Column>) -> Outcome<Option<f64>> {
         let value = self.number(column)?;
         match (column, value) {
-            (Some(c), Some(v)) if v < 0.0 => Err(self.defect(c.name, "zero or more", format!("{v}"))),
+            (Some(c), Some(v)) if v < 0.0 => Err(self.error(c.name, "zero or more", format!("{v}"))),
             _ => Ok(value),
         }
     }
@@ -86,9 +86,9 @@ impl Row<'_> {
         match value {
             Some(v) if (low..=high).contains(&v) => Ok(Some(v)),
             Some(v) => {
-                Err(self.defect(column.name, format!("a whole number of at least {low}"), format!("{v}")))
+                Err(self.error(column.name, format!("a whole number of at least {low}"), format!("{v}")))
             }
-            None => Err(self.defect(column.name, "a whole number", quote(text))),
+            None => Err(self.error(column.name, "a whole number", quote(text))),
         }
     }
 
@@ -101,16 +101,14 @@ impl Row<'_> {
     /// Point number, which must be there.
     pub(crate) fn point(&self, column: Column) -> Outcome<i64> {
         let value = self.whole(Some(column), i64::MIN, i64::MAX)?;
-        value.ok_or_else(|| self.defect(column.name, "a whole number", "nothing"))
+        value.ok_or_else(|| self.error(column.name, "a whole number", "nothing"))
     }
 
     /// +1 or -1.
     pub(crate) fn sign(&self, column: Option<Column>) -> Outcome<Option<f64>> {
         let value = self.number(column)?;
         match (column, value) {
-            (Some(c), Some(v)) if v != 1.0 && v != -1.0 => {
-                Err(self.defect(c.name, "1 or -1", format!("{v}")))
-            }
+            (Some(c), Some(v)) if v != 1.0 && v != -1.0 => Err(self.error(c.name, "1 or -1", format!("{v}"))),
             _ => Ok(value),
         }
     }
@@ -122,9 +120,7 @@ impl Row<'_> {
             "calibration" => Ok(Role::Calibration),
             "verification" => Ok(Role::Verification),
             "holdout" => Ok(Role::Holdout),
-            other => {
-                Err(self.defect(column.name, "rest, calibration, verification or holdout", quote(other)))
-            }
+            other => Err(self.error(column.name, "rest, calibration, verification or holdout", quote(other))),
         }
     }
 
@@ -135,7 +131,7 @@ impl Row<'_> {
             "" | "ok" => Ok(None),
             "lost" => Ok(Some("lost")),
             "late" => Ok(Some("late")),
-            other => Err(self.defect(column.name, "ok, lost or late", quote(other))),
+            other => Err(self.error(column.name, "ok, lost or late", quote(other))),
         }
     }
 
@@ -145,7 +141,7 @@ impl Row<'_> {
         match (column, value) {
             (Some(c), Some(v)) if !(-60.0..=200.0).contains(&v) => {
                 let expected = "a temperature between -60 and 200 deg C";
-                Err(self.defect(c.name, expected, format!("{v}")).hint("kelvin?"))
+                Err(self.error(c.name, expected, format!("{v}")).hint("kelvin?"))
             }
             _ => Ok(value),
         }
@@ -157,13 +153,13 @@ impl Row<'_> {
 pub(crate) struct PointNumbers(std::collections::HashMap<i64, usize>);
 
 impl PointNumbers {
-    /// Notes the row's point number; a second use of it is a defect.
+    /// Notes the row's point number; a second use of it is an error.
     pub(crate) fn note(&mut self, row: &Row<'_>, point: i64) -> Outcome<()> {
         match self.0.insert(point, row.line) {
             None => Ok(()),
             Some(line) => {
                 let found = format!("point {point} again (first at line {line})");
-                Err(row.defect("point", "every point number once in a file", found))
+                Err(row.error("point", "every point number once in a file", found))
             }
         }
     }
@@ -189,12 +185,8 @@ impl Clock {
     }
 
     /// A warning, if time ran backwards.
-    pub(crate) fn warning(&self, file: &str) -> Option<String> {
+    pub(crate) fn warning(&self, file: &str) -> Option<SessionWarning> {
         let (line, back_s) = self.first_jump?;
-        let times = self.jumps;
-        let tag = crate::session::CLOCK_PROBLEM;
-        Some(format!(
-            "{tag}: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
-        ))
+        Some(SessionWarning::new(file, WarningKind::ClockProblem { times: self.jumps, line, back_s }))
     }
 }

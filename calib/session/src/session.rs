@@ -1,8 +1,9 @@
 //! A session folder as a whole.
 
 use crate::document::{self, Section};
-use crate::error::{Defect, SessionError, quote};
-use crate::whisker::{self, Demand};
+use crate::error::{InputError, SessionError, quote};
+use crate::warning::{SessionWarning, WarningKind};
+use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
@@ -12,8 +13,6 @@ use wcal_core::{
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
-/// Warnings that say that time runs backwards start with this.
-pub const CLOCK_PROBLEM: &str = "clock_problem";
 
 /// A session that was read and checked.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,10 +35,12 @@ pub struct LoadedSession {
     pub inputs: Vec<InputFile>,
     /// `session.toml` as written.
     pub meta: toml::Table,
-    /// What deserves attention: unknown keys and columns, stage against groove, time ([`CLOCK_PROBLEM`]), missing labels.
-    pub warnings: Vec<String>,
+    /// What deserves attention: unknown keys and columns, stage against groove, time, missing labels.
+    pub warnings: Vec<SessionWarning>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
+    /// Folder with the pictures of its points, where it has them.
+    pub pictures: Option<PathBuf>,
 }
 
 struct Files {
@@ -47,6 +48,7 @@ struct Files {
     holdout: Option<String>,
     twin: Option<String>,
     rest_shape: Option<String>,
+    pictures: Option<PathBuf>,
 }
 
 /// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
@@ -98,11 +100,12 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         meta,
         warnings,
         points_file,
+        pictures: files.pictures,
     })
 }
 
 /// The mark of simulated data; sessions from before it, and other content of `[provenance]`, are taken as measured.
-fn read_simulated(root: &Section<'_>) -> Result<bool, Defect> {
+fn read_simulated(root: &Section<'_>) -> Result<bool, InputError> {
     match root.value("provenance") {
         Some(toml::Value::Table(_)) => {
             let section = root.section("provenance")?;
@@ -112,70 +115,91 @@ fn read_simulated(root: &Section<'_>) -> Result<bool, Defect> {
     }
 }
 
-fn check_format(root: &Section<'_>) -> Result<(), Defect> {
+fn check_format(root: &Section<'_>) -> Result<(), InputError> {
     let format = root.required_text("format", &format!("{SESSION_FORMAT:?}"))?;
     if format == SESSION_FORMAT {
         return Ok(());
     }
-    let defect = root.defect("format", format!("{SESSION_FORMAT:?}"), quote(&format));
+    let error = root.error("format", format!("{SESSION_FORMAT:?}"), quote(&format));
     let version = format.strip_prefix("wcal-session/").and_then(|v| v.parse::<u32>().ok());
     Err(match version {
         Some(version) if version > 1 => {
-            defect.hint("the session was written in a newer format; update wcal to read it")
+            error.hint("the session was written in a newer format; update wcal to read it")
         }
-        _ => defect,
+        _ => error,
     })
 }
 
-fn read_kind(root: &Section<'_>) -> Result<SessionKind, Defect> {
+fn read_kind(root: &Section<'_>) -> Result<SessionKind, InputError> {
     let expected = "\"whisker\", \"transducer\" or \"axis\"";
     match root.required_text("kind", expected)?.as_str() {
         "whisker" => Ok(SessionKind::Whisker),
         "transducer" => Ok(SessionKind::Transducer),
         "axis" => Ok(SessionKind::Axis),
-        other => Err(root.defect("kind", expected, quote(other))),
+        other => Err(root.error("kind", expected, quote(other))),
     }
 }
 
-fn read_medium(root: &Section<'_>, kind: SessionKind, warnings: &mut Vec<String>) -> Result<String, Defect> {
+fn read_medium(
+    root: &Section<'_>,
+    kind: SessionKind,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<String, InputError> {
     match root.text("medium")? {
         Some(medium) => Ok(medium),
         None if kind == SessionKind::Whisker => {
-            warnings.push("session.toml: medium is not given; taken as \"air\"".to_owned());
+            warnings.push(SessionWarning::new("session.toml", WarningKind::NoMedium));
             Ok("air".to_owned())
         }
         None => Ok("unspecified".to_owned()),
     }
 }
 
-fn read_files(root: &Section<'_>, folder: &Path, warnings: &mut Vec<String>) -> Result<Files, Defect> {
+fn read_files(
+    root: &Section<'_>,
+    folder: &Path,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<Files, InputError> {
     let section = root.section("files")?;
-    let section = section.ok_or_else(|| root.defect("files", "a table [files]", "nothing"))?;
-    let relative = |key: &str| -> Result<Option<String>, Defect> {
+    let section = section.ok_or_else(|| root.error("files", "a table [files]", "nothing"))?;
+    let relative = |key: &str| -> Result<Option<String>, InputError> {
         let Some(name) = section.text(key)? else { return Ok(None) };
         match outside(folder, &name) {
             Some(found) => {
                 let expected = "a file in the session's folder, its path relative to it and without \"..\"";
-                Err(section.defect(key, expected, found))
+                Err(section.error(key, expected, found))
             }
             None => Ok(Some(name)),
         }
     };
     let points = relative("points")?
-        .ok_or_else(|| section.defect("points", "the name of the points table", "nothing"))?;
+        .ok_or_else(|| section.error("points", "the name of the points table", "nothing"))?;
     let files = Files {
         points,
         holdout: relative("holdout")?,
         twin: relative("twin")?,
         rest_shape: relative("rest_shape")?,
+        pictures: pictures_folder(&section, folder)?,
     };
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
-        warnings.push(format!(
-            "session.toml: the recording {name} is not there; tables cannot be rebuilt from it"
-        ));
+        warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
     whisker_meta::warn_unknown(&section, warnings);
     Ok(files)
+}
+
+/// `pictures` of `[files]`: a folder inside the session's.
+fn pictures_folder(section: &Section<'_>, folder: &Path) -> Result<Option<PathBuf>, InputError> {
+    let Some(name) = section.text("pictures")? else { return Ok(None) };
+    let path = folder.join(&name);
+    let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    // A link could lead out of the session.
+    let linked = path.symlink_metadata().is_ok_and(|about| about.is_symlink());
+    if name.is_empty() || !Path::new(&name).components().all(plain) || linked || !path.is_dir() {
+        let expected = "a folder in the session's, its path relative to it and without \"..\"";
+        return Err(section.error("pictures", expected, quote(&name)));
+    }
+    Ok(Some(path))
 }
 
 /// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.
@@ -201,14 +225,15 @@ fn load_whisker(
     files: &Files,
     medium: &str,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerData, SessionError> {
     let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
     inputs.append(&mut meta.inputs);
     let length_mm = whisker_checks::length_mm(&meta.whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
-        let table = whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, Demand::Session)?;
+        let table =
+            whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &meta.trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
@@ -240,7 +265,7 @@ fn load_transducer(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerData, SessionError> {
     let meta = transducer::read_meta(root, warnings)?;
     let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
@@ -259,20 +284,24 @@ fn load_transducer(
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.
-pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), Defect> {
+pub(crate) fn check_covariates(name: &str, points: &[String], holdout: &[String]) -> Result<(), InputError> {
     if points == holdout {
         return Ok(());
     }
     let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-    Err(Defect::new(name, format!("the covariates of the points table ({})", list(points)), list(holdout))
-        .at(1))
+    Err(InputError::new(
+        name,
+        format!("the covariates of the points table ({})", list(points)),
+        list(holdout),
+    )
+    .at(1))
 }
 
 fn load_axis(
     folder: &Path,
     files: &Files,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<AxisData, SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;
@@ -295,9 +324,9 @@ fn seal<R>(rows: &mut Vec<R>, role: impl Fn(&R) -> Role) -> Sealed<R> {
     Sealed::new(sealed)
 }
 
-fn require_unsealed(file: &str, rows: usize) -> Result<(), Defect> {
+fn require_unsealed(file: &str, rows: usize) -> Result<(), InputError> {
     if rows > 0 {
         return Ok(());
     }
-    Err(Defect::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
+    Err(InputError::new(file, "at least one row that is not holdout", "holdout rows only").field("role"))
 }

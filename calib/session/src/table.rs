@@ -1,6 +1,6 @@
 //! CSV tables: streamed, hashed while read, every cell known by file, line and column.
 
-use crate::error::{Defect, SessionError, quote};
+use crate::error::{InputError, SessionError, quote};
 use crate::row::Row;
 use crate::units::split_unit;
 use csv::ByteRecord;
@@ -11,7 +11,7 @@ use std::path::Path;
 use wcal_core::{InputFile, Purpose};
 
 /// Marks the rows of simulated data; a mark is no covariate.
-pub(crate) const SIMULATED_COLUMN: &str = "simulated";
+pub const SIMULATED_COLUMN: &str = "simulated";
 
 /// A column that was found.
 #[derive(Debug, Clone, Copy)]
@@ -40,12 +40,12 @@ impl Table {
         });
         let (file, wide) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
         if wide {
-            return Err(Defect::new(name, "UTF-8 text", "UTF-16 text").hint("save as CSV UTF-8").into());
+            return Err(InputError::new(name, "UTF-8 text", "UTF-16 text").hint("save as CSV UTF-8").into());
         }
         let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
         let mut record = ByteRecord::new();
         if !lines.next_record(&mut record).map_err(|e| SessionError::io("reading", path, e))? {
-            return Err(Defect::new(name, "a header line and rows", "an empty file").into());
+            return Err(InputError::new(name, "a header line and rows", "an empty file").into());
         }
         let columns = header(name, &record)?;
         let used = columns.iter().map(|c| c == SIMULATED_COLUMN).collect();
@@ -58,7 +58,7 @@ impl Table {
     }
 
     /// The column, if the table has it. A column of the same quantity in another unit is an error.
-    pub(crate) fn optional(&mut self, name: &'static str) -> Result<Option<Column>, Defect> {
+    pub(crate) fn optional(&mut self, name: &'static str) -> Result<Option<Column>, InputError> {
         if let Some(index) = self.columns.iter().position(|c| c == name) {
             self.used[index] = true;
             return Ok(Some(Column { index, name }));
@@ -77,7 +77,7 @@ impl Table {
     }
 
     /// The column, which must be there.
-    pub(crate) fn required(&mut self, name: &'static str) -> Result<Column, Defect> {
+    pub(crate) fn required(&mut self, name: &'static str) -> Result<Column, InputError> {
         if let Some(column) = self.optional(name)? {
             return Ok(column);
         }
@@ -90,15 +90,19 @@ impl Table {
         Err(self.no_column(name, &format!("the columns {}", self.columns.join(", "))))
     }
 
-    fn no_column(&self, name: &str, found: &str) -> Defect {
-        Defect::new(&self.file, format!("a column {name}"), found).at(1).field(name)
+    fn no_column(&self, name: &str, found: &str) -> InputError {
+        InputError::new(&self.file, format!("a column {name}"), found).at(1).field(name)
     }
 
-    fn wrong_unit(&self, name: &str, unit: &str, column: &str, other: &str) -> Defect {
-        Defect::new(&self.file, format!("a column {name} in {unit}"), format!("a column {column} in {other}"))
-            .at(1)
-            .field(name)
-            .hint(format!("convert the values to {unit} and rename the column"))
+    fn wrong_unit(&self, name: &str, unit: &str, column: &str, other: &str) -> InputError {
+        InputError::new(
+            &self.file,
+            format!("a column {name} in {unit}"),
+            format!("a column {column} in {other}"),
+        )
+        .at(1)
+        .field(name)
+        .hint(format!("convert the values to {unit} and rename the column"))
     }
 
     /// Columns that nobody asked for, with their index.
@@ -126,21 +130,21 @@ impl Table {
         Ok(Some(Row { file: &self.file, line, columns: &self.columns, record: &self.record }))
     }
 
-    fn wrong_width(&self, line: usize) -> Defect {
+    fn wrong_width(&self, line: usize) -> InputError {
         let (fields, wanted) = (self.record.len(), self.columns.len());
         let last = self.columns.get(fields).cloned();
         let found = format!("{fields} fields");
-        let defect = Defect::new(&self.file, format!("{wanted} fields as in the header"), found).at(line);
+        let error = InputError::new(&self.file, format!("{wanted} fields as in the header"), found).at(line);
         match last {
-            Some(first_missing) => defect.field(first_missing).hint("is the file truncated?"),
-            None => defect.hint("decimals are written with a dot; an unquoted comma separates fields"),
+            Some(first_missing) => error.field(first_missing).hint("is the file truncated?"),
+            None => error.hint("decimals are written with a dot; an unquoted comma separates fields"),
         }
     }
 
     /// The file's hash, once every row has been read; an error where there was none.
-    pub(crate) fn finish(self) -> Result<InputFile, Defect> {
+    pub(crate) fn finish(self) -> Result<InputFile, InputError> {
         if self.rows == 0 {
-            return Err(Defect::new(&self.file, "at least one row below the header", "an empty table"));
+            return Err(InputError::new(&self.file, "at least one row below the header", "an empty table"));
         }
         let digest = self.lines.digest.finalize();
         let sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
@@ -148,17 +152,17 @@ impl Table {
     }
 }
 
-fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, Defect> {
+fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
     let mut columns: Vec<String> = Vec::with_capacity(record.len());
     for field in record {
-        let text =
-            std::str::from_utf8(field).map_err(|_| Defect::new(name, "UTF-8 text", "other bytes").at(1))?;
+        let text = std::str::from_utf8(field)
+            .map_err(|_| InputError::new(name, "UTF-8 text", "other bytes").at(1))?;
         columns.push(text.trim_start_matches('\u{feff}').trim().to_owned());
     }
     if columns.len() == 1 {
         for (separator, called) in [(';', "semicolons"), ('\t', "tabs")] {
             if columns[0].contains(separator) {
-                return Err(Defect::new(
+                return Err(InputError::new(
                     name,
                     "fields separated by commas",
                     format!("fields separated by {called}"),
@@ -176,7 +180,7 @@ fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, Defect> {
                 index + 1,
                 quote(column)
             );
-            return Err(Defect::new(name, "every column named once", found).at(1).field(column.clone()));
+            return Err(InputError::new(name, "every column named once", found).at(1).field(column.clone()));
         }
     }
     Ok(columns)
@@ -188,7 +192,7 @@ fn first(columns: &[String], name: &str) -> usize {
 
 fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> SessionError {
     if error.kind() == std::io::ErrorKind::NotFound {
-        return Defect::new(name, "a file in the session's folder", "no such file")
+        return InputError::new(name, "a file in the session's folder", "no such file")
             .hint(path.display().to_string())
             .into();
     }

@@ -1,6 +1,6 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
-use crate::error::{Defect, SessionError, quote};
+use crate::error::{InputError, SessionError, quote};
 use crate::table::split_line;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
@@ -54,7 +54,8 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     let file = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|e| SessionError::io("reading", path, e))?;
     let sha256 = sha256_hex(&bytes);
-    let text = std::str::from_utf8(&bytes).map_err(|_| Defect::new(&file, "UTF-8 text", "other bytes"))?;
+    let text =
+        std::str::from_utf8(&bytes).map_err(|_| InputError::new(&file, "UTF-8 text", "other bytes"))?;
     let text = text.trim_start_matches('\u{feff}');
     let start = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let records = split(&text[start..], layout.separator, layout.skip_lines);
@@ -64,7 +65,7 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
         None => {
             let header = records.next().map(|(_, cells)| cells);
             header.ok_or_else(|| {
-                Defect::new(&file, "a header line and rows", "nothing after the skipped lines")
+                InputError::new(&file, "a header line and rows", "nothing after the skipped lines")
             })?
         }
     };
@@ -96,16 +97,17 @@ fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<St
 }
 
 impl TextTable {
-    fn check_widths(&self) -> Result<(), Defect> {
+    fn check_widths(&self) -> Result<(), InputError> {
         if self.rows.is_empty() {
-            return Err(Defect::new(&self.file, "at least one row", "an empty table"));
+            return Err(InputError::new(&self.file, "at least one row", "an empty table"));
         }
         let wanted = self.columns.len();
         match self.rows.iter().find(|(_, cells)| cells.len() != wanted) {
             Some((line, cells)) => {
                 let expected = format!("{wanted} fields ({})", self.columns.join(", "));
-                let defect = Defect::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
-                Err(defect.hint("check the separator, the lines to skip and the column names"))
+                let error =
+                    InputError::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
+                Err(error.hint("check the separator, the lines to skip and the column names"))
             }
             None => Ok(()),
         }
@@ -115,10 +117,10 @@ impl TextTable {
     ///
     /// # Errors
     /// Where there is no such column; the message lists those that there are.
-    pub fn column(&self, name: &str) -> Result<usize, Defect> {
+    pub fn column(&self, name: &str) -> Result<usize, InputError> {
         self.columns.iter().position(|c| c == name).ok_or_else(|| {
             let found = format!("the columns {}", self.columns.join(", "));
-            Defect::new(&self.file, format!("a column {name}"), found).field(name)
+            InputError::new(&self.file, format!("a column {name}"), found).field(name)
         })
     }
 
@@ -126,7 +128,7 @@ impl TextTable {
     ///
     /// # Errors
     /// Where the cell holds anything else.
-    pub fn number(&self, row: usize, column: usize) -> Result<Option<f64>, Defect> {
+    pub fn number(&self, row: usize, column: usize) -> Result<Option<f64>, InputError> {
         let Some((line, cells)) = self.rows.get(row) else { return Ok(None) };
         let Some(cell) = cells.get(column).map(|c| c.trim()).filter(|c| !c.is_empty()) else {
             return Ok(None);
@@ -136,8 +138,8 @@ impl TextTable {
         let name = self.columns.get(column).map_or("", String::as_str);
         match parsed {
             Ok(value) if value.is_finite() => Ok(Some(value)),
-            Ok(_) => Err(Defect::new(&self.file, "a finite number", quote(cell)).at(*line).field(name)),
-            Err(_) => Err(Defect::new(&self.file, "a number", quote(cell)).at(*line).field(name)),
+            Ok(_) => Err(InputError::new(&self.file, "a finite number", quote(cell)).at(*line).field(name)),
+            Err(_) => Err(InputError::new(&self.file, "a number", quote(cell)).at(*line).field(name)),
         }
     }
 }

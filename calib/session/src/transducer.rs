@@ -1,9 +1,10 @@
 //! Sessions of kind "transducer": one stimulus, one response.
 
 use crate::document::Section;
-use crate::error::{Defect, SessionError, quote};
+use crate::error::{InputError, SessionError, quote};
 use crate::row::{Clock, PointNumbers};
 use crate::table::Table;
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::warn_unknown;
 use std::path::Path;
 use wcal_core::{InputFile, TransducerModel, TransducerRow};
@@ -16,15 +17,18 @@ pub(crate) struct TransducerMeta {
 }
 
 /// Reads `[transducer]`.
-pub(crate) fn read_meta(root: &Section<'_>, warnings: &mut Vec<String>) -> Result<TransducerMeta, Defect> {
+pub(crate) fn read_meta(
+    root: &Section<'_>,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<TransducerMeta, InputError> {
     let section = root.section("transducer")?;
-    let section = section.ok_or_else(|| root.defect("transducer", "a table [transducer]", "nothing"))?;
+    let section = section.ok_or_else(|| root.error("transducer", "a table [transducer]", "nothing"))?;
     let expected = "\"constant\", \"linear\" or \"quadratic\"";
     let model = match section.required_text("model", expected)?.as_str() {
         "constant" => TransducerModel::Constant,
         "linear" => TransducerModel::Linear,
         "quadratic" => TransducerModel::Quadratic,
-        other => return Err(section.defect("model", expected, quote(other))),
+        other => return Err(section.error("model", expected, quote(other))),
     };
     let meta = TransducerMeta {
         stimulus_unit: section.required_text("stimulus_unit", "a unit, e.g. \"N\"")?,
@@ -46,7 +50,7 @@ pub(crate) struct TransducerTable {
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerTable, SessionError> {
     let mut table = Table::open(path, name)?;
     let (point, role) = (table.required("point")?, table.required("role")?);
@@ -61,14 +65,15 @@ pub(crate) fn read_rows(
             extra.retain(|(index, column)| {
                 let usable = matches!(row.number_at(*index, column), Ok(Some(_)));
                 if !usable {
-                    warnings.push(format!("{name}: column {column} holds no numbers and is not used"));
+                    let kind = WarningKind::ColumnWithoutNumbers(column.clone());
+                    warnings.push(SessionWarning::new(name, kind));
                 }
                 usable
             });
         }
         let covariate = |(index, column): &(usize, String)| {
             row.number_at(*index, column)?
-                .ok_or_else(|| row.defect(column, "a number (a covariate in every row)", "nothing"))
+                .ok_or_else(|| row.error(column, "a number (a covariate in every row)", "nothing"))
         };
         let reading = TransducerRow {
             source: name.to_owned(),
@@ -81,7 +86,7 @@ pub(crate) fn read_rows(
             temperature_degc: row.temperature(temperature)?,
             direction: row.sign(direction)?,
             replicate: row.count(replicate, 0)?,
-            covariates: extra.iter().map(covariate).collect::<Result<_, Defect>>()?,
+            covariates: extra.iter().map(covariate).collect::<Result<_, InputError>>()?,
         };
         points.note(&row, reading.point)?;
         clock.note(row.line, reading.t_s);

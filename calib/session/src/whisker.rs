@@ -1,8 +1,9 @@
 //! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for `predict`.
 
-use crate::error::{Defect, SessionError};
+use crate::error::{InputError, SessionError};
 use crate::row::{Clock, PointNumbers, Row};
 use crate::table::{Column, Table};
+use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::WAVELENGTH_NM;
 use nalgebra::Vector3;
 use std::collections::HashSet;
@@ -15,7 +16,7 @@ const PM_PER_NM: f64 = 1000.0;
 
 /// What a table must hold.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Demand {
+pub(crate) enum ColumnRequirement {
     /// Role, trajectory and groove as in a session.
     Session,
     /// Wavelengths are enough.
@@ -30,7 +31,7 @@ pub struct ReadingTable {
     /// The file and its hash.
     pub input: InputFile,
     /// What deserves attention.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<SessionWarning>,
     /// Optional columns that are present, by name.
     pub columns: Vec<String>,
 }
@@ -42,7 +43,7 @@ pub struct ReadingTable {
 /// As [`crate::load`]: the first cell that cannot be used.
 pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
     let name = path.display().to_string();
-    read_rows(path, &name, &mut fbg.clone(), &[], Demand::Readings)
+    read_rows(path, &name, &mut fbg.clone(), &[], ColumnRequirement::Readings)
 }
 
 struct Columns {
@@ -68,8 +69,12 @@ enum Wavelengths {
     Shift { columns: [Column; 2], reference: Option<Column> },
 }
 
-fn find_columns(table: &mut Table, fbg: &FbgSpec, demand: Demand) -> Result<Columns, Defect> {
-    let in_session = demand == Demand::Session;
+fn find_columns(
+    table: &mut Table,
+    fbg: &FbgSpec,
+    requirement: ColumnRequirement,
+) -> Result<Columns, InputError> {
+    let in_session = requirement == ColumnRequirement::Session;
     let need = |table: &mut Table, name: &'static str| {
         if in_session { table.required(name).map(Some) } else { table.optional(name) }
     };
@@ -101,7 +106,7 @@ fn find_columns(table: &mut Table, fbg: &FbgSpec, demand: Demand) -> Result<Colu
     })
 }
 
-fn find_wavelengths(table: &mut Table, fbg: &FbgSpec) -> Result<Wavelengths, Defect> {
+fn find_wavelengths(table: &mut Table, fbg: &FbgSpec) -> Result<Wavelengths, InputError> {
     let shifts = [table.optional("fbg_1_shift_nm")?, table.optional("fbg_2_shift_nm")?];
     if let [Some(first), Some(second)] = shifts {
         let reference = table.optional("fbg_ref_shift_nm")?;
@@ -111,7 +116,7 @@ fn find_wavelengths(table: &mut Table, fbg: &FbgSpec) -> Result<Wavelengths, Def
     let reference = table.optional("fbg_ref_nm")?;
     match fbg.nominal_nm {
         Some(nominal_nm) => Ok(Wavelengths::Absolute { columns, nominal_nm, reference }),
-        None => Err(Defect::new(
+        None => Err(InputError::new(
             "session.toml",
             "two nominal wavelengths in nm, since the table holds fbg_1_nm",
             "nothing",
@@ -126,52 +131,40 @@ pub(crate) fn read_rows(
     name: &str,
     fbg: &mut FbgSpec,
     trajectories: &[Trajectory],
-    demand: Demand,
+    requirement: ColumnRequirement,
 ) -> Result<ReadingTable, SessionError> {
     let mut table = Table::open(path, name)?;
-    let columns = find_columns(&mut table, fbg, demand)?;
+    let columns = find_columns(&mut table, fbg, requirement)?;
     let mut warnings = unused_columns(&table);
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
-    let mut marked = [("lost", Vec::new()), ("late", Vec::new())];
+    let [mut lost, mut late] = [Vec::new(), Vec::new()];
     while let Some(row) = table.next_row()? {
         let order = i64::try_from(rows.len()).unwrap_or(i64::MAX);
-        let reading = read_row(&row, &columns, fbg, &known, demand, order)?;
+        let reading = read_row(&row, &columns, fbg, &known, requirement, order)?;
         points.note(&row, reading.point)?;
         clock.note(row.line, reading.t_s);
-        if let Some(word) = row.stream(columns.stream)? {
-            marked.iter_mut().filter(|m| m.0 == word).for_each(|m| m.1.push(reading.point));
+        match row.stream(columns.stream)? {
+            Some("lost") => lost.push(reading.point),
+            Some("late") => late.push(reading.point),
+            _ => {}
         }
         rows.push(reading);
     }
-    warnings.extend(marked.iter().filter_map(|(word, points)| stream_warning(name, word, points)));
+    if !lost.is_empty() {
+        warnings.push(SessionWarning::new(name, WarningKind::ScansLost(lost)));
+    }
+    if !late.is_empty() {
+        warnings.push(SessionWarning::new(name, WarningKind::ScansLate(late)));
+    }
     warnings.extend(clock.warning(name));
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
 }
 
-/// Readings whose averaging windows met a stream that was not whole.
-fn stream_warning(name: &str, word: &str, points: &[i64]) -> Option<String> {
-    /// More points are counted, not named.
-    const MAX_NAMED: usize = 20;
-    if points.is_empty() {
-        return None;
-    }
-    let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();
-    if points.len() > MAX_NAMED {
-        named.push(format!("and {} more", points.len() - MAX_NAMED));
-    }
-    let what = if word == "lost" {
-        "scans are missing in the averaging window"
-    } else {
-        "scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen behind"
-    };
-    Some(format!("{name}: points {}: {what}", named.join(", ")))
-}
-
-pub(crate) fn unused_columns(table: &Table) -> Vec<String> {
-    let unused = table.unused();
-    unused.iter().map(|(_, c)| format!("{}: column {c} is not known and not used", table.file())).collect()
+pub(crate) fn unused_columns(table: &Table) -> Vec<SessionWarning> {
+    let of = |column: String| SessionWarning::new(table.file(), WarningKind::UnknownColumn(column));
+    table.unused().into_iter().map(|(_, column)| of(column)).collect()
 }
 
 fn read_row(
@@ -179,21 +172,21 @@ fn read_row(
     columns: &Columns,
     fbg: &mut FbgSpec,
     known: &HashSet<u32>,
-    demand: Demand,
+    requirement: ColumnRequirement,
     order: i64,
-) -> Result<WhiskerRow, Defect> {
+) -> Result<WhiskerRow, InputError> {
     let role = columns.role.map_or(Ok(Role::Verification), |c| row.role(c))?;
     let mut trajectory = row.count(columns.trajectory, 0)?;
     let groove_mm = groove(row, columns.groove)?;
-    if demand == Demand::Session {
+    if requirement == ColumnRequirement::Session {
         let is_known = trajectory.is_some_and(|id| known.contains(&id));
         if role == Role::Rest {
             trajectory = trajectory.filter(|_| is_known);
         } else if !is_known {
             let found = trajectory.map_or("nothing".to_owned(), |id| format!("{id}"));
-            return Err(row.defect("trajectory", "the id of a [[trajectory]] in session.toml", found));
+            return Err(row.error("trajectory", "the id of a [[trajectory]] in session.toml", found));
         } else if groove_mm.is_none() {
-            return Err(row.defect("groove_x_mm", "a number (only a rest row needs no groove)", "nothing"));
+            return Err(row.error("groove_x_mm", "a number (only a rest row needs no groove)", "nothing"));
         }
     }
     let (shift_pm, reference_shift_pm) = shifts(row, &columns.fbg, fbg)?;
@@ -221,7 +214,7 @@ fn read_row(
     })
 }
 
-fn groove(row: &Row<'_>, columns: Option<[Column; 3]>) -> Result<Option<Vector3<f64>>, Defect> {
+fn groove(row: &Row<'_>, columns: Option<[Column; 3]>) -> Result<Option<Vector3<f64>>, InputError> {
     let Some(columns) = columns else { return Ok(None) };
     let cells = [row.number(Some(columns[0]))?, row.number(Some(columns[1]))?, row.number(Some(columns[2]))?];
     match cells {
@@ -229,7 +222,7 @@ fn groove(row: &Row<'_>, columns: Option<[Column; 3]>) -> Result<Option<Vector3<
         [None, None, None] => Ok(None),
         _ => {
             let empty = cells.iter().position(Option::is_none).unwrap_or(0);
-            Err(row.defect(columns[empty].name, "a number (its neighbours are given)", "nothing"))
+            Err(row.error(columns[empty].name, "a number (its neighbours are given)", "nothing"))
         }
     }
 }
@@ -238,7 +231,7 @@ fn shifts(
     row: &Row<'_>,
     columns: &Wavelengths,
     fbg: &mut FbgSpec,
-) -> Result<([f64; 2], Option<f64>), Defect> {
+) -> Result<([f64; 2], Option<f64>), InputError> {
     match columns {
         Wavelengths::Shift { columns, reference } => {
             let shift = |c: Column| checked_shift(row, c, row.required(c)?);
@@ -266,7 +259,7 @@ fn shifts(
     }
 }
 
-fn checked_wavelength(row: &Row<'_>, column: Column, nm: f64) -> Result<f64, Defect> {
+fn checked_wavelength(row: &Row<'_>, column: Column, nm: f64) -> Result<f64, InputError> {
     let (low, high) = WAVELENGTH_NM;
     if (low..=high).contains(&nm) {
         return Ok(nm);
@@ -281,18 +274,18 @@ fn checked_wavelength(row: &Row<'_>, column: Column, nm: f64) -> Result<f64, Def
         "check the unit"
     };
     Err(row
-        .defect(column.name, format!("a wavelength between {low} and {high} nm"), format!("{nm}"))
+        .error(column.name, format!("a wavelength between {low} and {high} nm"), format!("{nm}"))
         .hint(hint))
 }
 
 /// Shift in pm.
-fn checked_shift(row: &Row<'_>, column: Column, shift_nm: f64) -> Result<f64, Defect> {
+fn checked_shift(row: &Row<'_>, column: Column, shift_nm: f64) -> Result<f64, InputError> {
     if shift_nm.abs() <= LARGEST_SHIFT_NM {
         return Ok(shift_nm * PM_PER_NM);
     }
     let expected = format!("a shift from nominal of at most {LARGEST_SHIFT_NM} nm");
-    let defect = row.defect(column.name, expected, format!("{shift_nm}"));
-    Err(defect.hint(if column.name.ends_with("shift_nm") {
+    let error = row.error(column.name, expected, format!("{shift_nm}"));
+    Err(error.hint(if column.name.ends_with("shift_nm") {
         "pm instead of nm?"
     } else {
         "wrong nominal_nm or grating?"
@@ -304,7 +297,7 @@ pub(crate) fn read_twin(
     path: &Path,
     name: &str,
     rows: &[WhiskerRow],
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<(Vec<TwinLabel>, InputFile), SessionError> {
     let mut table = Table::open(path, name)?;
     let point = table.required("point")?;
@@ -329,19 +322,14 @@ pub(crate) fn read_twin(
         };
         points.note(&row, label.point)?;
         if !known.contains(&label.point) {
-            return Err(row
-                .defect("point", "a point of the points table", format!("{}", label.point))
-                .into());
+            return Err(row.error("point", "a point of the points table", format!("{}", label.point)).into());
         }
         labels.push(label);
     }
     let input = table.finish()?;
     if labels.len() < known.len() {
-        warnings.push(format!(
-            "{name}: {} of {} points have no label",
-            known.len() - labels.len(),
-            known.len()
-        ));
+        let kind = WarningKind::Unlabelled { points: known.len() - labels.len(), of: known.len() };
+        warnings.push(SessionWarning::new(name, kind));
     }
     Ok((labels, input))
 }

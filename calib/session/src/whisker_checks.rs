@@ -1,6 +1,7 @@
 //! Checks of whisker rows against geometry: reach of the wire, stage against groove, units.
 
-use crate::error::Defect;
+use crate::error::InputError;
+use crate::warning::{SessionWarning, WarningKind};
 use nalgebra::Vector3;
 use wcal_core::observation::RestShape;
 use wcal_core::{Role, Trajectory, WhiskerRow};
@@ -19,15 +20,15 @@ pub(crate) fn length_mm(shape: &RestShape) -> f64 {
 }
 
 /// Every pose that is pressed must lie within the wire's length of its root.
-pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), Defect> {
+pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), InputError> {
     for row in rows.iter().filter(|r| r.role != Role::Rest) {
         let Some(groove) = row.groove_mm else { continue };
         let distance_mm = groove.norm();
         if distance_mm > length_mm {
             let expected = format!("a groove within reach of the wire ({length_mm:.3} mm from the root)");
-            let defect = defect(row, "groove_x_mm", expected, format!("{distance_mm:.3} mm"));
+            let error = error(row, "groove_x_mm", expected, format!("{distance_mm:.3} mm"));
             let in_um = distance_mm > 100.0 * length_mm && distance_mm < 1e3 * length_mm;
-            return Err(if in_um { defect.hint("um instead of mm?") } else { defect });
+            return Err(if in_um { error.hint("um instead of mm?") } else { error });
         }
     }
     Ok(())
@@ -37,8 +38,8 @@ pub(crate) fn check_reach(rows: &[WhiskerRow], length_mm: f64) -> Result<(), Def
 pub(crate) fn check_stage(
     rows: &[WhiskerRow],
     trajectories: &[Trajectory],
-    warnings: &mut Vec<String>,
-) -> Result<(), Defect> {
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<(), InputError> {
     let (mut count, mut worst_mm, mut worst) = (0_usize, 0.0_f64, None);
     for row in rows {
         let (Some(groove), Some(stage_mm), Some(id)) = (row.groove_mm, row.stage_mm, row.trajectory) else {
@@ -56,11 +57,9 @@ pub(crate) fn check_stage(
         }
     }
     if let Some(row) = worst {
-        let (file, line) = (&row.source, row.line);
-        warnings.push(format!(
-            "{file}: groove and origin + stage_mm * direction differ by more than {AGREEMENT_MM} mm in {count} row(s), \
-             most by {worst_mm:.3} mm at line {line}"
-        ));
+        let (limit_mm, rows, line) = (AGREEMENT_MM, count, row.line);
+        let kind = WarningKind::StageDisagrees { limit_mm, rows, worst_mm, line };
+        warnings.push(SessionWarning::new(&row.source, kind));
     }
     Ok(())
 }
@@ -70,7 +69,7 @@ fn unit_error(
     trajectory: &Trajectory,
     groove: Vector3<f64>,
     stage_mm: f64,
-) -> Result<(), Defect> {
+) -> Result<(), InputError> {
     let near = |ratio: f64, factor: f64| (ratio / factor - 1.0).abs() < UNIT_RATIO_TOLERANCE;
     let travelled_mm = (groove - trajectory.origin_mm).dot(&trajectory.direction);
     let expected = format!("about {travelled_mm:.4} mm, from the groove's position");
@@ -78,8 +77,8 @@ fn unit_error(
         let ratio = stage_mm / travelled_mm;
         if near(ratio, 1e3) || near(ratio, 1e-3) {
             let unit = if ratio > 1.0 { "um" } else { "m" };
-            let defect = defect(row, "stage_mm", expected, format!("{stage_mm}"));
-            return Err(defect.hint(format!("a factor of 1000: {unit} instead of mm?")));
+            let error = error(row, "stage_mm", expected, format!("{stage_mm}"));
+            return Err(error.hint(format!("a factor of 1000: {unit} instead of mm?")));
         }
     }
     let from_stage = trajectory.origin_mm + stage_mm * trajectory.direction;
@@ -90,10 +89,10 @@ fn unit_error(
                 format!("a position near ({:.3}, {:.3}, {:.3}) mm", from_stage.x, from_stage.y, from_stage.z);
             let found = format!("({}, {}, {})", groove.x, groove.y, groove.z);
             let unit = if factor > 1.0 { "um" } else { "m" };
-            let defect = defect(row, "groove_x_mm", expected, found);
+            let error = error(row, "groove_x_mm", expected, found);
             // Near the base frame's origin everything is small: only a clear mismatch counts.
             if from_stage.norm() > 1.0 {
-                return Err(defect.hint(format!("a factor of 1000: {unit} instead of mm?")));
+                return Err(error.hint(format!("a factor of 1000: {unit} instead of mm?")));
             }
         }
     }
@@ -105,13 +104,13 @@ fn unit_error(
         let found = format!("({}, {}, {})", o.x, o.y, o.z);
         let expected = format!("an origin {:.3} mm from the root", origin_from_groove.norm());
         let field = format!("trajectory {}.origin_mm", trajectory.id);
-        return Err(Defect::new("session.toml", expected, found)
+        return Err(InputError::new("session.toml", expected, found)
             .field(field)
             .hint("a factor of 1000: m instead of mm?"));
     }
     Ok(())
 }
 
-fn defect(row: &WhiskerRow, field: &str, expected: String, found: String) -> Defect {
-    Defect::new(&row.source, expected, found).at(row.line).field(field)
+fn error(row: &WhiskerRow, field: &str, expected: String, found: String) -> InputError {
+    InputError::new(&row.source, expected, found).at(row.line).field(field)
 }

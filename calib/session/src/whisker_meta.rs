@@ -1,8 +1,9 @@
 //! `[whisker]`, `[moments]`, `[fbg]` and `[[trajectory]]` of a whisker session.
 
 use crate::document::Section;
-use crate::error::{Defect, SessionError};
+use crate::error::{InputError, SessionError};
 use crate::table::Table;
+use crate::warning::{SessionWarning, WarningKind};
 use nalgebra::Vector3;
 use std::path::Path;
 use wcal_core::observation::RestShape;
@@ -28,10 +29,10 @@ pub(crate) fn read(
     root: &Section<'_>,
     folder: &Path,
     shape_file: Option<&str>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerMeta, SessionError> {
     let section = root.section("whisker")?;
-    let section = section.ok_or_else(|| root.defect("whisker", "a table [whisker]", "nothing"))?;
+    let section = section.ok_or_else(|| root.error("whisker", "a table [whisker]", "nothing"))?;
     let mut inputs = Vec::new();
     let whisker = spec(&section, folder, shape_file, &mut inputs, warnings)?;
     warn_unknown(&section, warnings);
@@ -55,13 +56,9 @@ pub(crate) fn read(
     Ok(WhiskerMeta { whisker, moments, fbg, trajectories, inputs })
 }
 
-pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<String>) {
-    warnings.extend(
-        section
-            .unknown_keys()
-            .into_iter()
-            .map(|key| format!("session.toml: key {key} is not known and not used")),
-    );
+pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<SessionWarning>) {
+    let of = |key: String| SessionWarning::new("session.toml", WarningKind::UnknownKey(key));
+    warnings.extend(section.unknown_keys().into_iter().map(of));
 }
 
 fn spec(
@@ -69,7 +66,7 @@ fn spec(
     folder: &Path,
     shape_file: Option<&str>,
     inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerSpec, SessionError> {
     let length_mm = section.number_in("length_mm", 1.0, 2000.0)?;
     let straight_mm = section.number_in("straight_mm", 0.0, 2000.0)?;
@@ -85,10 +82,9 @@ fn spec(
             let file = shape_file.unwrap_or("session.toml");
             check_polyline(file, &points)?;
             let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-            if let Some(declared) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
-                warnings.push(format!(
-                    "{file}: the rest shape is {polyline_mm:.3} mm long, length_mm says {declared}"
-                ));
+            if let Some(declared_mm) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
+                let kind = WarningKind::RestShapeLength { polyline_mm, declared_mm };
+                warnings.push(SessionWarning::new(file, kind));
             }
             RestShape::Polyline(points)
         }
@@ -109,13 +105,13 @@ fn straight_arc(
     length_mm: Option<f64>,
     straight_mm: Option<f64>,
     arc_radius_mm: Option<f64>,
-) -> Result<RestShape, Defect> {
-    let needed = |key: &str| section.defect(key, "a number, or a rest_shape", "nothing");
+) -> Result<RestShape, InputError> {
+    let needed = |key: &str| section.error(key, "a number, or a rest_shape", "nothing");
     let length_mm = length_mm.ok_or_else(|| needed("length_mm"))?;
     let straight_mm = straight_mm.ok_or_else(|| needed("straight_mm"))?;
     if straight_mm > length_mm {
         let expected = format!("at most length_mm = {length_mm}");
-        return Err(section.defect("straight_mm", expected, format!("{straight_mm}")));
+        return Err(section.error("straight_mm", expected, format!("{straight_mm}")));
     }
     // A wholly straight wire has no arc; any radius describes it.
     let no_arc = (straight_mm >= length_mm).then_some(length_mm);
@@ -139,34 +135,34 @@ fn read_polyline(
     Ok(points)
 }
 
-fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), Defect> {
-    let defect = |expected: &str, found: String| Defect::new(file, expected, found).field("rest_shape");
+fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), InputError> {
+    let error = |expected: &str, found: String| InputError::new(file, expected, found).field("rest_shape");
     if points.len() < 2 {
-        return Err(defect("at least two points", format!("{}", points.len())));
+        return Err(error("at least two points", format!("{}", points.len())));
     }
     if points[0].norm() > ROOT_TOLERANCE_MM {
         let p = points[0];
         let found = format!("({}, {}, {})", p.x, p.y, p.z);
-        return Err(defect("the root at (0, 0, 0), the origin of the base frame", found));
+        return Err(error("the root at (0, 0, 0), the origin of the base frame", found));
     }
     match points.windows(2).position(|w| (w[1] - w[0]).norm() < 1e-9) {
         Some(index) => {
-            Err(defect("points that differ from their neighbours", format!("point {} twice", index + 1)))
+            Err(error("points that differ from their neighbours", format!("point {} twice", index + 1)))
         }
         None => Ok(()),
     }
 }
 
-fn moment_axes(section: &Section<'_>) -> Result<MomentAxes, Defect> {
+fn moment_axes(section: &Section<'_>) -> Result<MomentAxes, InputError> {
     let mut moments = MomentAxes::default();
     if let Some(axes) = section.vectors("axes")? {
         let [first, second] = axes[..] else {
-            return Err(section.defect("axes", "two unit vectors", format!("{}", axes.len())));
+            return Err(section.error("axes", "two unit vectors", format!("{}", axes.len())));
         };
         moments.axes = [section.normalised("axes", first)?, section.normalised("axes", second)?];
         let cosine = moments.axes[0].dot(&moments.axes[1]);
         if cosine.abs() > 0.99 {
-            return Err(section.defect(
+            return Err(section.error(
                 "axes",
                 "two different directions",
                 format!("parallel ones (cosine {cosine:.4})"),
@@ -175,19 +171,19 @@ fn moment_axes(section: &Section<'_>) -> Result<MomentAxes, Defect> {
     }
     if let Some(sign) = section.number("sign")? {
         if sign != 1.0 && sign != -1.0 {
-            return Err(section.defect("sign", "1 or -1", format!("{sign}")));
+            return Err(section.error("sign", "1 or -1", format!("{sign}")));
         }
         moments.sign = sign;
     }
     Ok(moments)
 }
 
-fn gratings(section: &Section<'_>) -> Result<FbgSpec, Defect> {
+fn gratings(section: &Section<'_>) -> Result<FbgSpec, InputError> {
     let nominal_nm = section.numbers::<2>("nominal_nm")?;
     let (low, high) = WAVELENGTH_NM;
     if let Some(bad) = nominal_nm.iter().flatten().find(|w| !(low..=high).contains(*w)) {
         let expected = format!("wavelengths between {low} and {high} nm");
-        return Err(section.defect("nominal_nm", expected, format!("{bad}")).hint("check the unit"));
+        return Err(section.error("nominal_nm", expected, format!("{bad}")).hint("check the unit"));
     }
     Ok(FbgSpec {
         nominal_nm,
@@ -198,20 +194,23 @@ fn gratings(section: &Section<'_>) -> Result<FbgSpec, Defect> {
     })
 }
 
-fn trajectories(root: &Section<'_>, warnings: &mut Vec<String>) -> Result<Vec<Trajectory>, Defect> {
+fn trajectories(
+    root: &Section<'_>,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<Vec<Trajectory>, InputError> {
     let mut out: Vec<Trajectory> = Vec::new();
     for section in root.sections("trajectory")? {
         let id = match section.number("id")? {
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
             Some(id) if id.fract() == 0.0 && (0.0..=4e9).contains(&id) => id as u32,
-            Some(id) => return Err(section.defect("id", "a whole number, zero or more", format!("{id}"))),
-            None => return Err(section.defect("id", "a whole number, zero or more", "nothing")),
+            Some(id) => return Err(section.error("id", "a whole number, zero or more", format!("{id}"))),
+            None => return Err(section.error("id", "a whole number, zero or more", "nothing")),
         };
         if out.iter().any(|t| t.id == id) {
-            return Err(section.defect("id", "every trajectory once", format!("trajectory {id} again")));
+            return Err(section.error("id", "every trajectory once", format!("trajectory {id} again")));
         }
         let of =
-            |key: &str, expected: &str| section.defect(key, expected, format!("nothing (trajectory {id})"));
+            |key: &str, expected: &str| section.error(key, expected, format!("nothing (trajectory {id})"));
         out.push(Trajectory {
             id,
             origin_mm: section.vector("origin_mm")?.ok_or_else(|| of("origin_mm", "[x, y, z] in mm"))?,

@@ -1,41 +1,10 @@
-//! Writing so that a reader sees the old content or the new one, never half of it.
+//! Writing a session folder in one step.
 
-use crate::error::{Defect, SessionError};
+use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, load};
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-
-/// Writes `bytes` to `path` under a temporary name in the same folder, syncs, and renames.
-/// The folder must exist. An existing file is replaced.
-///
-/// # Errors
-/// [`SessionError::Io`]; `path` is then as it was before.
-pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), SessionError> {
-    let fail = |source| SessionError::Io { action: "writing", path: path.to_owned(), source };
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".wcal-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        // The umask narrows this; the default of a temporary file would lock other readers out.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder).map_err(fail)?;
-    file.write_all(bytes).map_err(fail)?;
-    file.as_file().sync_all().map_err(fail)?;
-    file.persist(path).map_err(|e| fail(e.error))?;
-    sync_folder(folder).map_err(fail)
-}
-
-/// A rename is only durable once the folder is.
-fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    if cfg!(unix) { fs::File::open(folder)?.sync_all() } else { Ok(()) }
-}
+use wcal_core::files::{folder_of, sync_folder, write_atomic};
 
 /// Files of a new session: `session.toml` and the tables it names.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -55,12 +24,13 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
     let fail = |source| SessionError::Io { action: "writing", path: folder.to_owned(), source };
     refuse_existing(folder)?;
     let name = folder.file_name().ok_or_else(|| {
-        SessionError::from(Defect::new(&folder.display().to_string(), "the name of a new folder", "no name"))
+        SessionError::from(InputError::new(
+            &folder.display().to_string(),
+            "the name of a new folder",
+            "no name",
+        ))
     })?;
-    let parent = match folder.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let parent = folder_of(folder);
     fs::create_dir_all(parent).map_err(fail)?;
     let staging = Staging(parent.join(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())));
     fs::create_dir(&staging.0).map_err(fail)?;
@@ -70,7 +40,7 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
     write_atomic(&staging.0.join("session.toml"), files.session_toml.as_bytes())?;
     let mut session = load(&staging.0)?;
     fs::rename(&staging.0, folder).map_err(fail)?;
-    sync_folder(parent).map_err(fail)?;
+    sync_folder(parent)?;
     folder.clone_into(&mut session.folder);
     Ok(session)
 }
@@ -82,7 +52,7 @@ fn refuse_existing(folder: &Path) -> Result<(), SessionError> {
     };
     if taken {
         let name = folder.display().to_string();
-        return Err(Defect::new(&name, "a folder that does not exist yet", "one with content").into());
+        return Err(InputError::new(&name, "a folder that does not exist yet", "one with content").into());
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 use std::fs;
-use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_atomic, write_session};
+use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
 
 const TOML: &str = "format = \"wcal-session/1\"\nid = \"t\"\nkind = \"transducer\"\n[files]\npoints = \"points.csv\"\n\
     [transducer]\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\nmodel = \"linear\"\n";
@@ -12,17 +12,6 @@ fn session(points: &str) -> SessionFiles {
         session_toml: TOML.to_owned(),
         tables: vec![("points.csv".to_owned(), points.as_bytes().to_vec())],
     }
-}
-
-#[test]
-fn a_file_is_replaced_and_nothing_else_is_left() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.json");
-    write_atomic(&path, b"one").unwrap();
-    write_atomic(&path, b"two").unwrap();
-    assert_eq!(fs::read(&path).unwrap(), b"two");
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    assert!(write_atomic(&folder.path().join("no/such/a.json"), b"x").is_err());
 }
 
 #[test]

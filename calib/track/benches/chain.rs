@@ -15,11 +15,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::hint::black_box;
 use std::time::Instant;
+use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::FbgSpec;
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
+use wcal_core::rig_devices::{GratingRig, InterrogatorRig};
 use wcal_map::{Candidate, FitOptions, MapPredictor, MapTraining, fit_map};
-use wcal_session::recording::rig::{GratingRig, InterrogatorRig};
-use wcal_session::recording::sensed::WhiskerReader;
 use wcal_track::live::{Chain, ChainSettings};
 
 const WHISKERS: usize = 16;

@@ -11,6 +11,7 @@ pub mod drawn;
 mod error;
 pub mod evaluate;
 pub mod inverse;
+pub mod known_motion;
 pub mod live;
 pub mod make;
 pub mod model_file;

@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::files::{FileError, write_atomic};
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::sha256_hex;
 
@@ -169,18 +170,21 @@ impl Split {
 /// Where a file cannot be written.
 pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), TrackError> {
     std::fs::create_dir_all(folder).map_err(TrackError::file("creating", folder))?;
+    let refused =
+        |e: FileError| TrackError::File { action: e.action, path: e.path, detail: e.source.to_string() };
     let weights = folder.join("model.safetensors");
     let part = folder.join("model.part.safetensors");
     // Several entries come in any order: the same weights would have several hashes.
     let mut store =
         SafetensorsStore::from_file(&part).clear_metadata().metadata("producer", "wcal").overwrite(true);
     net.save_into(&mut store).map_err(TrackError::file("writing", &weights))?;
-    std::fs::rename(&part, &weights).map_err(TrackError::file("writing", &weights))?;
-    let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
+    let bytes = std::fs::read(&part).map_err(TrackError::file("reading", &part))?;
+    write_atomic(&weights, &bytes).map_err(refused)?;
+    std::fs::remove_file(&part).map_err(TrackError::file("removing", &part))?;
     card.weights_sha256 = sha256_hex(&bytes);
     let path = folder.join("model.json");
     let text = serde_json::to_string_pretty(card).map_err(TrackError::file("writing", &path))?;
-    std::fs::write(&path, text).map_err(TrackError::file("writing", &path))
+    write_atomic(&path, text.as_bytes()).map_err(refused)
 }
 
 /// Reads a model's card, which is checked against the weights; the network is not made.

@@ -1,15 +1,13 @@
-//! Devices of a whisker bench: stage, interrogators and cameras, real, virtual and replayed.
+//! Devices of a whisker bench: stage, interrogators and cameras, real and virtual.
 //!
 //! What is known of each device, what is assumed, and the test that pins it: `firmware-notes/`.
 
 pub mod bench;
-pub mod bench_files;
 pub mod cameras;
-pub mod host;
+mod host;
 pub mod hyperion;
-pub mod record;
-pub mod replay;
+pub mod open;
 pub mod sm130;
 pub mod zaber;
 
-pub use host::HostClock;
+pub use open::Drivers;

@@ -6,11 +6,12 @@ mod common;
 use common::{NoMount, PLAN, bench, order, rows};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use wcal_acquisition::record::{RecordResult, record};
+use wcal_acquisition::sweep::Ending;
 use wcal_core::device::DeviceErrorKind as Kind;
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
-use wcal_drivers::record::{Recorded, record};
-use wcal_session::recording::sweep::Ending;
 
 /// Runs a fault: one, or as many as WCAL_FAULT_RUNS says.
 fn runs() -> usize {
@@ -29,12 +30,17 @@ enum Outcome {
 }
 
 /// One run: the fault comes at a step of its own, on the move when `moving`.
-fn run(fault: Fault, extra: &str, step: usize, moving: bool) -> (VirtualBench, tempfile::TempDir, Recorded) {
+fn run(
+    fault: Fault,
+    extra: &str,
+    step: usize,
+    moving: bool,
+) -> (VirtualBench, tempfile::TempDir, RecordResult) {
     let (bench, dir) = (bench(extra), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
             let state = (bench.true_stage().1 != 0.0) == moving;
             if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
                 bench.inject(fault);
@@ -174,7 +180,7 @@ fn without_a_fault_there_is_no_outcome() {
 fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
-    let recorded = record(&order, &mut NoMount, &AtomicBool::new(false), &mut |p| {
+    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
         if p.step >= 4 {
             bench.inject(Fault::UnplugStage);
         }

@@ -5,18 +5,19 @@ use std::net::TcpListener;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use wcal_acquisition::assign::ChannelMap;
+use wcal_acquisition::camera_pair::CameraPair;
+use wcal_acquisition::monitor::Monitor;
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::{End, Message, read};
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::sweep::acquire;
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Camera, DeviceErrorKind, FbgReading, Interrogator};
-use wcal_drivers::HostClock;
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
-use wcal_drivers::cameras::{CameraPair, NetCamera};
+use wcal_drivers::cameras::NetCamera;
 use wcal_drivers::hyperion::Hyperion;
 use wcal_drivers::sm130::Sm130;
-use wcal_session::recording::assign::ChannelMap;
-use wcal_session::recording::monitor::Monitor;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::replay::{End, Message, read};
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::sweep::acquire;
 
 /// How long a slow machine may take.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -3,8 +3,8 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
+use wcal_core::clock::HostClock;
 use wcal_core::device::{DeviceErrorKind, Stage};
-use wcal_drivers::HostClock;
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
 use wcal_drivers::zaber::units::Microsteps;
 use wcal_drivers::zaber::{Chain, Port, ZaberBinary, ZaberStage};

@@ -2,24 +2,25 @@
 
 mod common;
 
-use common::{NoMount, PLAN, bench, go, order, rows};
+use common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use wcal_acquisition::assign::ChannelMap;
+use wcal_acquisition::monitor::Monitor;
+use wcal_acquisition::record::{RecordRequest, record};
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay_interrogator::ReplayInterrogator;
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::run_file::RunFile;
+use wcal_acquisition::sweep::{Ending, acquire};
 use wcal_core::Role;
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
 use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::record::{Order, record};
-use wcal_drivers::replay::ReplayInterrogator;
-use wcal_session::recording::assign::ChannelMap;
-use wcal_session::recording::monitor::Monitor;
-use wcal_session::recording::recorder::Recorder;
-use wcal_session::recording::rig::Rig;
-use wcal_session::recording::run_file::RunFile;
-use wcal_session::recording::sweep::{Ending, acquire};
 
 #[test]
 fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
@@ -62,7 +63,7 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll.
     assert!(reduction.clocks[0].offset_s > 60.0, "{:?}", reduction.clocks);
     assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.25), "{:?}", reduction.lag_s);
-    let again = wcal_session::recording::reduce::reduce(&order.folder).unwrap();
+    let again = wcal_acquisition::reduce::reduce(&order.folder).unwrap();
     assert_eq!(again.rows, reduction.rows, "reducing twice gives the same");
     assert!(go(&order).is_err(), "a session is never overwritten");
 }
@@ -73,7 +74,7 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let mut order = order(&bench, PLAN, dir.path());
     let interrupt = AtomicBool::new(false);
     let mut lost = false;
-    let first = record(&order, &mut NoMount, &interrupt, &mut |p| {
+    let first = record(&order, &mut Drivers::default(), &mut NoMount, &interrupt, &mut |p| {
         if p.step >= 4 && !std::mem::replace(&mut lost, true) {
             bench.inject(Fault::LostSamples { count: 37 });
         }
@@ -117,7 +118,7 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let before = bench.true_stage();
     let wide = order(&bench, &PLAN.replace("3.0]", "30.0]"), dir.path());
     assert!(go(&wide).unwrap_err().to_string().contains("stage position"));
-    let unreferenced = Order { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
+    let unreferenced = RecordRequest { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
     let recorded = go(&unreferenced).unwrap();
     assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
     assert_eq!(bench.true_stage(), before);
@@ -170,4 +171,56 @@ fn a_bench_that_falls_behind_its_clock_knows_it() {
     let found = behind(true);
     assert!(found.is_some_and(|s| s > 60.0), "{found:?}");
     assert_eq!(behind(false), None, "control");
+}
+
+/// Every settled pose has its pair of pictures, in the session and, the same bytes, in the recording; between them there are small ones.
+#[test]
+fn settled_poses_have_their_pictures_and_reduce_rebuilds_them_bit_for_bit() {
+    let bench = bench("\n[cameras]\ncount = 2\n");
+    let dir = tempfile::tempdir().unwrap();
+    let order = order(&bench, PLAN, dir.path());
+    let recorded = go(&order).unwrap();
+    let reduction = recorded.reduction.unwrap();
+    let rows = rows(&order.folder);
+    assert_eq!(reduction.pictures, [2 * rows.rows.len(), 0], "{:?}", recorded.sweep);
+    let pictures = order.folder.join("pictures");
+    let all = |folder: &std::path::Path| -> Vec<(String, Vec<u8>)> {
+        let mut found = Vec::new();
+        for camera in ["left", "right"] {
+            for row in &rows.rows {
+                let name = format!("{camera}/{:05}.png", row.point);
+                found.push((name.clone(), std::fs::read(folder.join(&name)).unwrap()));
+            }
+        }
+        found.push(("table".to_owned(), std::fs::read(folder.join("pictures.csv")).unwrap()));
+        found
+    };
+    let before = all(&pictures);
+    // Each was exposed while its pose was held: after arrival and not long after the averaging window, whose end is t_s of the row.
+    let table = String::from_utf8(before.last().unwrap().1.clone()).unwrap();
+    for line in table.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let (point, t_s): (i64, f64) = (cells[0].parse().unwrap(), cells[3].parse().unwrap());
+        let row = rows.rows.iter().find(|r| r.point == point).unwrap();
+        let after_s = t_s - (row.t_s.unwrap() - row.dwell_s.unwrap());
+        assert!(
+            after_s > 0.0 && after_s < row.dwell_s.unwrap() + 3.0 * SPEED,
+            "{line}: {after_s} s after arrival"
+        );
+        assert!((cells[5].parse::<f64>().unwrap() - 0.005).abs() < 1e-9, "{line}");
+    }
+    std::fs::remove_dir_all(&pictures).unwrap();
+    wcal_acquisition::reduce::reduce(&order.folder).unwrap();
+    assert!(all(&pictures) == before, "the same bytes");
+    // A preview is not a pose's picture: the recording is far smaller than its frames.
+    let bytes = std::fs::metadata(order.folder.join("recording.mcap")).unwrap().len();
+    let raw = recorded.sweep.counts.pairs * 2 * 640 * 480;
+    assert!(bytes < raw / 3, "{bytes} of {raw}");
+    let loaded = wcal_session::load(&order.folder).unwrap();
+    assert!(loaded.pictures.is_some() && loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    // Control: a session that names a folder outside is refused.
+    let toml = order.folder.join("session.toml");
+    let text = std::fs::read_to_string(&toml).unwrap();
+    std::fs::write(&toml, text.replace("pictures/", "../pictures")).unwrap();
+    assert!(wcal_session::load(&order.folder).unwrap_err().to_string().contains("files.pictures"));
 }

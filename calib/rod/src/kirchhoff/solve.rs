@@ -118,6 +118,19 @@ impl Rod {
         self
     }
 
+    /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on as it is.
+    #[must_use]
+    pub fn extended(&self, by_mm: f64) -> Self {
+        let mut rod = self.clone();
+        rod.shape = self.shape.extended(by_mm);
+        if self.section.taper != 0.0 {
+            let end = (1.0 + self.section.taper).max(1e-3).powf(0.25);
+            let end = 1.0 + (end - 1.0) * rod.shape.length_mm / self.shape.length_mm;
+            rod.section.taper = end.max(1e-3).powi(4) - 1.0;
+        }
+        rod
+    }
+
     /// Clamp of the loaded wire, turned by the root's compliance.
     pub(crate) fn root<T: Scalar>(&self, load: &Load<T>) -> Pose<T> {
         let frame = rows_of(&self.shape.root);

@@ -2,6 +2,7 @@
 
 pub mod between;
 pub mod floor;
+pub mod groove_motion;
 pub mod judgement;
 pub mod listings;
 mod map_left_out;

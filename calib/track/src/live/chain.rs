@@ -4,7 +4,7 @@ use super::event::{ContactEvent, EventSettings};
 use super::events::EventDetector;
 use super::filter::LowPass;
 use crate::TrackError;
-use wcal_core::stream::{Flags, MomentStream, Sensed, StreamMoments};
+use wcal_core::stream::{Flags, MomentStream, StreamMoments, WhiskerReading};
 
 /// Rates and lag of a chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,8 +93,8 @@ impl Chain {
     }
 
     /// Takes a reading. A gap or a reading that cannot be used empties the filter: no row is made of what was not measured.
-    pub fn push(&mut self, sensed: &Sensed) -> (Option<Row>, Option<ContactEvent>) {
-        let Sensed { serial, t_s, shift_pm, rise_degc, flags } = *sensed;
+    pub fn push(&mut self, sensed: &WhiskerReading) -> (Option<Row>, Option<ContactEvent>) {
+        let WhiskerReading { serial, t_s, shift_pm, rise_degc, flags } = *sensed;
         let interrupted = Flags::GAP.with(Flags::CLOCK).with(Flags::DROPPED);
         self.broken |= flags.0 & interrupted.0 != 0 || shift_pm.is_none();
         let mut event = None;
@@ -161,12 +161,18 @@ mod tests {
         }
     }
 
-    fn sensed(serial: u64) -> Sensed {
+    fn sensed(serial: u64) -> WhiskerReading {
         let t_s = serial as f64 / 2000.0;
-        Sensed { serial, t_s, shift_pm: Some([50.0 * t_s, 0.0]), rise_degc: 0.0, flags: Flags::default() }
+        WhiskerReading {
+            serial,
+            t_s,
+            shift_pm: Some([50.0 * t_s, 0.0]),
+            rise_degc: 0.0,
+            flags: Flags::default(),
+        }
     }
 
-    fn rows(scans: impl Iterator<Item = Sensed>) -> Vec<Row> {
+    fn rows(scans: impl Iterator<Item = WhiskerReading>) -> Vec<Row> {
         let mut chain = Chain::new(&settings(), Box::new(Plain)).unwrap();
         scans.filter_map(|s| chain.push(&s).0).collect()
     }
@@ -188,7 +194,7 @@ mod tests {
         // 3,000 scans are missing.
         let gap = rows((0..2000).chain(5000..8000).map(|k| {
             let flags = if k == 5000 { Flags::GAP } else { Flags::default() };
-            Sensed { flags, ..sensed(k) }
+            WhiskerReading { flags, ..sensed(k) }
         }));
         let first = gap.iter().position(|r| r.serial >= 5000).unwrap();
         assert_eq!(gap[first - 1].flags, Flags::default());
@@ -202,7 +208,7 @@ mod tests {
         );
         let lost = rows((0..4000).map(|k| {
             if k == 2500 {
-                Sensed { shift_pm: None, flags: Flags::PEAK_LOST, ..sensed(k) }
+                WhiskerReading { shift_pm: None, flags: Flags::PEAK_LOST, ..sensed(k) }
             } else {
                 sensed(k)
             }

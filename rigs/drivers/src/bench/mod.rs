@@ -28,7 +28,7 @@ use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
-use wcal_session::recording::clocks::late_s;
+use wcal_core::clock::late_s;
 use world::Shared;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.

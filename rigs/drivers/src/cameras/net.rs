@@ -1,9 +1,10 @@
 //! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
 
-use crate::host::{HostClock, io_error, is_timeout};
+use crate::host::{io_error, is_timeout};
 use std::io::Read;
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).

@@ -1,6 +1,6 @@
 //! A camera of the Linux kernel (V4L2: UVC and MIPI cameras) through the crate `moq-v4l`; grey values as the sensor gave them.
 
-use crate::host::{HostClock, io_error};
+use crate::host::io_error;
 use moq_v4l::buffer::{Flags, Type};
 use moq_v4l::capability::Flags as Able;
 use moq_v4l::control::{Control, Value};
@@ -11,6 +11,7 @@ use moq_v4l::{Device, FourCC};
 use rustix::event::PollFlags;
 use std::io::ErrorKind;
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// `V4L2_CID_EXPOSURE_AUTO`; 1 is manual (linux/v4l2-controls.h).

@@ -1,10 +1,11 @@
 //! A Hyperion unit: one connection for commands, one for streamed peaks.
 
 use super::frame::{self, Response};
-use crate::host::{HostClock, io_error, is_timeout};
+use crate::host::{io_error, is_timeout};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
 
 /// Longest wait for the reply to a command.

@@ -1,10 +1,11 @@
 //! The interrogator at the other end of a TCP connection.
 
 use super::stream::{Item, StreamDecoder};
-use crate::host::{HostClock, io_error, is_timeout};
+use crate::host::{io_error, is_timeout};
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
 
 /// Longest wait for the reply to a command.

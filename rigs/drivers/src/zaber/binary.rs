@@ -2,9 +2,10 @@
 
 use super::units::Microsteps;
 use super::wire::{Port, Wire};
-use crate::host::{HostClock, io_error};
+use crate::host::io_error;
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 
 /// Microsteps per second of one unit of speed data.

@@ -3,10 +3,10 @@
 use super::chain::{Answer, Chain};
 use super::flags;
 use super::units::Microsteps;
-use crate::host::HostClock;
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 
 /// Settings that are read from a unit and kept with the session.

@@ -3,13 +3,14 @@
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
+use wcal_acquisition::AcquisitionError;
+use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_core::SessionData;
 use wcal_core::device::DeviceError;
+use wcal_core::device::Mount;
+use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::scenario::Scenario;
-use wcal_drivers::record::{Order, Recorded, record};
-use wcal_session::recording::RecordingError;
-use wcal_session::recording::sweep::Mount;
 
 /// Bench seconds per wall second.
 pub const SPEED: f64 = 4.0;
@@ -65,8 +66,8 @@ pub fn rig(bench: &VirtualBench) -> String {
 }
 
 /// A new session in `folder`.
-pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
-    Order {
+pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
+    RecordRequest {
         rig: rig(bench),
         plan: plan.to_owned(),
         places: ["rig.toml", "plan.toml"].map(str::to_owned),
@@ -81,8 +82,8 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> Order {
 }
 
 /// Records without anybody watching.
-pub fn go(order: &Order) -> Result<Recorded, RecordingError> {
-    record(order, &mut NoMount, &AtomicBool::new(false), &mut |_| {})
+pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
+    record(order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |_| {})
 }
 
 /// Rows of a session.

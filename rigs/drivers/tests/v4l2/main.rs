@@ -4,9 +4,10 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
+use wcal_acquisition::camera_pair::CameraPair;
+use wcal_core::clock::HostClock;
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind};
-use wcal_drivers::HostClock;
-use wcal_drivers::cameras::{CameraPair, V4l2Camera, V4l2Settings};
+use wcal_drivers::cameras::{V4l2Camera, V4l2Settings};
 
 const WAIT: Duration = Duration::from_secs(20);
 const INSIDE: &str = "WCAL_V4L2_INSIDE";

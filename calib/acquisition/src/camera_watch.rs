@@ -1,0 +1,127 @@
+//! Records the pairs of a camera pair while a sweep runs, in a thread of its own.
+
+use crate::camera_pair::{CameraPair, FramePair};
+use crate::clocks::ClockPair;
+use crate::error::AcquisitionError;
+use crate::message::SweepEvent;
+use crate::monitor::Monitor;
+use crate::pictures::PREVIEW_PERIOD_S;
+use crate::recorder::Recorder;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use wcal_core::device::{CameraFrame, DeviceError, DeviceErrorKind};
+
+/// Longest wait for a picture (wall time).
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Pairs refused in a row that end a sweep: a camera that hangs does not recover.
+const REFUSED_LIMIT: u32 = 5;
+
+/// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without loss, and small pictures between. A
+/// refused pair is an event and a count; several in a row, a silent or a lost camera end the sweep.
+pub fn watch(
+    pair: &mut CameraPair,
+    names: &[String; 2],
+    monitor: &Mutex<Monitor>,
+    recorder: &Recorder,
+    done: &AtomicBool,
+    clock_scale: f64,
+) {
+    let mut refused = 0;
+    let mut eyes = [(); 2].map(|()| Eye::new(clock_scale));
+    let mut shown_s = f64::NEG_INFINITY;
+    while !done.load(Ordering::SeqCst) {
+        let result = pair.grab(PATIENCE);
+        if done.load(Ordering::SeqCst) {
+            return;
+        }
+        let disk = match result {
+            Ok(found) => {
+                refused = 0;
+                lock(monitor).pair(Some(found.skew_ms));
+                let wanted = lock(monitor).wanted_picture();
+                let shows =
+                    |since_s: f64| eyes.iter().zip(&found.frames).all(|(e, f)| e.exposed_after(since_s, f));
+                let step = wanted.filter(|(_, since_s)| shows(*since_s)).map(|(step, _)| step);
+                eyes.iter_mut().zip(&found.frames).for_each(|(eye, frame)| eye.note(frame));
+                let host_s = found.frames[0].clocks.host_s;
+                let show = host_s - shown_s >= PREVIEW_PERIOD_S;
+                if show {
+                    shown_s = host_s;
+                }
+                let recorded = record(&found, names, recorder, step, show);
+                if step.is_some() {
+                    lock(monitor).end_picture();
+                }
+                recorded
+            }
+            Err(e) if e.kind == DeviceErrorKind::DataInvalid => {
+                refused += 1;
+                lock(monitor).pair(None);
+                let detail = e.to_string();
+                if refused >= REFUSED_LIMIT {
+                    lock(monitor).fail_with(e);
+                }
+                let kind = "pair-refused".to_owned();
+                recorder.event(pair.host_s(), &SweepEvent { kind, detail, ..SweepEvent::default() })
+            }
+            Err(e) => return lock(monitor).fail_with(e),
+        };
+        if let Err(e) = disk {
+            let kind = DeviceErrorKind::Configuration;
+            let error = DeviceError::new(kind, "recorder", "record", "space on disk", e.to_string());
+            return lock(monitor).fail_with(error);
+        }
+    }
+}
+
+fn record(
+    pair: &FramePair,
+    names: &[String; 2],
+    recorder: &Recorder,
+    step: Option<u32>,
+    show: bool,
+) -> Result<(), AcquisitionError> {
+    for (name, frame) in names.iter().zip(&pair.frames) {
+        recorder.frame(name, frame, step)?;
+        if show {
+            recorder.preview(name, frame)?;
+        }
+    }
+    Ok(())
+}
+
+/// What is known of one camera's time.
+struct Eye {
+    clocks: ClockPair,
+    /// Host time of the last frame's arrival, s.
+    last_host_s: f64,
+}
+
+impl Eye {
+    fn new(clock_scale: f64) -> Self {
+        Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
+    }
+
+    /// Whether the exposure began after a host time. Frames may wait in a queue: their arrival says nothing of their exposure. The least
+    /// delayed arrival holds at least the exposure itself, so that this is added. Without a clock of the camera's own it is sure of a frame
+    /// only when the one before came after that time, too.
+    fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
+        let exposure_s = frame.measured_exposure_ms.or(frame.commanded_exposure_ms).unwrap_or(0.0) * 1e-3;
+        match (frame.clocks.device_s, self.clocks.device_s(host_s)) {
+            (Some(begin_s), Some(wanted_s)) => begin_s >= wanted_s + exposure_s,
+            _ => self.last_host_s >= host_s,
+        }
+    }
+
+    fn note(&mut self, frame: &CameraFrame) {
+        self.last_host_s = frame.clocks.host_s;
+        if let Some(device_s) = frame.clocks.device_s {
+            self.clocks.add(frame.clocks.host_s, device_s);
+        }
+    }
+}
+
+fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
+    monitor.lock().unwrap_or_else(PoisonError::into_inner)
+}

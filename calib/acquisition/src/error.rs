@@ -1,0 +1,53 @@
+//! Errors of rigs, plans, recordings and their reduction.
+
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+use wcal_core::device::DeviceError;
+
+/// What went wrong while planning, recording or reducing.
+#[derive(Debug, Error)]
+pub enum AcquisitionError {
+    /// A rig, plan or recording that cannot be used.
+    #[error("{place}: expected {expected}, found {found}")]
+    Input {
+        /// File and field.
+        place: String,
+        /// What was needed.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// A file could not be read or written.
+    #[error("{action} {path}: {source}")]
+    Io {
+        /// What was being done.
+        action: &'static str,
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// The recorder failed.
+    #[error("recording: {0}")]
+    Recorder(String),
+    /// A device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+impl From<wcal_core::files::FileError> for AcquisitionError {
+    fn from(error: wcal_core::files::FileError) -> Self {
+        Self::Io { action: error.action, path: error.path, source: error.source }
+    }
+}
+
+impl AcquisitionError {
+    /// An input error.
+    pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Input { place: place.into(), expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> Self + 'a {
+        move |source| Self::Io { action, path: path.to_owned(), source }
+    }
+}

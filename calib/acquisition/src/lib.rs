@@ -1,0 +1,32 @@
+//! Acquisition: from rig, plan and devices to a recording, and from the recording to the tables of a session.
+//!
+//! In the order of the work: [`rig`] and [`plan`] say what stands on the bench and what is to be measured; [`record`] opens the
+//! devices and begins the session; [`sweep`] carries out the steps while scans and pictures are recorded ([`recorder`], [`message`]);
+//! [`replay`] reads a recording back; [`reduce`] makes the tables of it. Live and replayed devices run the same code.
+
+pub mod assign;
+pub mod camera_pair;
+mod camera_watch;
+pub mod clocks;
+pub mod error;
+pub mod lag;
+pub mod message;
+pub mod monitor;
+pub mod path_text;
+pub mod pictures;
+pub mod plan;
+pub mod record;
+pub mod recorder;
+pub mod reduce;
+pub mod replay;
+pub mod replay_interrogator;
+pub mod rig;
+pub mod run_file;
+mod steps;
+pub mod sweep;
+pub mod tables;
+pub mod tracks;
+pub mod whisker_reader;
+pub mod windows;
+
+pub use error::AcquisitionError;

@@ -1,0 +1,332 @@
+//! Messages of a recording, as protobuf with an explicit schema: readable by Foxglove, Rerun and any MCAP reader.
+//!
+//! Field numbers are part of the format: never change or reuse one.
+
+use foxglove::Schema;
+use prost::Message as _;
+use prost_types::field_descriptor_proto::{Label, Type};
+use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
+use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth, StageReading};
+
+/// Topics of a recording.
+pub mod topic {
+    /// Every scan of the interrogator.
+    pub const SCAN: &str = "/fbg/scan";
+    /// Every reading of the stage.
+    pub const STAGE: &str = "/stage/position";
+    /// What the sweep did, and when.
+    pub const EVENT: &str = "/sweep/event";
+    /// Text for people (`foxglove.Log`).
+    pub const LOG: &str = "/log";
+    /// Every frame of every camera, without its pixels.
+    pub const FRAME: &str = "/camera-frame";
+    /// Small pictures now and then (`foxglove.CompressedImage`; `foxglove.RawImage`, every frame, in older recordings): followed by the
+    /// camera's name.
+    pub const CAMERA: &str = "/camera/";
+    /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by the camera's name.
+    pub const POSE_PICTURE: &str = "/pose-picture/";
+    /// Groove in the base frame (`foxglove.PoseInFrame`).
+    pub const GROOVE: &str = "/groove/pose";
+}
+
+/// A message with its schema.
+pub trait McapMessage: prost::Message + Default {
+    /// Schema name.
+    const NAME: &'static str;
+    /// Field name, number, type and whether it repeats.
+    const FIELDS: &'static [(&'static str, i32, Type, bool)];
+
+    /// Self-contained schema.
+    fn schema() -> Schema {
+        let field = |(name, number, kind, repeated): &(&str, i32, Type, bool)| FieldDescriptorProto {
+            name: Some((*name).to_owned()),
+            number: Some(*number),
+            r#type: Some(*kind as i32),
+            label: Some(if *repeated { Label::Repeated } else { Label::Optional } as i32),
+            ..Default::default()
+        };
+        let short = Self::NAME.trim_start_matches("wcal.");
+        let message = DescriptorProto {
+            name: Some(short.to_owned()),
+            field: Self::FIELDS.iter().map(field).collect(),
+            ..Default::default()
+        };
+        let file = FileDescriptorProto {
+            name: Some(format!("wcal/{short}.proto")),
+            package: Some("wcal".to_owned()),
+            syntax: Some("proto3".to_owned()),
+            message_type: vec![message],
+            ..Default::default()
+        };
+        Schema::new(Self::NAME, "protobuf", FileDescriptorSet { file: vec![file] }.encode_to_vec())
+    }
+}
+
+/// One scan.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Scan {
+    /// Running number of the unit.
+    #[prost(uint64, tag = "1")]
+    pub serial: u64,
+    /// Host time of arrival, s.
+    #[prost(double, tag = "2")]
+    pub host_s: f64,
+    /// Time of the unit, s.
+    #[prost(double, tag = "3")]
+    pub device_s: f64,
+    /// Peaks, nm, channel after channel.
+    #[prost(double, repeated, tag = "4")]
+    pub peaks_nm: Vec<f64>,
+    /// Peaks of each channel.
+    #[prost(uint32, repeated, tag = "5")]
+    pub peaks_per_channel: Vec<u32>,
+    /// Bits: 1 calibration, 2 fan, 4 source temperature, 8 source current, 16 cooler over, 32 cooler under.
+    #[prost(uint32, tag = "6")]
+    pub health: u32,
+    /// Error code of the unit.
+    #[prost(uint32, tag = "7")]
+    pub error_code: u32,
+    /// Buffer, percent.
+    #[prost(uint32, tag = "8")]
+    pub buffer_percent: u32,
+}
+
+impl McapMessage for Scan {
+    const NAME: &'static str = "wcal.Scan";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("serial", 1, Type::Uint64, false),
+        ("host_s", 2, Type::Double, false),
+        ("device_s", 3, Type::Double, false),
+        ("peaks_nm", 4, Type::Double, true),
+        ("peaks_per_channel", 5, Type::Uint32, true),
+        ("health", 6, Type::Uint32, false),
+        ("error_code", 7, Type::Uint32, false),
+        ("buffer_percent", 8, Type::Uint32, false),
+    ];
+}
+
+impl From<&FbgReading> for Scan {
+    fn from(reading: &FbgReading) -> Self {
+        let h = &reading.health;
+        let bits = [h.calibration_fault, h.fan_fault, h.soa_thermal, h.soa_current, h.tec_over, h.tec_under];
+        Self {
+            serial: reading.serial,
+            host_s: reading.clocks.host_s,
+            device_s: reading.clocks.device_s.unwrap_or(reading.clocks.host_s),
+            peaks_nm: reading.peaks_nm.iter().flatten().copied().collect(),
+            peaks_per_channel: reading.peaks_nm.iter().map(|c| c.len() as u32).collect(),
+            health: bits.iter().enumerate().map(|(k, on)| u32::from(*on) << k).sum(),
+            error_code: u32::from(h.error_code),
+            buffer_percent: u32::from(h.buffer_percent),
+        }
+    }
+}
+
+impl Scan {
+    /// As a reading.
+    #[must_use]
+    pub fn reading(&self) -> FbgReading {
+        let mut rest = &self.peaks_nm[..];
+        let peaks_nm = self.peaks_per_channel.iter().map(|n| {
+            let (own, others) = rest.split_at((*n as usize).min(rest.len()));
+            rest = others;
+            own.to_vec()
+        });
+        let on = |bit: u32| self.health >> bit & 1 == 1;
+        FbgReading {
+            serial: self.serial,
+            peaks_nm: peaks_nm.collect(),
+            health: InterrogatorHealth {
+                calibration_fault: on(0),
+                fan_fault: on(1),
+                soa_thermal: on(2),
+                soa_current: on(3),
+                tec_over: on(4),
+                tec_under: on(5),
+                error_code: self.error_code as u8,
+                buffer_percent: self.buffer_percent as u8,
+            },
+            clocks: Clocks { host_s: self.host_s, device_s: Some(self.device_s) },
+        }
+    }
+}
+
+/// One reading of the stage.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct StagePosition {
+    /// Host time, s.
+    #[prost(double, tag = "1")]
+    pub host_s: f64,
+    /// Target, mm; absent before the first move.
+    #[prost(double, optional, tag = "2")]
+    pub commanded_mm: Option<f64>,
+    /// Position, mm.
+    #[prost(double, tag = "3")]
+    pub measured_mm: f64,
+    /// Moving.
+    #[prost(bool, tag = "4")]
+    pub moving: bool,
+    /// Flags.
+    #[prost(string, repeated, tag = "5")]
+    pub flags: Vec<String>,
+}
+
+impl McapMessage for StagePosition {
+    const NAME: &'static str = "wcal.StagePosition";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("host_s", 1, Type::Double, false),
+        ("commanded_mm", 2, Type::Double, false),
+        ("measured_mm", 3, Type::Double, false),
+        ("moving", 4, Type::Bool, false),
+        ("flags", 5, Type::String, true),
+    ];
+}
+
+impl From<&StageReading> for StagePosition {
+    fn from(r: &StageReading) -> Self {
+        Self {
+            host_s: r.clocks.host_s,
+            commanded_mm: r.commanded_mm,
+            measured_mm: r.measured_mm,
+            moving: r.moving,
+            flags: r.flags.clone(),
+        }
+    }
+}
+
+/// What happened in the sweep. Times are device times of the interrogator.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SweepEvent {
+    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `pair-refused`, `done`, `stopped`, `finished`.
+    #[prost(string, tag = "1")]
+    pub kind: String,
+    /// Index of the step.
+    #[prost(uint32, tag = "2")]
+    pub step: u32,
+    /// Role of the rows.
+    #[prost(string, tag = "3")]
+    pub role: String,
+    /// Trajectory.
+    #[prost(uint32, tag = "4")]
+    pub trajectory: u32,
+    /// Repetition.
+    #[prost(uint32, tag = "5")]
+    pub replicate: u32,
+    /// Depth asked for, mm.
+    #[prost(double, tag = "6")]
+    pub target_mm: f64,
+    /// +1 or -1.
+    #[prost(sint32, tag = "7")]
+    pub direction: i32,
+    /// Speed of the move, mm/s.
+    #[prost(double, tag = "8")]
+    pub speed_mm_s: f64,
+    /// Begin of the window or motion, s.
+    #[prost(double, tag = "9")]
+    pub begin_s: f64,
+    /// End, s.
+    #[prost(double, tag = "10")]
+    pub end_s: f64,
+    /// Arrival, s.
+    #[prost(double, tag = "11")]
+    pub arrived_s: f64,
+    /// Rows a second of a motion.
+    #[prost(double, tag = "12")]
+    pub rows_hz: f64,
+    /// Whether the drift gate opened.
+    #[prost(bool, tag = "13")]
+    pub settled: bool,
+    /// Further detail.
+    #[prost(string, tag = "14")]
+    pub detail: String,
+    /// The rows belong to the holdout file.
+    #[prost(bool, tag = "15")]
+    pub sealed: bool,
+}
+
+impl McapMessage for SweepEvent {
+    const NAME: &'static str = "wcal.SweepEvent";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("kind", 1, Type::String, false),
+        ("step", 2, Type::Uint32, false),
+        ("role", 3, Type::String, false),
+        ("trajectory", 4, Type::Uint32, false),
+        ("replicate", 5, Type::Uint32, false),
+        ("target_mm", 6, Type::Double, false),
+        ("direction", 7, Type::Sint32, false),
+        ("speed_mm_s", 8, Type::Double, false),
+        ("begin_s", 9, Type::Double, false),
+        ("end_s", 10, Type::Double, false),
+        ("arrived_s", 11, Type::Double, false),
+        ("rows_hz", 12, Type::Double, false),
+        ("settled", 13, Type::Bool, false),
+        ("detail", 14, Type::String, false),
+        ("sealed", 15, Type::Bool, false),
+    ];
+}
+
+/// A frame of a camera, without its pixels.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct FrameInfo {
+    /// Name of the camera.
+    #[prost(string, tag = "1")]
+    pub camera: String,
+    /// Number of the trigger.
+    #[prost(uint64, tag = "2")]
+    pub trigger: u64,
+    /// Host time of arrival, s.
+    #[prost(double, tag = "3")]
+    pub host_s: f64,
+    /// Start of exposure by the camera's clock, s; absent where it has none.
+    #[prost(double, optional, tag = "4")]
+    pub device_s: Option<f64>,
+    /// Exposure, s; absent where it is not known.
+    #[prost(double, optional, tag = "5")]
+    pub exposure_s: Option<f64>,
+    /// Step of the plan whose settled pose it shows; absent for all others.
+    #[prost(uint32, optional, tag = "6")]
+    pub step: Option<u32>,
+}
+
+impl McapMessage for FrameInfo {
+    const NAME: &'static str = "wcal.FrameInfo";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("camera", 1, Type::String, false),
+        ("trigger", 2, Type::Uint64, false),
+        ("host_s", 3, Type::Double, false),
+        ("device_s", 4, Type::Double, false),
+        ("exposure_s", 5, Type::Double, false),
+        ("step", 6, Type::Uint32, false),
+    ];
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scan_comes_back_with_its_channels_and_faults() {
+        let reading = FbgReading {
+            serial: 9,
+            peaks_nm: vec![vec![1535.0, 1541.0], vec![], vec![1537.5]],
+            health: InterrogatorHealth { tec_under: true, error_code: 9, ..Default::default() },
+            clocks: Clocks { host_s: 3.0, device_s: Some(2.5) },
+        };
+        let scan = Scan::from(&reading);
+        let again = Scan::decode(&*scan.encode_to_vec()).unwrap().reading();
+        assert_eq!(again, reading);
+        assert!(Scan::decode(&b"\xff\xff\xff"[..]).is_err());
+    }
+
+    #[test]
+    fn the_schema_describes_what_is_encoded() {
+        let schema = Scan::schema();
+        let set = FileDescriptorSet::decode(&*schema.data).unwrap();
+        let message = &set.file[0].message_type[0];
+        assert_eq!((schema.name.as_str(), message.name()), ("wcal.Scan", "Scan"));
+        assert_eq!(message.field.len(), Scan::FIELDS.len());
+        // A field set to a value appears under the number that the schema states.
+        let bytes = Scan { error_code: 5, ..Scan::default() }.encode_to_vec();
+        assert_eq!(bytes, [7 << 3, 5]);
+    }
+}

@@ -1,0 +1,366 @@
+//! One recorded sweep from rig and plan to a reduced session.
+
+use crate::AcquisitionError;
+use crate::assign::ChannelMap;
+use crate::camera_pair::CameraPair;
+use crate::camera_watch::watch;
+use crate::monitor::Monitor;
+use crate::plan::{Plan, Step};
+use crate::recorder::Recorder;
+use crate::reduce::{Reduction, recordings, reduce};
+use crate::replay::completed_steps;
+use crate::replay_interrogator::ReplayInterrogator;
+use crate::rig::Rig;
+use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
+use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
+use crate::tables::temperature_ratio;
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+use wcal_core::clock::HostClock;
+use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
+use wcal_core::files::write_atomic;
+use wcal_core::provenance::sha256_hex;
+use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
+
+/// What to record and where.
+#[derive(Debug, Clone)]
+pub struct RecordRequest {
+    /// Text of rig.toml.
+    pub rig: String,
+    /// Text of the plan.
+    pub plan: String,
+    /// Where both were read, for messages.
+    pub places: [String; 2],
+    /// Session folder; new, or with `resume` one that was begun.
+    pub folder: PathBuf,
+    /// Go on where an earlier run stopped.
+    pub resume: bool,
+    /// Search the reference where there is none.
+    pub home: bool,
+    /// Where a live view listens, if there is to be one.
+    pub live: Option<SocketAddr>,
+    /// Hears where it listens in fact (port 0 is one of the system's choice).
+    pub on_live: fn(SocketAddr),
+    /// Time of creation, RFC 3339.
+    pub created: String,
+    /// Command line.
+    pub command: Vec<String>,
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub struct RecordResult {
+    /// The sweep.
+    pub sweep: SweepReport,
+    /// The tables, or why there are none: a sweep that stopped before its first window has nothing to reduce.
+    pub reduction: Result<Reduction, AcquisitionError>,
+    /// Questions to the stage that had to be repeated.
+    pub repeats: u64,
+    /// Whether the devices were simulated.
+    pub simulated: bool,
+}
+
+impl RecordResult {
+    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        match &self.reduction {
+            // The tables know of every run of the session, the sweep of its own.
+            Ok(reduction) => {
+                let mut all = reduction.stream_warnings();
+                all.extend(self.sweep.signal_warnings());
+                all
+            }
+            Err(_) => self.sweep.warnings(),
+        }
+    }
+
+    /// 0 good, 1 stopped or without tables, 3 finished with warnings.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self.sweep.ending {
+            Ending::Finished if self.reduction.is_ok() => {
+                if self.warnings().is_empty() {
+                    0
+                } else {
+                    3
+                }
+            }
+            _ => 1,
+        }
+    }
+}
+
+/// Reads rig and plan (place and text) and expands the steps against the travel the rig states; moves nothing.
+///
+/// # Errors
+/// Whatever does not fit.
+pub fn plan_only(rig: (&str, &str), plan: (&str, &str)) -> Result<(Rig, Plan, Vec<Step>), AcquisitionError> {
+    let (rig, plan) = (Rig::parse(rig.0, rig.1)?, Plan::parse(plan.0, plan.1)?);
+    let steps = plan.steps(&rig, [0.0, rig.stage.travel_mm])?;
+    Ok((rig, plan, steps))
+}
+
+/// Opens the interrogator of a rig; with the driver `replay` that is a recording.
+///
+/// # Errors
+/// As [`DeviceOpener::interrogator`], or when the recording cannot be read.
+pub fn open_interrogator(
+    devices: &mut dyn DeviceOpener,
+    rig: &InterrogatorRig,
+    clock: HostClock,
+) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
+    match rig.driver.as_str() {
+        "replay" => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+        _ => devices.interrogator(rig, clock),
+    }
+}
+
+/// Opens the camera pair of a rig, if it has one.
+fn open_cameras(
+    devices: &mut dyn DeviceOpener,
+    rig: &Rig,
+    clock: HostClock,
+) -> Result<Option<CameraPair>, DeviceError> {
+    let [first, second] = rig.camera.as_slice() else { return Ok(None) };
+    let cameras = [devices.camera(first, clock)?, devices.camera(second, clock)?];
+    // V4L2 counts the frames of each camera from its own start.
+    let own_numbers = first.driver == "v4l2" || second.driver == "v4l2";
+    let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
+    Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
+}
+
+/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no motorised mount.
+///
+/// # Errors
+/// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault during the sweep is
+/// no error but part of the report.
+pub fn record(
+    request: &RecordRequest,
+    devices: &mut dyn DeviceOpener,
+    manual: &mut dyn Mount,
+    interrupt: &AtomicBool,
+    progress: &mut dyn FnMut(&Progress),
+) -> Result<RecordResult, AcquisitionError> {
+    let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
+    let skip = prepare_folder(request)?;
+    let clock = HostClock::start(rig.clock_scale);
+    let mut stage = devices.stage(&rig.stage, clock)?;
+    let mut interrogator = open_interrogator(devices, &rig.interrogator, clock)?;
+    let mut identities = BTreeMap::from([("stage".to_owned(), stage.identity()?)]);
+    identities.insert("interrogator".to_owned(), interrogator.identity()?);
+    let mut cameras = open_cameras(devices, &rig, clock)?;
+    let names: [String; 2] =
+        std::array::from_fn(|k| rig.camera.get(k).map_or_else(String::new, |c| c.name.clone()));
+    if let Some(pair) = &mut cameras {
+        let own = names.iter().cloned().zip(pair.identities()?);
+        identities.extend(own.map(|(name, identity)| (format!("camera_{name}"), identity)));
+    }
+    // Every position is checked against the unit's own travel before the first move.
+    let steps = plan.steps(&rig, stage.travel_mm()?)?;
+    let mut motor = devices.mount(&rig.mount, clock)?;
+    let mount: &mut dyn Mount = match &mut motor {
+        Some(motor) => motor.as_mut(),
+        None => manual,
+    };
+    let (about, simulated) = describe(request, &rig, &plan, identities)?;
+    let number = recordings(&request.folder).len() + 1;
+    let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
+    let recorder = Recorder::create(&request.folder.join(&name), about)?;
+    let live = request.live.map(|address| recorder.serve(address)).transpose()?;
+    if let Some(view) = &live {
+        (request.on_live)(view.address());
+    }
+    let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
+    let done = AtomicBool::new(false);
+    let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { devices.stage(&rig.stage, clock) };
+    let mut sweep = std::thread::scope(|scope| {
+        scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
+        if let Some(pair) = &mut cameras {
+            let (names, monitor, recorder, done, rig) = (&names, &monitor, &recorder, &done, &rig);
+            scope.spawn(move || watch(pair, names, monitor, recorder, done, rig.clock_scale));
+        }
+        let bench = SweepBench {
+            stage,
+            reopen: &mut reopen,
+            mount,
+            monitor: &monitor,
+            recorder: &recorder,
+            interrupt,
+        };
+        let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
+        done.store(true, Ordering::SeqCst);
+        report
+    });
+    recorder.finish()?;
+    // Scans that came while the last step ended are in the recording as well.
+    sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
+    let reduction = reduce(&request.folder);
+    let recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
+    add_outcome(&request.folder, name, &recorded)?;
+    Ok(recorded)
+}
+
+/// Adds to run.json what came of this run.
+fn add_outcome(folder: &Path, recording: String, recorded: &RecordResult) -> Result<(), AcquisitionError> {
+    let path = folder.join("run.json");
+    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
+    let mut run = RunFile::parse(&std::fs::read_to_string(&path).map_err(io)?)?;
+    let (ending, cause) = match &recorded.sweep.ending {
+        Ending::Finished => ("finished", None),
+        Ending::Stopped { cause, .. } => ("stopped", Some(cause.to_string())),
+    };
+    run.runs.push(RunOutcome {
+        recording,
+        ending: ending.to_owned(),
+        cause,
+        scans: recorded.sweep.counts.scans,
+        lost_scans: recorded.sweep.counts.lost,
+        warnings: recorded.warnings(),
+    });
+    save(&path, &as_text(&run)?)
+}
+
+fn as_text(run: &RunFile) -> Result<String, AcquisitionError> {
+    serde_json::to_string_pretty(run).map_err(|e| AcquisitionError::Recorder(e.to_string()))
+}
+
+/// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
+fn prepare_folder(request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
+    let folder = &request.folder;
+    let place = folder.display().to_string();
+    let begun = folder.join("rig.toml").exists();
+    if request.resume {
+        for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
+            same(folder, name, text)?;
+        }
+        let mut skip = BTreeSet::new();
+        for part in recordings(folder) {
+            skip.extend(completed_steps(&part)?);
+        }
+        return Ok(skip);
+    }
+    if begun {
+        let expected = "a new folder (or --resume)";
+        return Err(AcquisitionError::input(place, expected, "one that holds a session"));
+    }
+    let io = |source| AcquisitionError::Io { action: "creating", path: folder.clone(), source };
+    std::fs::create_dir_all(folder).map_err(io)?;
+    for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
+        save(&folder.join(name), text)?;
+    }
+    Ok(BTreeSet::new())
+}
+
+/// Ports may differ between the runs of one session, plans and geometry may not.
+fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
+    let path = folder.join(name);
+    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
+    let old = std::fs::read_to_string(&path).map_err(io)?;
+    if without_links(&old) == without_links(text) {
+        return Ok(());
+    }
+    Err(AcquisitionError::input(
+        path.display().to_string(),
+        "the same content as when the session was begun",
+        "other content",
+    ))
+}
+
+/// A document without what says where the devices hang; `None` where it is no TOML.
+fn without_links(text: &str) -> Option<toml::Table> {
+    let mut table: toml::Table = text.parse().ok()?;
+    for (section, keys) in [
+        ("stage", &["port", "baud"][..]),
+        ("interrogator", &["address", "peaks_address"]),
+        ("camera", &["source"]),
+    ] {
+        let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
+            Some(toml::Value::Table(one)) => vec![one],
+            Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),
+            _ => Vec::new(),
+        };
+        for entry in entries {
+            keys.iter().for_each(|k| drop(entry.remove(*k)));
+        }
+    }
+    Some(table)
+}
+
+fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
+    Ok(write_atomic(path, text.as_bytes())?)
+}
+
+/// Rig, plan and time of creation, to the fraction of a second that it states.
+fn session_id(rig: &str, plan: &str, created: &str) -> String {
+    let stamp: String = created.chars().filter(char::is_ascii_digit).collect();
+    format!("{rig}-{plan}-{stamp}")
+}
+
+/// Writes run.json; the same facts go into the recording. Says whether the devices are simulated, too.
+fn describe(
+    request: &RecordRequest,
+    rig: &Rig,
+    plan: &Plan,
+    devices: BTreeMap<String, DeviceIdentity>,
+) -> Result<(BTreeMap<String, String>, bool), AcquisitionError> {
+    let run = RunFile {
+        format: RUN_FORMAT.to_owned(),
+        id: session_id(&rig.name, &plan.name, &request.created),
+        medium: plan.medium.clone(),
+        created: request.created.clone(),
+        program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
+        command: request.command.clone(),
+        rig_sha256: sha256_hex(request.rig.as_bytes()),
+        plan_sha256: sha256_hex(request.plan.as_bytes()),
+        devices,
+        clock_scale: rig.clock_scale,
+        runs: Vec::new(),
+        simulated: false,
+    };
+    let run = RunFile { simulated: run.is_simulated(), ..run };
+    let text = as_text(&run)?;
+    let path = request.folder.join("run.json");
+    // A resumed session keeps the identity it was begun with.
+    if path.exists() {
+        same_bench(&path, run.simulated)?;
+    } else {
+        save(&path, &text)?;
+    }
+    let about = BTreeMap::from([
+        ("run".to_owned(), text),
+        ("rig".to_owned(), request.rig.clone()),
+        ("plan".to_owned(), request.plan.clone()),
+    ]);
+    Ok((about, run.simulated))
+}
+
+/// Measured and simulated scans never share a session.
+fn same_bench(run_file: &Path, simulated: bool) -> Result<(), AcquisitionError> {
+    let io = |source| AcquisitionError::Io { action: "reading", path: run_file.to_owned(), source };
+    let begun = RunFile::parse(&std::fs::read_to_string(run_file).map_err(io)?)?;
+    if begun.is_simulated() == simulated {
+        return Ok(());
+    }
+    let name = |simulated: bool| if simulated { "a virtual bench" } else { "a real bench" };
+    Err(AcquisitionError::input(
+        run_file.display().to_string(),
+        format!("{}, as when the session was begun", name(begun.is_simulated())),
+        name(simulated),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::session_id;
+
+    #[test]
+    fn sessions_of_one_second_have_different_identifiers() {
+        let id = |created| session_id("bench", "paper-27", created);
+        assert_eq!(id("2026-11-24T22:12:36.000125Z"), "bench-paper-27-20261124221236000125");
+        assert_ne!(id("2026-11-24T22:12:36.000125Z"), id("2026-11-24T22:12:36.000126Z"));
+    }
+}

@@ -1,0 +1,402 @@
+//! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
+
+use crate::assign::ChannelMap;
+use crate::clocks::{ClockFit, ClockPair};
+use crate::error::AcquisitionError;
+use crate::lag;
+use crate::message::{StagePosition, SweepEvent};
+use crate::pictures::{PartClocks, PicturedRow, write_pictures};
+use crate::replay::{Message, read};
+use crate::rig::Rig;
+use crate::run_file::RunFile;
+use crate::tables::{self, Row, Stream};
+use crate::windows::Samples;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use wcal_core::files::write_atomic;
+
+/// Length of the window of a row on the fly, s.
+const MOVING_WINDOW_S: f64 = 0.02;
+/// A row whose window misses more than this share of its scans is marked.
+const MAX_MISSING: f64 = 0.1;
+/// Rows of one move; a move that states more is a damaged one.
+const MAX_MOVING_ROWS: f64 = 1e6;
+
+/// What a reduction made.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Reduction {
+    /// Rows of points.csv by role: rest, calibration, verification.
+    pub rows: usize,
+    /// Rows of holdout.csv.
+    pub holdout: usize,
+    /// Scans read.
+    pub scans: u64,
+    /// Scans missing by their running number.
+    pub lost: u64,
+    /// Jumps of the running number.
+    pub gaps: u64,
+    /// Scans that came so late that the bench or the recording computer had fallen behind.
+    pub late: u64,
+    /// Longest time that a scan came late by, s of the bench's time.
+    pub longest_delay_s: f64,
+    /// Rows by what their windows met: scans missing, scans late.
+    pub marked: [usize; 2],
+    /// Windows without the two usable scans that a row needs.
+    pub empty_windows: usize,
+    /// Marked samples.
+    pub outliers: usize,
+    /// Recordings that were cut off.
+    pub cut_off: usize,
+    /// Chunks of the recordings that could not be read.
+    pub damaged_chunks: u64,
+    /// Camera pairs recorded, and refused.
+    pub pairs: [u64; 2],
+    /// Pictures of settled poses written, and poses whose pair did not come.
+    pub pictures: [usize; 2],
+    /// Delay of the interrogator behind the stage at each sync move, s.
+    pub lag_s: Vec<f64>,
+    /// Fits of the interrogator's clock, one a recording.
+    pub clocks: Vec<ClockFit>,
+    /// Fits of the cameras' clocks by name, one a camera and recording.
+    pub camera_clocks: Vec<(String, ClockFit)>,
+}
+
+impl Reduction {
+    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut all = self.stream_warnings();
+        if self.cut_off > 0 {
+            all.insert(0, format!("{} recordings cut off", self.cut_off));
+        }
+        all
+    }
+
+    /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
+    #[must_use]
+    pub fn stream_warnings(&self) -> Vec<String> {
+        let Self { lost, gaps, late, longest_delay_s, marked, empty_windows, damaged_chunks, .. } = self;
+        let refused = self.pairs[1];
+        let all = [
+            (*damaged_chunks > 0, format!("{damaged_chunks} damaged chunks of the recording left out")),
+            (*lost > 0, format!("{lost} scans lost in {gaps} gaps")),
+            (
+                *late > 0,
+                format!(
+                    "{late} scans late, by up to {longest_delay_s:.1} s of the bench's time: the bench or this computer fell behind"
+                ),
+            ),
+            (
+                *marked != [0; 2],
+                format!(
+                    "{} rows with scans missing and {} with late scans or clocks that cannot be aligned, marked in the column `stream`",
+                    marked[0], marked[1]
+                ),
+            ),
+            (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
+            (refused > 0, format!("{refused} camera pairs refused")),
+            (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
+        ];
+        let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
+        all.chain(self.clock_warnings()).collect()
+    }
+
+    /// Clocks that no crystal explains.
+    #[must_use]
+    pub fn clock_warnings(&self) -> Vec<String> {
+        let cameras = self.camera_clocks.iter().map(|(name, fit)| (format!("camera {name}"), fit));
+        let all = self.clocks.iter().map(|fit| ("interrogator".to_owned(), fit)).chain(cameras);
+        all.filter(|(_, fit)| fit.broken())
+            .map(|(name, fit)| format!("{name}: the device clock drifts by {:.0} ppm", fit.drift * 1e6))
+            .collect()
+    }
+}
+
+/// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
+#[must_use]
+pub fn recordings(folder: &Path) -> Vec<PathBuf> {
+    let first = std::iter::once(folder.join("recording.mcap"));
+    let later = (2..1000).map(|k| folder.join(format!("recording-{k}.mcap")));
+    first.chain(later).take_while(|p| p.exists()).collect()
+}
+
+/// Rebuilds the tables of a recorded session.
+///
+/// # Errors
+/// When rig, run file or recording cannot be read, or nothing was recorded.
+pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read_to_string(&path).map_err(AcquisitionError::io("reading", &path))
+    };
+    let rig = Rig::parse("rig.toml", &text("rig.toml")?)?;
+    let run = RunFile::parse(&text("run.json")?)?;
+    let parts = recordings(folder);
+    if parts.is_empty() {
+        let place = folder.display().to_string();
+        return Err(AcquisitionError::input(place, "recording.mcap", "none"));
+    }
+    let mut result = Reduction::default();
+    let mut rows = Vec::new();
+    let mut origin_s = None;
+    let (mut clocks, mut part_of_row) = (Vec::new(), Vec::new());
+    for (number, part) in parts.iter().enumerate() {
+        clocks.push(reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?);
+        part_of_row.resize(rows.len(), number);
+    }
+    result.holdout = rows.iter().filter(|r| r.sealed).count();
+    result.rows = rows.len() - result.holdout;
+    result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
+    result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
+    let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
+    let pictured = pictured_rows(&rows, &part_of_row);
+    result.pictures[0] = write_pictures(folder, &cameras, &parts, &clocks, &pictured)?;
+    let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
+    for (name, bytes) in &files {
+        write_atomic(&folder.join(name), bytes)?;
+    }
+    let names: Vec<String> =
+        parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
+    let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
+    let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
+    write_atomic(&folder.join("session.toml"), session.as_bytes())?;
+    Ok(result)
+}
+
+/// Settled rows with their numbers in points.csv or holdout.csv.
+fn pictured_rows(rows: &[Row], part_of_row: &[usize]) -> Vec<PicturedRow> {
+    let mut next = [0; 2];
+    let mut all = Vec::new();
+    for (row, part) in rows.iter().zip(part_of_row) {
+        let point = next[usize::from(row.sealed)];
+        next[usize::from(row.sealed)] += 1;
+        all.extend(row.step.map(|step| PicturedRow { part: *part, step, point, sealed: row.sealed }));
+    }
+    all
+}
+
+/// A window in device time, waiting for its samples.
+struct Window {
+    begin_s: f64,
+    end_s: f64,
+    event: usize,
+    samples: Samples,
+    /// A scan of it came late.
+    late: bool,
+}
+
+fn reduce_part(
+    path: &Path,
+    rig: &Rig,
+    origin_s: &mut Option<f64>,
+    rows: &mut Vec<Row>,
+    result: &mut Reduction,
+) -> Result<PartClocks, AcquisitionError> {
+    // First pass: what was done, where the stage was, how the clocks ran.
+    let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
+    let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
+    let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
+    let end = read(path, |message| match message {
+        Message::Scan(scan) => {
+            clocks.add(scan.host_s, scan.device_s);
+            origin_s.get_or_insert(scan.device_s);
+            result.scans += 1;
+            let missing = next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
+            result.lost = result.lost.saturating_add(missing);
+            result.gaps += u64::from(missing > 0);
+            next_serial = Some(scan.serial.saturating_add(1));
+        }
+        Message::Stage(reading) => stage.push(reading),
+        Message::Event(event) => {
+            result.pairs[1] += u64::from(event.kind == "pair-refused");
+            result.pictures[1] += usize::from(event.kind == "picture-missed");
+            events.push(event);
+        }
+        Message::Picture(camera, host_s, device_s) => {
+            pictures += 1;
+            // The list of frames has it, too, where there is one.
+            cameras.entry(camera).or_default().add(host_s, device_s);
+        }
+        Message::Frame(frame) => {
+            frames += 1;
+            let device_s = frame.device_s.unwrap_or(frame.host_s);
+            cameras.entry(frame.camera).or_default().add(frame.host_s, device_s);
+        }
+        Message::PosePicture(..) | Message::Other(..) => {}
+    })?;
+    // Older recordings hold every picture and no list of frames.
+    result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
+    result.cut_off += usize::from(end.cut_off.is_some());
+    result.damaged_chunks += end.damaged_chunks;
+    let cameras: BTreeMap<String, ClockFit> =
+        cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
+    result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
+    let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
+    result.clocks.push(fit);
+    let track = Track::new(&stage, &fit, rig.stage.zero_mm);
+    let mut windows = windows_of(&events);
+    windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+    // Second pass: samples into their windows.
+    let map = ChannelMap::new(rig);
+    let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
+    let mut sync_signals = vec![Vec::new(); syncs.len()];
+    // Where the stage was is told by its host times: without aligned clocks no row can say.
+    let unaligned = clocks.is_unaligned();
+    let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
+    read(path, |message| {
+        let Message::Scan(scan) = message else { return };
+        let t_s = scan.device_s;
+        if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1)) {
+            lost.push([last_s, t_s]);
+        }
+        last = Some((scan.serial, t_s));
+        let late = clocks.is_late(scan.host_s, t_s);
+        result.late += u64::from(late);
+        result.longest_delay_s = result.longest_delay_s.max(clocks.delay_s(scan.host_s, t_s));
+        for (sync, signal) in syncs.iter().zip(&mut sync_signals) {
+            if (sync.begin_s..=sync.end_s).contains(&t_s)
+                && let Some([a, b]) = map.assign(&scan.reading()).usable()
+            {
+                signal.push((t_s, a, b));
+            }
+        }
+        let from = windows.partition_point(|w| w.end_s < t_s);
+        // Windows on the fly may touch each other; none is longer than a settled one.
+        for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
+            if t_s > window.end_s {
+                continue;
+            }
+            window.late |= late;
+            let assigned = map.assign(&scan.reading());
+            match assigned.usable() {
+                Some(sensing) => {
+                    window.samples.serials.push(scan.serial);
+                    window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
+                    window.samples.sensing_nm[0].push(sensing[0]);
+                    window.samples.sensing_nm[1].push(sensing[1]);
+                }
+                None => window.samples.unusable += 1,
+            }
+        }
+    })?;
+    for signal in &sync_signals {
+        result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
+    }
+    for window in windows {
+        let event = &events[window.event];
+        let stream = match window.late || unaligned {
+            true => Stream::Late,
+            false if missing_share(&window, &lost) > MAX_MISSING => Stream::Lost,
+            false => Stream::Whole,
+        };
+        match row_of(rig, event, &window, &track, origin_s) {
+            Some(row) => rows.push(Row { stream, ..row }),
+            None => result.empty_windows += 1,
+        }
+    }
+    Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
+}
+
+/// Share of a window that lies in gaps of the stream; `lost` in order of time.
+fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
+    let from = lost.partition_point(|gap| gap[1] <= window.begin_s);
+    let gaps = lost[from..].iter().take_while(|gap| gap[0] < window.end_s);
+    let missing_s: f64 = gaps.map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s)).sum();
+    missing_s / (window.end_s - window.begin_s)
+}
+
+fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
+    let mut windows = Vec::new();
+    for (index, event) in events.iter().enumerate() {
+        match event.kind.as_str() {
+            "window" => windows.push(Window {
+                begin_s: event.begin_s,
+                end_s: event.end_s,
+                event: index,
+                samples: Samples::default(),
+                late: false,
+            }),
+            "moving"
+                if event.rows_hz > 0.0
+                    && (event.end_s - event.begin_s) * event.rows_hz <= MAX_MOVING_ROWS =>
+            {
+                let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
+                let mut centre_s = event.begin_s + half_s;
+                while centre_s + half_s <= event.end_s {
+                    windows.push(Window {
+                        begin_s: centre_s - half_s,
+                        end_s: centre_s + half_s,
+                        event: index,
+                        samples: Samples::default(),
+                        late: false,
+                    });
+                    centre_s += 1.0 / event.rows_hz;
+                }
+            }
+            _ => {}
+        }
+    }
+    windows
+}
+
+fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_s: f64) -> Option<Row> {
+    let mean = window.samples.mean()?;
+    let moving = event.kind == "moving";
+    let (t_s, stage_mm, speed_mm_s) = if moving {
+        let centre_s = (window.begin_s + window.end_s) / 2.0;
+        let (mm, speed) = track.at(centre_s)?;
+        (centre_s, mm, speed.abs())
+    } else {
+        (window.end_s, track.mean(window.begin_s, window.end_s)?, 0.0)
+    };
+    let loaded = event.role != "rest" && stage_mm >= 0.0;
+    Some(Row {
+        role: event.role.clone(),
+        step: (!moving).then_some(event.step),
+        sealed: event.sealed,
+        trajectory: event.trajectory,
+        replicate: event.replicate,
+        t_s: t_s - origin_s,
+        stage_mm,
+        direction: event.direction,
+        speed_mm_s,
+        dwell_s: if moving { 0.0 } else { window.end_s - event.arrived_s },
+        groove_mm: rig.trajectory(event.trajectory).filter(|_| loaded).map(|t| t.groove_mm(stage_mm)),
+        settled: event.settled || moving,
+        stream: Stream::Whole,
+        unusable: window.samples.unusable,
+        serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
+        mean,
+    })
+}
+
+/// Stage depth (mm) in device time.
+struct Track {
+    points: Vec<(f64, f64)>,
+}
+
+impl Track {
+    fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
+        let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
+        Self { points }
+    }
+
+    /// Depth (mm) and speed (mm/s) by interpolation; `None` outside the recording.
+    fn at(&self, t_s: f64) -> Option<(f64, f64)> {
+        let after = self.points.partition_point(|p| p.0 <= t_s);
+        let (a, b) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
+        let speed = (b.1 - a.1) / (b.0 - a.0);
+        Some((a.1 + speed * (t_s - a.0), speed))
+    }
+
+    /// Mean depth over a window, or the nearest reading before its end, mm.
+    fn mean(&self, begin_s: f64, end_s: f64) -> Option<f64> {
+        let (from, to) =
+            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
+        if from < to {
+            let inside = &self.points[from..to];
+            return Some(inside.iter().map(|p| p.1).sum::<f64>() / inside.len() as f64);
+        }
+        self.points.get(to.saturating_sub(1)).map(|p| p.1)
+    }
+}

@@ -1,0 +1,288 @@
+//! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
+
+use crate::error::AcquisitionError;
+use crate::message::{FrameInfo, Scan, StagePosition, SweepEvent, topic};
+use mcap::records::op;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use prost::Message as _;
+use std::collections::HashMap;
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// One message of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message {
+    /// A scan.
+    Scan(Scan),
+    /// A stage reading.
+    Stage(StagePosition),
+    /// An event of the sweep.
+    Event(SweepEvent),
+    /// A frame of a camera, without its pixels.
+    Frame(FrameInfo),
+    /// The picture of a settled pose: name of the camera, host time (ns), PNG.
+    PosePicture(String, u64, Vec<u8>),
+    /// A picture for people: name of the camera, host time, start of exposure by the camera's clock, s.
+    Picture(String, f64, f64),
+    /// Anything else: topic and host time, s.
+    Other(String, f64),
+}
+
+/// How a recording ended, and what of it could not be read.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct End {
+    /// Why reading stopped before the end of the file; everything before was given.
+    pub cut_off: Option<String>,
+    /// Chunks that were left out: their checksum is wrong, or their content makes no sense.
+    pub damaged_chunks: u64,
+}
+
+impl End {
+    /// Closed properly, and all of it read.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl fmt::Display for End {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.damaged_chunks, &self.cut_off) {
+            (0, None) => write!(f, "closed"),
+            (0, Some(why)) => write!(f, "cut off ({why})"),
+            (n, None) => write!(f, "{n} damaged chunks left out"),
+            (n, Some(why)) => write!(f, "{n} damaged chunks left out, then cut off ({why})"),
+        }
+    }
+}
+
+/// Longest record that is read, bytes: a chunk of ours holds half a megabyte, or one picture. A longer one is a damaged length.
+const MAX_RECORD_BYTES: u64 = 256 << 20;
+
+/// Gives every message in file order to `take`. A chunk whose checksum is wrong is left out whole; where a length is wrong, what follows
+/// cannot be found and reading stops. Neither is an error: the result says what was lost.
+///
+/// # Errors
+/// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
+pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
+    let mut file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
+    // No record is longer than its file, whatever its length says.
+    let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
+    let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
+    let mut reader = LinearReader::new_with_options(options);
+    let (mut end, mut topics) = (End::default(), Topics::default());
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
+                let count = file.read(reader.insert(need)).map_err(AcquisitionError::io("reading", path))?;
+                reader.notify_read(count);
+            }
+            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => match Chunk::parse(data) {
+                // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
+                Some(Chunk::Records(records)) => {
+                    let mut whole = true;
+                    for (opcode, body) in records {
+                        whole &= topics.give(path, opcode, body, &mut take)?;
+                    }
+                    end.damaged_chunks += u64::from(!whole);
+                }
+                Some(Chunk::Compressed(name)) => {
+                    let expected = "chunks without compression, as wcal records them";
+                    return Err(AcquisitionError::input(path.display().to_string(), expected, name));
+                }
+                None => end.damaged_chunks += 1,
+            },
+            Ok(LinearReadEvent::Record { opcode, data }) => {
+                end.damaged_chunks += u64::from(!topics.give(path, opcode, data, &mut take)?);
+            }
+            // A recorder that was killed before its first flush leaves an empty file, no other bytes.
+            Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
+                return Err(AcquisitionError::input(
+                    path.display().to_string(),
+                    "an MCAP file",
+                    "other bytes",
+                ));
+            }
+            Err(e) => {
+                end.cut_off = Some(e.to_string());
+                break;
+            }
+        }
+    }
+    Ok(end)
+}
+
+/// A chunk of the file (MCAP specification, "Chunk (op=0x06)").
+enum Chunk<'a> {
+    /// Operation code and body of each record.
+    Records(Vec<(u8, &'a [u8])>),
+    /// Compressed by this algorithm.
+    Compressed(&'static str),
+}
+
+impl<'a> Chunk<'a> {
+    /// None where it is damaged.
+    fn parse(mut chunk: &'a [u8]) -> Option<Self> {
+        // Start and end time of its messages, uncompressed size, checksum, compression, size, records.
+        cut(&mut chunk, 24)?;
+        let checksum = number(cut(&mut chunk, 4)?);
+        let length = number(cut(&mut chunk, 4)?);
+        match cut(&mut chunk, length)? {
+            b"" => {}
+            b"zstd" => return Some(Self::Compressed("zstd")),
+            b"lz4" => return Some(Self::Compressed("lz4")),
+            _ => return None,
+        }
+        let size = number(cut(&mut chunk, 8)?);
+        let mut rest = cut(&mut chunk, size)?;
+        // 0: the writer made no checksum.
+        if checksum != 0 && checksum != u64::from(crc32fast::hash(rest)) {
+            return None;
+        }
+        let mut records = Vec::new();
+        while !rest.is_empty() {
+            let opcode = cut(&mut rest, 1)?[0];
+            let length = number(cut(&mut rest, 8)?);
+            records.push((opcode, cut(&mut rest, length)?));
+        }
+        Some(Self::Records(records))
+    }
+}
+
+/// Takes `count` bytes off the front; none where there are fewer.
+fn cut<'a>(bytes: &mut &'a [u8], count: u64) -> Option<&'a [u8]> {
+    let (own, rest) = bytes.split_at_checked(usize::try_from(count).ok()?)?;
+    *bytes = rest;
+    Some(own)
+}
+
+/// Up to eight bytes as a little-endian number.
+fn number(bytes: &[u8]) -> u64 {
+    bytes.iter().rev().fold(0, |all, b| all << 8 | u64::from(*b))
+}
+
+/// Topics of the channels met so far.
+#[derive(Default)]
+struct Topics(HashMap<u64, String>);
+
+impl Topics {
+    /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor of a known channel (its channel stood in
+    /// a damaged chunk).
+    fn give(
+        &mut self,
+        path: &Path,
+        opcode: u8,
+        body: &[u8],
+        take: &mut impl FnMut(Message),
+    ) -> Result<bool, AcquisitionError> {
+        match opcode {
+            op::CHANNEL => {
+                let found = channel(body);
+                let whole = found.is_some();
+                self.0.extend(found);
+                Ok(whole)
+            }
+            op::MESSAGE => match message(body) {
+                Some((id, log_time, data)) => match self.0.get(&id) {
+                    Some(topic) => {
+                        take(decode(path, topic, log_time, data)?);
+                        Ok(true)
+                    }
+                    None => Ok(false),
+                },
+                None => Ok(false),
+            },
+            _ => Ok(true),
+        }
+    }
+}
+
+/// Number and topic of a channel record.
+fn channel(mut body: &[u8]) -> Option<(u64, String)> {
+    let id = number(cut(&mut body, 2)?);
+    // The schema's number is not needed: topics say what their messages are.
+    cut(&mut body, 2)?;
+    let length = number(cut(&mut body, 4)?);
+    Some((id, String::from_utf8(cut(&mut body, length)?.to_vec()).ok()?))
+}
+
+/// Channel, time (ns) and content of a message record.
+fn message(mut body: &[u8]) -> Option<(u64, u64, &[u8])> {
+    let id = number(cut(&mut body, 2)?);
+    cut(&mut body, 4)?;
+    let log_time = number(cut(&mut body, 8)?);
+    cut(&mut body, 8)?;
+    Some((id, log_time, body))
+}
+
+/// Whether as much of the magic bytes is there as the file's length allows.
+fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let size = mcap::MAGIC.len();
+    file.take(size as u64).read_to_end(&mut start).map_err(AcquisitionError::io("reading", path))?;
+    Ok(mcap::MAGIC.starts_with(&start))
+}
+
+fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, AcquisitionError> {
+    let bad = |e: prost::DecodeError| {
+        AcquisitionError::input(
+            format!("{}: {topic}", path.display()),
+            "a message of its schema",
+            e.to_string(),
+        )
+    };
+    Ok(match topic {
+        topic::SCAN => Message::Scan(Scan::decode(bytes).map_err(bad)?),
+        topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
+        topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
+        topic::FRAME => Message::Frame(FrameInfo::decode(bytes).map_err(bad)?),
+        other => {
+            let host_s = log_time as f64 * 1e-9;
+            if let Some(name) = other.strip_prefix(topic::POSE_PICTURE) {
+                let picture = CompressedPicture::decode(bytes).map_err(bad)?;
+                return Ok(Message::PosePicture(name.to_owned(), log_time, picture.data));
+            }
+            match other.strip_prefix(topic::CAMERA) {
+                Some(name) => {
+                    let at = PictureTime::decode(bytes).map_err(bad)?.timestamp.unwrap_or_default();
+                    Message::Picture(name.to_owned(), host_s, at.seconds as f64 + f64::from(at.nanos) * 1e-9)
+                }
+                None => Message::Other(other.to_owned(), host_s),
+            }
+        }
+    })
+}
+
+/// The content of a `foxglove.CompressedImage`.
+#[derive(Clone, PartialEq, prost::Message)]
+struct CompressedPicture {
+    #[prost(bytes = "vec", tag = "2")]
+    data: Vec<u8>,
+}
+
+/// The time stamp of a `foxglove.RawImage` or `foxglove.CompressedImage`; pixels are passed over.
+#[derive(Clone, PartialEq, prost::Message)]
+struct PictureTime {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<prost_types::Timestamp>,
+}
+
+/// Steps that a recording has completed; a sweep that is resumed leaves them out.
+///
+/// # Errors
+/// As for [`read`].
+pub fn completed_steps(path: &Path) -> Result<Vec<u32>, AcquisitionError> {
+    let mut done = Vec::new();
+    read(path, |message| {
+        if let Message::Event(event) = message
+            && event.kind == "done"
+        {
+            done.push(event.step);
+        }
+    })?;
+    Ok(done)
+}

@@ -1,0 +1,279 @@
+//! `rig.toml`: what stands on the bench. Parts that belong to the session are copied into it as they are.
+
+use crate::error::AcquisitionError;
+use nalgebra::Vector3;
+use serde::Deserialize;
+use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, StageRig};
+
+/// `format` of a rig file.
+pub const RIG_FORMAT: &str = "wcal-rig/1";
+
+/// A rig; keys of other programs (tags, groove, camera calibration) are kept, not read.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Rig {
+    /// `wcal-rig/1`.
+    pub format: String,
+    /// Name.
+    pub name: String,
+    /// Host seconds per wall second; other than 1 only beside an accelerated virtual bench.
+    #[serde(default = "unity")]
+    pub clock_scale: f64,
+    /// Linear stage.
+    pub stage: StageRig,
+    /// How the whisker is turned to a trajectory.
+    #[serde(default)]
+    pub mount: MountRig,
+    /// Interrogator and gratings.
+    pub interrogator: InterrogatorRig,
+    /// Cameras, in pairs.
+    #[serde(default)]
+    pub camera: Vec<CameraRig>,
+    /// Largest skew within a pair, ms.
+    #[serde(default = "default_skew_ms")]
+    pub camera_skew_limit_ms: f64,
+    /// Paths of the groove.
+    pub trajectory: Vec<TrajectoryRig>,
+    /// `[whisker]` of the session.
+    pub whisker: toml::Table,
+    /// `[moments]` of the session.
+    #[serde(default)]
+    pub moments: Option<toml::Table>,
+    /// Temperature coefficients for `[fbg]` of the session.
+    #[serde(default)]
+    pub fbg: toml::Table,
+    /// Where the base is in the world; only `wcal track` reads it.
+    #[serde(default)]
+    pub base: Option<BaseRig>,
+}
+
+/// Where the whisker's base is in the world, and what carries it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BaseRig {
+    /// 4 x 4, mm: takes base coordinates to the world's, at `stage_mm = 0` where the stage carries the base.
+    pub world_from_base: [[f64; 4]; 4],
+    /// Direction in which the stage carries the base, base frame; absent: the base stands still.
+    pub carried_along: Option<[f64; 3]>,
+}
+
+fn unity() -> f64 {
+    1.0
+}
+
+fn default_skew_ms() -> f64 {
+    2.0
+}
+
+/// A path of the groove, base frame.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrajectoryRig {
+    /// Identifier.
+    pub id: u32,
+    /// Groove centre at stage zero, mm.
+    pub origin_mm: [f64; 3],
+    /// Direction of travel.
+    pub direction: [f64; 3],
+    /// Arc length of first contact, mm.
+    pub nominal_arclength_mm: Option<f64>,
+}
+
+impl TrajectoryRig {
+    /// Groove centre (mm, base frame) at a depth of `stage_mm`.
+    #[must_use]
+    pub fn groove_mm(&self, stage_mm: f64) -> Vector3<f64> {
+        Vector3::from(self.origin_mm) + Vector3::from(self.direction).normalize() * stage_mm
+    }
+}
+
+impl Rig {
+    /// Parses and checks a rig.
+    ///
+    /// # Errors
+    /// Field, what was expected and what was found; `place` names the file.
+    pub fn parse(place: &str, text: &str) -> Result<Self, AcquisitionError> {
+        let rig: Self = toml::from_str(text)
+            .map_err(|e| AcquisitionError::input(place, "a rig file", e.to_string().trim()))?;
+        let fail = |field: &str, expected: &str, found: String| {
+            Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
+        };
+        let s = &rig.stage;
+        let [low, high] = s.soft_limits_mm;
+        if rig.format != RIG_FORMAT {
+            return fail("format", RIG_FORMAT, rig.format);
+        }
+        if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
+            return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
+        }
+        if !(s.speed_mm_s > 0.0 && s.microstep_um > 0.0 && rig.clock_scale > 0.0) {
+            return fail("stage", "speed, microstep and clock scale above 0", format!("{s:?}"));
+        }
+        for whisker in rig.interrogator.whiskers() {
+            for name in ["fbg_1", "fbg_2"] {
+                if rig.interrogator.grating_of(whisker, name).is_none() {
+                    let of =
+                        if whisker.is_empty() { String::new() } else { format!(" of whisker {whisker}") };
+                    return fail(
+                        "interrogator.grating",
+                        "gratings fbg_1 and fbg_2",
+                        format!("no {name}{of}"),
+                    );
+                }
+            }
+        }
+        let gratings = &rig.interrogator.grating;
+        for (k, a) in gratings.iter().enumerate() {
+            // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
+            let apart = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
+            let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;
+            if let Some(b) = gratings[..k].iter().filter(other).find(apart) {
+                let found = format!("{} of {} and {} of {}", b.name, b.whisker, a.name, a.whisker);
+                return fail("interrogator.grating", "windows of two whiskers that do not overlap", found);
+            }
+        }
+        if let Some(odd) = rig.interrogator.grating.iter().find(|g| g.channel == 0 || g.window_nm <= 0.0) {
+            return fail("interrogator.grating", "a channel from 1 and a window above 0", odd.name.clone());
+        }
+        if !matches!(rig.camera.len(), 0 | 2) {
+            return fail("camera", "no camera or two", rig.camera.len().to_string());
+        }
+        // Names become folders of the session.
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+        let odd = |name: &str| name.is_empty() || name == "holdout" || !name.chars().all(plain);
+        if let Some(camera) = rig.camera.iter().find(|c| odd(&c.name)) {
+            return fail("camera.name", "letters, digits, - and _, and not \"holdout\"", camera.name.clone());
+        }
+        for (k, t) in rig.trajectory.iter().enumerate() {
+            if !(Vector3::from(t.direction).norm() > 1e-6) {
+                return fail("trajectory.direction", "a direction", format!("{:?}", t.direction));
+            }
+            if rig.trajectory[..k].iter().any(|other| other.id == t.id) {
+                return fail("trajectory.id", "different identifiers", t.id.to_string());
+            }
+        }
+        Ok(rig)
+    }
+
+    /// A grating of the first whisker by name.
+    #[must_use]
+    pub fn grating(&self, name: &str) -> Option<&GratingRig> {
+        self.interrogator.grating_of(self.interrogator.whiskers().first()?, name)
+    }
+
+    /// A trajectory by identifier.
+    #[must_use]
+    pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
+        self.trajectory.iter().find(|t| t.id == id)
+    }
+
+    /// Checks a depth (mm from the zero) against the soft limits and the unit's travel.
+    ///
+    /// # Errors
+    /// What is allowed and what was asked for.
+    pub fn check_depth(
+        &self,
+        what: &str,
+        depth_mm: f64,
+        travel_mm: [f64; 2],
+    ) -> Result<(), AcquisitionError> {
+        let position = self.stage.zero_mm + depth_mm;
+        let low = self.stage.soft_limits_mm[0].max(travel_mm[0]);
+        let high = self.stage.soft_limits_mm[1].min(travel_mm[1]);
+        if (low..=high).contains(&position) {
+            return Ok(());
+        }
+        let expected = format!("a stage position in {low:.3}..{high:.3} mm");
+        Err(AcquisitionError::input(what, expected, format!("{position:.3} mm")))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) const RIG: &str = r#"
+format = "wcal-rig/1"
+name = "virtual"
+[stage]
+driver = "zaber-ascii"
+port = "tcp://127.0.0.1:1"
+microstep_um = 0.047625
+travel_mm = 101.6
+soft_limits_mm = [0, 40]
+zero_mm = 20
+speed_mm_s = 7
+retract_mm = -2
+[interrogator]
+driver = "sm130"
+address = "127.0.0.1:2"
+rate_hz = 2000
+grating = [
+  { name = "fbg_ref", channel = 1, nominal_nm = 1537.3, window_nm = 0.7 },
+  { name = "fbg_1", channel = 1, nominal_nm = 1541.2, window_nm = 1.5 },
+  { name = "fbg_2", channel = 1, nominal_nm = 1535.8, window_nm = 0.7 },
+]
+[[trajectory]]
+id = 1
+origin_mm = [18, 0, 0]
+direction = [0, 0, 1]
+[whisker]
+diameter_mm = 0.3
+length_mm = 60.0
+straight_mm = 30.0
+arc_radius_mm = 20.0
+youngs_gpa = 75.0
+shear_gpa = 28.2
+"#;
+
+    #[test]
+    fn a_rig_is_read_and_its_limits_hold() {
+        let rig = Rig::parse("rig.toml", RIG).unwrap();
+        assert!(rig.check_depth("x", 20.0, [0.0, 101.6]).is_ok());
+        assert!(rig.check_depth("x", 20.1, [0.0, 101.6]).is_err());
+        assert!(rig.check_depth("x", 15.0, [0.0, 30.0]).is_err());
+        assert_eq!(rig.trajectory(1).unwrap().groove_mm(2.0), Vector3::new(18.0, 0.0, 2.0));
+    }
+
+    #[test]
+    fn whiskers_share_a_fibre_where_their_windows_do_not_overlap() {
+        let more = |first_nm: f64| {
+            let grating = |name: &str, nm: f64| {
+                format!(
+                    "  {{ name = \"{name}\", channel = 1, nominal_nm = {nm}, window_nm = 0.7, whisker = \"b\" }},\n"
+                )
+            };
+            RIG.replace(
+                "]\n[[trajectory]]",
+                &format!("{}{}]\n[[trajectory]]", grating("fbg_1", first_nm), grating("fbg_2", 1555.0)),
+            )
+        };
+        let rig = Rig::parse("rig.toml", &more(1550.0)).unwrap();
+        assert_eq!(rig.interrogator.whiskers(), ["", "b"]);
+        assert_eq!(rig.interrogator.grating_of("b", "fbg_1").unwrap().nominal_nm, 1550.0);
+        assert_eq!(rig.grating("fbg_1").unwrap().nominal_nm, 1541.2);
+        let error = Rig::parse("rig.toml", &more(1542.0)).unwrap_err().to_string();
+        assert!(error.contains("do not overlap") && error.contains("fbg_1 of b"), "{error}");
+    }
+
+    #[test]
+    fn rigs_that_make_no_sense_are_refused_by_field() {
+        for (from, to, field) in [
+            ("wcal-rig/1", "wcal-rig/2", "format"),
+            ("[0, 40]", "[40, 0]", "soft_limits_mm"),
+            ("[0, 40]", "[0, 400]", "soft_limits_mm"),
+            ("\"fbg_2\"", "\"fbg_9\"", "grating"),
+            ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
+            ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
+            ("retract_mm = -2", "retrct_mm = -2", "rig file"),
+            ("window_nm = 1.5 }", "window_nm = 1.5, whisker = \"b\" }", "no fbg_1"),
+            (
+                "[whisker]",
+                "[[camera]]\nname = \"left\"\ndriver = \"net\"\nsource = \"x:1\"\n[whisker]",
+                "camera",
+            ),
+        ] {
+            let error = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(field), "{field}: {error}");
+        }
+    }
+}

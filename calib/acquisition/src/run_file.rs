@@ -1,0 +1,80 @@
+//! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
+
+use crate::error::AcquisitionError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use wcal_core::device::DeviceIdentity;
+
+/// `format` of the file.
+pub const RUN_FORMAT: &str = "wcal-run/1";
+
+/// Everything about a run that the raw streams do not hold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunFile {
+    /// `wcal-run/1`.
+    pub format: String,
+    /// Session identifier.
+    pub id: String,
+    /// Medium.
+    pub medium: String,
+    /// Time of creation, RFC 3339.
+    pub created: String,
+    /// Program and version.
+    pub program: String,
+    /// Command line.
+    pub command: Vec<String>,
+    /// Hash of rig.toml.
+    pub rig_sha256: String,
+    /// Hash of plan.toml.
+    pub plan_sha256: String,
+    /// Devices by role.
+    pub devices: BTreeMap<String, DeviceIdentity>,
+    /// Host seconds per wall second; other than 1: recorded on a virtual bench.
+    pub clock_scale: f64,
+    /// Recorded from simulated devices; absent in files from before the mark.
+    #[serde(default)]
+    pub simulated: bool,
+    /// What came of each run, one a recording; a run that was killed has none.
+    #[serde(default)]
+    pub runs: Vec<RunOutcome>,
+}
+
+/// What came of one run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunOutcome {
+    /// File of its raw streams.
+    pub recording: String,
+    /// `finished` or `stopped`.
+    pub ending: String,
+    /// Why it stopped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+    /// Scans received.
+    pub scans: u64,
+    /// Scans that were lost.
+    pub lost_scans: u64,
+    /// What was lost or not as it should be in the session up to here; each was a reason for exit code 3.
+    pub warnings: Vec<String>,
+}
+
+impl RunFile {
+    /// Whether the devices were simulated. Files from before the mark tell by the names that the virtual bench's devices give
+    /// themselves, and by its clock.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.simulated || self.clock_scale != 1.0 || self.devices.values().any(DeviceIdentity::is_virtual)
+    }
+
+    /// Parses the file.
+    ///
+    /// # Errors
+    /// What was expected and what was found.
+    pub fn parse(text: &str) -> Result<Self, AcquisitionError> {
+        let run: Self = serde_json::from_str(text)
+            .map_err(|e| AcquisitionError::input("run.json", "a run file", e.to_string()))?;
+        if run.format == RUN_FORMAT {
+            return Ok(run);
+        }
+        Err(AcquisitionError::input("run.json: format", RUN_FORMAT, run.format))
+    }
+}

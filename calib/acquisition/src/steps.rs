@@ -1,0 +1,371 @@
+//! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when something fails.
+
+use crate::error::AcquisitionError;
+use crate::message::SweepEvent;
+use crate::plan::{Plan, Pose, Step};
+use crate::rig::Rig;
+use crate::sweep::{Progress, SILENCE, SweepBench, lock};
+use foxglove::messages::log::Level;
+use std::collections::BTreeSet;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use wcal_core::device::{DeviceError, DeviceErrorKind, StageReading};
+use wcal_core::rig_devices::Approach;
+
+/// Pause between stage polls while it moves, and while it stands.
+const POLL_MOVING: Duration = Duration::from_millis(4);
+const POLL_STANDING: Duration = Duration::from_millis(20);
+/// Farthest the stage may stand from its target, mm: above a microstep, below what matters.
+const ARRIVAL_MM: f64 = 0.005;
+/// Depth of the sync move past contact (mm) and its speed (mm/s).
+const SYNC_MM: f64 = 1.0;
+const SYNC_MM_S: f64 = 4.0;
+/// Share of a window's scans that must have come, and windows tried.
+const MIN_COVERED: f64 = 0.5;
+const WINDOWS: usize = 5;
+/// Longest wait for the pair of a pose after its averaging window (wall time).
+const PICTURE: Duration = Duration::from_secs(3);
+/// Attempts to reach a lost stage again to stop it.
+const REACH: u32 = 5;
+
+/// A sweep on its way.
+pub(crate) struct Sweep<'b, 'r, 'p> {
+    pub(crate) bench: SweepBench<'b>,
+    pub(crate) rig: &'r Rig,
+    pub(crate) plan: &'r Plan,
+    pub(crate) steps: usize,
+    pub(crate) step: usize,
+    pub(crate) trajectory: Option<u32>,
+    pub(crate) last: StageReading,
+    pub(crate) unsettled: usize,
+    pub(crate) progress: &'p mut dyn FnMut(&Progress),
+}
+
+impl Sweep<'_, '_, '_> {
+    /// Reference, stream, and a safe place before the first move toward the wire.
+    pub(crate) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
+        match self.bench.stage.read() {
+            Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
+                self.bench.stage.start_home()?;
+                self.until_standing()?;
+            }
+            other => self.note(other?)?,
+        }
+        let start = Instant::now();
+        while lock(self.bench.monitor).device_s().is_none() {
+            self.tick(POLL_STANDING)?;
+            if start.elapsed() > SILENCE * 2 {
+                let kind = DeviceErrorKind::Timeout;
+                return Err(DeviceError::new(kind, "interrogator", "wait for scans", "scans", "silence"));
+            }
+        }
+        self.event(&SweepEvent { kind: "start".to_owned(), ..SweepEvent::default() })?;
+        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)
+    }
+
+    pub(crate) fn all_steps(
+        &mut self,
+        steps: &[Step],
+        skip: &BTreeSet<u32>,
+        done: &mut usize,
+    ) -> Result<(), DeviceError> {
+        for (index, step) in steps.iter().enumerate() {
+            self.step = index;
+            // A resumed sweep turns the mount again only where readings are still to be made.
+            if let Step::Mount { trajectory } = step {
+                self.trajectory = Some(*trajectory);
+                let open = steps[index + 1..]
+                    .iter()
+                    .enumerate()
+                    .take_while(|(_, s)| !matches!(s, Step::Mount { .. }))
+                    .any(|(k, _)| !skip.contains(&((index + 1 + k) as u32)));
+                if open {
+                    self.mount(*trajectory)?;
+                }
+                continue;
+            }
+            if skip.contains(&(index as u32)) {
+                continue;
+            }
+            self.carry_out(step)?;
+            self.event(&SweepEvent { kind: "done".to_owned(), ..SweepEvent::default() })?;
+            *done += 1;
+        }
+        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
+        self.event(&SweepEvent { kind: "finished".to_owned(), ..SweepEvent::default() })
+    }
+
+    fn carry_out(&mut self, step: &Step) -> Result<(), DeviceError> {
+        match step {
+            Step::Mount { trajectory } => self.mount(*trajectory),
+            Step::Soak => self.soak(),
+            Step::Sync => self.sync(),
+            Step::Settled(pose) => self.settled(pose),
+            Step::Moving { from_mm, rows_hz, pose } => self.moving(*from_mm, *rows_hz, pose),
+        }
+    }
+
+    fn mount(&mut self, trajectory: u32) -> Result<(), DeviceError> {
+        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
+        self.bench.mount.select(trajectory)?;
+        self.trajectory = Some(trajectory);
+        let begin_s = self.stage_s();
+        self.event(&SweepEvent { kind: "mount".to_owned(), trajectory, begin_s, ..SweepEvent::default() })
+    }
+
+    /// Waits at rest until the drift gate opens, or the soak time is over.
+    fn soak(&mut self) -> Result<(), DeviceError> {
+        let begin_s = self.device_s();
+        let settle = self.plan.settle;
+        let gate = self.wait_for_gate(begin_s, settle.window_s * 5.0, self.plan.soak_s)?;
+        let (end_s, settled) = (self.device_s(), gate);
+        self.event(&SweepEvent { kind: "soak".to_owned(), begin_s, end_s, settled, ..SweepEvent::default() })
+    }
+
+    /// In and out of contact at a known speed: the delay between the devices shows in the signal.
+    fn sync(&mut self) -> Result<(), DeviceError> {
+        let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
+        self.go_to(-0.5, speed_mm_s)?;
+        let begin_s = self.stage_s();
+        self.wait_until(begin_s + 0.3)?;
+        self.go_to(SYNC_MM, speed_mm_s)?;
+        self.go_to(-0.5, speed_mm_s)?;
+        let end_s = self.stage_s() + 0.3;
+        self.wait_until(end_s)?;
+        let trajectory = self.trajectory.unwrap_or(0);
+        let event = SweepEvent { begin_s, end_s, speed_mm_s, trajectory, ..SweepEvent::default() };
+        self.event(&SweepEvent { kind: "sync".to_owned(), ..event })
+    }
+
+    /// Move, dwell, drift gate, averaging window.
+    fn settled(&mut self, pose: &Pose) -> Result<(), DeviceError> {
+        let at_mm = self.last.measured_mm - self.rig.stage.zero_mm;
+        let passes = self.rig.stage.approach == Approach::OneSided && pose.direction > 0;
+        if passes && at_mm > pose.stage_mm + ARRIVAL_MM {
+            self.go_to(pose.stage_mm - self.rig.stage.approach_mm, pose.speed_mm_s)?;
+        }
+        self.go_to(pose.stage_mm, pose.speed_mm_s)?;
+        let arrived_s = self.stage_s();
+        self.wait_until(arrived_s + pose.dwell_s)?;
+        let settle = self.plan.settle;
+        let settled = self.wait_for_gate(arrived_s, settle.window_s, settle.timeout_s)?;
+        if !settled {
+            self.unsettled += 1;
+            let text = format!("step {}: the signal did not settle in {} s", self.step, settle.timeout_s);
+            self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text);
+        }
+        if !self.rig.camera.is_empty() {
+            let since_host_s = self.last.clocks.host_s;
+            lock(self.bench.monitor).want_picture(self.step as u32, since_host_s);
+        }
+        let (begin_s, end_s) = self.window(pose.average_s)?;
+        self.wait_for_picture()?;
+        let event = self.pose_event("window", pose);
+        self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
+    }
+
+    /// The stage stands until the pair of the pose is recorded; a pose whose pair does not come goes on without.
+    fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
+        let start = Instant::now();
+        while lock(self.bench.monitor).wanted_picture().is_some() && start.elapsed() < PICTURE {
+            self.tick(POLL_STANDING)?;
+        }
+        if lock(self.bench.monitor).end_picture() {
+            let kind = "picture-missed".to_owned();
+            self.event(&SweepEvent { kind, ..SweepEvent::default() })?;
+        }
+        Ok(())
+    }
+
+    /// An averaging window that the stream covers: one that fell into a gap is taken again.
+    fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
+        let least = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
+        for _ in 0..WINDOWS {
+            let begin_s = self.device_s();
+            let end_s = begin_s + average_s;
+            self.wait_until(end_s)?;
+            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= least {
+                return Ok((begin_s, end_s));
+            }
+        }
+        let expected = format!("{MIN_COVERED} of a window's scans in one of {WINDOWS}");
+        Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
+    }
+
+    /// Rows on the way.
+    fn moving(&mut self, from_mm: f64, rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
+        self.go_to(from_mm, pose.speed_mm_s)?;
+        let begin_s = self.stage_s() + 0.1;
+        self.wait_until(begin_s)?;
+        self.go_to(pose.stage_mm, pose.speed_mm_s)?;
+        let end_s = self.stage_s();
+        self.wait_until(end_s + 0.1)?;
+        let event = self.pose_event("moving", pose);
+        self.event(&SweepEvent { begin_s, end_s, arrived_s: end_s, rows_hz, ..event })
+    }
+
+    fn pose_event(&self, kind: &str, pose: &Pose) -> SweepEvent {
+        SweepEvent {
+            kind: kind.to_owned(),
+            role: format!("{:?}", pose.role).to_lowercase(),
+            trajectory: pose.trajectory,
+            replicate: pose.replicate,
+            target_mm: pose.stage_mm,
+            direction: pose.direction,
+            speed_mm_s: pose.speed_mm_s,
+            sealed: pose.sealed,
+            ..SweepEvent::default()
+        }
+    }
+
+    /// Moves to a depth and checks that the stage got there.
+    fn go_to(&mut self, depth_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+        let target_mm = self.rig.stage.zero_mm + depth_mm;
+        self.bench.stage.start_move(target_mm, speed_mm_s)?;
+        self.until_standing()?;
+        let off_mm = self.last.measured_mm - target_mm;
+        if off_mm.abs() > ARRIVAL_MM {
+            let (expected, found) =
+                (format!("{target_mm:.4} mm"), format!("{:.4} mm", self.last.measured_mm));
+            return Err(DeviceError::new(DeviceErrorKind::Stalled, "stage", "move", expected, found));
+        }
+        Ok(())
+    }
+
+    fn until_standing(&mut self) -> Result<(), DeviceError> {
+        loop {
+            self.tick(POLL_MOVING)?;
+            if !self.last.moving {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Waits for the stream to get there.
+    fn wait_until(&mut self, end_s: f64) -> Result<(), DeviceError> {
+        while self.device_s() < end_s {
+            self.tick(POLL_STANDING)?;
+        }
+        Ok(())
+    }
+
+    /// True when the drift fell below the gate; a drift that its own error hides has not.
+    fn wait_for_gate(&mut self, since_s: f64, window_s: f64, timeout_s: f64) -> Result<bool, DeviceError> {
+        let end_s = self.device_s() + timeout_s;
+        let gate = self.plan.settle.gate_pm_per_s;
+        loop {
+            let drift = lock(self.bench.monitor).drift_pm_per_s(since_s, window_s);
+            if drift.is_some_and(|(slope, error)| slope.abs() < gate && error < gate) {
+                return Ok(true);
+            }
+            if self.device_s() > end_s {
+                return Ok(false);
+            }
+            self.tick(POLL_STANDING)?;
+        }
+    }
+
+    /// One look at everything: stage, stream, user.
+    fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
+        std::thread::sleep(pause);
+        if self.bench.interrupt.load(Ordering::SeqCst) {
+            let kind = DeviceErrorKind::Interrupted;
+            return Err(DeviceError::new(kind, "sweep", "run", "no interruption", "Ctrl-C"));
+        }
+        if let Some(fault) = lock(self.bench.monitor).fault() {
+            return Err(fault.clone());
+        }
+        let reading = self.bench.stage.read()?;
+        self.note(reading)?;
+        let (latest, counts, device_s) = {
+            let monitor = lock(self.bench.monitor);
+            (monitor.latest(), monitor.counts(), monitor.device_s())
+        };
+        (self.progress)(&Progress {
+            step: self.step,
+            steps: self.steps,
+            stage_mm: self.last.measured_mm - self.rig.stage.zero_mm,
+            wavelengths_nm: [latest.reference_nm, latest.sensing_nm[0], latest.sensing_nm[1]],
+            counts,
+            device_s,
+        });
+        Ok(())
+    }
+
+    fn note(&mut self, reading: StageReading) -> Result<(), DeviceError> {
+        self.bench.recorder.stage(&reading).map_err(|e| disk(&e))?;
+        if let Some(path) = self.trajectory.and_then(|id| self.rig.trajectory(id)) {
+            let depth_mm = reading.measured_mm - self.rig.stage.zero_mm;
+            self.bench.recorder.groove(reading.clocks.host_s, &path.groove_mm(depth_mm));
+        }
+        self.last = reading;
+        Ok(())
+    }
+
+    /// Device time of the newest scan, s.
+    fn device_s(&self) -> f64 {
+        lock(self.bench.monitor).device_s().unwrap_or(0.0)
+    }
+
+    /// Device time of the last stage reading, s: a stream that is behind has not shown that moment yet.
+    fn stage_s(&self) -> f64 {
+        let (monitor, host_s) = (lock(self.bench.monitor), self.last.clocks.host_s);
+        monitor.device_s_at(host_s).unwrap_or(0.0)
+    }
+
+    fn event(&mut self, event: &SweepEvent) -> Result<(), DeviceError> {
+        let event = SweepEvent { step: self.step as u32, ..event.clone() };
+        self.bench.recorder.event(self.last.clocks.host_s, &event).map_err(|e| disk(&e))
+    }
+
+    /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe.
+    pub(crate) fn make_safe(&mut self, cause: &DeviceError) -> bool {
+        let mut stopped = self.bench.stage.stop().is_ok();
+        for _ in 0..REACH {
+            if stopped {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(100));
+            if let Ok(stage) = (self.bench.reopen)() {
+                self.bench.stage = stage;
+                stopped = self.bench.stage.stop().is_ok();
+            }
+        }
+        let host_s = self.last.clocks.host_s;
+        self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
+        let detail = format!("{}: {cause}", cause.kind.name());
+        let event = SweepEvent {
+            kind: "stopped".to_owned(),
+            step: self.step as u32,
+            detail,
+            ..SweepEvent::default()
+        };
+        // The cause is already an error on its way to the user.
+        let _ = self.bench.recorder.event(host_s, &event);
+        let stage_at_fault = cause.device.starts_with("stage") || cause.kind == DeviceErrorKind::Stalled;
+        if stopped && !stage_at_fault {
+            self.retract();
+        }
+        stopped
+    }
+
+    /// Back from the wire after a fault of another device; errors end the attempt.
+    fn retract(&mut self) {
+        let target_mm = self.rig.stage.zero_mm + self.rig.stage.retract_mm;
+        if self.bench.stage.start_move(target_mm, self.rig.stage.speed_mm_s).is_err() {
+            return;
+        }
+        while let Ok(reading) = self.bench.stage.read() {
+            let moving = reading.moving;
+            if self.note(reading).is_err() || !moving {
+                return;
+            }
+            std::thread::sleep(POLL_MOVING);
+        }
+    }
+}
+
+fn disk(error: &AcquisitionError) -> DeviceError {
+    let kind = DeviceErrorKind::Configuration;
+    DeviceError::new(kind, "recorder", "record", "space on disk", error.to_string())
+}

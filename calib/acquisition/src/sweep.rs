@@ -1,0 +1,176 @@
+//! Carries out the steps of a plan on any stage and interrogator, recording everything.
+
+use crate::monitor::{Monitor, StreamCounts};
+use crate::plan::{Plan, Step};
+use crate::recorder::Recorder;
+use crate::rig::Rig;
+use crate::steps::Sweep;
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Mount, Stage, StageReading};
+
+/// A stream that is silent this long has failed (wall time).
+pub(crate) const SILENCE: Duration = Duration::from_secs(2);
+
+/// Opens the stage again after its link was lost.
+pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
+
+/// What a sweep works with.
+pub struct SweepBench<'a> {
+    /// The linear stage.
+    pub stage: Box<dyn Stage>,
+    /// Opens it again.
+    pub reopen: &'a mut Reopen<'a>,
+    /// The mount.
+    pub mount: &'a mut dyn Mount,
+    /// Watches the stream; filled by [`acquire`].
+    pub monitor: &'a Mutex<Monitor>,
+    /// Everything is recorded here.
+    pub recorder: &'a Recorder,
+    /// Set by Ctrl-C.
+    pub interrupt: &'a AtomicBool,
+}
+
+/// What a user may want to see while it runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Progress {
+    /// Steps completed and in all.
+    pub step: usize,
+    /// Steps in all.
+    pub steps: usize,
+    /// Depth, mm.
+    pub stage_mm: f64,
+    /// Newest wavelengths of reference and sensing gratings, nm.
+    pub wavelengths_nm: [Option<f64>; 3],
+    /// Counters of the stream.
+    pub counts: StreamCounts,
+    /// Device time, s.
+    pub device_s: Option<f64>,
+}
+
+/// How a sweep ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Ending {
+    /// All steps done.
+    Finished,
+    /// Stopped by a fault or the user.
+    Stopped {
+        /// Why.
+        cause: DeviceError,
+        /// Whether the stage was confirmed to stand afterwards.
+        stage_stopped: bool,
+    },
+}
+
+/// Result of a sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepReport {
+    /// How it ended.
+    pub ending: Ending,
+    /// Steps done in this run.
+    pub done: usize,
+    /// Windows whose drift gate did not open in time.
+    pub unsettled: usize,
+    /// Counters of the stream.
+    pub counts: StreamCounts,
+}
+
+impl SweepReport {
+    /// What was lost or not as it should be although the sweep went on; each is a reason for exit code 3.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;
+        let all = [
+            (lost > 0, format!("{lost} scans lost in {gaps} gaps")),
+            (pairs_refused > 0, format!("{pairs_refused} camera pairs refused")),
+        ];
+        let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
+        all.chain(self.signal_warnings()).collect()
+    }
+
+    /// The warnings that the recording alone does not tell.
+    #[must_use]
+    pub fn signal_warnings(&self) -> Vec<String> {
+        let (unsettled, unusable) = (self.unsettled, self.counts.unusable);
+        let all = [
+            (unsettled > 0, format!("{unsettled} windows whose signal did not settle")),
+            (unusable > 0, format!("{unusable} scans with a lost or crossing peak")),
+        ];
+        all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text).collect()
+    }
+}
+
+/// Reads the stream until `done`, into monitor and recorder. Runs in a thread of its own.
+pub fn acquire(
+    interrogator: &mut dyn Interrogator,
+    monitor: &Mutex<Monitor>,
+    recorder: &Recorder,
+    done: &AtomicBool,
+) {
+    let mut heard = Instant::now();
+    if let Err(e) = interrogator.start() {
+        return lock(monitor).fail_with(e);
+    }
+    while !done.load(Ordering::SeqCst) {
+        let readings = match interrogator.read(Duration::from_millis(100)) {
+            Ok(readings) => readings,
+            Err(e) => return lock(monitor).fail_with(e),
+        };
+        if !readings.is_empty() {
+            heard = Instant::now();
+        } else if heard.elapsed() > SILENCE {
+            let found = format!("silence for {} s", SILENCE.as_secs());
+            return lock(monitor).fail(DeviceErrorKind::Timeout, "read the stream", "scans", &found);
+        }
+        for reading in &readings {
+            if let Err(e) = recorder.scan(reading) {
+                let kind = DeviceErrorKind::Configuration;
+                return lock(monitor).fail(kind, "record", "space on disk", &e.to_string());
+            }
+        }
+        let mut monitor = lock(monitor);
+        readings.iter().for_each(|r| monitor.take(r));
+    }
+    // The recording is complete; a unit that does not confirm the end changes nothing.
+    let _ = interrogator.stop();
+}
+
+pub(crate) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
+    monitor.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Carries out `steps`, leaving out those in `skip`. `home`: search the reference first where there is none.
+pub fn run(
+    bench: SweepBench<'_>,
+    rig: &Rig,
+    plan: &Plan,
+    steps: &[Step],
+    skip: &BTreeSet<u32>,
+    home: bool,
+    progress: &mut dyn FnMut(&Progress),
+) -> SweepReport {
+    let mut sweep = Sweep {
+        bench,
+        rig,
+        plan,
+        steps: steps.len(),
+        step: 0,
+        trajectory: None,
+        last: StageReading::default(),
+        unsettled: 0,
+        progress,
+    };
+    let mut done = 0;
+    let result = sweep.prepare(home).and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    let ending = match result {
+        Ok(()) => Ending::Finished,
+        Err(cause) => {
+            let stage_stopped = sweep.make_safe(&cause);
+            Ending::Stopped { cause, stage_stopped }
+        }
+    };
+    let counts = lock(sweep.bench.monitor).counts();
+    SweepReport { ending, done, unsettled: sweep.unsettled, counts }
+}

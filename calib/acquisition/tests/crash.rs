@@ -1,0 +1,199 @@
+//! kill -9 while recording: less than a second is lost, the file opens, and what it holds is whole.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use wcal_acquisition::message::Scan;
+use wcal_acquisition::recorder::Recorder;
+use wcal_acquisition::replay::{End, Message, read};
+use wcal_core::device::{Clocks, FbgReading};
+
+const RATE_HZ: f64 = 2000.0;
+
+fn scan(serial: u64) -> FbgReading {
+    let t = serial as f64 / RATE_HZ;
+    FbgReading {
+        serial,
+        peaks_nm: vec![vec![1535.8, 1537.3, 1541.2]],
+        clocks: Clocks { host_s: 1e9 + t, device_s: Some(t) },
+        ..FbgReading::default()
+    }
+}
+
+/// Not a test of its own: the process that is killed.
+#[test]
+#[ignore = "run by the test below"]
+fn child_that_records() {
+    let Ok(path) = std::env::var("WCAL_CRASH_FILE") else { return };
+    let recorder = Recorder::create(Path::new(&path), Default::default()).unwrap();
+    let (start, mut serial) = (Instant::now(), 0);
+    loop {
+        while (serial as f64) < start.elapsed().as_secs_f64() * RATE_HZ {
+            recorder.scan(&scan(serial)).unwrap();
+            serial += 1;
+        }
+        println!("at {serial}");
+        std::io::stdout().flush().unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn serials(path: &Path) -> (Vec<u64>, End) {
+    let mut found = Vec::new();
+    let end = read(path, |m| {
+        if let Message::Scan(Scan { serial, .. }) = m {
+            found.push(serial);
+        }
+    });
+    (found, end.unwrap())
+}
+
+#[test]
+fn kill_9_at_any_moment_loses_less_than_a_second() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut worst_s: f64 = 0.0;
+    for (k, wait_ms) in [350, 777, 1203, 1640, 2111].into_iter().enumerate() {
+        let path = dir.path().join(format!("{k}.mcap"));
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "child_that_records", "--ignored", "--nocapture"])
+            .env("WCAL_CRASH_FILE", &path)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let reader = std::thread::spawn(move || {
+            lines.map_while(Result::ok).filter_map(|l| l.strip_prefix("at ")?.parse::<u64>().ok()).last()
+        });
+        std::thread::sleep(Duration::from_millis(wait_ms));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // Killed before its first scan: nothing to lose.
+        let Some(written) = reader.join().unwrap() else { continue };
+        let (found, end) = serials(&path);
+        assert!(end.cut_off.is_some());
+        assert_eq!(found, (0..found.len() as u64).collect::<Vec<_>>(), "whole up to the end");
+        // What was written after the last line that was read may be in the file as well.
+        worst_s = worst_s.max(written.saturating_sub(found.len() as u64) as f64 / RATE_HZ);
+    }
+    println!("largest loss {:.3} s", worst_s);
+    assert!(worst_s < 1.0, "{worst_s} s lost");
+}
+
+/// A closed recording of 3000 scans in several chunks.
+fn recorded(folder: &Path) -> PathBuf {
+    let path = folder.join("whole.mcap");
+    let recorder = Recorder::create(&path, Default::default()).unwrap();
+    for serial in 0..3000 {
+        recorder.scan(&scan(serial)).unwrap();
+        if serial % 500 == 0 {
+            recorder.flush().unwrap();
+        }
+    }
+    recorder.finish().unwrap();
+    path
+}
+
+/// Where the chunks of a recording begin (their operation code), and how long each is with code and length.
+fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
+    let (mut at, mut found) = (8, Vec::new());
+    while at + 9 <= bytes.len() {
+        let length = 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+        // 6: a chunk; 2: the footer.
+        match bytes[at] {
+            6 => found.push((at, length)),
+            2 => break,
+            _ => {}
+        }
+        at += length;
+    }
+    found
+}
+
+#[test]
+fn a_file_cut_anywhere_is_read_up_to_the_cut_and_damage_is_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = recorded(dir.path());
+    let (all, end) = serials(&path);
+    assert_eq!((all.len(), end), (3000, End::default()));
+    let bytes = std::fs::read(&path).unwrap();
+    let cut = dir.path().join("cut.mcap");
+    let mut last = 0;
+    for k in 1..40 {
+        std::fs::write(&cut, &bytes[..bytes.len() * k / 40]).unwrap();
+        let (found, end) = serials(&cut);
+        assert!(end.cut_off.is_some() && found.len() >= last, "cut {k}");
+        assert_eq!(found, (0..found.len() as u64).collect::<Vec<_>>());
+        last = found.len();
+    }
+    assert!(last > 1000);
+    std::fs::write(&cut, b"not a recording at all, just text").unwrap();
+    assert!(read(&cut, |_| {}).is_err());
+    // Killed before its first flush: nothing recorded, and `--resume` goes on.
+    std::fs::write(&cut, b"").unwrap();
+    let (none, end) = serials(&cut);
+    assert!(none.is_empty() && end.cut_off.is_some());
+}
+
+/// A wrong bit costs its chunk, no more: what follows is read, and the loss is counted.
+#[test]
+fn a_damaged_chunk_is_left_out_and_those_behind_it_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(recorded(dir.path())).unwrap();
+    let (path, chunks) = (dir.path().join("damaged.mcap"), chunks(&bytes));
+    let (at, length) = chunks[chunks.len() / 2];
+    let mut damaged = bytes.clone();
+    damaged[at + length - 20] ^= 0x10;
+    std::fs::write(&path, &damaged).unwrap();
+    let (found, end) = serials(&path);
+    assert_eq!(end, End { cut_off: None, damaged_chunks: 1 });
+    let missing: Vec<u64> = (0..3000).filter(|k| !found.contains(k)).collect();
+    assert!(!missing.is_empty() && missing.len() < 1000, "{} missing", missing.len());
+    assert!(missing.windows(2).all(|p| p[1] == p[0] + 1) && found.contains(&0) && found.contains(&2999));
+    assert!(end.to_string().contains("1 damaged chunks left out"), "{end}");
+}
+
+/// No stated length is believed: none asks for more memory than the file has, and what can be read is.
+#[test]
+fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(recorded(dir.path())).unwrap();
+    let (path, chunks) = (dir.path().join("damaged.mcap"), chunks(&bytes));
+    let (at, _) = chunks[chunks.len() - 1];
+    let read = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut damaged = bytes.clone();
+        change(&mut damaged);
+        std::fs::write(&path, &damaged).unwrap();
+        serials(&path)
+    };
+    // In a chunk: uncompressed size at 16, checksum at 24, length of the compression's name at 28, size of the records at 32.
+    for length in [u64::MAX, u64::MAX - 8, 1 << 62, 1 << 40, bytes.len() as u64] {
+        let put = |b: &mut Vec<u8>, at: usize| b[at..at + 8].copy_from_slice(&length.to_le_bytes());
+        let (found, end) = read(&|b| put(b, at + 1));
+        assert!(end.cut_off.is_some() && found.len() > 1000 && found.len() < 3000, "record {length}: {end}");
+        let (found, end) = read(&|b| put(b, at + 9 + 32));
+        assert!(
+            end.damaged_chunks == 1 && found.len() > 1000 && found.len() < 3000,
+            "records {length}: {end}"
+        );
+        // Without a checksum a record's own length is all there is to go by.
+        let (found, end) = read(&|b| {
+            b[at + 9 + 24..at + 9 + 28].fill(0);
+            put(b, at + 9 + 40 + 1);
+        });
+        assert!(
+            end.damaged_chunks == 1 && found.len() > 1000 && found.len() < 3000,
+            "message {length}: {end}"
+        );
+    }
+    let (_, end) = read(&|b| b[at + 9 + 28..at + 9 + 32].fill(0xff));
+    assert_eq!(end.damaged_chunks, 1);
+    // Anywhere: only scans that were recorded, in their order, and never a panic.
+    for k in 0..400 {
+        let place = 8 + (bytes.len() - 16) * k / 400;
+        let (found, _) = read(&|b| b[place..place + 8].fill(0xff));
+        assert!(found.windows(2).all(|p| p[1] > p[0]) && found.iter().all(|s| *s < 3000), "at {place}");
+    }
+    // Control: unchanged it is whole.
+    assert_eq!(read(&|_| {}).1, End::default());
+}

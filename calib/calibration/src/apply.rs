@@ -1,0 +1,132 @@
+//! One way to apply any calibration.
+
+use crate::error::CalibrationError;
+use std::path::Path;
+use wcal_core::FbgSpec;
+use wcal_core::stream::MomentStream;
+use wcal_session::SessionWarning;
+use wcal_trace::scalar::ScalarSystem;
+use wcal_trace::verify::MeasurementModel;
+use wcal_trace::verify::judgement::Judged;
+use wcal_trace::verify::model::Quantity;
+use wcal_trace::whisker::{WhiskerSystem, judgement};
+
+/// A calibration of any kind: from readings to the quantity that they stand for.
+pub trait Calibration {
+    /// What summaries call it, e.g. `thin-plate`, `physical`.
+    fn name(&self) -> &str;
+    /// Kind of the sessions that it is of: `whisker`, `transducer` or `axis`.
+    fn session_kind(&self) -> &str;
+    /// Checks effects, laws, versions and sizes by name, before anything is computed with them.
+    ///
+    /// # Errors
+    /// What is damaged or of another version.
+    fn check(&self) -> Result<(), CalibrationError>;
+    /// Applied to every reading of a table.
+    ///
+    /// # Errors
+    /// Where the table cannot be read, or lacks a column that the calibration needs.
+    fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError>;
+    /// Applied to the readings of a session, or to those that were sealed, against what the session knows of them; none where nothing can
+    /// be computed at its poses.
+    ///
+    /// # Errors
+    /// [`CalibrationError::OtherKind`], or where it cannot answer.
+    fn judged(
+        &self,
+        session: SessionSystem<'_>,
+        only_sealed: bool,
+    ) -> Result<Option<Vec<Judged>>, CalibrationError>;
+    /// As one of a whisker, which streams can use; none for other kinds.
+    fn whisker(&self) -> Option<&dyn WhiskerCalibration>;
+}
+
+/// A calibration from wavelengths to moments.
+pub trait WhiskerCalibration {
+    /// The gratings that it was made with.
+    fn fbg(&self) -> &FbgSpec;
+    /// Standard deviation of its moments from pose to pose, N mm.
+    fn noise_sd_nmm(&self) -> f64;
+    /// Moments of a table's readings.
+    ///
+    /// # Errors
+    /// Where the table cannot be read, or lacks a column that the calibration needs.
+    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError>;
+    /// Reading by reading, memory carried on from one to the next.
+    ///
+    /// # Errors
+    /// Where it cannot be inverted.
+    fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError>;
+}
+
+/// A session as its kind's measurement model sees it.
+#[derive(Clone, Copy)]
+pub enum SessionSystem<'a> {
+    /// A whisker: its readings are judged by the moments of the poses.
+    Whisker(&'a WhiskerSystem),
+    /// A transducer or an axis: judged by the responses.
+    Scalar(&'a ScalarSystem),
+}
+
+impl SessionSystem<'_> {
+    /// Kind of the session.
+    #[must_use]
+    pub fn kind(&self) -> &str {
+        match self {
+            Self::Whisker(system) => system.kind(),
+            Self::Scalar(system) => system.kind(),
+        }
+    }
+
+    /// Quantities that readings are judged by.
+    #[must_use]
+    pub fn quantities(&self) -> &[Quantity] {
+        match self {
+            Self::Whisker(_) => &judgement::QUANTITIES,
+            Self::Scalar(system) => system.quantities(),
+        }
+    }
+}
+
+/// What `predict` writes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct AppliedTable {
+    /// Table with its header.
+    pub csv: String,
+    /// Readings.
+    pub rows: usize,
+    /// How many readings lie outside the valid region, in words; none where all lie inside.
+    pub outside: Option<String>,
+    /// What is odd about the table of readings.
+    pub warnings: Vec<SessionWarning>,
+}
+
+/// Moments of one reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MomentRow {
+    /// Number of the reading.
+    pub point: i64,
+    /// Its line in the table.
+    pub line: usize,
+    /// Whether the strain-isolated grating was read.
+    pub reference: bool,
+    /// Time, s, where the table has it.
+    pub t_s: Option<f64>,
+    /// Shifts, pm.
+    pub shift_pm: [f64; 2],
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Their standard deviations, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Whether the calibration vouches for them.
+    pub valid: bool,
+}
+
+/// Moments of a table's readings.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MomentTable {
+    /// One a reading, in the table's order.
+    pub rows: Vec<MomentRow>,
+    /// What is odd about the table.
+    pub warnings: Vec<SessionWarning>,
+}

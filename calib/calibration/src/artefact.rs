@@ -1,0 +1,139 @@
+//! `calibration.json`: what it may hold, how it is sealed and read.
+
+use crate::apply::{Calibration, WhiskerCalibration};
+use crate::error::CalibrationError;
+use crate::trust::TrustIssue;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
+use wcal_map::MapArtefact;
+use wcal_session::LoadedSession;
+use wcal_trace::scalar::ScalarModel;
+use wcal_trace::whisker::PhysicalModel;
+
+/// The model in a calibration, told apart by `kind`.
+#[allow(clippy::large_enum_variant, reason = "one a program run")]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum CalibrationModel {
+    /// A wavelength-to-moment map of `fit-gpr`.
+    Map(MapArtefact),
+    /// Sensitivity with accepted effects, of `verify`.
+    Physical(PhysicalModel),
+    /// Response or position error with accepted effects, of `verify` on a transducer or axis session.
+    Scalar(ScalarModel),
+}
+
+/// Program, command, time, seed, files, and whether the session is simulated.
+#[must_use]
+pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
+    Provenance {
+        program: format!("wcal {}", env!("CARGO_PKG_VERSION")),
+        command: std::env::args().collect(),
+        created: jiff::Timestamp::now().to_string(),
+        seed,
+        inputs: session.inputs.clone(),
+        simulated: session.simulated,
+    }
+}
+
+/// The one place that tells the kinds apart.
+impl std::ops::Deref for CalibrationModel {
+    type Target = dyn Calibration;
+
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Map(map) => map,
+            Self::Physical(model) => model,
+            Self::Scalar(model) => model,
+        }
+    }
+}
+
+/// A calibration with its content hash; `whisker` is the wire that it was made with.
+///
+/// # Errors
+/// Where the model cannot be written as JSON.
+pub fn seal(
+    session: &str,
+    verification: VerificationStatus,
+    expires: Option<String>,
+    model: CalibrationModel,
+    provenance: Provenance,
+    whisker: Option<&WhiskerSpec>,
+) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
+    let mut file = CalibrationFile {
+        format: CALIBRATION_FORMAT.to_owned(),
+        session: session.to_owned(),
+        verification,
+        expires,
+        // Through JSON once, so that the hash is that of what is written.
+        model: serde_json::from_str(&serde_json::to_string(&model)?)?,
+        provenance,
+        whisker: whisker.cloned(),
+        content_sha256: String::new(),
+    };
+    file.content_sha256 = file.compute_hash()?;
+    Ok(file)
+}
+
+/// Reads the file and checks format, model and content hash.
+///
+/// # Errors
+/// Where the file cannot be read, is no calibration, or was changed.
+pub fn read_calibration(path: &Path) -> Result<CalibrationFile<CalibrationModel>, CalibrationError> {
+    match read_unsealed(path)? {
+        (file, None) => Ok(file),
+        (_, Some(changed)) => Err(CalibrationError::Changed(changed)),
+    }
+}
+
+/// Reads the file and checks its format and its model; says so where the content is not what was sealed.
+///
+/// # Errors
+/// Where the file cannot be read or is no calibration.
+pub fn read_unsealed(
+    path: &Path,
+) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
+    let refuse =
+        |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
+    let bytes =
+        std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+    let value: serde_json::Value =
+        serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
+    // The format before anything else: another version may have other fields.
+    let format = value.get("format").and_then(serde_json::Value::as_str);
+    if format != Some(CALIBRATION_FORMAT) {
+        let found = format.map_or_else(|| "nothing".to_owned(), |f| format!("{f:?}"));
+        let detail = format!("field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
+        return Err(CalibrationError::content(path, detail));
+    }
+    let raw: CalibrationFile<serde_json::Value> =
+        serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
+    let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
+    let changed = (found != raw.content_sha256).then(|| TrustIssue::Changed {
+        place: path.display().to_string(),
+        content_sha256: found,
+        stated_sha256: raw.content_sha256,
+    });
+    let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
+        .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
+    file.model.check().map_err(|e| CalibrationError::content(path, e))?;
+    Ok((file, changed))
+}
+
+/// As one of a whisker.
+///
+/// # Errors
+/// Where it is of another kind of session.
+pub fn of_whisker<'a>(
+    path: &Path,
+    file: &'a CalibrationFile<CalibrationModel>,
+) -> Result<&'a dyn WhiskerCalibration, CalibrationError> {
+    file.model.whisker().ok_or_else(|| {
+        let detail =
+            format!("expected a whisker's calibration, found one of kind {:?}", file.model.session_kind());
+        CalibrationError::content(path, detail)
+    })
+}

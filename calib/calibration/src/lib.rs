@@ -1,0 +1,21 @@
+//! Calibrations as files: what `calibration.json` holds, how it is sealed, when it may be used, and how it is applied.
+//!
+//! A calibration turns readings into the quantity that they stand for: wavelengths into moments (a map of `fit-gpr`, or the traced model
+//! of `verify`), a transducer's response into its stimulus, a commanded position into its error. [`Calibration`] applies any of them to a
+//! table; [`WhiskerCalibration`] applies those of a whisker reading by reading, too. [`GivenCalibration`] is one that is judged on readings
+//! that were not in its fit.
+
+mod apply;
+mod artefact;
+mod error;
+mod given;
+mod map;
+mod physical;
+mod scalar;
+mod trust;
+
+pub use apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+pub use artefact::{CalibrationModel, of_whisker, provenance, read_calibration, read_unsealed, seal};
+pub use error::CalibrationError;
+pub use given::GivenCalibration;
+pub use trust::{TrustIssue, standing};

@@ -1,0 +1,110 @@
+//! A fitted wavelength-to-moment map.
+
+use crate::apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+use crate::error::CalibrationError;
+use std::path::Path;
+use wcal_core::FbgSpec;
+use wcal_core::stream::MomentStream;
+use wcal_map::{MapArtefact, MapPredictor, OutputMap};
+use wcal_session::load_table;
+use wcal_trace::verify::judgement::Judged;
+use wcal_trace::whisker::judgement;
+
+const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
+     moment_1_half95_nmm,moment_2_half95_nmm,fbg_1_fitted_pm,fbg_2_fitted_pm,outside_valid_region,outside_by_pm\n";
+
+impl Calibration for MapArtefact {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn session_kind(&self) -> &str {
+        "whisker"
+    }
+
+    fn check(&self) -> Result<(), CalibrationError> {
+        Ok(MapArtefact::check(self)?)
+    }
+
+    fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
+        let mut predictor = MapPredictor::new(self)?;
+        let table = load_table(table, &self.fbg)?;
+        let mut csv = String::from(HEADER);
+        let (mut outside, mut first) = (0_usize, None);
+        for row in &table.rows {
+            let shift_pm = row.compensated_pm(&self.fbg);
+            let p = predictor.predict(shift_pm);
+            if !p.is_valid() {
+                outside += 1;
+                first.get_or_insert((row.line, p.outside_by_pm));
+            }
+            let fitted = self.law.shift_pm(p.moment_nmm);
+            csv += &format!("{},{:.4},{:.4}", row.point, shift_pm[0], shift_pm[1]);
+            for pair in [p.moment_nmm, p.sd_nmm, p.half95_nmm] {
+                csv += &format!(",{:.6},{:.6}", pair[0], pair[1]);
+            }
+            let mark = u8::from(!p.is_valid());
+            csv += &format!(",{:.4},{:.4},{mark},{:.3}\n", fitted[0], fitted[1], p.outside_by_pm);
+        }
+        let rows = table.rows.len();
+        let outside = first.map(|(line, by_pm)| {
+            format!(
+                "{outside} of {rows} readings lie outside the valid region, first in line {line} by {by_pm:.1} pm"
+            )
+        });
+        Ok(AppliedTable { csv, rows, outside, warnings: table.warnings })
+    }
+
+    fn judged(
+        &self,
+        session: SessionSystem<'_>,
+        only_sealed: bool,
+    ) -> Result<Option<Vec<Judged>>, CalibrationError> {
+        match session {
+            SessionSystem::Whisker(system) => Ok(judgement::of_map(system, self, only_sealed)),
+            SessionSystem::Scalar(_) => {
+                Err(CalibrationError::other_kind(session.kind(), self.session_kind()))
+            }
+        }
+    }
+
+    fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
+        Some(self)
+    }
+}
+
+impl WhiskerCalibration for MapArtefact {
+    fn fbg(&self) -> &FbgSpec {
+        &self.fbg
+    }
+
+    /// The larger one of its two moments.
+    fn noise_sd_nmm(&self) -> f64 {
+        self.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max)
+    }
+
+    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
+        let mut predictor = MapPredictor::new(self)?;
+        let table = load_table(table, &self.fbg)?;
+        let one = |row: &wcal_core::WhiskerRow| {
+            let shift_pm = row.compensated_pm(&self.fbg);
+            let p = predictor.predict(shift_pm);
+            let (moment_nmm, sd_nmm, valid) = (p.moment_nmm, p.sd_nmm, p.is_valid());
+            MomentRow {
+                point: row.point,
+                line: row.line,
+                reference: row.reference_shift_pm.is_some(),
+                t_s: row.t_s,
+                shift_pm,
+                moment_nmm,
+                sd_nmm,
+                valid,
+            }
+        };
+        Ok(MomentTable { rows: table.rows.iter().map(one).collect(), warnings: table.warnings })
+    }
+
+    fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {
+        Ok(Box::new(MapPredictor::new(self)?))
+    }
+}

@@ -1,0 +1,131 @@
+//! The traced whisker model: sensitivity and accepted effects. Memory effects run over a table's own history.
+
+use crate::apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+use crate::error::CalibrationError;
+use std::path::Path;
+use wcal_core::stream::MomentStream;
+use wcal_core::{FbgSpec, MomentAxes, WhiskerRow};
+use wcal_session::load_table;
+use wcal_trace::path::{Columns, WhiskerPath};
+use wcal_trace::verify::judgement::Judged;
+use wcal_trace::whisker::{PhysicalModel, PhysicalStream, judgement};
+
+const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n";
+
+/// The column that an accepted effect needs and a table does not have.
+fn absent_column(id: &str, columns: &Columns) -> Option<&'static str> {
+    match id {
+        "temperature-mismatch" => (!columns.temperature).then_some("a temperature or fbg_ref_nm"),
+        "zero-drift" | "creep" => (!columns.time).then_some("t_s"),
+        _ => None,
+    }
+}
+
+impl Calibration for PhysicalModel {
+    fn name(&self) -> &str {
+        "physical"
+    }
+
+    fn session_kind(&self) -> &str {
+        "whisker"
+    }
+
+    fn check(&self) -> Result<(), CalibrationError> {
+        Ok(PhysicalModel::check(self)?)
+    }
+
+    fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
+        let MomentTable { rows, warnings } = self.moments(table)?;
+        let mut csv = String::from(HEADER);
+        for r in &rows {
+            csv += &format!(
+                "{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.6},{}\n",
+                r.point,
+                r.shift_pm[0],
+                r.shift_pm[1],
+                r.moment_nmm[0],
+                r.moment_nmm[1],
+                r.sd_nmm[0],
+                r.sd_nmm[1],
+                u8::from(!r.valid)
+            );
+        }
+        let (outside, rows) = (rows.iter().filter(|r| !r.valid).count(), rows.len());
+        let outside = (outside > 0)
+            .then(|| format!("{outside} of {rows} readings ask for moments beyond those that were fitted"));
+        Ok(AppliedTable { csv, rows, outside, warnings })
+    }
+
+    fn judged(
+        &self,
+        session: SessionSystem<'_>,
+        only_sealed: bool,
+    ) -> Result<Option<Vec<Judged>>, CalibrationError> {
+        match session {
+            SessionSystem::Whisker(system) => Ok(judgement::of_model(system, self, only_sealed)),
+            SessionSystem::Scalar(_) => {
+                Err(CalibrationError::other_kind(session.kind(), self.session_kind()))
+            }
+        }
+    }
+
+    fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
+        Some(self)
+    }
+}
+
+impl WhiskerCalibration for PhysicalModel {
+    fn fbg(&self) -> &FbgSpec {
+        &self.fbg
+    }
+
+    /// Through the direction that the gratings see least.
+    fn noise_sd_nmm(&self) -> f64 {
+        self.noise_sd_pm / self.sensitivity().singular_values().min().max(1e-9)
+    }
+
+    fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
+        let place = table;
+        let table = load_table(place, &self.fbg)?;
+        // New readings belong to the last seating that the calibration saw.
+        let last = self.seatings.saturating_sub(1);
+        let rows: Vec<WhiskerRow> =
+            table.rows.iter().map(|r| WhiskerRow { seating: last, ..r.clone() }).collect();
+        let rows: Vec<&WhiskerRow> = rows.iter().collect();
+        let history = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &self.fbg, None, None);
+        for effect in &self.effects {
+            if let Some(column) = absent_column(&effect.id, &history.columns) {
+                let detail = format!(
+                    "the calibration carries {}: expected {column} in every row, found none",
+                    effect.id
+                );
+                return Err(CalibrationError::content(place, detail));
+            }
+        }
+        let inferred = self.infer(&history, None);
+        let mut order: Vec<usize> = (0..rows.len()).collect();
+        order.sort_by_key(|&i| history.rows[i]);
+        let one = |i: usize| {
+            let (row, m) = (rows[history.rows[i]], &inferred[i]);
+            MomentRow {
+                point: row.point,
+                line: row.line,
+                reference: row.reference_shift_pm.is_some(),
+                t_s: row.t_s,
+                shift_pm: history.readings[i].shift_pm,
+                moment_nmm: m.moment_nmm,
+                sd_nmm: m.sd_nmm,
+                valid: m.valid,
+            }
+        };
+        Ok(MomentTable { rows: order.into_iter().map(one).collect(), warnings: table.warnings })
+    }
+
+    fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {
+        let stream = PhysicalStream::new(self.clone()).ok_or_else(|| CalibrationError::Content {
+            place: "calibration".to_owned(),
+            detail: "expected a sensitivity that can be inverted".to_owned(),
+        })?;
+        Ok(Box::new(stream))
+    }
+}

@@ -1,0 +1,148 @@
+//! Transducers and axes: the response at a stimulus, the stimulus of a response, the error of a position.
+
+use crate::apply::{AppliedTable, Calibration, SessionSystem, WhiskerCalibration};
+use crate::error::CalibrationError;
+use std::path::Path;
+use wcal_core::observation::Role;
+use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
+use wcal_trace::verify::judgement::Judged;
+
+/// A column of numbers; none where the table has no such column.
+fn column(table: &TextTable, name: &str, required: bool) -> Result<Option<Vec<f64>>, CalibrationError> {
+    let Some(index) = table.columns.iter().position(|c| c == name) else {
+        if required {
+            table.column(name)?;
+        }
+        return Ok(None);
+    };
+    let mut values = Vec::with_capacity(table.rows.len());
+    for row in 0..table.rows.len() {
+        match table.number(row, index)? {
+            Some(v) => values.push(v),
+            None => {
+                let line = table.rows[row].0;
+                let detail =
+                    format!("line {line}: field {name}: expected a number in every row, found nothing");
+                return Err(CalibrationError::content(Path::new(&table.file), detail));
+            }
+        }
+    }
+    Ok(Some(values))
+}
+
+/// Numbers of a column that may have gaps; none where the table has no such column.
+fn gappy_column(table: &TextTable, name: &str) -> Result<Option<Vec<Option<f64>>>, CalibrationError> {
+    let Some(index) = table.columns.iter().position(|c| c == name) else { return Ok(None) };
+    Ok(Some((0..table.rows.len()).map(|row| table.number(row, index)).collect::<Result<_, _>>()?))
+}
+
+impl Calibration for ScalarModel {
+    fn name(&self) -> &str {
+        "scalar"
+    }
+
+    fn session_kind(&self) -> &str {
+        &self.session_kind
+    }
+
+    fn check(&self) -> Result<(), CalibrationError> {
+        Ok(ScalarModel::check(self)?)
+    }
+
+    fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
+        let table = read_text_table(table, &TextTableLayout::default())?;
+        let axis = self.session_kind == "axis";
+        let stimulus = column(&table, if axis { "commanded_mm" } else { "stimulus" }, axis)?;
+        let inverse = stimulus.is_none();
+        let response = if inverse { column(&table, "response", true)? } else { None };
+        // What was measured at the places that are predicted stands beside the prediction.
+        let measured = match (inverse, axis) {
+            (true, _) => None,
+            (false, true) => gappy_column(&table, "measured_mm")?,
+            (false, false) => gappy_column(&table, "response")?,
+        };
+        let [t_s, temperature, direction, point] =
+            ["t_s", "temperature_degc", "direction", "point"].map(|name| column(&table, name, false));
+        let (t_s, temperature, direction, point) = (t_s?, temperature?, direction?, point?);
+        let needed = self.effects.iter().any(|e| e.id == "cross-axis");
+        let mut covariates = Vec::new();
+        for name in &self.covariates {
+            covariates.push(column(&table, name, needed)?);
+        }
+        let middle = 0.5 * (self.stimulus_range[0] + self.stimulus_range[1]);
+        let rows: Vec<ScalarRow> = (0..table.rows.len())
+            .map(|k| {
+                let at = |values: &Option<Vec<f64>>| values.as_ref().map(|v| v[k]);
+                ScalarRow {
+                    origin: (table.file.clone(), table.rows[k].0, at(&point).map_or(k as i64, |p| p as i64)),
+                    role: Role::Verification,
+                    x: at(&stimulus).unwrap_or(middle),
+                    y: at(&response).unwrap_or(0.0),
+                    t_s: at(&t_s),
+                    temperature_degc: at(&temperature),
+                    direction: at(&direction),
+                    cycle: None,
+                    covariates: covariates.iter().map(|c| at(c).unwrap_or(0.0)).collect(),
+                    place: None,
+                }
+            })
+            .collect();
+        let predicted = if inverse { self.invert(&rows) } else { self.predict(&rows) };
+        let predicted = predicted.map_err(|e| CalibrationError::content(Path::new(&table.file), e))?;
+        let mut csv = match (axis, inverse) {
+            (true, _) => "point,commanded_mm,error_um,error_half95_um,expected_mm,outside_valid_region",
+            (false, false) => "point,stimulus,response,response_half95,outside_valid_region",
+            (false, true) => "point,response,stimulus,stimulus_half95,outside_valid_region",
+        }
+        .to_owned();
+        csv += match (&measured, axis) {
+            (None, _) => "\n",
+            (Some(_), true) => ",measured_mm,residual_um\n",
+            (Some(_), false) => ",response_measured,residual\n",
+        };
+        for (k, (row, p)) in rows.iter().zip(&predicted).enumerate() {
+            let given = if inverse { row.y } else { row.x };
+            csv += &format!("{},{given},{},{}", row.origin.2, p.value, p.half95);
+            if axis {
+                csv += &format!(",{}", row.x + 1e-3 * p.value);
+            }
+            csv += &format!(",{}", u8::from(!p.valid));
+            match measured.as_ref().map(|m| m[k]) {
+                None => {}
+                Some(None) => csv.push_str(",,"),
+                Some(Some(v)) if axis => csv += &format!(",{v},{}", 1e3 * (v - row.x) - p.value),
+                Some(Some(v)) => csv += &format!(",{v},{}", v - p.value),
+            }
+            csv.push('\n');
+        }
+        let outside = predicted.iter().filter(|p| !p.valid).count();
+        let [low, high] = self.stimulus_range;
+        let outside = (outside > 0).then(|| {
+            format!(
+                "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",
+                rows.len(),
+                self.declared.worded("stimuli"),
+                self.stimulus_unit
+            )
+        });
+        Ok(AppliedTable { csv, rows: rows.len(), outside, warnings: Vec::new() })
+    }
+
+    fn judged(
+        &self,
+        session: SessionSystem<'_>,
+        only_sealed: bool,
+    ) -> Result<Option<Vec<Judged>>, CalibrationError> {
+        match session {
+            SessionSystem::Scalar(system) if session.kind() == self.session_kind => {
+                Ok(Some(judgement::of_model(system, self, only_sealed)?))
+            }
+            _ => Err(CalibrationError::other_kind(session.kind(), &self.session_kind)),
+        }
+    }
+
+    fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
+        None
+    }
+}

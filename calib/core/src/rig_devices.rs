@@ -1,0 +1,189 @@
+//! The devices of a rig as `rig.toml` states them, and who opens them.
+//!
+//! The whole file is read by wcal-acquisition; a driver needs no more than its own entry.
+
+use crate::clock::HostClock;
+use crate::device::{Camera, DeviceError, Interrogator, Mount, Stage};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// Opens devices by what a rig says of them: real and virtual ones by wcal-drivers, scripted ones in tests.
+pub trait DeviceOpener {
+    /// The linear stage; opened anew after its link was lost.
+    ///
+    /// # Errors
+    /// `Configuration` for an unknown driver or a travel that is not the rig's, else what the unit reports.
+    fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError>;
+    /// A motorised mount, once the stage is open (both may hang on one line); `None` where the whisker is turned by hand.
+    ///
+    /// # Errors
+    /// What the unit reports.
+    fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError>;
+    /// The interrogator.
+    ///
+    /// # Errors
+    /// `Configuration` for an unknown driver, else what the unit reports.
+    fn interrogator(
+        &mut self,
+        rig: &InterrogatorRig,
+        clock: HostClock,
+    ) -> Result<Box<dyn Interrogator + Send>, DeviceError>;
+    /// One camera, its exposure and gain set.
+    ///
+    /// # Errors
+    /// `Configuration` for an unknown driver, else what the camera reports.
+    fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError>;
+    /// Questions to the stage that had to be repeated so far.
+    fn repeats(&self) -> u64;
+}
+
+fn first() -> u8 {
+    1
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+/// The linear stage.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageRig {
+    /// `zaber-ascii` or `zaber-binary`.
+    pub driver: String,
+    /// `tcp://host:port` or the path of a serial port.
+    pub port: String,
+    /// Line speed; absent: probed.
+    pub baud: Option<u32>,
+    /// Address on the chain.
+    #[serde(default = "first")]
+    pub address: u8,
+    /// Axis.
+    #[serde(default = "first")]
+    pub axis: u8,
+    /// Microstep size, um.
+    pub microstep_um: f64,
+    /// Travel, mm; compared with what the unit says.
+    pub travel_mm: f64,
+    /// Positions the rig allows, mm of the stage's own scale.
+    pub soft_limits_mm: [f64; 2],
+    /// Stage position at `stage_mm = 0` of the session, mm.
+    pub zero_mm: f64,
+    /// Highest speed, mm/s.
+    pub speed_mm_s: f64,
+    /// `one-sided`: arrive from the retracted side always; `direct`.
+    #[serde(default)]
+    pub approach: Approach,
+    /// Overshoot of a one-sided approach, mm.
+    #[serde(default = "half")]
+    pub approach_mm: f64,
+    /// Safe retract, mm relative to the zero (negative: away from the wire).
+    pub retract_mm: f64,
+}
+
+/// How a position is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Approach {
+    /// Straight to the target.
+    #[default]
+    Direct,
+    /// Targets that lie behind are passed and approached again in the direction of loading.
+    OneSided,
+}
+
+/// How the whisker is turned.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+#[derive(Default)]
+pub enum MountRig {
+    /// By hand, on request.
+    #[default]
+    Manual,
+    /// A second unit on the stage's chain.
+    Zaber {
+        /// Address.
+        address: u8,
+        /// Microsteps of trajectory 1, 2, ...: `id * steps_per_trajectory`.
+        steps_per_trajectory: i64,
+        /// Microstep size, um.
+        microstep_um: f64,
+        /// Speed, mm/s.
+        speed_mm_s: f64,
+    },
+}
+
+/// The interrogator.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InterrogatorRig {
+    /// `sm130` or `hyperion`.
+    pub driver: String,
+    /// `host:port` of the commands.
+    pub address: String,
+    /// `host:port` of the Hyperion's peaks.
+    pub peaks_address: Option<String>,
+    /// Scan rate, Hz.
+    pub rate_hz: f64,
+    /// Gratings: `fbg_ref`, `fbg_1`, `fbg_2`, of each whisker.
+    pub grating: Vec<GratingRig>,
+}
+
+impl InterrogatorRig {
+    /// Names of the whiskers, in order; one without a name where the gratings name none.
+    #[must_use]
+    pub fn whiskers(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for grating in &self.grating {
+            if !names.contains(&grating.whisker.as_str()) {
+                names.push(&grating.whisker);
+            }
+        }
+        names
+    }
+
+    /// A grating of a whisker by name.
+    #[must_use]
+    pub fn grating_of(&self, whisker: &str, name: &str) -> Option<&GratingRig> {
+        self.grating.iter().find(|g| g.whisker == whisker && g.name == name)
+    }
+}
+
+/// A grating.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GratingRig {
+    /// `fbg_ref`, `fbg_1` or `fbg_2`.
+    pub name: String,
+    /// Optical channel, from 1.
+    pub channel: usize,
+    /// Wavelength at rest, nm.
+    pub nominal_nm: f64,
+    /// Farthest a peak may be from the nominal wavelength, nm.
+    pub window_nm: f64,
+    /// Whisker that it belongs to, where the fibres carry several; sessions are recorded of the first.
+    #[serde(default)]
+    pub whisker: String,
+}
+
+/// A camera. Keys that only other commands need (image size, calibration file) are kept, not read.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct CameraRig {
+    /// Name, e.g. `left`; its pictures are recorded under it.
+    pub name: String,
+    /// `v4l2`, `net` or `folder`.
+    pub driver: String,
+    /// `/dev/videoN`, `host:port`, or a folder of numbered pictures.
+    pub source: String,
+    /// Pictures per second.
+    pub rate_hz: Option<f64>,
+    /// Width and height, px; a V4L2 camera is set to it.
+    pub image_size_px: Option<[u32; 2]>,
+    /// Further settings of a V4L2 camera by the driver's names (gain, trigger mode).
+    #[serde(default)]
+    pub controls: BTreeMap<String, i64>,
+    /// Exposure, ms.
+    pub exposure_ms: Option<f64>,
+    /// Gain, dB.
+    pub gain_db: Option<f64>,
+}

@@ -1,0 +1,157 @@
+//! What deserves attention in a session that can be used.
+
+use serde::{Serialize, Serializer};
+use std::fmt;
+
+/// A warning about a file of the session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionWarning {
+    /// The file as the session names it; of a session that was joined with its folder.
+    pub file: String,
+    /// What is odd.
+    pub kind: WarningKind,
+}
+
+/// What is odd about a file.
+#[derive(Debug, Clone, PartialEq)]
+pub enum WarningKind {
+    /// Time runs backwards in file order.
+    ClockProblem {
+        /// How often.
+        times: usize,
+        /// Line of the first time.
+        line: usize,
+        /// By how much there, s.
+        back_s: f64,
+    },
+    /// A column that no reader knows.
+    UnknownColumn(String),
+    /// A column that would be a covariate, but holds no numbers.
+    ColumnWithoutNumbers(String),
+    /// A key that no reader knows.
+    UnknownKey(String),
+    /// The medium is not given; air is assumed.
+    NoMedium,
+    /// The recording that the session names is not there.
+    NoRecording(String),
+    /// Points whose averaging windows miss scans.
+    ScansLost(Vec<i64>),
+    /// Points whose scans came late, or whose clocks could not be aligned.
+    ScansLate(Vec<i64>),
+    /// Points without a label of the twin.
+    Unlabelled {
+        /// How many.
+        points: usize,
+        /// Of how many.
+        of: usize,
+    },
+    /// The groove is not where the stage says.
+    StageDisagrees {
+        /// Limit that was passed, mm.
+        limit_mm: f64,
+        /// Rows past it.
+        rows: usize,
+        /// Largest difference, mm.
+        worst_mm: f64,
+        /// Line of the largest difference.
+        line: usize,
+    },
+    /// The rest shape is not as long as the wire is said to be.
+    RestShapeLength {
+        /// Length of the polyline, mm.
+        polyline_mm: f64,
+        /// `length_mm`.
+        declared_mm: f64,
+    },
+    /// A trajectory of a joined session got another number.
+    TrajectoryRenamed {
+        /// Its number there.
+        old: u32,
+        /// Its number here.
+        new: u32,
+    },
+    /// A joined session has labels of its own.
+    TwinNotUsed,
+    /// A measured and a simulated session were joined; the identifier is that of the simulated one.
+    JoinedWithSimulated(String),
+}
+
+impl SessionWarning {
+    pub(crate) fn new(file: &str, kind: WarningKind) -> Self {
+        Self { file: file.to_owned(), kind }
+    }
+
+    /// Whether it says that time runs backwards.
+    #[must_use]
+    pub fn is_clock_problem(&self) -> bool {
+        matches!(self.kind, WarningKind::ClockProblem { .. })
+    }
+}
+
+/// As a sentence, as it has always been stored.
+impl Serialize for SessionWarning {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl fmt::Display for SessionWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let file = &self.file;
+        match &self.kind {
+            WarningKind::ClockProblem { times, line, back_s } => write!(
+                f,
+                "clock_problem: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
+            ),
+            WarningKind::UnknownColumn(column) => {
+                write!(f, "{file}: column {column} is not known and not used")
+            }
+            WarningKind::ColumnWithoutNumbers(column) => {
+                write!(f, "{file}: column {column} holds no numbers and is not used")
+            }
+            WarningKind::UnknownKey(key) => write!(f, "{file}: key {key} is not known and not used"),
+            WarningKind::NoMedium => write!(f, "{file}: medium is not given; taken as \"air\""),
+            WarningKind::NoRecording(name) => {
+                write!(f, "{file}: the recording {name} is not there; tables cannot be rebuilt from it")
+            }
+            WarningKind::ScansLost(points) => {
+                write!(f, "{file}: points {}: scans are missing in the averaging window", named(points))
+            }
+            WarningKind::ScansLate(points) => write!(
+                f,
+                "{file}: points {}: scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen \
+                 behind",
+                named(points)
+            ),
+            WarningKind::Unlabelled { points, of } => {
+                write!(f, "{file}: {points} of {of} points have no label")
+            }
+            WarningKind::StageDisagrees { limit_mm, rows, worst_mm, line } => write!(
+                f,
+                "{file}: groove and origin + stage_mm * direction differ by more than {limit_mm} mm in {rows} row(s), \
+                 most by {worst_mm:.3} mm at line {line}"
+            ),
+            WarningKind::RestShapeLength { polyline_mm, declared_mm } => {
+                write!(f, "{file}: the rest shape is {polyline_mm:.3} mm long, length_mm says {declared_mm}")
+            }
+            WarningKind::TrajectoryRenamed { old, new } => {
+                write!(f, "{file}: trajectory {old} is another path here and is called {new}")
+            }
+            WarningKind::TwinNotUsed => write!(f, "{file}: labels of its twin are not used"),
+            WarningKind::JoinedWithSimulated(id) => {
+                write!(f, "measured and SIMULATED sessions are joined: {id:?} is simulated")
+            }
+        }
+    }
+}
+
+/// Points by number; many are counted.
+fn named(points: &[i64]) -> String {
+    /// More points are counted, not named.
+    const MAX_NAMED: usize = 20;
+    let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();
+    if points.len() > MAX_NAMED {
+        named.push(format!("and {} more", points.len() - MAX_NAMED));
+    }
+    named.join(", ")
+}

@@ -1,0 +1,209 @@
+//! Moments along an episode for one state of the contact.
+
+use super::field::{Held, MomentField};
+use super::{Episode, MotionRow};
+use nalgebra::Vector3;
+
+/// State of an episode's contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct State {
+    /// Arc length at which the free wire is met, mm.
+    pub s_mm: f64,
+    /// Way along the push at which it is met, mm.
+    pub onset_mm: f64,
+    /// Gap at which it is passed, mm.
+    pub gap_mm: f64,
+}
+
+/// Longest step of the contact's play, mm.
+const PLAY_MM: f64 = 0.25;
+/// Moment beyond which a reading is no longer that of a free wire, in standard deviations.
+const LOADED_SDS: f64 = 4.0;
+/// Least cosine between the push and a direction across the wire.
+const ACROSS: f64 = 0.1;
+/// Room for the onset before the first reading, mm.
+const BEFORE_MM: f64 = 20.0;
+
+/// An episode with its push direction, ready for states.
+pub struct ContactPath<'a> {
+    pub(crate) field: &'a MomentField,
+    pub(crate) rows: &'a [MotionRow],
+    /// Unit vector of the push.
+    pub(crate) push: Vector3<f64>,
+    /// Way of the reference reading, mm.
+    reference_mm: Vector3<f64>,
+    /// Ways along the push between which the onset lies, mm.
+    pub(crate) onset_mm: [f64; 2],
+}
+
+/// Whether a reading is loaded beyond its noise.
+fn loaded(row: &MotionRow) -> bool {
+    let shared: f64 = row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
+    let sd = (row.noise_nmm2.trace() + shared).max(0.0).sqrt();
+    !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
+}
+
+impl<'a> ContactPath<'a> {
+    /// None where no reading is loaded, or the motion has no direction.
+    #[must_use]
+    pub fn new(field: &'a MomentField, episode: &'a Episode) -> Option<Self> {
+        let rows = &episode.rows[..];
+        let first = rows.iter().position(loaded)?;
+        let push = match episode.push {
+            Some(push) => push,
+            None => push_of(rows, first)?,
+        };
+        let push = push.try_normalize(1e-9)?;
+        let reference_mm = rows[first].moved_mm;
+        let along = |r: &MotionRow| (r.moved_mm - reference_mm).dot(&push);
+        let touched = rows.iter().filter(|r| loaded(r));
+        let deepest = touched.map(along).fold(f64::NEG_INFINITY, f64::max);
+        let lowest = rows.iter().map(along).fold(0.0, f64::min);
+        Some(Self { field, rows, push, reference_mm, onset_mm: [lowest - BEFORE_MM, deepest] })
+    }
+
+    /// Way along the push of a reading, mm, from the reference.
+    pub(crate) fn along(&self, row: usize) -> f64 {
+        (self.rows[row].moved_mm - self.reference_mm).dot(&self.push)
+    }
+
+    /// Place at first touch and the direction of the gap; none where the push runs along the wire.
+    pub(crate) fn touch(&self, state: &State) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let (wire, tangent) = self.field.free(state.s_mm);
+        let across = tangent.cross(&self.push).try_normalize(ACROSS)?;
+        Some((wire + across * state.gap_mm, across))
+    }
+
+    /// Place of the object's point at a reading, mm.
+    #[must_use]
+    pub fn place(&self, state: &State, row: usize) -> Option<Vector3<f64>> {
+        let (touch, _) = self.touch(state)?;
+        Some(touch + (self.rows[row].moved_mm - self.reference_mm) - self.push * state.onset_mm)
+    }
+
+    /// State of an episode whose point is at `place_mm` at a reading: the inverse of [`Self::place`], near an arc length where it is given.
+    #[must_use]
+    pub fn state_of(&self, place_mm: &Vector3<f64>, row: usize, near_mm: Option<f64>) -> Option<State> {
+        // The line of the push through the point at the reference reading.
+        let origin = place_mm - (self.rows[row].moved_mm - self.reference_mm);
+        let steps = 2 * self.field.length_mm().ceil() as usize;
+        let gap2 = |s: f64| {
+            let off = self.field.free(s).0 - origin;
+            (off - self.push * off.dot(&self.push)).norm_squared()
+        };
+        let grid: Vec<f64> = (1..=steps).map(|k| self.field.length_mm() * k as f64 / steps as f64).collect();
+        let minimum = |k: &usize| {
+            let here = gap2(grid[*k]);
+            (*k == 0 || gap2(grid[k - 1]) >= here) && (*k + 1 == steps || gap2(grid[k + 1]) > here)
+        };
+        let sharp = |k: usize| {
+            let (mut a, mut b) = (grid[k.saturating_sub(1)], grid[(k + 1).min(steps - 1)]);
+            for _ in 0..60 {
+                let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
+                if gap2(c) < gap2(d) { b = d } else { a = c }
+            }
+            0.5 * (a + b)
+        };
+        let found = (0..steps).filter(minimum).map(sharp);
+        let s_mm = match near_mm {
+            Some(near) => found.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())),
+            None => found.min_by(|a, b| gap2(*a).total_cmp(&gap2(*b))),
+        }?;
+        let state = State { s_mm, onset_mm: 0.0, gap_mm: 0.0 };
+        let (wire, across) = self.touch(&state)?;
+        let off = origin - wire;
+        Some(State { s_mm, onset_mm: -off.dot(&self.push), gap_mm: off.dot(&across) })
+    }
+
+    /// Moments of every reading; none where a state has no equilibrium there.
+    #[must_use]
+    pub fn moments(&self, state: &State) -> Option<Vec<[f64; 2]>> {
+        let (touch, _) = self.touch(state)?;
+        let origin = touch - self.push * state.onset_mm - self.reference_mm;
+        let mu = self.field.friction();
+        if mu.coefficient <= 0.0 {
+            let at = |(k, row): (usize, &MotionRow)| match self.held(state, k) {
+                false => Some([0.0; 2]),
+                true => Some(self.field.held(&(origin + row.moved_mm), 0.0)?.moment_nmm),
+            };
+            return self.rows.iter().enumerate().map(at).collect();
+        }
+        // With friction the contact remembers where it stuck: from first touch on, visit by visit.
+        let mut moments = Vec::with_capacity(self.rows.len());
+        let mut contact: Option<(f64, Vector3<f64>, u32)> = None;
+        for (k, row) in self.rows.iter().enumerate() {
+            if !self.held(state, k) {
+                contact = None;
+                moments.push([0.0; 2]);
+                continue;
+            }
+            let (mut s, from) = match contact.filter(|c| c.2 == row.visit) {
+                Some((s, from, _)) => (s, from),
+                None => (state.s_mm, self.met(state, k, row, &touch)),
+            };
+            let to = origin + row.moved_mm;
+            let share = if row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
+            let steps = ((to - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
+            let mut held = None;
+            for n in 1..=steps {
+                let at = from + (to - from) * (n as f64 / steps as f64);
+                held = Some(self.play(&at, mu.coefficient * share, &mut s)?);
+            }
+            moments.push(held?.moment_nmm);
+            contact = Some((s, to, row.visit));
+        }
+        Some(moments)
+    }
+
+    /// Where a visit begins that this reading is the first of, mm: on the free wire, straight back along the push.
+    fn met(&self, state: &State, k: usize, row: &MotionRow, touch: &Vector3<f64>) -> Vector3<f64> {
+        let depth = self.along(k) - state.onset_mm;
+        let moved = (row.moved_mm - self.reference_mm) - self.push * self.along(k);
+        // Just past first touch: at it the force has no direction.
+        touch + moved + self.push * depth.min(1e-3)
+    }
+
+    /// One move of the contact: it sticks until the cone's edge, then slips along it.
+    fn play(&self, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
+        let [low, free, high] =
+            [-friction, 0.0, friction].map(|r| self.field.held(at, r).map(|h| h.arclength_mm));
+        let (low, free, high) = (low?, free?, high?);
+        *s_mm = s_mm.clamp(low.min(high), low.max(high));
+        // Ratio whose equilibrium sits there: the parabola through the three, by regula falsi from the chord.
+        let (mut a, mut b) = ((-friction, low - *s_mm), (friction, high - *s_mm));
+        let mut ratio = 0.0;
+        let mut value = free - *s_mm;
+        for _ in 0..8 {
+            if value.abs() < 1e-7 {
+                break;
+            }
+            if (value > 0.0) == (a.1 > 0.0) {
+                a = (ratio, value)
+            } else {
+                b = (ratio, value)
+            }
+            if (b.1 - a.1).abs() < 1e-12 {
+                break;
+            }
+            ratio = a.0 - a.1 * (b.0 - a.0) / (b.1 - a.1);
+            value = self.field.held(at, ratio)?.arclength_mm - *s_mm;
+        }
+        self.field.held(at, ratio)
+    }
+
+    /// Whether the wire is held at a reading.
+    pub(crate) fn held(&self, state: &State, row: usize) -> bool {
+        !self.rows[row].free && self.along(row) > state.onset_mm
+    }
+}
+
+/// Direction in which the object goes on when it first loads the wire: over a tenth of its farthest way, so that jitter has none.
+fn push_of(rows: &[MotionRow], first: usize) -> Option<Vector3<f64>> {
+    const SHARE: f64 = 0.1;
+    let at = rows[first].moved_mm;
+    let farthest = rows.iter().map(|r| (r.moved_mm - at).norm()).fold(0.0, f64::max);
+    let jitter = 3.0 * rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
+    let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
+    let before = rows[..first].iter().rev().map(|r| at - r.moved_mm).find(enough);
+    before.or_else(|| rows[first..].iter().map(|r| r.moved_mm - at).find(enough))
+}

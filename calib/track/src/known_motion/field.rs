@@ -1,0 +1,326 @@
+//! Base moments as a function of the place that holds the wire, tabulated where they are asked for.
+//!
+//! A point contact at P has one equilibrium near the free wire (wcal-rod): `r(s_c) = P`, `F . t = ratio |F_perp|`, base moment `m = P x F`. With
+//! `q(P) = |P|^2 m(P)`, from which a cantilever's `3 E I delta / |P|^2` has lost its pole at the root, `q` and `s_c` are smooth in P and
+//! interpolated by Lagrange's cubic in each coordinate. The wire goes on beyond its tip in the table, so that its end is no edge of the
+//! functions; that `s_c` lies on the wire is for the caller to ask.
+
+use nalgebra::Vector3;
+use std::collections::HashMap;
+use std::sync::{Arc, RwLock};
+use wcal_core::observation::MomentAxes;
+use wcal_rod::{Equilibrium, Guess, Rod, Tangential};
+
+/// Distance of the nodes, mm. Interpolated moments are right to 3e-4 of themselves from 10 mm on (tests).
+const PITCH_MM: f64 = 2.0;
+/// Wire beyond the tip, mm: the reach of a cell's outermost nodes.
+const BEYOND_MM: f64 = 8.0;
+/// Spacing of the free wire's samples, mm.
+const WIRE_MM: f64 = 0.25;
+/// A node nearer to the root than this has no answer, mm.
+const ROOT_MM: f64 = 1.0;
+/// Largest jump of the contact along the wire per way of the place, and in addition to it (mm): more is another equilibrium.
+const JUMP: f64 = 4.0;
+const JUMP_MM: f64 = 0.5;
+/// Halvings of the way from a node to the next before it counts as cut off.
+const HALVINGS: usize = 4;
+
+/// Friction along the wire.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Friction {
+    /// Largest tangential over normal force, the groove's walls included.
+    pub coefficient: f64,
+    /// Friction while the contact moves, over friction at rest.
+    pub moving_share: f64,
+}
+
+impl Friction {
+    /// No friction.
+    pub const NONE: Self = Self { coefficient: 0.0, moving_share: 1.0 };
+}
+
+/// What holds at one place: moments (N mm) and contact arc length (mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Held {
+    /// The two moment components, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Contact arc length, mm.
+    pub arclength_mm: f64,
+}
+
+/// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
+type Values = Vec<[f64; 3]>;
+
+struct Node {
+    equilibrium: Equilibrium,
+    values: Values,
+}
+
+type Key = [i32; 3];
+
+/// The table.
+pub struct MomentField {
+    rod: Rod,
+    length_mm: f64,
+    axes: MomentAxes,
+    friction: Friction,
+    at_rest_nmm: [f64; 2],
+    /// Samples of the free wire: arc length and place.
+    wire: Vec<(f64, Vector3<f64>)>,
+    nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
+    /// Values of the 64 nodes around a cell; none where one is missing.
+    cells: RwLock<HashMap<Key, Option<Arc<Vec<Values>>>>>,
+}
+
+fn place(key: &Key) -> Vector3<f64> {
+    Vector3::new(f64::from(key[0]), f64::from(key[1]), f64::from(key[2])) * PITCH_MM
+}
+
+fn key_of(place_mm: &Vector3<f64>) -> Key {
+    [0, 1, 2].map(|k| (place_mm[k] / PITCH_MM).round() as i32)
+}
+
+/// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
+fn cubic(u: f64) -> [f64; 4] {
+    [
+        -u * (u - 1.0) * (u - 2.0) / 6.0,
+        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+        -(u + 1.0) * u * (u - 2.0) / 2.0,
+        (u + 1.0) * u * (u - 1.0) / 6.0,
+    ]
+}
+
+impl MomentField {
+    /// Of a rod with its accepted deviations; moments are those of contact, the free wire's weight taken off.
+    #[must_use]
+    pub fn new(rod: &Rod, axes: &MomentAxes, friction: Friction) -> Self {
+        // Weight beyond the tip would bend the wire.
+        let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 { 0.0 } else { BEYOND_MM };
+        let length_mm = rod.shape.length_mm;
+        let at_rest_nmm = axes.components_nmm(&rod.rest_moment_nmm());
+        let rod = rod.extended(beyond_mm);
+        let samples = (rod.shape.length_mm / WIRE_MM).ceil() as usize;
+        let wire = (0..=samples)
+            .map(|k| rod.shape.length_mm * k as f64 / samples as f64)
+            .map(|s| (s, rod.shape.rest_point(s)))
+            .collect();
+        Self {
+            rod,
+            length_mm,
+            axes: axes.clone(),
+            friction,
+            at_rest_nmm,
+            wire,
+            nodes: RwLock::default(),
+            cells: RwLock::default(),
+        }
+    }
+
+    /// Length of the wire, mm.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        self.length_mm
+    }
+
+    /// Friction along the wire.
+    #[must_use]
+    pub fn friction(&self) -> Friction {
+        self.friction
+    }
+
+    /// Free wire at an arc length (mm): place and tangent.
+    #[must_use]
+    pub fn free(&self, s_mm: f64) -> (Vector3<f64>, Vector3<f64>) {
+        const BESIDE_MM: f64 = 0.05;
+        let at = |s: f64| self.rod.shape.rest_point(s.clamp(0.0, self.rod.shape.length_mm));
+        let tangent = at(s_mm + BESIDE_MM) - at(s_mm - BESIDE_MM);
+        (at(s_mm), tangent.try_normalize(1e-12).unwrap_or_else(Vector3::x))
+    }
+
+    /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where no equilibrium is known or the contact
+    /// lies beyond the tip.
+    #[must_use]
+    pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<Held> {
+        let scaled = place_mm / PITCH_MM;
+        let low = [0, 1, 2].map(|k| scaled[k].floor());
+        let cell = self.cell(low.map(|v| v as i32))?;
+        let [wx, wy, wz] = [0, 1, 2].map(|k| cubic(scaled[k] - low[k]));
+        let by_ratio = self.ratio_weights(ratio);
+        let mut sum = [0.0; 3];
+        for (n, values) in cell.iter().enumerate() {
+            let weight = wx[n / 16] * wy[n / 4 % 4] * wz[n % 4];
+            for (value, by) in values.iter().zip(by_ratio) {
+                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * by * v);
+            }
+        }
+        let squared = place_mm.norm_squared();
+        (sum[2] <= self.length_mm).then_some(Held {
+            moment_nmm: [sum[0] / squared - self.at_rest_nmm[0], sum[1] / squared - self.at_rest_nmm[1]],
+            arclength_mm: sum[2],
+        })
+    }
+
+    /// Weights of the three ratios: the parabola through them.
+    fn ratio_weights(&self, ratio: f64) -> [f64; 3] {
+        let mu = self.friction.coefficient;
+        if mu <= 0.0 {
+            return [1.0, 0.0, 0.0];
+        }
+        let v = (ratio / mu).clamp(-1.0, 1.0);
+        [0.5 * v * (v - 1.0), 1.0 - v * v, 0.5 * v * (v + 1.0)]
+    }
+
+    fn cell(&self, low: Key) -> Option<Arc<Vec<Values>>> {
+        if let Some(known) = self.cells.read().ok()?.get(&low) {
+            return known.clone();
+        }
+        let around = (0..64_i32).map(|n| {
+            let key = [low[0] + n / 16 - 1, low[1] + n / 4 % 4 - 1, low[2] + n % 4 - 1];
+            self.node(key).map(|node| node.values.clone())
+        });
+        let cell = around.collect::<Option<Vec<Values>>>().map(Arc::new);
+        self.cells.write().ok()?.insert(low, cell.clone());
+        cell
+    }
+
+    fn node(&self, key: Key) -> Option<Arc<Node>> {
+        if let Some(known) = self.nodes.read().ok()?.get(&key) {
+            return known.clone();
+        }
+        let node = self.solve(key).map(Arc::new);
+        self.nodes.write().ok()?.insert(key, node.clone());
+        node
+    }
+
+    /// Sample of the free wire next to a place.
+    fn nearest(&self, place_mm: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let off = |w: &(f64, Vector3<f64>)| (w.1 - place_mm).norm_squared();
+        let found = self.wire.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        found.copied().unwrap_or((0.0, Vector3::zeros()))
+    }
+
+    /// From the free wire where it is near, else from the node before on the way to it: the branch that starts at first touch.
+    fn solve(&self, key: Key) -> Option<Node> {
+        let target = place(&key);
+        let (s_mm, wire) = self.nearest(&target);
+        if s_mm < ROOT_MM {
+            return None;
+        }
+        let way = wire - target;
+        let before = key_of(&(target + way * (PITCH_MM / way.norm().max(PITCH_MM))));
+        let near = way.norm() <= PITCH_MM || before == key || (place(&before) - wire).norm() >= way.norm();
+        let equilibrium = if near {
+            let free = Guess { force_n: Vector3::zeros(), arclength_mm: s_mm };
+            let found = self.rod.solve(&target, &free, Tangential::Frictionless).ok()?;
+            ((found.arclength_mm - s_mm).abs() <= JUMP * way.norm() + JUMP_MM).then_some(found)?
+        } else {
+            self.carried(&self.node(before)?.equilibrium, &target)?
+        };
+        let squared = target.norm_squared();
+        let values = |e: &Equilibrium| {
+            let m = self.axes.components_nmm(&e.moment_nmm);
+            [m[0] * squared, m[1] * squared, e.arclength_mm]
+        };
+        let free = values(&equilibrium);
+        let mu = self.friction.coefficient;
+        if mu <= 0.0 {
+            return Some(Node { equilibrium, values: vec![free] });
+        }
+        let slipped = |ratio: f64| self.slipped(&equilibrium, ratio).map(|e| values(&e));
+        Some(Node { equilibrium, values: vec![slipped(-mu)?, free, slipped(mu)?] })
+    }
+
+    /// From a known equilibrium straight to a place, in as many steps as it takes.
+    fn carried(&self, from: &Equilibrium, target: &Vector3<f64>) -> Option<Equilibrium> {
+        (0..=HALVINGS).find_map(|halvings| {
+            let steps = 1 << halvings;
+            let mut last = *from;
+            for k in 1..=steps {
+                let at = from.point_mm + (target - from.point_mm) * (f64::from(k) / f64::from(steps));
+                let found = self.rod.solve(&at, &Guess::from(&last), Tangential::Frictionless).ok()?;
+                let jump = (found.arclength_mm - last.arclength_mm).abs();
+                let way = (at - last.point_mm).norm();
+                // A determinant of the other sign belongs to another branch (wcal-rod, path).
+                if jump > JUMP * way + JUMP_MM || found.determinant * last.determinant <= 0.0 {
+                    return None;
+                }
+                last = found;
+            }
+            Some(last)
+        })
+    }
+
+    /// The slipping equilibrium at the same place, ratio by ratio from the frictionless one.
+    fn slipped(&self, free: &Equilibrium, ratio: f64) -> Option<Equilibrium> {
+        const STEPS: usize = 3;
+        let mut last = *free;
+        for k in 1..=STEPS {
+            let part = Tangential::Ratio(ratio * k as f64 / STEPS as f64);
+            last = self.rod.solve(&free.point_mm, &Guess::from(&last), part).ok()?;
+        }
+        Some(last)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wcal_core::observation::WhiskerSpec;
+    use wcal_rod::{Line, Outcome};
+
+    fn rod() -> Rod {
+        Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap()
+    }
+
+    /// Largest difference to the rod followed along lines, as a share of the moment.
+    fn largest_off(field: &MomentField, rod: &Rod) -> f64 {
+        let mut largest: f64 = 0.0;
+        for (s_mm, reach_mm) in [(14.0, 4.0), (24.0, 7.0), (38.0, 11.0), (57.0, 14.0)] {
+            for turn in [0.0, -1.1, 0.7_f64] {
+                let (origin_mm, tangent) = field.free(s_mm);
+                let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
+                let line = Line { origin_mm, direction: normal * turn.cos() + Vector3::y() * turn.sin() };
+                let xs: Vec<f64> = (1..=9).map(|k| reach_mm * f64::from(k) / 9.0).collect();
+                for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
+                    let Outcome::Held(e) = outcome else { continue };
+                    let held = field.held(&line.point(*x), 0.0).unwrap();
+                    let m = MomentAxes::default().components_nmm(&e.moment_nmm);
+                    let off = (m[0] - held.moment_nmm[0]).hypot(m[1] - held.moment_nmm[1]);
+                    largest = largest.max(off / (m[0].hypot(m[1]) + 0.02));
+                    assert!((held.arclength_mm - e.arclength_mm).abs() < 0.02, "{s_mm} {x}: {held:?}");
+                }
+            }
+        }
+        largest
+    }
+
+    #[test]
+    fn the_table_is_the_rod() {
+        let rod = rod();
+        let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
+        let off = largest_off(&field, &rod);
+        assert!(off < 1e-3, "{off}");
+        // Control: another wire is another table.
+        let mut stiff = rod.clone();
+        stiff.section.ei_nmm2 *= 1.01;
+        assert!(largest_off(&field, &stiff) > 5e-3);
+    }
+
+    #[test]
+    fn what_lies_beyond_the_tip_or_behind_the_root_holds_nothing() {
+        let field = MomentField::new(&rod(), &MomentAxes::default(), Friction::NONE);
+        let (tip, tangent) = field.free(60.0);
+        assert!(field.held(&(tip - tangent * 0.5), 0.0).is_some());
+        assert!(field.held(&(tip + tangent * 0.5), 0.0).is_none());
+        assert!(field.held(&Vector3::new(-5.0, 0.0, 3.0), 0.0).is_none());
+    }
+
+    #[test]
+    fn friction_moves_the_contact_both_ways() {
+        let friction = Friction { coefficient: 0.2, moving_share: 1.0 };
+        let field = MomentField::new(&rod(), &MomentAxes::default(), friction);
+        let at = Vector3::new(30.0, -4.0, 3.0);
+        let [low, free, high] = [-0.2, 0.0, 0.2].map(|r| field.held(&at, r).unwrap().arclength_mm);
+        assert!((low - free) * (high - free) < 0.0 && (high - low).abs() > 1e-4, "{low} {free} {high}");
+    }
+}

@@ -1,0 +1,200 @@
+//! Where the wire is held when the relative motion of base and object is known: physics, no network.
+//!
+//! An object holds the wire at one point (a V-groove, an edge, a tip) and moves with respect to the base by a known way d(t), known up to a
+//! constant within one episode. All in the base frame, lengths in mm, moments in N mm.
+//!
+//! State of an episode, theta = (s, x, g): the free wire is first met at arc length s when the way along the push u is x, and passed at a gap g,
+//!
+//! `P_k = r0(s) + g n(s) + (d_k - d_ref) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`.
+//!
+//! Transition: none but the motion. Holds, reversals and turns are d_k itself; before first touch, `(d_k - d_ref) . u <= x - x_ref`, the wire is
+//! free and m = 0. With friction the contact's arc length s_c plays between the two slip branches of the rod,
+//! `s_c(k) = clamp(s_c(k-1), s(P, -mu), s(P, +mu))`.
+//!
+//! Likelihood, with the rod's equilibrium m(P) ([`field`]), K the map's sensitivity and c what all readings of a calibration share:
+//!
+//! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
+//! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k)`;
+//!
+//! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + s_d^2 D_k D_k') + H H' + T T'` ([`likelihood`]).
+//!
+//! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s even over the wire, x even over the episode; on a grid of s that is refined
+//! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71
+//! (2009) 319) ([`posterior`]). The 95 % region is that of highest density.
+//!
+//! Bound: no estimator without bias has a smaller error than `J^-1`, `J = G' S^-1 G + diag(0, 0, 1/s_g^2)`, `G = dm/dtheta` at the truth (Bayesian
+//! Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process.
+//! 46 (1998) 1386) for a state that does not move) ([`bound`]).
+
+pub mod bound;
+pub mod check;
+pub mod contact_path;
+pub mod field;
+pub mod likelihood;
+pub mod posterior;
+
+pub use bound::bound_mm;
+pub use check::{Disagreement, Innovations};
+pub use field::{Friction, MomentField};
+pub use posterior::{Posterior, Region};
+
+use crate::TrackError;
+use contact_path::ContactPath;
+use likelihood::Likelihood;
+use nalgebra::{Matrix2, Matrix3, Vector3};
+
+/// One reading with the motion at its time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionRow {
+    /// Time, s.
+    pub t_s: f64,
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Covariance of this reading's own noise, (N mm)^2.
+    pub noise_nmm2: Matrix2<f64>,
+    /// What it shares with the other readings: moments (N mm) by one standard deviation of each common unknown; as many in every row.
+    pub shared_nmm: Vec<[f64; 2]>,
+    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode.
+    pub moved_mm: Vector3<f64>,
+    /// Its velocity, mm/s; zero in a hold.
+    pub velocity_mm_s: Vector3<f64>,
+    /// Standard deviation of the way in each coordinate, mm.
+    pub moved_sd_mm: f64,
+    /// Known to be free of contact.
+    pub free: bool,
+    /// Readings of one visit follow each other without the contact being left in between unseen.
+    pub visit: u32,
+}
+
+/// Readings over which the way is known up to one constant, in order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Episode {
+    /// Readings.
+    pub rows: Vec<MotionRow>,
+    /// Unit vector along which the object pushes at first touch; taken from the motion where it is not known.
+    pub push: Option<Vector3<f64>>,
+}
+
+/// What is assumed where nothing is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Standard deviation of the gap at which the object passes the free wire before it holds it, mm.
+    pub gap_sd_mm: f64,
+    /// Standard deviation of the clock of the motion against that of the moments, s.
+    pub clock_sd_s: f64,
+    /// Contact no nearer to the root than this, mm.
+    pub first_mm: f64,
+    /// Share of grossly wrong readings.
+    pub gross_share: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is known.
+        Self { gap_sd_mm: 0.5, clock_sd_s: 0.0, first_mm: 8.0, gross_share: 0.01 }
+    }
+}
+
+/// Where the wire is held at one reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Place {
+    /// Mean place of the wire's axis at the contact, mm; none where the episode tells nothing.
+    pub place_mm: Option<Vector3<f64>>,
+    /// Covariance, mm^2.
+    pub covariance_mm2: Matrix3<f64>,
+    /// Probability that the wire is held.
+    pub contact: f64,
+    /// Whether the reading was taken as grossly wrong.
+    pub gross: bool,
+}
+
+/// What an episode tells.
+#[derive(Debug, Clone)]
+pub struct Located {
+    /// One for each row.
+    pub places: Vec<Place>,
+    /// The posterior of the state; none where no state explains anything.
+    pub posterior: Option<Posterior>,
+    /// What speaks against motion, map or rod.
+    pub disagreement: Option<Disagreement>,
+    /// Innovations at the best state.
+    pub innovations: Innovations,
+}
+
+/// Locates the contact of an episode.
+///
+/// # Errors
+/// For rows that cannot be used: no push direction, times that do not go forward, numbers that are not finite.
+pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, TrackError> {
+    check_rows(episode)?;
+    let Some(path) = ContactPath::new(field, episode) else {
+        return Ok(Located::nothing(episode));
+    };
+    let mut likelihood = Likelihood::new(&path, settings, None)?;
+    let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
+        // Loaded readings that no place on the wire explains.
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        return Ok(Located { disagreement, innovations, ..Located::nothing(episode) });
+    };
+    let (plain, dof) = likelihood.innovation(&path, &first.state);
+    // What depends on the state (clock, noise of the motion, gross readings) is taken at the best one.
+    let mut best = first;
+    for _ in 0..3 {
+        likelihood = Likelihood::new(&path, settings, Some((&best.state, &likelihood)))?;
+        match posterior::climb(&path, &likelihood, settings, &best.state) {
+            Some(next) => best = next,
+            None => break,
+        }
+    }
+    let posterior = Posterior::new(&path, &likelihood, settings);
+    let (robust, _) = likelihood.innovation(&path, &best.state);
+    let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
+    let innovations = Innovations { plain, robust, dof, gross, rows: episode.rows.len() };
+    let disagreement = check::disagreement(field, episode, settings, &innovations);
+    Ok(Located {
+        places: posterior.places(&path, &likelihood),
+        posterior: Some(posterior),
+        disagreement,
+        innovations,
+    })
+}
+
+impl Located {
+    fn nothing(episode: &Episode) -> Self {
+        let place = Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false };
+        Self {
+            places: vec![place; episode.rows.len()],
+            posterior: None,
+            disagreement: None,
+            innovations: Innovations {
+                plain: 0.0,
+                robust: 0.0,
+                dof: 0.0,
+                gross: 0,
+                rows: episode.rows.len(),
+            },
+        }
+    }
+}
+
+fn check_rows(episode: &Episode) -> Result<(), TrackError> {
+    let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
+    let mut last_s = f64::NEG_INFINITY;
+    for (k, row) in episode.rows.iter().enumerate() {
+        let what = || format!("reading {k} of an episode");
+        let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
+        if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
+            return Err(TrackError::value(what(), "finite moments, noise and motion", "one that is not"));
+        }
+        if !(row.t_s >= last_s) {
+            return Err(TrackError::value(what(), format!("a time from {last_s} s on"), row.t_s.to_string()));
+        }
+        if row.shared_nmm.len() != shared {
+            let expected = format!("{shared} common unknowns as in the first");
+            return Err(TrackError::value(what(), expected, row.shared_nmm.len().to_string()));
+        }
+        last_s = row.t_s;
+    }
+    Ok(())
+}

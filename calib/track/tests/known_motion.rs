@@ -1,0 +1,170 @@
+//! Known motion on sessions of the plant (SIMULATED, physics that shares no code with the tracker's rod).
+
+use nalgebra::{Matrix2, Vector3};
+use std::collections::BTreeMap;
+use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
+use wcal_plant::session::{Case, Make, Request, Want, draw_under};
+use wcal_plant::{Design, Noise};
+use wcal_rod::Rod;
+use wcal_track::known_motion::contact_path::ContactPath;
+use wcal_track::known_motion::{
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Settings, bound, check, locate,
+};
+
+fn drawn(seed: u64, design: Design) -> Case {
+    let request = Request { seed, design, want: Want::Null, target_sigma: 0.0, rivals: false };
+    draw_under(&request, Noise::Gaussian, Make::Usual).unwrap()
+}
+
+fn field(case: &Case) -> MomentField {
+    let b = &case.bench;
+    let spec = WhiskerSpec {
+        diameter_mm: b.diameter_mm,
+        youngs_gpa: b.youngs_gpa,
+        shear_gpa: b.shear_gpa,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc {
+            straight_mm: b.straight_mm,
+            arc_radius_mm: b.arc_radius_mm,
+            length_mm: b.length_mm,
+        },
+        gravity_direction: None,
+    };
+    let rod = Rod::new(&spec, 4.0).unwrap();
+    MomentField::new(&rod, &MomentAxes::default(), Friction::NONE)
+}
+
+/// Episodes by trajectory through the true sensitivity, each with the true place at its first reading.
+fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
+    let b = &case.bench;
+    let inverse = Matrix2::new(b.k[0][0], b.k[0][1], b.k[1][0], b.k[1][1]).try_inverse().unwrap();
+    let noise_pm = case.truth.new_pose_noise_pm;
+    let trajectories = b.trajectories();
+    let mut all: BTreeMap<usize, (Episode, Vector3<f64>)> = BTreeMap::new();
+    for r in &case.readings {
+        let t = trajectories.iter().find(|t| t.id == r.trajectory_id).unwrap();
+        let warm = 1e3 * (r.reference_nm - b.reference_nominal_nm);
+        let shift = |c: usize| 1e3 * (r.fbg_nm[c] - b.nominal_nm[c]) - b.zero_pm[c] - warm;
+        let m = inverse * nalgebra::Vector2::new(shift(0), shift(1));
+        let direction = t.path.direction;
+        let (episode, _) = all.entry(r.trajectory_id).or_insert_with(|| {
+            (Episode { rows: Vec::new(), push: Some(direction) }, Vector3::from(r.groove_mm))
+        });
+        let p = &r.planned;
+        episode.rows.push(MotionRow {
+            t_s: p.t_s,
+            moment_nmm: [m.x, m.y],
+            noise_nmm2: inverse * inverse.transpose() * noise_pm * noise_pm,
+            shared_nmm: Vec::new(),
+            moved_mm: direction * p.stage_mm,
+            velocity_mm_s: direction * (p.speed_mm_s * f64::from(p.direction)),
+            moved_sd_mm: 0.0,
+            free: p.role == "rest",
+            visit: p.replicate as u32,
+        });
+    }
+    all.into_values().collect()
+}
+
+#[derive(Default)]
+struct Score {
+    squared_mm2: f64,
+    bound_mm2: f64,
+    held: usize,
+    ellipse: usize,
+    episodes: usize,
+    doubted: usize,
+}
+
+fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -> Vec<Located> {
+    let (field, settings) = (field(case), Settings::default());
+    let mut out = Vec::new();
+    for (episode, place) in episodes(case) {
+        let path = ContactPath::new(&field, &episode).unwrap();
+        let truth = path.state_of(&place, 0, None).unwrap();
+        let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
+        let changed = change(&episode);
+        let found = locate(&field, &changed, &settings).unwrap();
+        score.episodes += 1;
+        score.doubted += usize::from(found.disagreement.is_some());
+        if let (Some(p), Some(at)) = (&found.posterior, found.places[0].place_mm) {
+            let off = at - place;
+            score.squared_mm2 += off.norm_squared();
+            score.bound_mm2 += bound * bound;
+            score.held += usize::from(p.holds(&truth));
+            let c = found.places[0].covariance_mm2.cholesky().map(|c| off.dot(&c.solve(&off)));
+            score.ellipse += usize::from(c.is_some_and(|m| m <= 7.815));
+        }
+        out.push(found);
+    }
+    out
+}
+
+impl std::fmt::Display for Score {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let n = self.episodes as f64;
+        write!(
+            f,
+            "{} episodes: error {:.3} mm, bound {:.3} mm, region {:.3}, ellipse {:.3}, doubted {}",
+            self.episodes,
+            (self.squared_mm2 / n).sqrt(),
+            (self.bound_mm2 / n).sqrt(),
+            self.held as f64 / n,
+            self.ellipse as f64 / n,
+            self.doubted
+        )
+    }
+}
+
+#[test]
+fn contacts_are_found_at_the_bound_and_their_regions_hold() {
+    for design in [Design::Rich, Design::Paper] {
+        let mut s = Score::default();
+        for seed in 0..6 {
+            score(&drawn(seed, design), Clone::clone, &mut s);
+        }
+        let n = s.episodes as f64;
+        // The goal's ratio; and nobody is far below a bound.
+        let ratio = (s.squared_mm2 / s.bound_mm2).sqrt();
+        assert!((0.7..1.3).contains(&ratio), "{design:?}: {s}");
+        // Ninety episodes: 95 % within 3 sd of the binomial.
+        assert!((s.held as f64 / n - 0.95).abs() < 0.07, "{design:?}: {s}");
+        assert!((s.ellipse as f64 / n - 0.95).abs() < 0.07, "{design:?}: {s}");
+        assert!(s.doubted == 0, "{design:?}: {s}");
+    }
+}
+
+/// Control: moments that are off by more than their noise says are not covered, and doubted.
+#[test]
+fn a_wrong_map_is_neither_covered_nor_trusted() {
+    let mut s = Score::default();
+    let off = |e: &Episode| {
+        let mut e = e.clone();
+        // A map of another wire: one moment is a fifth too large, the other too small.
+        e.rows.iter_mut().for_each(|r| r.moment_nmm = [1.2 * r.moment_nmm[0], 0.8 * r.moment_nmm[1]]);
+        e
+    };
+    score(&drawn(1, Design::Rich), off, &mut s);
+    assert!(s.held * 2 < s.episodes && s.doubted > 0, "{s}");
+}
+
+#[test]
+fn motion_that_is_wrong_is_doubted_by_name() {
+    let case = drawn(3, Design::Rich);
+    for (factor, name) in [(-1.0, Disagreement::Reversed), (1e-3, Disagreement::Metres)] {
+        let mut s = Score::default();
+        // Whether the direction of the push is known or taken from the motion.
+        for known in [true, false] {
+            let found = score(
+                &case,
+                |e| {
+                    let e = check::scaled(e, factor);
+                    if known { e } else { Episode { push: None, ..e } }
+                },
+                &mut s,
+            );
+            let named = found.iter().filter(|f| f.disagreement == Some(name)).count();
+            assert!(named * 10 >= found.len() * 9, "{name:?}: {named} of {}", found.len());
+        }
+    }
+}

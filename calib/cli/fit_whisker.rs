@@ -157,9 +157,9 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
                 .to_owned(),
         );
     } else {
-        fit.add_common(&nominal, &moved)?;
+        fit.add_common_errors(&nominal, &moved)?;
     }
-    warnings.extend(fit.left_out.iter().map(|(name, why)| format!("{name} is left out: {why}")));
+    warnings.extend(fit.excluded.iter().map(|(name, why)| format!("{name} is left out: {why}")));
     if fit.covariance.is_none() {
         warnings.push(format!(
             "expected three shapes or more for standard deviations, found {}",

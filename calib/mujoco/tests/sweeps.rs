@@ -27,11 +27,11 @@ fn built_in_objects_are_closed_and_their_inside_is_inside() {
         let mesh = objects::built_in(name).unwrap();
         assert!(mesh.notes.is_empty(), "{name}: {:?}", mesh.notes);
         let far = mesh.high_mm + Vector3::repeat(1.0);
-        assert!(mesh.near(&far, 100.0).unwrap().distance_mm > 0.0, "{name}");
+        assert!(mesh.closest_point(&far, 100.0).unwrap().distance_mm > 0.0, "{name}");
         // Just below each of some corners' surface lies the inside.
         let middle = (mesh.low_mm + mesh.high_mm) / 2.0;
         if !["ring", "bowl-foot", "wedge"].contains(&name) {
-            assert!(mesh.near(&middle, 100.0).unwrap().distance_mm < 0.0, "{name}");
+            assert!(mesh.closest_point(&middle, 100.0).unwrap().distance_mm < 0.0, "{name}");
         }
     }
 }
@@ -49,7 +49,7 @@ fn inside_is_where_the_surface_winds_around() {
             let turns: f64 =
                 mesh.triangles().iter().map(|t| solid_angle(&p, t.map(|i| corners[i as usize]))).sum();
             let inside = turns > 2.0 * std::f64::consts::PI;
-            let Some(near) = mesh.near(&p, 500.0) else { panic!("{name}: nothing near {p}") };
+            let Some(near) = mesh.closest_point(&p, 500.0) else { panic!("{name}: nothing near {p}") };
             assert_eq!(near.distance_mm < 0.0, inside, "{name}: {p} {near:?} {turns}");
         }
     }

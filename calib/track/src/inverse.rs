@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_rod::{Chain, Section, Shape};
+use wcal_rod::{DiscreteRod, Section, Shape};
 
 mod force;
 
@@ -116,7 +116,7 @@ impl StaticInverse {
         }
         let shape = Shape::new(&whisker.rest_shape, 0.25)?;
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let chain = Chain::new(&section, &shape, whisker.diameter_mm, grid.links)?;
+        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, grid.links)?;
         let tip_mm = shape.length_mm;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
         let along =
@@ -129,7 +129,7 @@ impl StaticInverse {
             .par_iter()
             .map(|n| {
                 (0..grid.directions)
-                    .flat_map(|d| solve_ray(&chain, n.arclength_mm, d, &grid))
+                    .flat_map(|d| solve_ray(&rod, n.arclength_mm, d, &grid))
                     .map(|s| s.0)
                     .collect()
             })
@@ -137,9 +137,9 @@ impl StaticInverse {
         let tilted: Vec<Vec<Vec<TableEntry>>> = (0..grid.directions)
             .into_par_iter()
             .map(|d| {
-                let square = solve_ray(&chain, tip_mm, d, &grid).into_iter().enumerate();
+                let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
                 square
-                    .map(|(m, (_, force))| solve_tilts(&chain, tip_mm, force, moment(d, m, &grid), &grid))
+                    .map(|(m, (_, force))| solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid))
                     .collect()
             })
             .collect();

@@ -104,7 +104,7 @@ impl SweepSeries {
     /// Distance of a point (base frame, mm) to the object's surface after a travel of the base, mm.
     #[must_use]
     pub fn surface_distance_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
-        mesh.near(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM)
+        mesh.closest_point(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM)
             .map_or(MAX_DISTANCE_MM, |n| n.distance_mm.abs())
     }
 
@@ -116,9 +116,10 @@ impl SweepSeries {
         travel_mm: f64,
         point_mm: &Vector3<f64>,
     ) -> Vector3<f64> {
-        mesh.near(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM).map_or(*point_mm, |n| {
-            self.base_from_object.transform_point(&n.point_mm.into()).coords - Vector3::z() * travel_mm
-        })
+        mesh.closest_point(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM)
+            .map_or(*point_mm, |n| {
+                self.base_from_object.transform_point(&n.point_mm.into()).coords - Vector3::z() * travel_mm
+            })
     }
 
     /// A point of the base frame after a travel of the base, mm, in the object's.

@@ -429,7 +429,7 @@ fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
         let settings = SurfaceSettings { max_contacts: 120, cell_mm: 2.0, ..SurfaceSettings::default() };
         let surface = ImplicitSurface::new(&cloud, settings).unwrap();
         let made = surface.mesh();
-        let off = |p: &Vector3<f64>| mesh.near(p, 100.0).unwrap().distance_mm.abs();
+        let off = |p: &Vector3<f64>| mesh.closest_point(p, 100.0).unwrap().distance_mm.abs();
         let rmse = |all: &mut dyn Iterator<Item = f64>| {
             let all: Vec<f64> = all.collect();
             (all.iter().map(|x| x * x).sum::<f64>() / all.len() as f64).sqrt()

@@ -1,12 +1,12 @@
 //! Acceptance of the rod: exact solutions, order, contact laws, and a negative control beside each check.
 
 mod contact;
+mod discrete_contact;
 mod elastica;
 mod elliptic;
 mod laws;
 mod order;
 mod physics;
-mod pressed;
 mod rest_fit;
 mod stability;
 mod touch;

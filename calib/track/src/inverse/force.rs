@@ -11,7 +11,7 @@
 use super::{InverseGrid, TableEntry};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::TAU;
-use wcal_rod::{Chain, Push};
+use wcal_rod::{DiscreteRod, PointLoad};
 
 /// Newton steps for one moment.
 const NEWTON_STEPS: usize = 24;
@@ -30,16 +30,16 @@ pub(super) fn moment(direction: usize, step: usize, grid: &InverseGrid) -> Vecto
 }
 
 /// What a force (N, frame of the wire at the contact) makes of the wire there.
-fn entry(chain: &Chain, arclength_mm: f64, force: &Vector3<f64>, reachable: bool) -> TableEntry {
-    let push = chain.pushed(arclength_mm, force);
+fn entry(rod: &DiscreteRod, arclength_mm: f64, force: &Vector3<f64>, reachable: bool) -> TableEntry {
+    let push = rod.under_point_load(arclength_mm, force);
     let normal = push.force_n.normalize();
-    let point = push.axis_mm - normal * chain.radius_mm;
+    let point = push.axis_mm - normal * rod.radius_mm;
     ([point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32), reachable)
 }
 
 /// Forces square to the wire at an arc length, mm, in one direction: moments from none to the largest.
 pub(super) fn solve_ray(
-    chain: &Chain,
+    rod: &DiscreteRod,
     arclength_mm: f64,
     direction: usize,
     grid: &InverseGrid,
@@ -47,27 +47,26 @@ pub(super) fn solve_ray(
     let across = |f: Vector2<f64>| Vector3::new(0.0, f.x, f.y);
     // Without a force there is a direction all the same: that of the first one.
     let mut rate = None;
-    let mut force =
-        solve_square(chain, arclength_mm, moment(direction, 0, grid), Vector2::zeros(), &mut rate);
+    let mut force = solve_square(rod, arclength_mm, moment(direction, 0, grid), Vector2::zeros(), &mut rate);
     let mut last = force.unwrap_or(Vector2::new(1e-6, 0.0));
-    let mut found = vec![(entry(chain, arclength_mm, &across(last), force.is_some()), force.map(across))];
+    let mut found = vec![(entry(rod, arclength_mm, &across(last), force.is_some()), force.map(across))];
     let mut before = Vector2::zeros();
     for m in 1..=grid.steps {
         if let Some(from) = force {
             let to = moment(direction, m, grid);
             let guess = if m > 1 { from * 2.0 - before } else { from * (to.norm() / FIRST_NMM) };
             before = if m > 1 { from } else { Vector2::zeros() };
-            force = solve_square(chain, arclength_mm, to, guess, &mut rate);
+            force = solve_square(rod, arclength_mm, to, guess, &mut rate);
             last = force.unwrap_or(last);
         }
-        found.push((entry(chain, arclength_mm, &across(last), force.is_some()), force.map(across)));
+        found.push((entry(rod, arclength_mm, &across(last), force.is_some()), force.map(across)));
     }
     found
 }
 
 /// Transverse force (N) whose moments at the root are these; `None` where none is found near the guess.
 fn solve_square(
-    chain: &Chain,
+    rod: &DiscreteRod,
     arclength_mm: f64,
     moment_nmm: Vector2<f64>,
     guess: Vector2<f64>,
@@ -77,7 +76,7 @@ fn solve_square(
     let arm = arclength_mm.max(1.0);
     let start = if first { Vector2::new(moment_nmm.y, -moment_nmm.x) / arm } else { guess };
     let off = |f: &Vector2<f64>| {
-        let m = chain.pushed(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
+        let m = rod.under_point_load(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
         Vector2::new(m.y, m.z) - moment_nmm
     };
     // A force that turned round on the way belongs to another branch.
@@ -123,36 +122,36 @@ fn broyden<const N: usize>(
 
 /// The tip under forces with the same moments at the root that tilt more and more, from one that is square to the wire.
 pub(super) fn solve_tilts(
-    chain: &Chain,
+    rod: &DiscreteRod,
     tip_mm: f64,
     square: Option<Vector3<f64>>,
     moment_nmm: Vector2<f64>,
     grid: &InverseGrid,
 ) -> Vec<TableEntry> {
     let mut last = square.unwrap_or(Vector3::y() * 1e-6);
-    let angle = square.map(|f| tilt_sine(&chain.pushed(tip_mm, &f)).asin());
+    let angle = square.map(|f| tilt_sine(&rod.under_point_load(tip_mm, &f)).asin());
     let (mut force, mut rate) = (square, None);
     (1..=grid.tilts)
         .map(|k| {
             let part = k as f64 / (grid.tilts + 1) as f64;
             force = force.zip(angle).and_then(|(from, angle)| {
                 let angle = angle + (std::f64::consts::FRAC_PI_2 - angle) * part;
-                solve_tilted(chain, tip_mm, &from, moment_nmm, angle.sin(), &mut rate)
+                solve_tilted(rod, tip_mm, &from, moment_nmm, angle.sin(), &mut rate)
             });
             last = force.unwrap_or(last);
-            entry(chain, tip_mm, &last, force.is_some())
+            entry(rod, tip_mm, &last, force.is_some())
         })
         .collect()
 }
 
 /// Sine of the angle by which a force tilts toward the root.
-fn tilt_sine(push: &Push) -> f64 {
+fn tilt_sine(push: &PointLoad) -> f64 {
     -push.force_n.normalize().dot(&push.axis_mm.normalize())
 }
 
 /// Force at the tip with these moments and this tilt, from one near it.
 fn solve_tilted(
-    chain: &Chain,
+    rod: &DiscreteRod,
     tip_mm: f64,
     from: &Vector3<f64>,
     moment_nmm: Vector2<f64>,
@@ -160,7 +159,7 @@ fn solve_tilted(
     rate: &mut Option<Matrix3<f64>>,
 ) -> Option<Vector3<f64>> {
     let off = |f: &Vector3<f64>| {
-        let push = chain.pushed(tip_mm, f);
+        let push = rod.under_point_load(tip_mm, f);
         let m = push.moment_nmm;
         Vector3::new(m.y - moment_nmm.x, m.z - moment_nmm.y, (tilt_sine(&push) - sine) * moment_nmm.norm())
     };

@@ -1,9 +1,11 @@
-//! A wire that one force pushes, from the contact inward: explicit, without a search for the equilibrium.
+//! Inverse statics of the discrete rod under one point force, from the contact inward: explicit, without a search for the equilibrium.
 //!
-//! Seen from the contact nothing is unknown: the force there is given and no moment acts, so that each joint's turn follows from what
-//! lies beyond it. The root's place and moment come out at the end; turned so that the root stands in the clamp they are the base's.
+//! In the frame of the link that is loaded, with the force f at c and nothing beyond: for j from that link to the root
+//! m_j = (c - x_j) x f (moment at joint j), w_j = w0_j + K_j^-1 J_r(w_j)^T R_j^T m_j, R_(j-1) = R_j exp(-w_j), x_(j-1) = x_j - h R_(j-1) e1.
+//! The root's frame, place and moment come out at the end; rotated so that the root stands in the clamp they are the base's.
+//! Each joint is solved by a fixed point with Newton's slope at the start. Symbols as in [`crate::discrete::rod`].
 
-use crate::Chain;
+use crate::DiscreteRod;
 use nalgebra::{Matrix3, Vector3};
 
 /// Steps of the fixed point for a joint's turn; its factor of contraction is a quarter of the turn at most.
@@ -13,9 +15,9 @@ const TURN_AGREES: f64 = 1e-10;
 /// Square of the turn below which series are used, rad^2.
 const SERIES_RAD2: f64 = 0.25;
 
-/// What a push gives, base frame.
+/// A wire in equilibrium under one point force, base frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Push {
+pub struct PointLoad {
     /// Contact on the wire's axis, mm.
     pub axis_mm: Vector3<f64>,
     /// Force on the wire, N.
@@ -26,24 +28,25 @@ pub struct Push {
     pub moment_nmm: Vector3<f64>,
 }
 
-impl Chain {
-    /// The wire pushed at an arc length (mm) by a force (N) given in the frame of its link there.
+impl DiscreteRod {
+    /// Contact place, force and root moment in the base frame for a force (N), given in the frame of the link that it acts on, at an arc
+    /// length (mm).
     #[must_use]
-    pub fn pushed(&self, arclength_mm: f64, force_n: &Vector3<f64>) -> Push {
+    pub fn under_point_load(&self, arclength_mm: f64, force_n: &Vector3<f64>) -> PointLoad {
         let last = ((arclength_mm / self.link_mm).max(0.0) as usize).min(self.links() - 1);
         // In the frame of the link that is pushed, from its inner end.
         let touched = Vector3::x() * (arclength_mm - last as f64 * self.link_mm);
         let (mut frame, mut node, mut moment) = (Matrix3::identity(), Vector3::zeros(), Vector3::zeros());
         for j in (0..=last).rev() {
             moment = (touched - node).cross(force_n);
-            let turn = self.turn_under(j, &frame.tr_mul(&moment));
+            let turn = self.joint_rotation(j, &frame.tr_mul(&moment));
             frame *= rotation(&-turn);
             if j > 0 {
                 node -= frame.column(0) * self.link_mm;
             }
         }
         let base = self.clamp_frame() * frame.transpose();
-        Push {
+        PointLoad {
             axis_mm: base * (touched - node),
             force_n: base * force_n,
             tangent: base.column(0).into(),
@@ -51,8 +54,8 @@ impl Chain {
         }
     }
 
-    /// Turn (rad) of a joint that carries a moment (N mm, frame of the link beyond it): rest + J_r(turn)^T moment / stiffness.
-    fn turn_under(&self, joint: usize, moment_nmm: &Vector3<f64>) -> Vector3<f64> {
+    /// Rotation vector (rad) of a joint that carries a moment (N mm, frame of the link beyond it): rest + J_r(turn)^T moment / stiffness.
+    fn joint_rotation(&self, joint: usize, moment_nmm: &Vector3<f64>) -> Vector3<f64> {
         let (rest, stiffness) = self.joint_law(joint);
         let soft = stiffness.map(f64::recip);
         let mut turn = rest + moment_nmm.component_mul(&soft);

@@ -1,10 +1,19 @@
 //! The wire as rigid links with springs at their joints: energy, balance and stiffness in absolute link rotations.
 //!
-//! Joints lie between link centres; the clamp's spring spans half a link, which makes the scheme second order at the root. In spatial
-//! rotation increments of each link the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links).
-//! Formulation: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
+//! With link frames R_j, length h, joint rotation w_j = log(R_(j-1)^T R_j), rest w0_j, stiffness K_j = diag(GJ, EI, EI) / span_j and the
+//! dead load q_j of link j:
+//!
+//! E = sum_j 1/2 (w_j - w0_j) . K_j (w_j - w0_j) - sum_j F_j . h R_j e1, F_j = q_j h / 2 + sum_(i > j) q_i h,
+//! dw_j = J_r^-1(w_j) R_j^T (phi_j - phi_(j-1)), with phi_j the spatial rotation increment of link j,
+//! grad_j = m_j - m_(j+1) - h R_j e1 x F_j, m_j = R_j J_r^-T(w_j) K_j (w_j - w0_j).
+//!
+//! Joints lie between link centres; the clamp's spring spans half a link, which makes the scheme second order at the root. In the phi_j
+//! the Hessian is block tridiagonal, loads included, so that a Newton step costs O(links). Past the onset of softening K depends on the
+//! bending angle ([`crate::Softening`]).
+//! Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire; the Jacobian J_r of
+//! the rotation vector: G. Chirikjian, "Stochastic Models, Information Theory, and Lie Groups" 2 (2012), ch. 10.
 
-use crate::pressed::curve::{self, Spot};
+use crate::discrete::centre_line::{self, CurvePoint};
 use crate::{RodError, Section, Shape, Softening};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -18,7 +27,7 @@ struct Joint {
 
 /// Links of equal length from a clamp.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Chain {
+pub struct DiscreteRod {
     /// Length of a link, mm.
     pub link_mm: f64,
     /// Radius of the wire, mm.
@@ -30,12 +39,12 @@ pub struct Chain {
     joints: Vec<Joint>,
     clamp: Matrix3<f64>,
     /// Places at which the surface is looked for in every step.
-    pub(crate) middles: Vec<Spot>,
+    pub(crate) middles: Vec<CurvePoint>,
 }
 
 /// Where the links are.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Links {
+pub struct Configuration {
     /// Frame of each link; its first column is the link's direction.
     pub frames: Vec<Matrix3<f64>>,
     /// Ends of the links from the root on, mm: one more than links.
@@ -55,8 +64,8 @@ pub(crate) struct Balance {
     pub dyads: Vec<(Vec<Vector3<f64>>, f64)>,
 }
 
-impl Chain {
-    /// `links` links for a wire at rest in `shape`.
+impl DiscreteRod {
+    /// `links` rigid links for a wire of `section` and `diameter_mm` (mm) that is at rest in `shape`.
     ///
     /// # Errors
     /// Without links, or where the wire has no thickness or stiffness.
@@ -68,6 +77,7 @@ impl Chain {
             });
         }
         let link_mm = shape.length_mm / links as f64;
+        // A joint stands for the wire between the middles of its two links; the first from the clamp to the middle of link 0.
         let joints = (0..links)
             .map(|j| {
                 let (from, to) = ((j as f64 - 0.5).max(0.0) * link_mm, (j as f64 + 0.5) * link_mm);
@@ -87,7 +97,7 @@ impl Chain {
             softening: section.softening,
             joints,
             clamp: shape.root,
-            middles: curve::middles(links),
+            middles: centre_line::middles(links),
         })
     }
 
@@ -115,7 +125,7 @@ impl Chain {
 
     /// The stress-free wire.
     #[must_use]
-    pub fn at_rest(&self) -> Links {
+    pub fn at_rest(&self) -> Configuration {
         let mut frame = self.clamp;
         let frames = self
             .joints
@@ -125,36 +135,36 @@ impl Chain {
                 frame
             })
             .collect();
-        self.placed(frames)
+        self.from_frames(frames)
     }
 
-    fn placed(&self, frames: Vec<Matrix3<f64>>) -> Links {
+    fn from_frames(&self, frames: Vec<Matrix3<f64>>) -> Configuration {
         let mut node = Vector3::zeros();
         let mut nodes_mm = vec![node];
         for frame in &frames {
             node += frame.column(0) * self.link_mm;
             nodes_mm.push(node);
         }
-        Links { frames, nodes_mm }
+        Configuration { frames, nodes_mm }
     }
 
     /// The links turned by spatial rotation vectors (rad).
     #[must_use]
-    pub(crate) fn turned(&self, links: &Links, by: &[Vector3<f64>]) -> Links {
+    pub(crate) fn rotated(&self, links: &Configuration, by: &[Vector3<f64>]) -> Configuration {
         let turn = |(frame, phi): (&Matrix3<f64>, &Vector3<f64>)| {
             orthonormal(Rotation3::from_scaled_axis(*phi).matrix() * frame)
         };
-        self.placed(links.frames.iter().zip(by).map(turn).collect())
+        self.from_frames(links.frames.iter().zip(by).map(turn).collect())
     }
 
     /// What the clamp's spring carries, N mm: the moment a little before the first link's middle.
-    pub(crate) fn root_spring_nmm(&self, links: &Links) -> Vector3<f64> {
+    pub(crate) fn root_spring_nmm(&self, links: &Configuration) -> Vector3<f64> {
         self.joint(links, 0).0
     }
 
     /// Largest change of curvature from rest, 1/mm.
     #[must_use]
-    pub fn largest_bend_per_mm(&self, links: &Links) -> f64 {
+    pub fn largest_bend_per_mm(&self, links: &Configuration) -> f64 {
         let bend = |j: usize| {
             let Joint { rest, span_mm, .. } = self.joints[j];
             (self.relative(links, j) - rest).yz().norm() / span_mm
@@ -162,23 +172,24 @@ impl Chain {
         (0..self.links()).map(bend).fold(0.0, f64::max)
     }
 
-    fn relative(&self, links: &Links, j: usize) -> Vector3<f64> {
+    fn relative(&self, links: &Configuration, j: usize) -> Vector3<f64> {
         let frame = if j == 0 { &self.clamp } else { &links.frames[j - 1] };
         let relative = frame.transpose() * links.frames[j];
         rotation_vector(&relative)
     }
 
     /// Spatial moment, stiffness block and energy of a joint.
-    fn joint(&self, links: &Links, j: usize) -> (Vector3<f64>, Matrix3<f64>, f64) {
+    fn joint(&self, links: &Configuration, j: usize) -> (Vector3<f64>, Matrix3<f64>, f64) {
         let w = self.relative(links, j);
-        let (stress, tangent, energy) = self.joints[j].strained(&(w - self.joints[j].rest), self.softening);
+        let (stress, tangent, energy) = self.joints[j].response(&(w - self.joints[j].rest), self.softening);
         // dw = B (phi_j - phi_{j-1}): inverse right Jacobian of the rotation vector, in the frame of link j.
         let b = inverse_right_jacobian(&w) * links.frames[j].transpose();
         let bt = b.transpose();
         (bt * stress, bt * tangent * b, energy)
     }
 
-    pub(crate) fn balance(&self, links: &Links) -> Balance {
+    /// Energy, gradient and Hessian of the elastic joints and the dead loads.
+    pub(crate) fn balance(&self, links: &Configuration) -> Balance {
         let n = self.links();
         let mut all = Balance {
             energy_nmm: 0.0,
@@ -204,7 +215,7 @@ impl Chain {
     }
 
     /// Dead loads along the wire: what lies beyond a link pulls at its end, its own half at its middle.
-    fn add_loads(&self, links: &Links, all: &mut Balance) {
+    fn add_loads(&self, links: &Configuration, all: &mut Balance) {
         let mut beyond_n = Vector3::zeros();
         for (j, load) in self.loads_n_per_mm.iter().enumerate().take(self.links()).rev() {
             let own_n = load * self.link_mm;
@@ -213,14 +224,14 @@ impl Chain {
             let arm: Vector3<f64> = links.frames[j].column(0) * self.link_mm;
             all.energy_nmm -= force.dot(&arm);
             all.gradient[j] -= arm.cross(&force);
-            all.diagonal[j] += pull_stiffness(&arm, &force);
+            all.diagonal[j] += load_stiffness(&arm, &force);
         }
     }
 }
 
 impl Joint {
     /// Moment, its derivative, and energy at a turn `off` (rad) from rest, in the frame of the link beyond.
-    fn strained(
+    fn response(
         &self,
         off: &Vector3<f64>,
         softening: Option<Softening>,
@@ -228,6 +239,7 @@ impl Joint {
         let linear = self.stiffness.component_mul(off);
         let plain = (linear, Matrix3::from_diagonal(&self.stiffness), 0.5 * linear.dot(off));
         let Some(softening) = softening else { return plain };
+        // Bending past the onset, isotropic in the section's plane; torsion stays linear.
         let onset_rad = softening.onset_per_mm() * self.span_mm;
         let bend = Vector3::new(0.0, off.y, off.z);
         let x = bend.norm() / onset_rad;
@@ -237,6 +249,7 @@ impl Joint {
         let (moment, slope) = softening.relative_moment(x);
         let (gain, along) = (moment / x, bend / bend.norm());
         let [twist, k] = [self.stiffness.x, self.stiffness.y];
+        // Secant stiffness across the bend, tangent stiffness along it.
         let bent = Matrix3::from_diagonal(&Vector3::new(0.0, k * gain, k * gain));
         let energy = 0.5 * twist * off.x * off.x + k * onset_rad * onset_rad * softening.relative_energy(x);
         let tangent = bent
@@ -247,7 +260,7 @@ impl Joint {
 }
 
 /// Hessian of `-force . R arm` in the rotation of a link.
-pub(crate) fn pull_stiffness(arm: &Vector3<f64>, force: &Vector3<f64>) -> Matrix3<f64> {
+pub(crate) fn load_stiffness(arm: &Vector3<f64>, force: &Vector3<f64>) -> Matrix3<f64> {
     let outer = arm * force.transpose();
     Matrix3::identity() * arm.dot(force) - (outer + outer.transpose()) * 0.5
 }
@@ -275,6 +288,7 @@ fn rotation_vector(r: &Matrix3<f64>) -> Vector3<f64> {
     twice_sine * if sine > 1e-12 { angle / (2.0 * sine) } else { 0.5 }
 }
 
+/// J_r^-1(w) = 1 + [w]/2 + k [w]^2, k = 1/w^2 - (1 + cos w) / (2 w sin w).
 fn inverse_right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let angle2 = w.norm_squared();
     let k = if angle2 < 1e-6 {
@@ -287,6 +301,7 @@ fn inverse_right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + hat * 0.5 + hat * hat * k
 }
 
+/// Gram-Schmidt, so that rounding does not build up over many steps.
 fn orthonormal(m: Matrix3<f64>) -> Matrix3<f64> {
     let x: Vector3<f64> = m.column(0).normalize();
     let z = x.cross(&Vector3::from(m.column(1))).normalize();
@@ -295,22 +310,23 @@ fn orthonormal(m: Matrix3<f64>) -> Matrix3<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::Chain;
+    use super::DiscreteRod;
     use crate::{Section, Shape, Softening};
     use nalgebra::Vector3;
     use wcal_core::observation::RestShape;
 
-    fn chain() -> Chain {
+    fn rod() -> DiscreteRod {
         let rest = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
-        let mut chain =
-            Chain::new(&Section::round(0.3, 75.0, 28.2), &Shape::new(&rest, 0.5).unwrap(), 0.3, 12).unwrap();
-        chain.loads_n_per_mm =
+        let mut rod =
+            DiscreteRod::new(&Section::round(0.3, 75.0, 28.2), &Shape::new(&rest, 0.5).unwrap(), 0.3, 12)
+                .unwrap();
+        rod.loads_n_per_mm =
             (0..12).map(|k| Vector3::new(1e-3, -2e-3, 3e-3) * (1.0 + k as f64 / 6.0)).collect();
-        chain
+        rod
     }
 
-    fn softened(softening: Softening) -> Chain {
-        Chain { softening: Some(softening), ..chain() }
+    fn softened(softening: Softening) -> DiscreteRod {
+        DiscreteRod { softening: Some(softening), ..rod() }
     }
 
     fn turns(size: f64, seed: usize) -> Vec<Vector3<f64>> {
@@ -321,18 +337,18 @@ mod tests {
     /// Gradient and Hessian against differences of the energy, at a bent place.
     #[test]
     fn gradient_and_stiffness_are_the_energys() {
-        agrees(&chain());
+        agrees(&rod());
         // Most joints of the bent place are past this onset.
         agrees(&softened(Softening::Section { onset_per_m: 8.0, hardening: 0.1 }));
         agrees(&softened(Softening::Bilinear { onset_per_m: 8.0, ratio: 0.4 }));
     }
 
-    fn agrees(chain: &Chain) {
-        let links = chain.turned(&chain.at_rest(), &turns(0.05, 1));
-        let balance = chain.balance(&links);
+    fn agrees(rod: &DiscreteRod) {
+        let links = rod.rotated(&rod.at_rest(), &turns(0.05, 1));
+        let balance = rod.balance(&links);
         let energy = |t: f64, by: &[Vector3<f64>]| {
             let by: Vec<_> = by.iter().map(|v| v * t).collect();
-            chain.balance(&chain.turned(&links, &by)).energy_nmm
+            rod.balance(&rod.rotated(&links, &by)).energy_nmm
         };
         for seed in 2..6 {
             let by = turns(1.0, seed);

@@ -2,7 +2,10 @@
 
 use super::{bent, bent_shape, spec};
 use nalgebra::{Matrix3, Vector3};
-use wcal_rod::{Chain, Contact, Guess, Links, Near, Pressed, Section, Shape, Surface, Tangential};
+use wcal_rod::{
+    ClosestPoint, Configuration, Contact, ContactState, DiscreteRod, Guess, Section, Shape, Surface,
+    Tangential,
+};
 
 /// Half space below `z = height_mm`.
 struct Floor {
@@ -10,10 +13,10 @@ struct Floor {
 }
 
 impl Surface for Floor {
-    fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+    fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         let distance_mm = p.z - self.height_mm;
         let point_mm = Vector3::new(p.x, p.y, self.height_mm);
-        (distance_mm < within_mm).then_some(Near {
+        (distance_mm < within_mm).then_some(ClosestPoint {
             distance_mm,
             normal: Vector3::z(),
             point_mm,
@@ -28,49 +31,54 @@ pub struct Ball {
 }
 
 impl Surface for Ball {
-    fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+    fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         let off = p - self.centre_mm;
         let distance_mm = off.norm() - self.radius_mm;
         let normal = off.normalize();
         let point_mm = self.centre_mm + normal * self.radius_mm;
         let second_per_mm = (Matrix3::identity() - normal * normal.transpose()) / off.norm();
-        (distance_mm < within_mm).then_some(Near { distance_mm, normal, point_mm, second_per_mm })
+        (distance_mm < within_mm).then_some(ClosestPoint { distance_mm, normal, point_mm, second_per_mm })
     }
 }
 
-pub fn chain(links: usize) -> Chain {
+pub fn rod(links: usize) -> DiscreteRod {
     let section = Section::round(0.3, 75.0, 28.2);
     let shape = Shape::new(&spec(bent_shape()).rest_shape, 0.25).unwrap();
-    Chain::new(&section, &shape, 0.3, links).unwrap()
+    DiscreteRod::new(&section, &shape, 0.3, links).unwrap()
 }
 
 /// A body moves along its path in `steps` steps.
-fn follow<S: Surface>(chain: &Chain, steps: usize, by: &Vector3<f64>, at: impl Fn(f64) -> S) -> Pressed {
-    let mut pressed: Option<Pressed> = None;
-    let rest = chain.at_rest();
+fn follow<S: Surface>(
+    rod: &DiscreteRod,
+    steps: usize,
+    by: &Vector3<f64>,
+    at: impl Fn(f64) -> S,
+) -> ContactState {
+    let mut pressed: Option<ContactState> = None;
+    let rest = rod.at_rest();
     for k in 0..=steps {
-        let (links, known): (&Links, &[Contact]) =
+        let (links, known): (&Configuration, &[Contact]) =
             pressed.as_ref().map_or((&rest, &[]), |p| (&p.links, &p.contacts));
-        let next = chain.press(&at(k as f64 / steps as f64), links, known, &(by / steps as f64), 60);
+        let next = rod.solve_contact(&at(k as f64 / steps as f64), links, known, &(by / steps as f64), 60);
         assert!(next.converged, "step {k}: {} iterations, {:?}", next.iterations, next.contacts);
         pressed = Some(next);
     }
     pressed.unwrap()
 }
 
-fn ball(chain: &Chain) -> Pressed {
+fn ball(rod: &DiscreteRod) -> ContactState {
     // From below into the straight part, off the plane of the wire.
     let (from, by) = (Vector3::new(42.0, 1.0, -18.0), Vector3::new(0.0, 0.0, 15.0));
-    follow(chain, 28, &by, |x| Ball { centre_mm: from + by * x, radius_mm: 5.0 })
+    follow(rod, 28, &by, |x| Ball { centre_mm: from + by * x, radius_mm: 5.0 })
 }
 
 #[test]
 fn the_root_carries_what_the_contacts_apply() {
     for pressed in [
-        ball(&chain(40)),
-        follow(&chain(40), 20, &Vector3::new(0.0, 0.0, 12.0), |x| Floor { height_mm: -20.0 + 12.0 * x }),
+        ball(&rod(40)),
+        follow(&rod(40), 20, &Vector3::new(0.0, 0.0, 12.0), |x| Floor { height_mm: -20.0 + 12.0 * x }),
     ] {
-        let moment = chain(40).base_moment_nmm(&pressed);
+        let moment = rod(40).base_moment_nmm(&pressed);
         assert!(moment.norm() > 0.2, "{moment}");
         let applied: Vector3<f64> =
             pressed.contacts.iter().map(|c| c.centre_mm.cross(&(c.normal * c.force_n))).sum();
@@ -87,15 +95,15 @@ fn links_agree_with_the_rod_to_second_order() {
     let errors: Vec<f64> = [20, 40, 80]
         .into_iter()
         .map(|links| {
-            let chain = chain(links);
-            let pressed = ball(&chain);
+            let rod = rod(links);
+            let pressed = ball(&rod);
             assert_eq!(pressed.contacts.len(), 1, "{:?}", pressed.contacts);
             let contact = pressed.contacts[0];
             let point = contact.centre_mm;
             let guess =
                 Guess { force_n: contact.normal * contact.force_n, arclength_mm: contact.arclength_mm };
-            let rod = bent(1.0).solve(&point, &guess, Tangential::Frictionless).unwrap();
-            (chain.base_moment_nmm(&pressed) - rod.moment_nmm).norm() / rod.moment_nmm.norm()
+            let continuous = bent(1.0).solve(&point, &guess, Tangential::Frictionless).unwrap();
+            (rod.base_moment_nmm(&pressed) - continuous.moment_nmm).norm() / continuous.moment_nmm.norm()
         })
         .collect();
     assert!(errors[1] < 6e-3, "{errors:?}");
@@ -105,11 +113,9 @@ fn links_agree_with_the_rod_to_second_order() {
 /// Negative control of the agreement: a clamp spring of a whole link (the plain layout) would miss by far more.
 #[test]
 fn a_floor_holds_the_tip_first_and_then_a_line() {
-    let chain = chain(60);
+    let rod = rod(60);
     let floor = |to: f64| {
-        follow(&chain, 60, &Vector3::new(0.0, 0.0, to + 20.0), |x| Floor {
-            height_mm: -20.0 + (to + 20.0) * x,
-        })
+        follow(&rod, 60, &Vector3::new(0.0, 0.0, to + 20.0), |x| Floor { height_mm: -20.0 + (to + 20.0) * x })
     };
     let tip = floor(-14.0);
     assert_eq!(tip.contacts.len(), 1);
@@ -128,14 +134,14 @@ fn a_floor_holds_the_tip_first_and_then_a_line() {
 /// The soft contact sinks in by hundredths of a millimetre and gives the hard one's moment; ten times as deep it would not.
 #[test]
 fn a_soft_contact_gives_the_hard_ones_moment() {
-    let chain = chain(40);
-    let hard = ball(&chain);
+    let rod = rod(40);
+    let hard = ball(&rod);
     let body = |lower_mm: f64| Ball { centre_mm: Vector3::new(42.0, 1.0, -3.0 - lower_mm), radius_mm: 5.0 };
-    let moment = chain.base_moment_nmm(&hard);
+    let moment = rod.base_moment_nmm(&hard);
     let off = |lower_mm: f64| {
-        let soft = chain.press_softly(&body(lower_mm), &hard.links, 300);
+        let soft = rod.solve_penalty_contact(&body(lower_mm), &hard.links, 300);
         assert!(soft.converged && soft.overlap_mm < 0.05, "{} {}", soft.converged, soft.overlap_mm);
-        (chain.base_moment_nmm(&soft) - moment).norm() / moment.norm()
+        (rod.base_moment_nmm(&soft) - moment).norm() / moment.norm()
     };
     assert!(off(0.0) < 0.02, "{}", off(0.0));
     assert!(off(0.3) > 0.03, "negative control: a ball 0.3 mm lower shows ({})", off(0.3));
@@ -144,21 +150,21 @@ fn a_soft_contact_gives_the_hard_ones_moment() {
 /// From the contact inward the same equilibrium comes out as from the search for it; half the force is another one.
 #[test]
 fn a_push_from_the_contact_inward_is_the_pressed_wire() {
-    let chain = chain(40);
+    let rod = rod(40);
     for x_mm in [16.0, 22.0, 28.0] {
         let by = Vector3::new(0.0, -2.0, -14.0);
         let start = Vector3::new(x_mm, 3.0, 21.0);
-        let pressed = follow(&chain, 16, &by, |t| Ball { centre_mm: start + by * t, radius_mm: 9.0 });
+        let pressed = follow(&rod, 16, &by, |t| Ball { centre_mm: start + by * t, radius_mm: 9.0 });
         let [contact] = &pressed.contacts[..] else { panic!("one contact: {:?}", pressed.contacts) };
-        let link = ((contact.arclength_mm / chain.link_mm) as usize).min(39);
+        let link = ((contact.arclength_mm / rod.link_mm) as usize).min(39);
         let local = pressed.links.frames[link].tr_mul(&(contact.normal * contact.force_n));
-        let push = chain.pushed(contact.arclength_mm, &local);
-        let (moment, expected) = (push.moment_nmm, chain.base_moment_nmm(&pressed));
+        let push = rod.under_point_load(contact.arclength_mm, &local);
+        let (moment, expected) = (push.moment_nmm, rod.base_moment_nmm(&pressed));
         // A contact lies on the smooth centre line, some 0.01 mm off the link itself.
         assert!((moment - expected).norm() < 1e-3 * expected.norm(), "{moment} {expected}");
-        let off = push.axis_mm - contact.normal * chain.radius_mm - contact.point_mm;
+        let off = push.axis_mm - contact.normal * rod.radius_mm - contact.point_mm;
         assert!(off.norm() < 0.03, "{off}");
-        let half = chain.pushed(contact.arclength_mm, &(local / 2.0));
+        let half = rod.under_point_load(contact.arclength_mm, &(local / 2.0));
         assert!((half.moment_nmm - expected).norm() > 0.2 * expected.norm());
     }
 }

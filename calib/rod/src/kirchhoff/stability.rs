@@ -7,10 +7,10 @@
 //! Struct. 47 (2010).
 
 use crate::dual::{Dual3, Scalar};
-use crate::integrate::{Load, matrix_of, to_arclength};
-use crate::path::{Line, Outcome, Tracker};
+use crate::kirchhoff::continuation::{BranchTracker, Line, Outcome};
+use crate::kirchhoff::integrate::{Load, matrix_of, to_arclength};
+use crate::kirchhoff::solve::{Equilibrium, Guess, Rod};
 use crate::shape::{Interval, Shape};
-use crate::solve::{Equilibrium, Guess, Rod};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 
 /// What the groove does to the wire's material point while it is disturbed.
@@ -243,7 +243,7 @@ impl Rod {
         let near = xs_mm.iter().copied().fold(0.0, f64::min);
         let touch = self.first_touch(line, -near, far);
         let mut scan = StabilityScan { samples: Vec::new(), loss: None };
-        let Some(mut tracker) = Tracker::start(self, line, &touch) else { return scan };
+        let Some(mut tracker) = BranchTracker::start(self, line, &touch) else { return scan };
         let mut order: Vec<f64> = xs_mm.iter().copied().filter(|x| *x >= touch.x_mm).collect();
         order.sort_by(f64::total_cmp);
         let mut largest: f64 = 0.0;

@@ -1,6 +1,9 @@
 //! Runge-Kutta-Munthe-Kaas integration of the wire on SE(3), fourth order; exact for constant curvature.
 //!
-//! g' = g (u, e1) with g = (R, r); Munthe-Kaas, "High order Runge-Kutta methods on manifolds", Appl. Numer. Math. 29 (1999).
+//! g' = g (u, e1) with g = (R, r) and u(s) = u0(s) + D^-1 R^T ((P - r) x F + M_w(s)). One step of length h:
+//! Omega_i = h sum_j a_ij K_j, K_i = dexp^-1_(Omega_i)(xi(g exp(Omega_i))), g_1 = g exp(h sum_i b_i K_i) with the classical a, b (RK4);
+//! dexp^-1_Omega(xi) = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12 for the body frame, enough for fourth order.
+//! Source: H. Munthe-Kaas, "High order Runge-Kutta methods on manifolds", Appl. Numer. Math. 29 (1999).
 
 use crate::dual::{M3, Scalar, V3, add, cross, mat_mat, mat_t_vec, mat_vec, scaled, sub};
 use crate::material::Section;
@@ -134,6 +137,7 @@ fn step<T: Scalar>(
 ) -> Pose<T> {
     let times = |k: &Twist<T>, f: f64| -> Twist<T> { (scaled(&k.0, f), scaled(&k.1, f)) };
     let at = |offset: f64, g: &Pose<T>| twist_at(section, length_mm, interval, offset, g, load);
+    // The four stages of the classical method, each pulled back to the algebra at g.
     let k1 = at(0.0, g);
     let half = times(&k1, 0.5 * h);
     let k2 = dexp_inverse(&half, &at(0.5 * h, &advance(g, &half)));

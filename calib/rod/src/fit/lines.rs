@@ -2,7 +2,7 @@
 
 use super::MeasuredShape;
 use super::model::RestModel;
-use crate::integrate::unloaded;
+use crate::kirchhoff::integrate::unloaded;
 use crate::{Guess, Rod, Tangential, WORKING_STEP_MM};
 use nalgebra::{DVector, Matrix3, Vector3};
 use wcal_core::observation::WhiskerSpec;
@@ -12,7 +12,7 @@ const LEGS: usize = 8;
 
 /// A shape and where Newton starts for it: the equilibrium at the nominal geometry, if it is held.
 #[derive(Clone, Copy)]
-pub(super) struct Held<'a> {
+pub(super) struct GuessedShape<'a> {
     pub shape: &'a MeasuredShape,
     pub guess: Option<Guess>,
 }
@@ -21,11 +21,11 @@ pub(super) struct Held<'a> {
 pub(super) type Nodes = Vec<(f64, Vector3<f64>, Matrix3<f64>)>;
 
 /// The wire under a shape's load, and its equilibrium.
-pub(super) fn bent(
+pub(super) fn loaded_nodes(
     nominal: &WhiskerSpec,
     model: RestModel,
     v: &DVector<f64>,
-    held: &Held<'_>,
+    held: &GuessedShape<'_>,
 ) -> Result<(Nodes, Option<Guess>), String> {
     let mut rod = Rod::new(nominal, WORKING_STEP_MM).map_err(|e| e.to_string())?;
     rod.shape = model.shape(v, WORKING_STEP_MM).map_err(|e| e.to_string())?;
@@ -64,9 +64,9 @@ pub(super) fn distances(
     nominal: &WhiskerSpec,
     model: RestModel,
     v: &DVector<f64>,
-    held: &Held<'_>,
+    held: &GuessedShape<'_>,
 ) -> Result<Vec<(f64, [f64; 2])>, String> {
-    let (shape, (nodes, _)) = (held.shape, bent(nominal, model, v, held)?);
+    let (shape, (nodes, _)) = (held.shape, loaded_nodes(nominal, model, v, held)?);
     let mut s_mm = 0.0;
     let mut out = Vec::with_capacity(shape.centreline_mm.len());
     for (k, p) in shape.centreline_mm.iter().enumerate() {

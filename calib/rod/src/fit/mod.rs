@@ -1,17 +1,20 @@
 //! Rest geometry of the whisker from measured centre lines: the rod, held where the groove held the wire, laid through all of them.
 //!
+//! min over x of sum_k sum_i |d_ki(x)|^2 / sd_ki^2 + sum_k (L_k - L(x))^2 / sd_Lk^2, d_ki the distance of point i of shape k from the rod
+//! across it; BIC = n ln(S / n) + p ln n with n the independent observations; jackknife covariance (n - 1)/n sum (x_(-k) - mean)^2.
+//!
 //! A held wire's shape depends on the rest shape, the clamp and the groove point alone: stiffness only scales the force. Unknown are
 //! the rest shape ([`RestModel`]) and the clamp (small turns, offsets across the wire). Which model the lines ask for is decided by BIC
 //! (G. Schwarz, Ann. Statist. 6, 1978). The sd of each unknown is a jackknife over the shapes (Efron & Stein, Ann. Statist. 9, 1981):
 //! neighbouring points of one centre line share their errors. Errors that all shapes share (the cameras' scale) are not in it:
-//! [`RestFit::add_common`] fits shapes that were moved by each.
+//! [`RestFit::add_common_errors`] fits shapes that were moved by each.
 
 mod lines;
 mod model;
 mod problem;
 
 use crate::RodError;
-use lines::{Held, bent, distances};
+use lines::{GuessedShape, distances, loaded_nodes};
 pub use model::RestModel;
 use nalgebra::{DMatrix, DVector, Vector3};
 use problem::solve;
@@ -62,7 +65,7 @@ pub struct ShapeResidual {
 
 /// A model that was tried.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
+pub struct ModelScore {
     /// Model.
     pub model: RestModel,
     /// Bayesian information criterion: the least is chosen; infinite where the fit did not converge.
@@ -75,7 +78,7 @@ pub struct RestFit {
     /// Model of the rest shape.
     pub model: RestModel,
     /// All models tried, and the independent observations that BIC counts with; none where the model was asked for.
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<ModelScore>,
     /// See `candidates`.
     pub independent: f64,
     /// Values in the order of [`RestModel::names`].
@@ -87,7 +90,7 @@ pub struct RestFit {
     /// Residuals of the shapes used.
     pub shapes: Vec<ShapeResidual>,
     /// Shapes left out, with the reason.
-    pub left_out: Vec<(String, String)>,
+    pub excluded: Vec<(String, String)>,
     /// Root mean square distance over all points, mm.
     pub rms_mm: f64,
     /// The same of the distances along either transverse axis over their stated standard deviation; some 1 where the model holds.
@@ -105,20 +108,21 @@ impl RestFit {
     ///
     /// # Errors
     /// Where a fit does not converge.
-    pub fn add_common(
+    pub fn add_common_errors(
         &mut self,
         nominal: &WhiskerSpec,
         moved: &[Vec<MeasuredShape>],
     ) -> Result<(), RodError> {
         let mut sum = DMatrix::zeros(self.values.len(), self.values.len());
         for shapes in moved {
-            let held: Vec<Held<'_>> = shapes
+            let held: Vec<GuessedShape<'_>> = shapes
                 .iter()
                 .filter(|s| self.shapes.iter().any(|used| used.name == s.name))
                 .map(|shape| {
-                    let (_, guess) = bent(nominal, self.model, &self.values, &Held { shape, guess: None })
-                        .map_err(|why| RodError::RestFit(format!("{}: {why}", shape.name)))?;
-                    Ok(Held { shape, guess })
+                    let (_, guess) =
+                        loaded_nodes(nominal, self.model, &self.values, &GuessedShape { shape, guess: None })
+                            .map_err(|why| RodError::RestFit(format!("{}: {why}", shape.name)))?;
+                    Ok(GuessedShape { shape, guess })
                 })
                 .collect::<Result<_, RodError>>()?;
             let off = solve(nominal, self.model, &self.values, &held)?.0 - &self.values;
@@ -145,26 +149,26 @@ pub fn fit_rest(
         return Err(RodError::RestFit("expected a straight part with an arc, found a polyline".to_owned()));
     };
     let start = DVector::from_vec(vec![straight_mm, arc_radius_mm, length_mm, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    let mut left_out = Vec::new();
+    let mut excluded = Vec::new();
     let mut used = Vec::new();
     for shape in shapes {
-        let mut held = Held { shape, guess: None };
-        match bent(nominal, RestModel::StraightArc, &start, &held) {
+        let mut held = GuessedShape { shape, guess: None };
+        match loaded_nodes(nominal, RestModel::StraightArc, &start, &held) {
             Ok((_, guess)) => {
                 held.guess = guess;
                 used.push(held);
             }
-            Err(why) => left_out.push((shape.name.clone(), why)),
+            Err(why) => excluded.push((shape.name.clone(), why)),
         }
     }
     if used.is_empty() {
-        let reasons: Vec<String> = left_out.iter().map(|(n, w)| format!("{n}: {w}")).collect();
+        let reasons: Vec<String> = excluded.iter().map(|(n, w)| format!("{n}: {w}")).collect();
         return Err(RodError::RestFit(format!(
             "expected at least one usable shape, found none ({})",
             reasons.join("; ")
         )));
     }
-    let Chosen { model, values, candidates, independent } = choose(nominal, &start, &used, choice)?;
+    let Selection { model, values, candidates, independent } = select_model(nominal, &start, &used, choice)?;
     let covariance = jackknife(nominal, model, &values, &used)?;
     let (mut residuals, mut squares, mut count, mut scaled) = (Vec::new(), 0.0, 0, 0.0);
     for held in &used {
@@ -190,38 +194,38 @@ pub fn fit_rest(
         covariance,
         common: None,
         shapes: residuals,
-        left_out,
+        excluded,
         rms_mm,
         rms_over_sd,
     })
 }
 
-struct Chosen {
+struct Selection {
     model: RestModel,
     values: DVector<f64>,
-    candidates: Vec<Candidate>,
+    candidates: Vec<ModelScore>,
     independent: f64,
 }
 
 /// Fits the models that are asked for; BIC decides between several.
-fn choose(
+fn select_model(
     nominal: &WhiskerSpec,
     start: &DVector<f64>,
-    used: &[Held<'_>],
+    used: &[GuessedShape<'_>],
     choice: RestChoice,
-) -> Result<Chosen, RodError> {
+) -> Result<Selection, RodError> {
     let arc = RestModel::StraightArc;
     let first = solve(nominal, arc, start, used);
     if choice == RestChoice::StraightArc {
         let (values, _) = first?;
-        return Ok(Chosen { model: arc, values, candidates: Vec::new(), independent: 0.0 });
+        return Ok(Selection { model: arc, values, candidates: Vec::new(), independent: 0.0 });
     }
     // A wire that is far from any arc may have no best one: the free curvature then starts from the nominal one.
     let from = first.as_ref().map_or_else(|_| start.clone(), |(values, _)| values.clone());
     let mut tried = vec![(arc, first)];
     for places in PLACES {
         let model = RestModel::FreeCurvature(places);
-        tried.push((model, solve(nominal, model, &model.of_arc(&from), used)));
+        tried.push((model, solve(nominal, model, &model.from_arc(&from), used)));
     }
     // The most flexible model leaves the noise: how long it is correlated tells how much was observed.
     let found: Vec<(RestModel, &DVector<f64>, f64)> =
@@ -236,9 +240,9 @@ fn choose(
     let bic = |model: RestModel, squares: f64| {
         independent * (squares / independent).ln() + model.names().len() as f64 * independent.ln()
     };
-    let candidates: Vec<Candidate> = tried
+    let candidates: Vec<ModelScore> = tried
         .iter()
-        .map(|(model, r)| Candidate {
+        .map(|(model, r)| ModelScore {
             model: *model,
             bic: r.as_ref().map_or(f64::INFINITY, |(_, squares)| bic(*model, *squares)),
         })
@@ -249,7 +253,7 @@ fn choose(
         .filter(|f| may_be(f.0))
         .min_by(|a, b| bic(a.0, a.2).total_cmp(&bic(b.0, b.2)))
         .ok_or_else(|| RodError::RestFit("expected a free curvature that fits, found none".to_owned()))?;
-    Ok(Chosen { model: best.0, values: best.1.clone(), candidates, independent })
+    Ok(Selection { model: best.0, values: best.1.clone(), candidates, independent })
 }
 
 /// Independent observations in all lines: points over the length, in points, within which residuals are correlated.
@@ -257,7 +261,7 @@ fn independent(
     nominal: &WhiskerSpec,
     model: RestModel,
     values: &DVector<f64>,
-    used: &[Held<'_>],
+    used: &[GuessedShape<'_>],
 ) -> Result<f64, RodError> {
     let mut lines: Vec<Vec<f64>> = Vec::new();
     for held in used {
@@ -283,7 +287,7 @@ fn jackknife(
     nominal: &WhiskerSpec,
     model: RestModel,
     values: &DVector<f64>,
-    used: &[Held<'_>],
+    used: &[GuessedShape<'_>],
 ) -> Result<Option<DMatrix<f64>>, RodError> {
     if used.len() < 3 {
         return Ok(None);
@@ -291,7 +295,7 @@ fn jackknife(
     let n = used.len() as f64;
     let mut deleted: Vec<DVector<f64>> = Vec::with_capacity(used.len());
     for skip in 0..used.len() {
-        let rest: Vec<Held<'_>> =
+        let rest: Vec<GuessedShape<'_>> =
             used.iter().enumerate().filter(|(k, _)| *k != skip).map(|(_, s)| *s).collect();
         deleted.push(solve(nominal, model, values, &rest)?.0);
     }

@@ -1,8 +1,15 @@
-//! One equilibrium: the wire held at a point by the V-groove.
+//! One equilibrium: the wire held at a point by the V-groove, by Newton's method on shooting.
+//!
+//! Unknown are the contact force F and its arc length s_c; r(s; F) and t(s; F) follow by integration from the clamp:
+//! r(s_c; F) - P = 0, and one tangential condition: F . t = 0 (frictionless), s_c given (stick), or F . t = rho |F_perp| (slip).
+//! The Jacobian is exact: derivatives by F through the integrator (forward mode), dr/ds = t, dt/ds = R (u x e1).
+//! Weight w per length enters by its moment M_w(s) = int_s^L (r(a) - r(s)) x w da, frozen, and taken anew on the solved shape.
+//! Source: S. S. Antman, "Nonlinear Problems of Elasticity" (2005), ch. VIII; shooting: J. Stoer & R. Bulirsch, "Introduction to
+//! Numerical Analysis" (2002), sec. 7.3.
 
 use crate::RodError;
 use crate::dual::{Dual3, Scalar, V3, cross};
-use crate::integrate::{Load, MomentTable, Pose, matrix_of, rows_of, to_arclength};
+use crate::kirchhoff::integrate::{Load, MomentTable, Pose, matrix_of, rows_of, to_arclength};
 use crate::material::Section;
 use crate::shape::Shape;
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
@@ -135,7 +142,7 @@ impl Rod {
         let m = cross(&load.point, &load.force);
         let turn: V3<T> =
             [0, 1, 2].map(|i| m[i].scale(self.compliance_rad_per_nmm * self.compliance_axes[i]));
-        let turned = crate::integrate::turn(&turn, &frame);
+        let turned = crate::kirchhoff::integrate::turn(&turn, &frame);
         Pose { frame: turned, position }
     }
 

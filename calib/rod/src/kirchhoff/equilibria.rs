@@ -3,10 +3,10 @@
 //! Which of several stable ones a wire takes is decided by its way there, friction and inertia: a simulator's moment at such a place is
 //! that of its own history.
 
-use crate::solve::{Equilibrium, Guess, Rod, Tangential};
+use crate::kirchhoff::solve::{Equilibrium, Guess, Rod, Tangential};
 use nalgebra::Vector3;
 
-/// An equilibrium with the smallest eigenvalue of its second variation, N: above 0 the wire holds still there.
+/// An equilibrium with the smallest eigenvalue of its second variation, N: above 0 it is stable.
 pub type Held = (Equilibrium, f64);
 
 /// Places of the contact that are tried, directions of the force about each of two angles, and sizes of the force over EI / length^2.

@@ -1,10 +1,13 @@
 //! The same groove point on a wire that differs a little: Broyden's method from the Jacobian of a known equilibrium.
 //!
+//! x_(k+1) = x_k - B_k g_k with B_0 the inverse Jacobian of the known equilibrium, g the equations of [`super::solve`], and with
+//! dx = x_(k+1) - x_k, dg = g_(k+1) - g_k: B_(k+1) = B_k + (dx - B_k dg) dx^T B_k / (dx . B_k dg)  (C. G. Broyden, Math. Comp. 19, 1965).
+//!
 //! A fit asks for hundreds of wires whose stiffness, offset or softening differ by a few per cent. Their equilibria lie next to known
-//! ones, so that plain evaluations with a known Jacobian, updated by each step's secant (Broyden 1965), reach them; where they contract too slowly, [`Rod::follow`] is to be used.
+//! ones, so that plain evaluations with the updated Jacobian reach them; where they contract too slowly, [`Rod::follow`] is to be used.
 
-use crate::integrate::{Load, to_arclength};
-use crate::solve::{Equilibrium, Rod, Tangential};
+use crate::kirchhoff::integrate::{Load, to_arclength};
+use crate::kirchhoff::solve::{Equilibrium, Rod, Tangential};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 /// A known frictionless equilibrium with the inverse Jacobian of its equations.

@@ -1,9 +1,13 @@
-//! Symmetric block tridiagonal matrices: what the links' stiffness is.
+//! Symmetric block tridiagonal matrices with 3 x 3 blocks: the Hessian of the discrete rod.
+//!
+//! A = L D L^T with blocks A_jj and B_j = A_(j,j-1): C_j = B_j D_(j-1)^-1, D_j = A_jj - C_j B_j^T; L has ones and the C_j.
+//! Solve: y_j = b_j - C_j y_(j-1), then x_j = D_j^-1 y_j - C_(j+1)^T x_(j+1). The number of negative eigenvalues of A is that of all D_j
+//! (Sylvester's law of inertia). Source: G. Golub & C. Van Loan, "Matrix Computations" (2013), sec. 4.5.
 
 use nalgebra::{Matrix3, Vector3};
 
 /// Factors of a symmetric block tridiagonal matrix.
-pub(crate) struct Factors {
+pub(crate) struct BlockFactors {
     inverse: Vec<Matrix3<f64>>,
     /// Block to the one before times that one's inverse pivot; by its transpose the way back goes, as pivots are symmetric.
     carry: Vec<Matrix3<f64>>,
@@ -11,7 +15,7 @@ pub(crate) struct Factors {
     pub(crate) negative: usize,
 }
 
-impl Factors {
+impl BlockFactors {
     /// Block LDL^T; `None` where a pivot is singular.
     pub(crate) fn new(diagonal: &[Matrix3<f64>], before: &[Matrix3<f64>]) -> Option<Self> {
         let mut inverse: Vec<Matrix3<f64>> = Vec::with_capacity(diagonal.len());
@@ -34,7 +38,7 @@ impl Factors {
         Some(Self { inverse, carry, negative })
     }
 
-    /// Solves in place.
+    /// Solves `A x = b` in place: forward substitution, then backward.
     pub(crate) fn solve(&self, x: &mut [Vector3<f64>]) {
         for j in 1..x.len() {
             let carried = times(&self.carry[j], &x[j - 1]);
@@ -89,7 +93,7 @@ fn negative_eigenvalues(m: &Matrix3<f64>) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::Factors;
+    use super::BlockFactors;
     use nalgebra::{Matrix3, Vector3};
 
     #[test]
@@ -102,9 +106,9 @@ mod tests {
             b[j] += before[j] * x[j - 1];
             b[j - 1] += before[j].transpose() * x[j];
         }
-        Factors::new(&diagonal, &before).unwrap().solve(&mut b);
+        BlockFactors::new(&diagonal, &before).unwrap().solve(&mut b);
         assert!(b.iter().zip(&x).all(|(a, b)| (a - b).norm() < 1e-12));
-        let factors = |diagonal: &[Matrix3<f64>]| Factors::new(diagonal, &before).unwrap().negative;
+        let factors = |diagonal: &[Matrix3<f64>]| BlockFactors::new(diagonal, &before).unwrap().negative;
         assert_eq!([factors(&diagonal), factors(&vec![-Matrix3::identity() * 4.0; 5])], [0, 15]);
     }
 }

@@ -1,16 +1,24 @@
-//! One step of Newton's method on the constrained energy.
+//! One step of sequential quadratic programming on the constrained energy.
+//!
+//! With gradient e, Hessian H (elastic, geometric of loads and contact forces, damping) and gap rows a_i = grad g_i:
+//! min 1/2 phi . H phi + e . phi subject to g_i + a_i . phi >= 0, solved by its dual:
+//! W f + b >= 0, f >= 0, f . (W f + b) = 0 with W_ik = a_i . H^-1 a_k, b_i = g_i - a_i . H^-1 e; phi = H^-1 (sum f_i a_i - e).
+//! H = T + U diag(w) U^T: block tridiagonal plus few dyads (contacts), inverted by Woodbury's identity; it is positive definite where
+//! the inertia of T and of the small matrix diag(1/w) + U^T T^-1 U agree with that of w (E. Haynsworth, Linear Algebra Appl. 1, 1968).
+//! Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), sec. 16.4 and 18.1; projected Gauss-Seidel for the dual: R. Cottle,
+//! J.-S. Pang & R. Stone, "The Linear Complementarity Problem" (2009), ch. 5.
 
 use super::candidates::Candidate;
-use super::curve::Spot;
-use crate::blocks::Factors;
-use crate::chain::{Balance, Chain, Links, pull_stiffness};
+use crate::discrete::block_tridiagonal::BlockFactors;
+use crate::discrete::centre_line::CurvePoint;
+use crate::discrete::rod::{Balance, Configuration, DiscreteRod, load_stiffness};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Stiffness that holds a loaded contact to the surface, N/mm: far above the wire's own. It leaves the solution where it is, and makes
 /// the energy convex where only the contact holds the wire (augmented Lagrangian).
-const HOLD_N_PER_MM: f64 = 1.0;
+const AUGMENTATION_N_PER_MM: f64 = 1.0;
 /// A gap that opens more slowly than this to both sides has no place that slides with the wire, 1/mm.
-const LEAST_OPENING_PER_MM: f64 = 1e-4;
+const MIN_OPENING_PER_MM: f64 = 1e-4;
 /// Sweeps of the dual problem.
 const DUAL_SWEEPS: usize = 200;
 
@@ -24,7 +32,7 @@ pub(super) struct Step {
 
 /// Stiffness under load: block tridiagonal, plus a few dyads from contacts that slide.
 pub(super) struct Stiffness {
-    factors: Factors,
+    factors: BlockFactors,
     dyads: Vec<Turns>,
     /// Inverse of the stiffness applied to the dyads, by the block part alone.
     solved: Vec<Turns>,
@@ -42,7 +50,7 @@ impl Stiffness {
         before: &[nalgebra::Matrix3<f64>],
         dyads: Vec<(Turns, f64)>,
     ) -> Option<Self> {
-        let factors = Factors::new(diagonal, before)?;
+        let factors = BlockFactors::new(diagonal, before)?;
         let (dyads, weights): (Vec<Turns>, Vec<f64>) = dyads.into_iter().filter(|d| d.1 != 0.0).unzip();
         let solved: Vec<Turns> = dyads
             .iter()
@@ -82,32 +90,35 @@ impl Stiffness {
 
 impl Candidate {
     /// How the gap changes with the links' turns.
-    fn row(&self, chain: &Chain, links: &Links) -> Turns {
-        chain.shifts(links, &self.spot, &self.near.normal)
+    fn row(&self, rod: &DiscreteRod, links: &Configuration) -> Turns {
+        rod.displacement_row(links, &self.place, &self.closest.normal)
     }
 
     /// Dyads of the load on a contact on a curved surface, with their weights.
     ///
     /// Second order of the gap: dx . H dx - (n . dt + H t . dx)^2 / (t . H t + n . x''), the last where the contact slides.
-    fn dyads(&self, chain: &Chain, links: &Links) -> Vec<(Turns, f64)> {
-        let (normal, second) = (self.near.normal, self.near.second_per_mm);
+    fn dyads(&self, rod: &DiscreteRod, links: &Configuration) -> Vec<(Turns, f64)> {
+        let (normal, second) = (self.closest.normal, self.closest.second_per_mm);
         let mut dyads = Vec::new();
         let curved = second.amax() > 1e-9;
         if curved {
             let axes = second.symmetric_eigen();
             for (value, axis) in axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()) {
                 if value.abs() > 1e-9 * second.amax() {
-                    dyads.push((chain.shifts(links, &self.spot, &axis.into()), -self.force_n * value));
+                    dyads.push((
+                        rod.displacement_row(links, &self.place, &axis.into()),
+                        -self.force_n * value,
+                    ));
                 }
             }
         }
         if self.slides {
-            let tangent = self.spot.tangent(chain, links);
+            let tangent = self.place.tangent(rod, links);
             let turn_per_mm = second * tangent;
-            let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.spot.bend_per_mm(chain, links));
-            if opens_per_mm > LEAST_OPENING_PER_MM {
-                let mut both = chain.shifts(links, &self.spot, &turn_per_mm);
-                for (j, share) in self.spot.tangents() {
+            let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.place.bend_per_mm(rod, links));
+            if opens_per_mm > MIN_OPENING_PER_MM {
+                let mut both = rod.displacement_row(links, &self.place, &turn_per_mm);
+                for (j, share) in self.place.tangents() {
                     let tangent: Vector3<f64> = links.frames[j].column(0) * share;
                     both[j] += tangent.cross(&normal);
                 }
@@ -118,11 +129,16 @@ impl Candidate {
     }
 }
 
-impl Chain {
+impl DiscreteRod {
     /// How a place's coordinate along `direction` changes with the links' turns.
-    pub(super) fn shifts(&self, links: &Links, spot: &Spot, direction: &Vector3<f64>) -> Turns {
+    pub(super) fn displacement_row(
+        &self,
+        links: &Configuration,
+        place: &CurvePoint,
+        direction: &Vector3<f64>,
+    ) -> Turns {
         let mut row = vec![Vector3::zeros(); self.links()];
-        for (j, share) in spot.places() {
+        for (j, share) in place.places() {
             let arm: Vector3<f64> = links.frames[j].column(0) * (share * self.link_mm);
             row[j] = arm.cross(direction);
         }
@@ -133,7 +149,7 @@ impl Chain {
     pub(super) fn imbalance_nmm(
         &self,
         gradient: &[Vector3<f64>],
-        links: &Links,
+        links: &Configuration,
         candidates: &[Candidate],
     ) -> f64 {
         let mut rest = gradient.to_vec();
@@ -152,28 +168,31 @@ impl Chain {
     pub(super) fn newton_step(
         &self,
         balance: &Balance,
-        links: &Links,
+        links: &Configuration,
         candidates: &[Candidate],
         damping: f64,
     ) -> Option<Step> {
         let mut diagonal = balance.diagonal.clone();
         let mut gradient = balance.gradient.clone();
         let mut dyads = balance.dyads.clone();
+        // Loaded contacts: augmentation on the gap, geometric stiffness of their forces, and of the surface's curvature.
         let rows: Vec<Turns> = candidates.iter().map(|c| c.row(self, links)).collect();
         for (c, row) in candidates.iter().zip(&rows).filter(|(c, _)| c.force_n > 0.0) {
-            gradient.iter_mut().zip(row).for_each(|(g, r)| *g += r * (HOLD_N_PER_MM * c.gap_mm));
-            dyads.push((row.clone(), HOLD_N_PER_MM));
-            let force = c.near.normal * c.force_n;
-            for (j, share) in c.spot.places() {
+            gradient.iter_mut().zip(row).for_each(|(g, r)| *g += r * (AUGMENTATION_N_PER_MM * c.gap_mm));
+            dyads.push((row.clone(), AUGMENTATION_N_PER_MM));
+            let force = c.closest.normal * c.force_n;
+            for (j, share) in c.place.places() {
                 let arm: Vector3<f64> = links.frames[j].column(0) * (share * self.link_mm);
-                diagonal[j] += pull_stiffness(&arm, &force);
+                diagonal[j] += load_stiffness(&arm, &force);
             }
             dyads.extend(c.dyads(self, links));
         }
+        // Levenberg damping in proportion to the elastic part.
         for (block, elastic) in diagonal.iter_mut().zip(&balance.diagonal) {
             *block += nalgebra::Matrix3::identity() * (damping * elastic.trace() / 3.0);
         }
         let stiffness = Stiffness::new(&diagonal, &balance.before, dyads)?;
+        // The unconstrained step and the gaps that it would leave.
         let free = stiffness.solve(gradient)?;
         let free: Turns = free.iter().map(|v| -v).collect();
         let ahead: Vec<f64> =
@@ -190,27 +209,27 @@ impl Chain {
                 taken.iter().map(|&k| responses.iter().map(|z| dot(&rows[k], z)).collect()).collect();
             let gaps: Vec<f64> = taken.iter().map(|&k| ahead[k]).collect();
             let forces =
-                complementary(&matrix, &gaps, taken.iter().map(|&k| candidates[k].force_n).collect());
+                solve_complementarity(&matrix, &gaps, taken.iter().map(|&k| candidates[k].force_n).collect());
             let mut turns = free.clone();
             for (z, force) in responses.iter().zip(&forces).filter(|(_, f)| **f > 0.0) {
                 turns.iter_mut().zip(z).for_each(|(b, z)| *b += z * *force);
             }
-            let met: Vec<usize> = (0..candidates.len())
+            let violated: Vec<usize> = (0..candidates.len())
                 .filter(|k| !taken.contains(k) && candidates[*k].gap_mm + dot(&rows[*k], &turns) < 0.0)
                 .collect();
-            if met.is_empty() {
+            if violated.is_empty() {
                 let mut forces_n = vec![0.0; candidates.len()];
                 taken.iter().zip(&forces).for_each(|(&k, f)| forces_n[k] = *f);
                 let finite = turns.iter().all(|t| t.iter().all(|x| x.is_finite()));
                 return finite.then_some(Step { turns, forces_n });
             }
-            taken.extend(met);
+            taken.extend(violated);
         }
     }
 }
 
 /// Forces f >= 0 with `matrix f + gaps >= 0` and one of the two zero everywhere, by projected Gauss-Seidel.
-fn complementary(matrix: &[Vec<f64>], gaps: &[f64], mut forces: Vec<f64>) -> Vec<f64> {
+fn solve_complementarity(matrix: &[Vec<f64>], gaps: &[f64], mut forces: Vec<f64>) -> Vec<f64> {
     for _ in 0..DUAL_SWEEPS {
         let mut change = 0.0_f64;
         for (k, row) in matrix.iter().enumerate() {

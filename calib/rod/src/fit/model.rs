@@ -6,7 +6,7 @@ use wcal_core::observation::RestShape;
 
 /// Differences for the Jacobian, far above Newton's tolerance and far below what is measured: lengths (mm), curvatures (1/mm), turns of
 /// the clamp (rad), its offsets (mm).
-const NUDGES: [f64; 4] = [1e-3, 1e-6, 1e-5, 1e-4];
+const DIFFERENCE_STEPS: [f64; 4] = [1e-3, 1e-6, 1e-5, 1e-4];
 /// First point of a free wire's polyline, and distance of the others, mm: its first edge is the clamp's tangent.
 const FIRST_MM: f64 = 0.01;
 const POINTS_MM: f64 = 0.5;
@@ -32,7 +32,7 @@ impl RestModel {
     }
 
     /// Unknowns of the shape; the last of them is the length.
-    pub(super) fn of_shape(self) -> usize {
+    pub(super) fn shape_unknowns(self) -> usize {
         match self {
             Self::StraightArc => 3,
             Self::FreeCurvature(places) => 2 * places + 1,
@@ -60,19 +60,19 @@ impl RestModel {
 
     /// Steps for derivatives.
     #[must_use]
-    pub fn nudges(self) -> Vec<f64> {
+    pub fn difference_steps(self) -> Vec<f64> {
         let kind = |name: &String| match name {
-            n if n.starts_with("bend") => NUDGES[1],
-            n if n.ends_with("rad") => NUDGES[2],
-            n if n.starts_with("root") => NUDGES[3],
-            _ => NUDGES[0],
+            n if n.starts_with("bend") => DIFFERENCE_STEPS[1],
+            n if n.ends_with("rad") => DIFFERENCE_STEPS[2],
+            n if n.starts_with("root") => DIFFERENCE_STEPS[3],
+            _ => DIFFERENCE_STEPS[0],
         };
         self.names().iter().map(kind).collect()
     }
 
     /// Whether values can be a wire's.
-    pub(super) fn can_be(self, v: &DVector<f64>) -> bool {
-        v.iter().all(|x| x.is_finite()) && v[self.of_shape() - 1] > 0.0
+    pub(super) fn is_admissible(self, v: &DVector<f64>) -> bool {
+        v.iter().all(|x| x.is_finite()) && v[self.shape_unknowns() - 1] > 0.0
     }
 
     /// Places of the free curvatures, mm.
@@ -114,7 +114,7 @@ impl RestModel {
     /// Turn of the clamp in the base frame, and its offset, mm.
     #[must_use]
     pub fn root(self, v: &DVector<f64>) -> (Rotation3<f64>, Vector3<f64>) {
-        let root: Vec<f64> = v.iter().skip(self.of_shape()).copied().collect();
+        let root: Vec<f64> = v.iter().skip(self.shape_unknowns()).copied().collect();
         let (turns, offsets) = root.split_at(root.len() - 2);
         let about_x = if let [x, _, _] = turns { *x } else { 0.0 };
         let turn = Vector3::new(about_x, turns[turns.len() - 2], turns[turns.len() - 1]);
@@ -122,7 +122,7 @@ impl RestModel {
     }
 
     /// A straight part with an arc, in this model's unknowns.
-    pub(super) fn of_arc(self, v: &DVector<f64>) -> DVector<f64> {
+    pub(super) fn from_arc(self, v: &DVector<f64>) -> DVector<f64> {
         let Self::FreeCurvature(n) = self else { return v.clone() };
         let (straight_mm, bend, length_mm, roll) = (v[0], 1.0 / v[1], v[2], v[3]);
         let cell_mm = length_mm / (n - 1) as f64;

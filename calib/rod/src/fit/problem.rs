@@ -1,6 +1,6 @@
 //! The least-squares problem of the crate `levenberg-marquardt`; a place where the rod has no solution has no residuals.
 
-use super::lines::{Held, distances};
+use super::lines::{GuessedShape, distances};
 use super::model::RestModel;
 use crate::RodError;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
@@ -13,14 +13,14 @@ const LENGTH_SD_MM: f64 = 0.05;
 struct Problem<'a> {
     nominal: &'a WhiskerSpec,
     model: RestModel,
-    nudges: Vec<f64>,
-    shapes: &'a [Held<'a>],
+    difference_steps: Vec<f64>,
+    shapes: &'a [GuessedShape<'a>],
     values: DVector<f64>,
 }
 
 impl Problem<'_> {
     fn residuals_at(&self, v: &DVector<f64>) -> Option<DVector<f64>> {
-        if !self.model.can_be(v) {
+        if !self.model.is_admissible(v) {
             return None;
         }
         let mut all = Vec::new();
@@ -30,7 +30,7 @@ impl Problem<'_> {
                 all.extend(d.map(|d| d / sd));
             }
             let sd = if shape.length_mm[1] > 0.0 { shape.length_mm[1] } else { LENGTH_SD_MM };
-            all.push((shape.length_mm[0] - v[self.model.of_shape() - 1]) / sd);
+            all.push((shape.length_mm[0] - v[self.model.shape_unknowns() - 1]) / sd);
         }
         Some(DVector::from_vec(all))
     }
@@ -54,13 +54,13 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let mut columns = Vec::with_capacity(self.nudges.len());
-        for (k, nudge) in self.nudges.iter().enumerate() {
+        let mut columns = Vec::with_capacity(self.difference_steps.len());
+        for (k, step) in self.difference_steps.iter().enumerate() {
             let mut up = self.values.clone();
-            up[k] += nudge;
+            up[k] += step;
             let mut down = self.values.clone();
-            down[k] -= nudge;
-            columns.push((self.residuals_at(&up)? - self.residuals_at(&down)?) / (2.0 * nudge));
+            down[k] -= step;
+            columns.push((self.residuals_at(&up)? - self.residuals_at(&down)?) / (2.0 * step));
         }
         Some(DMatrix::from_columns(&columns))
     }
@@ -71,9 +71,10 @@ pub(super) fn solve(
     nominal: &WhiskerSpec,
     model: RestModel,
     start: &DVector<f64>,
-    shapes: &[Held<'_>],
+    shapes: &[GuessedShape<'_>],
 ) -> Result<(DVector<f64>, f64), RodError> {
-    let problem = Problem { nominal, model, nudges: model.nudges(), shapes, values: start.clone() };
+    let problem =
+        Problem { nominal, model, difference_steps: model.difference_steps(), shapes, values: start.clone() };
     // Steps far below the standard deviations are not worth a Jacobian.
     let method = LevenbergMarquardt::new().with_patience(20).with_ftol(1e-9).with_xtol(1e-8);
     let (problem, report) = method.minimize(problem);

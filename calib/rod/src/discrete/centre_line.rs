@@ -1,10 +1,13 @@
 //! The smooth centre line of the links: the integral of a quadratic B-spline through their directions, of third order in their length.
 //!
+//! t(x) = sum_j c_j N_2(x - j), x in links, N_2 the quadratic B-spline; inside c_j = 5/4 d_j - (d_(j-1) + d_(j+1)) / 8 of the links'
+//! directions d_j; r(x) = h int_0^x t. Place, tangent and curvature are therefore fixed linear combinations of the directions.
+//!
 //! A link's direction is the wire's at the link's middle. Links laid end to end leave a bent wire by a twelfth of bend times length
 //! squared: little, but a wire that is barely touched is bent by no more. Weights of the spline on the directions: C. de Boor, A
 //! Practical Guide to Splines (2001), ch. XII (quasi-interpolant); the clamp's direction bounds it at the root.
 
-use crate::chain::{Chain, Links};
+use crate::discrete::rod::{Configuration, DiscreteRod};
 use nalgebra::Vector3;
 
 /// Most links near a place that weigh in it otherwise than wholly.
@@ -22,7 +25,7 @@ struct Shares {
 
 /// A place on the centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Spot {
+pub(crate) struct CurvePoint {
     /// From the root in links, 0 to their number.
     pub at: f64,
     /// First link of the window, and how many are in it.
@@ -97,12 +100,12 @@ fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 
 }
 
 /// The links' middles, and the tip.
-pub(crate) fn middles(links: usize) -> Vec<Spot> {
-    (0..links).map(|j| j as f64 + 0.5).chain([links as f64]).map(|at| Spot::new(at, links)).collect()
+pub(crate) fn middles(links: usize) -> Vec<CurvePoint> {
+    (0..links).map(|j| j as f64 + 0.5).chain([links as f64]).map(|at| CurvePoint::new(at, links)).collect()
 }
 
-impl Spot {
-    pub(super) fn new(at: f64, links: usize) -> Self {
+impl CurvePoint {
+    pub(crate) fn new(at: f64, links: usize) -> Self {
         let at = at.clamp(0.0, links as f64);
         let cell = (at as usize).min(links - 1);
         let v = at - cell as f64;
@@ -136,7 +139,7 @@ impl Spot {
     }
 
     /// Links that move it, with their shares.
-    pub(super) fn places(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+    pub(crate) fn places(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         let share = |j: usize| match j.checked_sub(self.first) {
             Some(k) => self.place.links[k],
             None => FIRST.get(j).copied().unwrap_or(1.0),
@@ -145,12 +148,12 @@ impl Spot {
     }
 
     /// Share of the clamp's direction in its place, in links.
-    pub(super) fn clamp_share(&self) -> f64 {
+    pub(crate) fn clamp_share(&self) -> f64 {
         self.place.clamp
     }
 
     /// Links that turn its tangent, with their shares.
-    pub(super) fn tangents(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+    pub(crate) fn tangents(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.near(&self.tangent)
     }
 
@@ -159,32 +162,32 @@ impl Spot {
     }
 
     /// Sum of directions with their shares.
-    fn sum(&self, chain: &Chain, links: &Links, shares: &Shares) -> Vector3<f64> {
+    fn sum(&self, rod: &DiscreteRod, links: &Configuration, shares: &Shares) -> Vector3<f64> {
         let near: Vector3<f64> = self.near(shares).map(|(j, share)| links.frames[j].column(0) * share).sum();
-        near + chain.clamp_frame().column(0) * shares.clamp
+        near + rod.clamp_frame().column(0) * shares.clamp
     }
 
-    pub(super) fn point_mm(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
-        let mut point = links.nodes_mm[self.first] + self.sum(chain, links, &self.place) * chain.link_mm;
+    pub(crate) fn point_mm(&self, rod: &DiscreteRod, links: &Configuration) -> Vector3<f64> {
+        let mut point = links.nodes_mm[self.first] + self.sum(rod, links, &self.place) * rod.link_mm;
         if self.first > 0 {
             for (share, frame) in FIRST.iter().zip(&links.frames) {
-                point += frame.column(0) * ((share - 1.0) * chain.link_mm);
+                point += frame.column(0) * ((share - 1.0) * rod.link_mm);
             }
         }
         point
     }
 
     /// Tangent, of unit length to third order.
-    pub(super) fn tangent(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
-        self.sum(chain, links, &self.tangent)
+    pub(crate) fn tangent(&self, rod: &DiscreteRod, links: &Configuration) -> Vector3<f64> {
+        self.sum(rod, links, &self.tangent)
     }
 
     /// Change of the tangent along the wire, 1/mm.
-    pub(super) fn bend_per_mm(&self, chain: &Chain, links: &Links) -> Vector3<f64> {
+    pub(crate) fn bend_per_mm(&self, rod: &DiscreteRod, links: &Configuration) -> Vector3<f64> {
         let cell = (self.at as usize).min(self.links - 1);
         let v = self.at - cell as f64;
         let bend = shares(cell, self.first, self.links, &[], [v - 1.0, 1.0 - 2.0 * v, v]);
-        self.sum(chain, links, &bend) / chain.link_mm
+        self.sum(rod, links, &bend) / rod.link_mm
     }
 }
 
@@ -194,19 +197,19 @@ mod tests {
     use crate::{Section, Shape};
     use wcal_core::observation::RestShape;
 
-    fn chain(links: usize, straight_mm: f64) -> (Chain, Shape) {
+    fn rod(links: usize, straight_mm: f64) -> (DiscreteRod, Shape) {
         let rest = RestShape::StraightArc { straight_mm, arc_radius_mm: 20.0, length_mm: 60.0 };
         let shape = Shape::new(&rest, 0.05).unwrap();
-        (Chain::new(&Section::round(0.3, 75.0, 28.2), &shape, 0.3, links).unwrap(), shape)
+        (DiscreteRod::new(&Section::round(0.3, 75.0, 28.2), &shape, 0.3, links).unwrap(), shape)
     }
 
     /// Farthest that the curve of the wire at rest is from the wire, mm.
     fn off_mm(links: usize, straight_mm: f64) -> f64 {
-        let (chain, shape) = chain(links, straight_mm);
-        let rest = chain.at_rest();
+        let (rod, shape) = rod(links, straight_mm);
+        let rest = rod.at_rest();
         let off = |k: u32| {
             let at = f64::from(k) / 400.0 * links as f64;
-            (Spot::new(at, links).point_mm(&chain, &rest) - shape.rest_point(at * chain.link_mm)).norm()
+            (CurvePoint::new(at, links).point_mm(&rod, &rest) - shape.rest_point(at * rod.link_mm)).norm()
         };
         (0..=400).map(off).fold(0.0, f64::max)
     }
@@ -217,10 +220,10 @@ mod tests {
         let order = [coarse / middle, middle / fine].map(f64::log2);
         assert!(order.iter().all(|o| *o > 2.7) && fine < 2e-3, "{coarse} {middle} {fine}");
         // Links laid end to end leave the arc by more than four times that.
-        let (chain, shape) = chain(40, 0.0);
-        let rest = chain.at_rest();
+        let (rod, shape) = rod(40, 0.0);
+        let rest = rod.at_rest();
         let middle = (rest.nodes_mm[20] + rest.nodes_mm[21]) / 2.0;
-        let plain = (middle - shape.rest_point(20.5 * chain.link_mm)).norm();
+        let plain = (middle - shape.rest_point(20.5 * rod.link_mm)).norm();
         assert!(plain > 4.0 * fine, "{plain} {fine}");
         // Where the bend begins at once, second order remains near there; links end to end are farther off.
         assert!(off_mm(40, 30.0) < 0.75 * plain, "{} {fine} {plain}", off_mm(40, 30.0));
@@ -229,24 +232,24 @@ mod tests {
     #[test]
     fn tangent_and_bend_are_the_places_derivatives() {
         let links = 12;
-        let (chain, _) = chain(links, 10.0);
-        let rest = chain.at_rest();
+        let (rod, _) = rod(links, 10.0);
+        let rest = rod.at_rest();
         for k in 1..240 {
             let at = f64::from(k) * 0.05 - 0.02;
             let step = 1e-5;
-            let spot = |x: f64| Spot::new(x, links);
-            let point = |x: f64| spot(x).point_mm(&chain, &rest) / chain.link_mm;
+            let spot = |x: f64| CurvePoint::new(x, links);
+            let point = |x: f64| spot(x).point_mm(&rod, &rest) / rod.link_mm;
             let slope = (point(at + step) - point(at - step)) / (2.0 * step);
-            assert!((slope - spot(at).tangent(&chain, &rest)).norm() < 1e-8, "{at}");
-            let tangent = |x: f64| spot(x).tangent(&chain, &rest);
-            let bend = (tangent(at + step) - tangent(at - step)) / (2.0 * step * chain.link_mm);
-            assert!((bend - spot(at).bend_per_mm(&chain, &rest)).norm() < 1e-5, "{at}");
+            assert!((slope - spot(at).tangent(&rod, &rest)).norm() < 1e-8, "{at}");
+            let tangent = |x: f64| spot(x).tangent(&rod, &rest);
+            let bend = (tangent(at + step) - tangent(at - step)) / (2.0 * step * rod.link_mm);
+            assert!((bend - spot(at).bend_per_mm(&rod, &rest)).norm() < 1e-5, "{at}");
             let sum = spot(at).places().map(|p| p.1).sum::<f64>() + spot(at).clamp_share();
             assert!((sum - at).abs() < 1e-12, "a straight wire is as long as it is: {at} {sum}");
         }
         // Negative control: half a link on, the tangent is another.
-        let turned =
-            Spot::new(8.0, links).tangent(&chain, &rest) - Spot::new(8.5, links).tangent(&chain, &rest);
+        let turned = CurvePoint::new(8.0, links).tangent(&rod, &rest)
+            - CurvePoint::new(8.5, links).tangent(&rod, &rest);
         assert!(turned.norm() > 1e-2);
     }
 }

@@ -1,6 +1,11 @@
-//! Branch following along a straight path of the groove, from first touch, in adaptive steps.
+//! Natural continuation of the equilibrium along a straight path of the groove, from first touch, in adaptive steps.
+//!
+//! Predictor: secant through the last two equilibria, x(l + dl) = x(l) + (x(l) - x(l')) dl / (l - l'); corrector: Newton
+//! ([`super::solve`]). The step grows by 1.5 where Newton is quick and is halved where it fails; a branch ends at a fold where the step
+//! falls below 1e-4 mm or the determinant would change its sign. Source: E. Allgower & K. Georg, "Numerical Continuation Methods"
+//! (1990), ch. 2 and 6.
 
-use crate::solve::{Equilibrium, Failure, Guess, Rod, Tangential};
+use crate::kirchhoff::solve::{Equilibrium, Failure, Guess, Rod, Tangential};
 use nalgebra::Vector3;
 
 /// A straight path of the groove.
@@ -67,7 +72,7 @@ const TOUCH_GRID_MM: f64 = 0.05;
 const MOUTH_MM: f64 = 2.0;
 
 /// Golden-section search for the smallest gap around a sample.
-fn polished(at: impl Fn(f64) -> Touch, sample: Touch, grid_mm: f64, length_mm: f64) -> Touch {
+fn golden_section(at: impl Fn(f64) -> Touch, sample: Touch, grid_mm: f64, length_mm: f64) -> Touch {
     let (mut a, mut b) =
         ((sample.arclength_mm - grid_mm).max(0.0), (sample.arclength_mm + grid_mm).min(length_mm));
     for _ in 0..60 {
@@ -100,7 +105,7 @@ impl Rod {
         let gap = |k: usize| sampled.get(k).map_or(f64::INFINITY, |t| t.gap_mm);
         let minima: Vec<Touch> = (0..samples)
             .filter(|&k| (k == 0 || gap(k) <= gap(k - 1)) && gap(k) < gap(k + 1))
-            .map(|k| polished(at, sampled[k], grid_mm, self.shape.length_mm))
+            .map(|k| golden_section(at, sampled[k], grid_mm, self.shape.length_mm))
             .collect();
         let closest = minima.iter().map(|t| t.gap_mm).fold(f64::INFINITY, f64::min);
         minima
@@ -123,7 +128,7 @@ impl Rod {
         let mut order: Vec<usize> = (0..xs_mm.len()).collect();
         order.sort_by(|&a, &b| xs_mm[a].total_cmp(&xs_mm[b]));
         let mut out = vec![Outcome::NotTouched; xs_mm.len()];
-        let Some(mut tracker) = Tracker::start(self, line, &touch) else { return out };
+        let Some(mut tracker) = BranchTracker::start(self, line, &touch) else { return out };
         for index in order {
             let x = xs_mm[index];
             out[index] = if x < touch.x_mm - 1e-9 { Outcome::NotTouched } else { tracker.advance_to(x) };
@@ -132,8 +137,8 @@ impl Rod {
     }
 }
 
-/// Walks along a line keeping the last two equilibria for the secant predictor.
-pub struct Tracker<'a> {
+/// Follows one branch of equilibria along a line; it keeps the last two for the secant predictor.
+pub struct BranchTracker<'a> {
     rod: &'a Rod,
     line: Line,
     last: (f64, Equilibrium),
@@ -142,7 +147,7 @@ pub struct Tracker<'a> {
     end: Option<Outcome>,
 }
 
-impl<'a> Tracker<'a> {
+impl<'a> BranchTracker<'a> {
     /// Starts at first touch: from the unloaded wire straight to the line, then along it.
     #[must_use]
     pub fn start(rod: &'a Rod, line: &Line, touch: &Touch) -> Option<Self> {

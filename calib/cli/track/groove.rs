@@ -170,7 +170,7 @@ impl KnownGroove {
 }
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
-fn at_most(hits: usize, n: usize, p: f64) -> f64 {
+pub fn at_most(hits: usize, n: usize, p: f64) -> f64 {
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {
         sum += ln_term.exp();

@@ -16,6 +16,11 @@ use wcal_track::{Tracker, TrackerStream};
 pub struct TrustIssues(Vec<TrustIssue>);
 
 impl TrustIssues {
+    /// These.
+    pub fn of(issues: Vec<TrustIssue>) -> Self {
+        Self(issues)
+    }
+
     /// Whether there are none.
     pub fn none(&self) -> bool {
         self.0.is_empty()
@@ -104,6 +109,24 @@ fn never_written(place: &Path) -> Option<String> {
     ))
 }
 
+/// A whisker's calibration, and what speaks against it by itself.
+///
+/// # Errors
+/// Where the file cannot be read, or was changed so that its content means nothing any more.
+pub fn calibration_issues(place: &Path) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>)> {
+    if let Some(why) = never_written(place) {
+        bail!(why);
+    }
+    let (file, changed) = read_unsealed(place)?;
+    of_whisker(place, &file)?;
+    let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
+    issues.extend(standing(&file, jiff::Timestamp::now())?);
+    if file.verification == VerificationStatus::Unverified {
+        issues.push(TrustIssue::NeverVerified);
+    }
+    Ok((file, issues))
+}
+
 /// A whisker's calibration judged beside a model's card, before the model itself is loaded.
 pub struct CheckedCalibration {
     name: String,
@@ -131,16 +154,7 @@ impl CheckedCalibration {
     /// # Errors
     /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
     pub fn read(name: &str, place: &Path, card: Card) -> Result<Self> {
-        if let Some(why) = never_written(place) {
-            bail!(why);
-        }
-        let (file, changed) = read_unsealed(place)?;
-        of_whisker(place, &file)?;
-        let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
-        issues.extend(standing(&file, jiff::Timestamp::now())?);
-        if file.verification == VerificationStatus::Unverified {
-            issues.push(TrustIssue::NeverVerified);
-        }
+        let (file, mut issues) = calibration_issues(place)?;
         match file.whisker.as_ref().map(|w| w.difference(&card.whisker)) {
             Some(Some(found)) => issues.push(TrustIssue::OtherWhisker(found)),
             Some(None) => {}

@@ -1,4 +1,5 @@
 //! `wcal train`, `wcal evaluate` and `wcal track` as a user runs them (SIMULATED sweeps).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::path::Path;
 use std::process::{Command, Output};

@@ -1,4 +1,5 @@
 //! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again; meshes refused by name.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -194,6 +195,7 @@ fn slab(half_mm: [f64; 3], inward: bool) -> (Vec<Vector3<f64>>, Vec<[u32; 3]>) {
     ((0..8).map(corner).collect(), turned.collect())
 }
 
+#[allow(clippy::type_complexity, reason = "used once")]
 fn together(name: &str, slabs: &[(Vec<Vector3<f64>>, Vec<[u32; 3]>)]) -> Mesh {
     let (mut points, mut triangles) = (Vec::new(), Vec::new());
     for (more, faces) in slabs {

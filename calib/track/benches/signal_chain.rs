@@ -61,7 +61,7 @@ fn moment_nmm(t_s: f64, whisker: usize) -> [f64; 2] {
 
 fn scan(serial: u64, rng: &mut ChaCha8Rng) -> FbgReading {
     let t_s = serial as f64 / RATE_HZ;
-    let mut peaks_nm = vec![Vec::with_capacity(12); 4];
+    let mut peaks_nm = vec![Vec::new(); 4];
     for w in 0..WHISKERS {
         let m = moment_nmm(t_s, w);
         let shift_pm = [0.0, 72.0 * m[0] + 9.0 * m[1], -6.0 * m[0] + 78.0 * m[1]];

@@ -91,6 +91,7 @@ impl Case {
 }
 
 /// Time of each step: forward, mean square of three numbers, backward, Adam.
+#[allow(clippy::type_complexity, reason = "used once")]
 fn train(
     config: &NetworkConfig,
     case: &Case,

@@ -1,4 +1,5 @@
 //! The tracker on small simulated series: gradients, order of time, streams, files, training.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::{Device, Tensor, TensorData};

@@ -1,4 +1,5 @@
 //! MuJoCo itself, through the program (SIMULATED). Without libmujoco (`make setup`) only what is then said is tested.
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use std::io::{BufRead, BufReader, Write};

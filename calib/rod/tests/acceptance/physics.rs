@@ -57,7 +57,7 @@ fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
     let tangent = last.links.frames[(c.arclength_mm / 1.5) as usize].column(0).into_owned();
     assert!(slid_mm.abs() > 0.02 && c.friction_n.dot(&tangent) * slid_mm > 0.0, "{slid_mm} {c:?}");
     let ratio = c.friction_n.dot(&tangent).signum() * mu;
-    let (moment, force) = (discrete.base_moment_nmm(&last), c.normal * c.force_n + c.friction_n);
+    let (moment, force) = (discrete.base_moment_nmm(last), c.normal * c.force_n + c.friction_n);
     let off = |ratio: f64| {
         let rod = rod_at(last, &bent(1.0), Tangential::Ratio(ratio));
         ((moment - rod.moment_nmm).norm() / moment.norm(), (force - rod.force_n).norm() / force.norm())
@@ -91,7 +91,7 @@ fn a_contact_sticks_while_friction_turns_round() {
     let force = c.normal * c.force_n + c.friction_n;
     assert!((force - rod.force_n).norm() < 1e-2 * force.norm(), "{force} {:?}", rod.force_n);
     assert!((rod.arclength_mm - c.arclength_mm).abs() < 0.02, "{rod:?}");
-    let moment = discrete.base_moment_nmm(&stuck);
+    let moment = discrete.base_moment_nmm(stuck);
     assert!((moment - rod.moment_nmm).norm() < 6e-3 * moment.norm(), "{moment} {rod:?}");
     // Negative control: without friction there is none, and the plain equilibrium comes out.
     let smooth = rubbed(&discrete, 0.0, [34.0, 0.0], 2.0, DEEP).pop().unwrap();

@@ -29,6 +29,7 @@ struct Wire {
 }
 
 impl Wire {
+    #[allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
     fn step(&mut self, target: [f64; 2]) -> [f64; 2] {
         // Clamped and pinned: 4.4 times the first mode; the contact damps.
         let (hz, q) = if self.held { (4.4 * self.free.0, 6.0) } else { self.free };
@@ -151,6 +152,7 @@ fn run(detector: &mut EventDetector, samples: &[(f64, [f64; 2])]) -> Vec<Contact
 }
 
 /// Events matched in time (and kind, where `named`), F1, and the matched pairs.
+#[allow(clippy::type_complexity, reason = "used once")]
 fn score<'a>(
     truth: &'a [(EventKind, f64)],
     found: &'a [ContactEvent],

@@ -193,7 +193,7 @@ fn a_wire_is_taken_up_again_behind_a_card_and_not_made_up() {
         let style = Style { covered_mm, ..Style::default() };
         let wire = bench::wire(seed);
         let shapes = run(&calibrated(3), &[vec![wire.clone()]], None, seed, &style);
-        let (inside, rms) = judged(&shapes, &[wire.clone()], 1.0);
+        let (inside, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= 0.05, "{seed}: {rms} mm");
         assert!(inside >= 0.8, "{seed}: {inside}");
         assert!((shapes.pairs[0].length_mm - bench::LENGTH_MM).abs() < 0.05, "{seed}");

@@ -1,4 +1,5 @@
 //! All tests of wcal-vision, one program: each would link OpenCV and AprilTag anew.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod bad_input;
 mod bench_pictures;

@@ -138,6 +138,7 @@ impl DiscreteRod {
         self.from_frames(frames)
     }
 
+    #[allow(clippy::wrong_self_convention, reason = "a configuration of this rod from frames")]
     fn from_frames(&self, frames: Vec<Matrix3<f64>>) -> Configuration {
         let mut node = Vector3::zeros();
         let mut nodes_mm = vec![node];

@@ -122,6 +122,7 @@ impl RestModel {
     }
 
     /// A straight part with an arc, in this model's unknowns.
+    #[allow(clippy::wrong_self_convention, reason = "parameters of this model from a shape")]
     pub(super) fn from_arc(self, v: &DVector<f64>) -> DVector<f64> {
         let Self::FreeCurvature(n) = self else { return v.clone() };
         let (straight_mm, bend, length_mm, roll) = (v[0], 1.0 / v[1], v[2], v[3]);

@@ -6,10 +6,10 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::Arc;
-use wcal_trace::candidate::{Candidate, Law, Role};
-use wcal_trace::effects::whisker_catalogue;
+use wcal_trace::effect::{Effect, EffectModel, Need, Role};
 use wcal_trace::scalar::effects::scalar_catalogue;
 use wcal_trace::scalar::frame::{Declared, Frame, Scaling};
+use wcal_trace::whisker::effects::whisker_catalogue;
 
 /// The file formats, for `wcal formats` and `wcal help formats`.
 pub const FORMATS: &str = include_str!("formats.txt");
@@ -25,20 +25,20 @@ pub struct ExplainArgs {
 }
 
 /// A catalogue: the kind of session that it is for, and its effects.
-type Catalogue = (&'static str, Vec<Arc<dyn Candidate>>);
+type Catalogue = (&'static str, Vec<Arc<dyn Effect>>);
 
 /// The catalogues by kind of session.
 fn catalogues() -> [Catalogue; 3] {
-    let scalar = |declared| -> Vec<Arc<dyn Candidate>> {
+    let scalar = |declared| -> Vec<Arc<dyn Effect>> {
         // Laws and ranges do not depend on rows; one covariate stands for all.
         let frame = Frame::new(Vec::new(), &Scaling::of(&[]), declared);
         scalar_catalogue(&frame, &["covariate".to_owned()])
             .into_iter()
-            .map(|e| e as Arc<dyn Candidate>)
+            .map(|e| e as Arc<dyn Effect>)
             .collect()
     };
     [
-        ("whisker", whisker_catalogue().into_iter().map(|e| e as Arc<dyn Candidate>).collect()),
+        ("whisker", whisker_catalogue().into_iter().map(|e| e as Arc<dyn Effect>).collect()),
         ("transducer", scalar(Declared::Polynomial(1))),
         ("axis", scalar(Declared::Axis)),
     ]
@@ -53,7 +53,7 @@ pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
     let Some(id) = &args.effect else {
         return written(&listed(&catalogues));
     };
-    let found: Vec<(&str, &Arc<dyn Candidate>)> = catalogues
+    let found: Vec<(&str, &Arc<dyn Effect>)> = catalogues
         .iter()
         .flat_map(|(kind, effects)| effects.iter().map(move |e| (*kind, e)))
         .filter(|(_, e)| e.id() == id)
@@ -106,9 +106,9 @@ fn listed(catalogues: &[Catalogue]) -> String {
 }
 
 /// An effect with its laws.
-fn in_full(kind: &str, effect: &dyn Candidate) -> String {
+fn in_full(kind: &str, effect: &dyn Effect) -> String {
     let mut out = format!("  {}\n  source: {}\n", effect.sentence(), effect.source());
-    let _ = writeln!(out, "  columns: {}", columns(kind, effect.id()));
+    let _ = writeln!(out, "  columns: {}", columns(kind, effect));
     for (laws, note) in
         [(effect.laws(), ""), (effect.refinements(), ", tried where the effect is accepted already")]
     {
@@ -117,7 +117,7 @@ fn in_full(kind: &str, effect: &dyn Candidate) -> String {
     out
 }
 
-fn of_law(law: &Law, note: &str) -> String {
+fn of_law(law: &EffectModel, note: &str) -> String {
     let mut out = format!("  law {}{note}\n", law.name);
     for p in &law.parameters {
         let [low, high] = p.range;
@@ -157,27 +157,29 @@ fn unit(unit: &str) -> String {
     }
 }
 
-/// Columns without which the effect cannot be traced, beside the required ones.
-fn columns(kind: &str, id: &str) -> &'static str {
-    match (kind, id) {
-        ("whisker", "stage-backlash" | "groove-friction") => "direction (readings of loading and unloading)",
-        ("whisker", "stage-scale" | "stage-periodic") => "stage_mm",
-        ("whisker", "time-lag") => "t_s, speed_mm_s above 0 (readings while the stage moves)",
-        ("whisker", "temperature-mismatch") => "temperature_degc or fbg_ref_nm",
-        ("whisker", "zero-drift" | "creep") => "t_s",
-        ("whisker", "hysteresis") => {
-            "the order of the rows, better t_s; direction (readings of loading and unloading)"
+/// Columns without which the effect cannot be traced, beside the required ones, and those that help.
+fn columns(kind: &str, effect: &dyn Effect) -> String {
+    let needed = effect.needs();
+    let all: Vec<&str> =
+        needed.iter().filter_map(|need| column(kind, *need)).chain(effect.helped_by()).collect();
+    if all.is_empty() { "none beside the required ones".to_owned() } else { all.join(", ") }
+}
+
+fn column(kind: &str, need: Need) -> Option<&'static str> {
+    match need {
+        Need::Time => Some("t_s"),
+        Need::Clock => Some("t_s, or rows in the order in which they were taken"),
+        Need::Order => Some("rows in the order in which they were taken"),
+        Need::Temperature if kind == "whisker" => Some("temperature_degc or fbg_ref_nm"),
+        Need::Temperature => Some("temperature_degc"),
+        Need::BothDirections => Some("direction, or t_s with rising and falling stimulus"),
+        Need::Motion => Some("t_s, speed_mm_s above 0 (readings while the stage moves)"),
+        Need::MovingBase => {
+            Some("none: on the stage the base does not move, so it is never observable there")
         }
-        ("whisker", "gravity") => "none; session.toml gives density_kg_m3 and the direction of gravity",
-        ("whisker", "fluid-drag") => {
-            "none: on the stage the base does not move, so it is never observable there"
-        }
-        (_, "hysteresis" | "backlash") => "direction, or t_s with rising and falling stimulus",
-        (_, "creep" | "lag") => "t_s",
-        (_, "drift" | "step") => "t_s, or rows in the order in which they were taken",
-        (_, "temperature") => "temperature_degc",
-        (_, "cross-axis") => "a further covariate",
-        _ => "none beside the required ones",
+        Need::Weight => Some("none; session.toml gives density_kg_m3 and the direction of gravity"),
+        Need::Covariate => Some("a further covariate"),
+        Need::Slope => None,
     }
 }
 

@@ -7,7 +7,7 @@ use wcal_report::{
     TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::engine::search::Evidence;
+use wcal_trace::method::search::Evidence;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
 use wcal_trace::whisker::WhiskerVerification;
 
@@ -72,7 +72,7 @@ pub fn of_whisker(
             .iter()
             .map(|(name, error)| NamedError { name: name.clone(), error: error.clone() })
             .collect(),
-        gate: gates([found.first_gate.families(), found.last_gate.families()], after),
+        gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),
         twin: twin(done),
         evidence: evidence(&found.evidence),
         isolability: (done.isolability.0.len() > 1)

@@ -14,10 +14,10 @@ use wcal_core::verify_document::{CalibrationJudgement, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
-use wcal_trace::engine::search::Options;
+use wcal_trace::method::search::Options;
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
-use wcal_trace::whisker::listings::PredictionRow;
+use wcal_trace::whisker::residual_tables::PredictionRow;
 use wcal_trace::whisker::{Verified, verify_whisker};
 
 /// Arguments of `wcal verify`.

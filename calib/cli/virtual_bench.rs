@@ -1,12 +1,17 @@
 //! `wcal virtual-bench`: serves the simulated devices until its input closes.
 
+mod scene;
+
 use anyhow::{Context, Result};
 use clap::Args;
+use scene::{BenchScene, ScenePath};
 use std::io::{BufRead, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
 use wcal_drivers::bench::scenario::{PlantKind, Scenario};
+use wcal_drivers::bench::scene::Scene;
 use wcal_drivers::bench::{VirtualBench, faults};
 use wcal_plant::rod::Wire;
 use wcal_plant::table::{Path as GroovePath, Table};
@@ -87,35 +92,45 @@ const NODES: usize = 14;
 /// The examiner's large-deflection rod behind the virtual sensor: it shares no code with the fitter.
 struct RodPlant {
     tables: Vec<(u32, Table)>,
+    scene: Arc<BenchScene>,
 }
 
 impl RodPlant {
     fn new(scenario: &Scenario) -> Result<Self> {
-        let w = &scenario.whisker;
-        let wire =
+        let (w, effects) = (&scenario.whisker, &scenario.effects);
+        let mut wire =
             Wire::new(w.diameter_mm, w.length_mm, w.straight_mm, w.arc_radius_mm, w.youngs_gpa, w.shear_gpa);
+        wire.root_compliance = [effects.root_turn_rad_per_nmm; 2];
         let table = |t: &wcal_drivers::bench::scenario::TrajectoryScenario| {
             let arclength_mm = rest_arclength_mm(w, t.origin_mm);
             let path = GroovePath {
                 origin_mm: t.origin_mm.into(),
                 direction: nalgebra::Vector3::from(t.direction).normalize(),
                 arclength_mm,
-                offset_mm: nalgebra::Vector3::zeros(),
+                offset_mm: effects.groove_offset_mm.into(),
             };
             let table = Table::build(&wire, &path, REACH * arclength_mm, &[0.0], NODES)
                 .with_context(|| format!("trajectory {}", t.id))?;
-            Ok((t.id, table))
+            Ok((ScenePath { id: t.id, path, touch_mm: table.touch_mm() }, table))
         };
-        Ok(Self { tables: scenario.trajectories().iter().map(table).collect::<Result<_>>()? })
+        let built = scenario.trajectories().iter().map(table).collect::<Result<Vec<_>>>()?;
+        let tables = built.iter().map(|(p, table)| (p.id, table.clone())).collect();
+        let paths = built.into_iter().map(|(path, _)| path).collect();
+        let scene = Arc::new(BenchScene::new(wire, w, paths, &scenario.cameras));
+        Ok(Self { tables, scene })
     }
 }
 
 impl Plant for RodPlant {
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2] {
-        let table = self.tables.iter().find(|(t, _)| *t == id).filter(|_| depth_mm > 0.0);
+        let table = self.tables.iter().find(|(t, _)| *t == id);
         table.map_or([0.0; 2], |(_, table)| {
             let [y, z, _] = table.at(depth_mm, 0.0);
             [y, z]
         })
+    }
+
+    fn scene(&self) -> Option<Arc<dyn Scene>> {
+        Some(Arc::clone(&self.scene) as Arc<dyn Scene>)
     }
 }

@@ -6,9 +6,9 @@ use wcal_core::FbgSpec;
 use wcal_core::stream::MomentStream;
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
-use wcal_trace::verify::MeasurementModel;
+use wcal_trace::verify::SessionModel;
 use wcal_trace::verify::judgement::Judged;
-use wcal_trace::verify::model::Quantity;
+use wcal_trace::verify::session_model::Quantity;
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.

@@ -6,20 +6,11 @@ use std::path::Path;
 use wcal_core::stream::MomentStream;
 use wcal_core::{FbgSpec, MomentAxes, WhiskerRow};
 use wcal_session::load_table;
-use wcal_trace::path::{Columns, WhiskerPath};
 use wcal_trace::verify::judgement::Judged;
+use wcal_trace::whisker::path::WhiskerPath;
 use wcal_trace::whisker::{PhysicalModel, PhysicalStream, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n";
-
-/// The column that an accepted effect needs and a table does not have.
-fn absent_column(id: &str, columns: &Columns) -> Option<&'static str> {
-    match id {
-        "temperature-mismatch" => (!columns.temperature).then_some("a temperature or fbg_ref_nm"),
-        "zero-drift" | "creep" => (!columns.time).then_some("t_s"),
-        _ => None,
-    }
-}
 
 impl Calibration for PhysicalModel {
     fn name(&self) -> &str {
@@ -93,14 +84,9 @@ impl WhiskerCalibration for PhysicalModel {
             table.rows.iter().map(|r| WhiskerRow { seating: last, ..r.clone() }).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();
         let history = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &self.fbg, None, None);
-        for effect in &self.effects {
-            if let Some(column) = absent_column(&effect.id, &history.columns) {
-                let detail = format!(
-                    "the calibration carries {}: expected {column} in every row, found none",
-                    effect.id
-                );
-                return Err(CalibrationError::content(place, detail));
-            }
+        if let Some((id, column)) = self.missing_column(&history) {
+            let detail = format!("the calibration carries {id}: expected {column} in every row, found none");
+            return Err(CalibrationError::content(place, detail));
         }
         let inferred = self.infer(&history, None);
         let mut order: Vec<usize> = (0..rows.len()).collect();

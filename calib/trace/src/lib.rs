@@ -1,17 +1,16 @@
 //! The residual loop: find the residual, trace it to an effect that the model lacks, add it, show the held-out error.
+//!
+//! `method` holds the statistics, `models` the two kinds of session, `verify` the procedure that joins them; `effect` and
+//! `measurement_model` are the traits between them.
 
-pub mod candidate;
-pub mod effects;
-pub mod engine;
+pub mod effect;
 mod error;
-pub mod mechanics;
-pub mod path;
-mod points;
-pub mod scalar;
-pub mod tables;
-pub mod temperature;
+pub mod measurement_model;
+pub mod method;
+mod models;
 pub mod verify;
-mod walked;
-pub mod whisker;
 
+pub use effect::{Effect, EffectModel, EffectTerm};
 pub use error::TraceError;
+pub use measurement_model::MeasurementModel;
+pub use models::{scalar, whisker};

@@ -7,15 +7,16 @@ mod toy;
 use nalgebra::DVector;
 use statrs::distribution::{Binomial, DiscreteCDF};
 use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
-use wcal_trace::candidate::{System, Term};
-use wcal_trace::engine::atoms::{nuisance, of_candidate};
-use wcal_trace::engine::fit::{Fit, Status, Weights, fit};
-use wcal_trace::engine::gate::gate;
-use wcal_trace::engine::inference::parameters;
-use wcal_trace::engine::linear::{Basis, stack};
-use wcal_trace::engine::null::{NullFamily, f_test};
-use wcal_trace::engine::outliers::clean;
-use wcal_trace::engine::search::{Hypothesis, Options, search};
+use wcal_trace::effect::EffectTerm;
+use wcal_trace::measurement_model::MeasurementModel;
+use wcal_trace::method::fit::{Fit, Status, Weights, fit};
+use wcal_trace::method::inference::parameters;
+use wcal_trace::method::linear::{Basis, stack};
+use wcal_trace::method::min_p::{MinPDistribution, f_test};
+use wcal_trace::method::omnibus::omnibus_test;
+use wcal_trace::method::outliers::clean;
+use wcal_trace::method::search::{Hypothesis, Options, search};
+use wcal_trace::method::signature::{nuisance, signatures_of_effect};
 
 const HEIGHT: f64 = 0.03;
 const PLACE: f64 = 0.55;
@@ -42,7 +43,7 @@ fn most(rate: f64, trials: u64) -> u64 {
 #[test]
 fn the_fit_recovers_a_shelf_and_its_coefficients() {
     let system = shelved(1);
-    let start = Term { effect: SHELF, law: 0, values: vec![0.01, 0.4] };
+    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.01, 0.4] };
     let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
     assert_eq!(f.status, Status::Converged);
     assert!((f.terms[0].values[0] - HEIGHT).abs() < 0.006, "{:?}", f.terms);
@@ -54,7 +55,7 @@ fn the_fit_recovers_a_shelf_and_its_coefficients() {
 #[test]
 fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explanation() {
     let system = ToySystem::draw(2, |_, x| -LINE[1] * HEIGHT * shelf(x, PLACE));
-    let start = Term { effect: SHELF, law: 0, values: vec![0.01, PLACE] };
+    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.01, PLACE] };
     let f = fit(&system, &[start], &Weights::equal(READINGS), 30).unwrap();
     assert_eq!(f.terms[0].values[0], 0.0);
     assert!(f.at_bound[0]);
@@ -68,7 +69,7 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
     let physical = |share: f64, seed: u64| {
         let c = LINE[1] * share / (1.0 - share);
         let system = ToySystem::draw(seed, |_, x| c * x * x);
-        let term = Term { effect: BEND, law: 0, values: Vec::new() };
+        let term = EffectTerm { effect: BEND, law: 0, values: Vec::new() };
         let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
         Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
             .physical(&system)
@@ -84,7 +85,7 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
 fn columns_that_depend_on_each_other_are_said() {
     // A shelf of fixed place and the scale together with a free slope: the scale is the slope again.
     let system = plain(3);
-    let terms = [Term { effect: SCALE, law: 0, values: vec![0.1] }];
+    let terms = [EffectTerm { effect: SCALE, law: 0, values: vec![0.1] }];
     let f = fit(&system, &terms, &Weights::equal(READINGS), 5).unwrap();
     let tangent = nuisance(&base(&system)).project_off(&stack(&f.tangents[0]));
     assert!(tangent.norm() < 1e-9 * stack(&f.tangents[0]).norm().max(1e-300));
@@ -96,10 +97,10 @@ fn columns_that_depend_on_each_other_are_said() {
 fn what_the_slope_takes_up_has_no_signature() {
     let system = plain(4);
     let f = base(&system);
-    let atoms = |e| of_candidate(&system, e, &f, &Weights::equal(READINGS), &nuisance(&f));
-    assert!(atoms(SCALE).is_empty(), "absorbed by the slope");
-    assert_eq!(atoms(BEND).len(), 1);
-    let shelves = atoms(SHELF);
+    let signatures = |e| signatures_of_effect(&system, e, &f, &Weights::equal(READINGS), &nuisance(&f));
+    assert!(signatures(SCALE).is_empty(), "absorbed by the slope");
+    assert_eq!(signatures(BEND).len(), 1);
+    let shelves = signatures(SHELF);
     assert_eq!(shelves.len(), 4, "one a place of the grid");
     assert!(shelves.iter().all(|a| a.one_sided && a.share_left > 0.05 && a.share_left < 1.0));
 }
@@ -108,10 +109,10 @@ fn what_the_slope_takes_up_has_no_signature() {
 fn a_one_sided_signature_of_the_wrong_sign_gains_nothing() {
     let system = plain(5);
     let f = base(&system);
-    let atom = &of_candidate(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance(&f))[2];
-    let along: &DVector<f64> = &atom.projected[0];
-    assert!((atom.gain(along) - along.norm_squared()).abs() < 1e-9 * along.norm_squared());
-    assert_eq!(atom.gain(&-along), 0.0);
+    let signature = &signatures_of_effect(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance(&f))[2];
+    let along: &DVector<f64> = &signature.projected[0];
+    assert!((signature.gain(along) - along.norm_squared()).abs() < 1e-9 * along.norm_squared());
+    assert_eq!(signature.gain(&-along), 0.0);
 }
 
 #[test]
@@ -124,7 +125,7 @@ fn a_basis_is_orthonormal_and_refuses_what_it_spans() {
     assert!(basis.project_off(&(&a + &b)).norm() < 1e-12);
 }
 
-// Stage 4: the gate.
+// Stage 4: the omnibus test.
 
 #[test]
 fn the_family_holds_its_level_and_the_f_test_its_distribution() {
@@ -135,15 +136,18 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
         let f = base(&system);
         let basis = nuisance(&f);
         let weights = Weights::equal(READINGS);
-        let atoms: Vec<_> =
-            [SHELF, BEND].into_iter().flat_map(|e| of_candidate(&system, e, &f, &weights, &basis)).collect();
-        let refs: Vec<_> = atoms.iter().collect();
-        let null = NullFamily::simulate(&refs, f.dof, &Options { seed, draws: 300, ..Options::default() });
+        let signatures: Vec<_> = [SHELF, BEND]
+            .into_iter()
+            .flat_map(|e| signatures_of_effect(&system, e, &f, &weights, &basis))
+            .collect();
+        let refs: Vec<_> = signatures.iter().collect();
+        let null =
+            MinPDistribution::simulate(&refs, f.dof, &Options { seed, draws: 300, ..Options::default() });
         let residual = stack(&f.residual);
-        let p = |a| wcal_trace::engine::null::atom_p(a, a.gain(&residual), f.ssr, f.dof);
-        let smallest = atoms.iter().map(p).fold(1.0, f64::min);
+        let p = |a| wcal_trace::method::min_p::signature_p(a, a.gain(&residual), f.ssr, f.dof);
+        let smallest = signatures.iter().map(p).fold(1.0, f64::min);
         family += u64::from(null.adjusted(smallest) < 0.05);
-        let bend = atoms.last().unwrap();
+        let bend = signatures.last().unwrap();
         single += u64::from(f_test(bend.gain(&residual), f.ssr, f.dof, 1) < 0.05);
     }
     assert!(family <= most(0.05, trials) && family >= 5, "family-wise {family} of {trials}");
@@ -157,28 +161,38 @@ fn the_gate_lets_noise_pass_and_stops_an_effect() {
     let rejected = (0..trials)
         .filter(|&s| {
             let system = plain(2000 + s);
-            gate(&system, &base(&system), &weights, &Options { seed: s, draws: 500, ..Options::default() })
-                .rejected()
+            omnibus_test(
+                &system,
+                &base(&system),
+                &weights,
+                &Options { seed: s, draws: 500, ..Options::default() },
+            )
+            .rejected()
         })
         .count() as u64;
     assert!(rejected <= most(0.02, trials), "{rejected} of {trials} nulls");
     let system = shelved(6);
-    let g = gate(&system, &base(&system), &weights, &Options { seed: 1, draws: 500, ..Options::default() });
+    let g = omnibus_test(
+        &system,
+        &base(&system),
+        &weights,
+        &Options { seed: 1, draws: 500, ..Options::default() },
+    );
     assert!(g.rejected() && g.p_catalogue < 1e-3, "{}", g.p_catalogue);
 }
 
 #[test]
 fn a_wave_in_time_is_seen_with_its_driver() {
     let system = ToySystem::draw(7, |i, _| 0.4 * (i as f64 * std::f64::consts::TAU / 13.0).sin());
-    let g = gate(
+    let g = omnibus_test(
         &system,
         &base(&system),
         &Weights::equal(READINGS),
         &Options { seed: 1, draws: 500, ..Options::default() },
     );
     assert!(g.generic());
-    assert_eq!((g.drivers[0].driver.as_str(), g.drivers[0].shape), ("t_s", "sinusoid"));
-    let period = g.drivers[0].period.unwrap();
+    assert_eq!((g.covariates[0].covariate.as_str(), g.covariates[0].shape), ("t_s", "sinusoid"));
+    let period = g.covariates[0].period.unwrap();
     assert!((period - 13.0).abs() < 1.5, "{period}");
 }
 
@@ -212,7 +226,7 @@ fn the_search_finds_nothing_one_or_two_effects() {
     let weights = Weights::equal(READINGS);
     let find = |system: &ToySystem| {
         let found = search(system, &weights, &options).unwrap();
-        (names(system, &found.best), found.last_gate.rejected())
+        (names(system, &found.best), found.last_test.rejected())
     };
     assert_eq!(find(&plain(9)), (vec![], false));
     assert_eq!(find(&shelved(10)), (vec!["shelf"], false));
@@ -228,7 +242,7 @@ fn an_effect_is_refined_where_its_plain_law_leaves_something() {
     let law_of = |system: &ToySystem| {
         let found = search(system, &Weights::equal(READINGS), &Options::default()).unwrap();
         let laws: Vec<usize> = found.best.fit.terms.iter().map(|t| t.law).collect();
-        (names(system, &found.best), laws, found.last_gate.rejected())
+        (names(system, &found.best), laws, found.last_test.rejected())
     };
     let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (2.0 * shelf(x, 0.3) + shelf(x, 0.75)));
     let found: Vec<_> = (0..10).map(|seed| law_of(&two(9000 + seed))).collect();
@@ -265,7 +279,7 @@ fn stated_intervals_cover() {
     for seed in 0..trials {
         let system = shelved(5000 + seed);
         let weights = Weights::equal(READINGS);
-        let start = Term { effect: SHELF, law: 0, values: vec![HEIGHT, PLACE] };
+        let start = EffectTerm { effect: SHELF, law: 0, values: vec![HEIGHT, PLACE] };
         let f = fit(&system, &[start], &weights, 30).unwrap();
         let h = Hypothesis { fit: f, weights, flagged: Vec::new(), flag_p: 1.0 };
         for (k, (p, truth)) in parameters(&system, &h, SHELF).iter().zip([HEIGHT, PLACE]).enumerate() {

@@ -9,9 +9,9 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::SessionData;
 use wcal_core::observation::WhiskerData;
-use wcal_trace::engine::fit::{Weights, fit};
-use wcal_trace::engine::gate::{Gate, gate};
-use wcal_trace::engine::search::Options;
+use wcal_trace::method::fit::{Weights, fit};
+use wcal_trace::method::omnibus::{OmnibusTest, omnibus_test};
+use wcal_trace::method::search::Options;
 use wcal_trace::whisker::WhiskerSystem;
 
 /// Noise of every grating, pm: that of 2,000 samples of a good interrogator.
@@ -59,14 +59,14 @@ fn drawn(seed: u64, mismatch: f64) -> WhiskerData {
 }
 
 /// The declared model on `data`, its channels' noise apart: its gate, and the noise of one compensated shift, pm.
-fn judged(data: &WhiskerData, seed: u64) -> (Gate, f64) {
+fn judged(data: &WhiskerData, seed: u64) -> (OmnibusTest, f64) {
     let system = system(data);
     let weights = Weights::equal(system.path.readings.len());
     let declared = fit(&system, &[], &weights, 15).unwrap();
-    let system = system.apart(&declared);
+    let system = system.whitened(&declared);
     let fit = fit(&system, &[], &weights, 15).unwrap();
     (
-        gate(&system, &fit, &weights, &Options { seed, draws: 500, ..Options::default() }),
+        omnibus_test(&system, &fit, &weights, &Options { seed, draws: 500, ..Options::default() }),
         system.noise_sd_pm(&fit),
     )
 }

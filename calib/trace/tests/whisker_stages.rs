@@ -7,20 +7,21 @@ use std::sync::OnceLock;
 use wcal_core::observation::{Role, TwinLabel, WhiskerData};
 use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_core::{Seal, SessionData};
-use wcal_trace::candidate::{System, Term};
-use wcal_trace::engine::explain::Judge;
-use wcal_trace::engine::fit::{Weights, fit};
-use wcal_trace::engine::search::{Found, Hypothesis, Options, search};
-use wcal_trace::mechanics::Mechanics;
+use wcal_trace::effect::EffectTerm;
+use wcal_trace::measurement_model::MeasurementModel;
+use wcal_trace::method::explain::Judge;
+use wcal_trace::method::fit::{Weights, fit};
+use wcal_trace::method::search::{Hypothesis, Options, SearchResult, search};
 use wcal_trace::verify::conclusion::conclude;
 use wcal_trace::verify::detect;
-use wcal_trace::verify::heldout::{coverage95, rmse, summarise};
+use wcal_trace::verify::error_summary::{coverage95, rmse, summarise};
 use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use wcal_trace::verify::rival::rival;
-use wcal_trace::verify::{HeldOut, MeasurementModel};
+use wcal_trace::verify::{HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
-use wcal_trace::whisker::between::between_seatings;
 use wcal_trace::whisker::floor::noise_floor;
+use wcal_trace::whisker::rod_tables::RodParameters;
+use wcal_trace::whisker::seatings::spread_of_zeros;
 use wcal_trace::whisker::twin_check::check_labels;
 
 fn data(name: &str) -> WhiskerData {
@@ -35,14 +36,14 @@ fn system(data: &WhiskerData) -> WhiskerSystem {
     WhiskerSystem::new(data, &data.rows.iter().collect::<Vec<_>>()).unwrap()
 }
 
-fn fitted(system: &WhiskerSystem, terms: &[Term]) -> Hypothesis {
+fn fitted(system: &WhiskerSystem, terms: &[EffectTerm]) -> Hypothesis {
     let weights = Weights::equal(system.path.readings.len());
     Hypothesis { fit: fit(system, terms, &weights, 15).unwrap(), weights, flagged: Vec::new(), flag_p: 1.0 }
 }
 
 /// The session without effect, searched once for all tests.
-fn null() -> &'static (WhiskerData, WhiskerSystem, Found) {
-    static NULL: OnceLock<(WhiskerData, WhiskerSystem, Found)> = OnceLock::new();
+fn null() -> &'static (WhiskerData, WhiskerSystem, SearchResult) {
+    static NULL: OnceLock<(WhiskerData, WhiskerSystem, SearchResult)> = OnceLock::new();
     NULL.get_or_init(|| {
         let data = data("practice/case-004");
         let system = system(&data);
@@ -58,7 +59,7 @@ fn null() -> &'static (WhiskerData, WhiskerSystem, Found) {
 fn labelled(change: impl Fn(usize, [f64; 2]) -> [f64; 2]) -> (WhiskerData, WhiskerSystem) {
     let mut data = data("whiskerfbg");
     let made = system(&data);
-    let tables = made.bench.tables(&Mechanics::default()).unwrap();
+    let tables = made.rod_tables.tables(&RodParameters::default()).unwrap();
     let mut twin = Vec::new();
     for (k, (reading, row)) in made.path.readings.iter().zip(&made.path.rows).enumerate() {
         let m = match reading.line.filter(|_| !reading.rest) {
@@ -72,7 +73,7 @@ fn labelled(change: impl Fn(usize, [f64; 2]) -> [f64; 2]) -> (WhiskerData, Whisk
 }
 
 fn faults(data: &WhiskerData, system: &WhiskerSystem) -> Vec<TwinFault> {
-    check_labels(data, &system.path, &system.bench).faults
+    check_labels(data, &system.path, &system.rod_tables).faults
 }
 
 #[test]
@@ -121,7 +122,7 @@ fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
 #[test]
 fn every_effect_has_a_line_saying_what_could_have_been_seen() {
     let (_, system, found) = null();
-    let table = detect::table(system, &found.best.fit, &found.last_gate);
+    let table = detect::table(system, &found.best.fit, &found.last_test);
     assert_eq!(table.len(), system.catalogue().len());
     let row = |id: &str| table.iter().find(|d| d.id == id).unwrap();
     assert_eq!(row("gravity").status, "not-observable", "no gravity direction in the session");
@@ -202,7 +203,7 @@ fn a_sensitivity_that_changes_between_seatings_is_said() {
         }
         let system = system(&data);
         let h = fitted(&system, &[]);
-        between_seatings(&system, &h.fit).unwrap()
+        spread_of_zeros(&system, &h.fit).unwrap()
     };
     let same = changed(1.0);
     assert!(same.sensitivity_p > 0.01, "{same:?}");

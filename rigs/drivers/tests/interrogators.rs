@@ -2,8 +2,8 @@
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use wcal_acquisition::assign::ChannelMap;
 use wcal_acquisition::camera_pair::CameraPair;
@@ -14,6 +14,8 @@ use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::acquire;
 use wcal_core::clock::HostClock;
 use wcal_core::device::{Camera, DeviceErrorKind, FbgReading, Interrogator};
+use wcal_drivers::bench::plant::Plant;
+use wcal_drivers::bench::scene::{Scene, SceneState};
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
 use wcal_drivers::cameras::NetCamera;
 use wcal_drivers::hyperion::Hyperion;
@@ -175,10 +177,65 @@ fn pairs_are_of_one_trigger_and_their_skew_is_measured() {
         assert_eq!(p.frames[0].trigger, p.frames[1].trigger);
         // Device times are seconds since 1970 as f64: some 0.2 us.
         assert!((p.skew_ms - 0.7).abs() < 1e-3, "{}", p.skew_ms);
-        assert_eq!(p.frames[0].grey.len(), 320 * 240);
-        assert!(p.frames[0].grey.iter().any(|g| *g < 100), "the wire is in the picture");
+        assert_eq!(p.frames[0].grey.len(), 640 * 480);
     }
     assert_eq!(pair.refused(), 0);
+}
+
+/// A scene that writes down what it is asked: first pixels trajectory, depth in 0.1 mm, board's attitude, camera; later ones their column.
+struct Told;
+
+impl Plant for Told {
+    fn moment_nmm(&mut self, _: u32, _: f64) -> [f64; 2] {
+        [0.0; 2]
+    }
+
+    fn scene(&self) -> Option<Arc<dyn Scene>> {
+        Some(Arc::new(Self))
+    }
+}
+
+impl Scene for Told {
+    fn picture(&self, camera: usize, state: &SceneState, size_px: [u32; 2], _: u64) -> Vec<u8> {
+        let mut grey: Vec<u8> = (0..size_px[0] * size_px[1]).map(|k| (k % size_px[0]) as u8).collect();
+        grey[0] = state.trajectory as u8;
+        grey[1] = (10.0 * state.depth_mm + 200.5) as u8;
+        grey[2] = state.board.map_or(255, |k| k as u8);
+        grey[3] = camera as u8;
+        grey
+    }
+}
+
+#[test]
+fn pictures_show_the_stage_where_it_is_and_the_board_on_command() {
+    let text = "format = \"wcal-scenario/1\"\nspeed = 10\n[stage]\nzero_mm = 20.0\n[stage.unit]\nstart_mm = 12.0\n\
+        [mount]\nsteps_per_trajectory = 10\n[cameras]\nrate_hz = 20\nsize_px = [64, 48]\n";
+    let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Some(Box::new(Told))).unwrap();
+    let mut pair = pair(&bench);
+    let p = pair.grab(WAIT).unwrap();
+    // 12 mm with first contact at 20: 8 mm short; the mount stands at trajectory 0.
+    assert_eq!(p.frames[0].grey[..4], [0, 120, 255, 0]);
+    assert_eq!(p.frames[1].grey[..4], [0, 120, 255, 1]);
+    // Whole pixels at rest.
+    assert_eq!(p.frames[0].grey[64..72], [0, 1, 2, 3, 4, 5, 6, 7]);
+    let mut link = std::net::TcpStream::connect(bench.addresses().cameras[0]).unwrap();
+    let board_of = |pair: &mut CameraPair| pair.grab(WAIT).unwrap().frames[1].grey[2];
+    // Nonsense and an attitude that there is not change nothing.
+    link.write_all(b"board 3\nboard x\nboard 12\nhello\n").unwrap();
+    assert!((0..100).any(|_| board_of(&mut pair) == 3));
+    assert!((0..5).all(|_| board_of(&mut pair) == 3));
+    bench.inject(Fault::Board { view: None });
+    assert!((0..100).any(|_| board_of(&mut pair) == 255));
+    // In motion four by four pixels are one.
+    let mut stage = std::net::TcpStream::connect(bench.addresses().stage_tcp).unwrap();
+    stage.write_all(b"/1 home\n").unwrap();
+    let binned = (0..200).any(|_| {
+        let grey = pair.grab(WAIT).unwrap().frames[0].grey.clone();
+        grey[4 * 64 + 16..4 * 64 + 24] == [4, 4, 4, 4, 5, 5, 5, 5]
+    });
+    assert!(binned, "a picture in motion");
+    bench.inject(Fault::LostFrames { count: 3 });
+    assert!((0..10).all(|_| pair.grab(WAIT).is_ok()), "lost frames are left out, the others pair");
 }
 
 #[test]

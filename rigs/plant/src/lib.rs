@@ -7,6 +7,7 @@
 
 pub mod adversarial;
 pub mod bench;
+pub mod cameras;
 pub mod effects;
 pub mod exam;
 pub mod layout;

@@ -224,6 +224,35 @@ impl Wire {
         (r, frame.column(0).into_owned())
     }
 
+    /// Centre line from root to tip in pieces of at most `step_mm`, loaded by `contact` (`None`: at rest) at `point`; what lies past
+    /// the contact carries no moment and keeps its rest curvature.
+    pub fn centre_line(&self, contact: Option<(&V3, &Equilibrium)>, step_mm: f64) -> Vec<V3> {
+        let (point, force, contact_mm) =
+            contact.map_or((V3::zeros(), V3::zeros(), 0.0), |(p, e)| (*p, e.force_n, e.arclength_mm));
+        let base = point.cross(&force);
+        let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
+        let (mut frame, mut r, mut u) = (helix(&root).0, V3::zeros(), V3::zeros());
+        let mut cuts = vec![0.0, contact_mm, self.straight_mm, self.length_mm];
+        cuts.sort_by(f64::total_cmp);
+        let mut line = vec![r];
+        for w in cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9) {
+            let count = ((w[1] - w[0]) / step_mm).ceil() as usize;
+            let h = (w[1] - w[0]) / count as f64;
+            let curvature = if w[0] >= self.straight_mm { 1.0 / self.arc_radius_mm } else { 0.0 };
+            let rest = V3::new(0.0, curvature, 0.0);
+            let load = if w[1] <= contact_mm { force } else { V3::zeros() };
+            for i in 0..count {
+                let factor = self.taper.factor((w[0] + (i as f64 + 0.5) * h) / self.length_mm);
+                u = self.element(&point, &load, &frame, &r, u, &rest, h, factor);
+                let (turn, chord) = helix(&(u * h));
+                r += frame * (chord * h);
+                frame *= turn;
+                line.push(r);
+            }
+        }
+        line
+    }
+
     /// Curvature of one element: fixed point of "elastic moment = mean applied moment".
     #[allow(clippy::too_many_arguments)]
     fn element(

@@ -27,7 +27,8 @@ pub struct Path {
 }
 
 impl Path {
-    fn at(&self, stage_mm: f64) -> V3 {
+    /// The groove's centre at a stage position, mm.
+    pub fn at(&self, stage_mm: f64) -> V3 {
         self.origin_mm + self.offset_mm + self.direction * stage_mm
     }
 }
@@ -64,7 +65,36 @@ struct Follower<'a> {
     step_mm: f64,
 }
 
-impl Follower<'_> {
+/// Frictionless equilibrium with the groove at `stage_mm` of a path that reaches to `stage_max_mm`.
+///
+/// # Errors
+/// [`PlantError::NoEquilibrium`] when the rod does not settle on the way there.
+pub fn equilibrium(
+    wire: &Wire,
+    path: &Path,
+    stage_max_mm: f64,
+    stage_mm: f64,
+) -> Result<Equilibrium, PlantError> {
+    Follower::start(wire, path, 0.0, stage_max_mm)?.to(stage_mm)
+}
+
+impl<'a> Follower<'a> {
+    /// A little after first touch.
+    fn start(wire: &'a Wire, path: &'a Path, drag: f64, stage_max_mm: f64) -> Result<Self, PlantError> {
+        let stage_mm = 0.08 * stage_max_mm;
+        let push = path.offset_mm + path.direction * stage_mm;
+        let mut last = wire.touch(path.arclength_mm, &push);
+        // The drag is brought in gently: force and arc length change with it.
+        let count = (drag.abs() / 0.08).ceil() as usize;
+        let mut slope = None;
+        last = wire.solve(&path.at(stage_mm), 0.0, &last, &mut slope)?;
+        for i in 1..=count {
+            last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last, &mut slope)?;
+        }
+        let step_mm = 0.12 * stage_max_mm;
+        Ok(Self { wire, path, drag, last, before: None, slope, stage_mm, step_mm })
+    }
+
     fn to(&mut self, stage_mm: f64) -> Result<Equilibrium, PlantError> {
         let mut halvings = 0;
         while self.stage_mm != stage_mm {
@@ -115,28 +145,7 @@ impl Table {
         drags: &[f64],
         nodes: usize,
     ) -> Result<Self, PlantError> {
-        let start = |drag: f64| -> Result<Follower<'_>, PlantError> {
-            let stage_mm = 0.08 * stage_max_mm;
-            let push = path.offset_mm + path.direction * stage_mm;
-            let mut last = wire.touch(path.arclength_mm, &push);
-            // The drag is brought in gently: force and arc length change with it.
-            let count = (drag.abs() / 0.08).ceil() as usize;
-            let mut slope = None;
-            last = wire.solve(&path.at(stage_mm), 0.0, &last, &mut slope)?;
-            for i in 1..=count {
-                last = wire.solve(&path.at(stage_mm), drag * i as f64 / count as f64, &last, &mut slope)?;
-            }
-            Ok(Follower {
-                wire,
-                path,
-                drag,
-                last,
-                before: None,
-                slope,
-                stage_mm,
-                step_mm: 0.12 * stage_max_mm,
-            })
-        };
+        let start = |drag: f64| Follower::start(wire, path, drag, stage_max_mm);
         let touch_mm = if path.offset_mm == V3::zeros() { 0.0 } else { touch(start(0.0)?, path)? };
         let reach = stage_max_mm - touch_mm;
         // Where the contact passes the end of the straight part, for every drag.

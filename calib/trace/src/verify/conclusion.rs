@@ -1,16 +1,13 @@
 //! Stages 8 and 9: the verdict from what the search found, in the order of docs/src/formats.md.
 
-use super::model::MeasurementModel;
-use crate::engine::fit::fit;
-use crate::engine::gate::Gate;
-use crate::engine::inference::in_class;
-use crate::engine::null::f_test;
-use crate::engine::search::{Found, Hypothesis};
+use super::session_model::SessionModel;
 use crate::error::TraceError;
+use crate::method::fit::fit;
+use crate::method::inference::in_class;
+use crate::method::min_p::f_test;
+use crate::method::omnibus::{LACK_OF_FIT_LEVEL, OmnibusTest};
+use crate::method::search::{Hypothesis, SearchResult};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
-
-/// Level of the lack-of-fit test against pure error.
-pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
 
 /// Conclusion in parts.
 #[derive(Debug, Clone)]
@@ -50,10 +47,10 @@ impl Conclusion {
     ///
     /// # Errors
     /// Where no surviving explanation has these effects.
-    pub fn accept<M: MeasurementModel>(
+    pub fn accept<M: SessionModel>(
         &mut self,
         model: &M,
-        found: &Found,
+        found: &SearchResult,
         asked: &[String],
     ) -> Result<(), TraceError> {
         let mut wanted = asked.to_vec();
@@ -124,7 +121,7 @@ impl Conclusion {
 }
 
 /// Identifiers of an explanation's effects, flagged readings among them.
-pub fn ids<M: MeasurementModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
     h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id().to_owned()).collect()
 }
 
@@ -138,20 +135,20 @@ fn join(ids: &[String]) -> String {
 }
 
 /// p-value of dropping `effect` from `h`, every other parameter refitted, adjusted by the first gate's family.
-fn removal_p<M: MeasurementModel>(model: &M, found: &Found, h: &Hypothesis, effect: usize) -> f64 {
+fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, effect: usize) -> f64 {
     if Some(effect) == model.outliers() {
         return h.flag_p;
     }
     let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
     let Some(without) = fit(model, &terms, &h.weights, 15) else { return 1.0 };
     let extra = (without.dof - h.fit.dof).max(1.0) as usize;
-    found.first_gate.family.adjusted(f_test(without.ssr - h.fit.ssr, without.ssr, without.dof, extra))
+    found.first_test.family.adjusted(f_test(without.ssr - h.fit.ssr, without.ssr, without.dof, extra))
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
-fn named<M: MeasurementModel>(
+fn named<M: SessionModel>(
     model: &M,
-    found: &Found,
+    found: &SearchResult,
     h: &Hypothesis,
     classmates: &[&Hypothesis],
 ) -> Vec<NamedEffect> {
@@ -182,12 +179,12 @@ fn named<M: MeasurementModel>(
         .collect()
 }
 
-fn unknown(gate: &Gate) -> Option<UnknownEffect> {
-    let first = gate.drivers.first()?;
+fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
+    let first = test.covariates.first()?;
     Some(UnknownEffect {
-        driver: first.driver.clone(),
+        driver: first.covariate.clone(),
         shape: first.shape.to_owned(),
-        drivers_ranked: gate.drivers.iter().map(|d| d.driver.clone()).collect(),
+        drivers_ranked: test.covariates.iter().map(|d| d.covariate.clone()).collect(),
         period: first.period,
     })
 }
@@ -201,10 +198,10 @@ fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> St
 
 /// Applies the order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
 #[must_use]
-pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFault]) -> Conclusion {
+pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[TwinFault]) -> Conclusion {
     // What a generic driver explains better than the catalogue does is named after no effect.
-    let driver_wins = found.driver_beats_catalogue;
-    let something = !ids(model, &found.best).is_empty() && !driver_wins;
+    let covariate_wins = found.covariate_beats_catalogue;
+    let something = !ids(model, &found.best).is_empty() && !covariate_wins;
     let same = in_class(model, found);
     let part = |of_class: bool| -> Vec<&Hypothesis> {
         let all = found.survivors.iter().zip(&same);
@@ -232,16 +229,18 @@ pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFau
         unknown: None,
         accepted: found.accepted().clone(),
     };
-    let left = driver_wins || (found.last_gate.rejected() && !model.excuses(found));
-    let lack = model.lack_of_fit(&c.accepted).filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+    let left = covariate_wins || (found.last_test.rejected() && !model.excuses(found));
+    let against_pure_error = model.lack_of_fit(&c.accepted);
+    let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
+    let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
     if !c.rivals.is_empty() {
         c.verdict = Verdict::Ambiguous;
         let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
         c.reason = format!("The data ask for an effect but cannot decide between {}.", names.join("; "));
     } else if left || lack.is_some() {
         c.verdict = Verdict::UnknownEffect;
-        let gate = if something { &found.last_gate } else { &found.first_gate };
-        c.unknown = if left { unknown(gate) } else { lack.map(|(_, driver)| driver) };
+        let test = if something { &found.last_test } else { &found.first_test };
+        c.unknown = if left { unknown(test) } else { lack.map(|(_, driver)| driver) };
         c.reason = unknown_reason(c.unknown.as_ref(), &c.effects);
     } else if !c.effects.is_empty() {
         c.verdict = Verdict::Effect;
@@ -253,7 +252,7 @@ pub fn conclude<M: MeasurementModel>(model: &M, found: &Found, faults: &[TwinFau
             "{count} labels of the outside twin are faulty; with them repaired nothing else is found."
         );
     } else {
-        let p = found.first_gate.p_value();
+        let p = found.first_test.p_value(p_lack_of_fit);
         c.reason = format!("Nothing beyond noise is left by the declared model (omnibus p = {p:.2}).");
     }
     c

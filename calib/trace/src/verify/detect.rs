@@ -4,9 +4,9 @@
 //! |P s| a / sigma >= sqrt(chi2_{d, 1 - level}) + z_0.9      s: signature for a unit amplitude, P: off nuisances and what is accepted
 //! ```
 
-use super::model::MeasurementModel;
-use crate::engine::fit::Fit;
-use crate::engine::gate::{CATALOGUE_LEVEL, Gate};
+use super::session_model::SessionModel;
+use crate::method::fit::Fit;
+use crate::method::omnibus::{CATALOGUE_LEVEL, OmnibusTest};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_core::verify_document::Detectable;
 
@@ -21,13 +21,13 @@ struct Smallest {
     share_left: f64,
 }
 
-/// One row an effect. `gate` is the gate on `fit`.
+/// One row an effect. `gate` is the omnibus test on `fit`.
 #[must_use]
-pub fn table<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate) -> Vec<Detectable> {
-    (0..model.catalogue().len()).map(|effect| row(model, fit, gate, effect)).collect()
+pub fn table<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest) -> Vec<Detectable> {
+    (0..model.catalogue().len()).map(|effect| row(model, fit, test, effect)).collect()
 }
 
-fn row<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) -> Detectable {
+fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Detectable {
     let candidate = &model.catalogue()[effect];
     let laws = candidate.laws();
     let first = laws.first();
@@ -55,7 +55,7 @@ fn row<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) ->
     if fit.terms.iter().any(|t| t.effect == effect) {
         return entry("testable", None, unit, "part of the best explanation".into());
     }
-    match smallest(model, fit, gate, effect) {
+    match smallest(model, fit, test, effect) {
         Some(s) => {
             let law = model.law_name(laws[s.law].name);
             let left = 100.0 * s.share_left;
@@ -76,12 +76,12 @@ fn row<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) ->
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.
-fn smallest<M: MeasurementModel>(model: &M, fit: &Fit, gate: &Gate, effect: usize) -> Option<Smallest> {
+fn smallest<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Option<Smallest> {
     let sd = fit.variance().sqrt();
-    let critical = gate.family.critical(CATALOGUE_LEVEL);
+    let critical = test.family.critical(CATALOGUE_LEVEL);
     let laws = model.catalogue()[effect].laws();
-    let atoms = gate.atoms.iter().filter(|a| a.term.effect == effect);
-    atoms
+    let signatures = test.signatures.iter().filter(|a| a.term.effect == effect);
+    signatures
         .filter_map(|a| {
             let law = a.term.law;
             let chi = ChiSquared::new(a.dimension() as f64).ok()?;

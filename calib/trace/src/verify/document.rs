@@ -2,17 +2,17 @@
 
 use super::conclusion::{Conclusion, ids};
 use super::detect;
+use super::held_out::{Errors, Unsealed};
 use super::identifiability;
-use super::model::{FloorStatement, MeasurementModel};
 use super::noise_report::{noise_document, noise_sentences};
-use super::unseal::{Errors, Unsealed};
-use crate::engine::explain::Explained;
-use crate::engine::search::Hypothesis;
+use super::session_model::{FloorStatement, SessionModel};
+use crate::method::explain::Explained;
+use crate::method::search::Hypothesis;
 use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
 
 /// The document; session, files and mark are the caller's.
 #[allow(clippy::too_many_arguments, reason = "one argument a stage, in their order")]
-pub fn document<M: MeasurementModel>(
+pub fn document<M: SessionModel>(
     model: &M,
     whole: &M,
     explained: &Explained,
@@ -28,12 +28,12 @@ pub fn document<M: MeasurementModel>(
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
         .then(|| model.next_measurement(&found.best, &rivals));
-    let gate = if ids(model, &conclusion.accepted) == ids(model, &found.best) {
-        &found.last_gate
+    let test = if ids(model, &conclusion.accepted) == ids(model, &found.best) {
+        &found.last_test
     } else {
-        &found.first_gate
+        &found.first_test
     };
-    let fit = if std::ptr::eq(gate, &found.last_gate) { &found.best.fit } else { &found.base.fit };
+    let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
     VerifyDocument {
         effects: conclusion.effects.clone(),
         alternatives: conclusion.alternatives.clone(),
@@ -45,7 +45,7 @@ pub fn document<M: MeasurementModel>(
         after: errors.after.clone(),
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
-        detectable: detect::table(model, fit, gate),
+        detectable: detect::table(model, fit, test),
         notes: notes(model, explained, conclusion, floor, &noise, errors),
         leave_one_effect_out: identifiability::left_out(
             model,
@@ -63,13 +63,13 @@ pub fn document<M: MeasurementModel>(
 }
 
 /// The verdict's reason, caveats and how the errors were found.
-fn reason<M: MeasurementModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
+fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
     let caveat = model.caveat(&c.accepted).map_or_else(String::new, |text| format!(" {text}"));
     format!("{}{caveat}{}{}", c.reason, floor.reason, model.worded(&errors.remark))
 }
 
 /// Readings that count in no fit or no held-out error.
-fn flagged<M: MeasurementModel>(
+fn flagged<M: SessionModel>(
     model: &M,
     whole: &M,
     conclusion: &Conclusion,
@@ -83,7 +83,7 @@ fn flagged<M: MeasurementModel>(
     fitted.chain(unsealed.left_out.iter().map(|&i| of(whole, i))).collect()
 }
 
-fn notes<M: MeasurementModel>(
+fn notes<M: SessionModel>(
     model: &M,
     explained: &Explained,
     conclusion: &Conclusion,

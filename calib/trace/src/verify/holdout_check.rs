@@ -1,15 +1,15 @@
 //! Stage 11, the last word: do the unsealed readings agree with the accepted model within noise and parameter uncertainty?
 
-use super::model::MeasurementModel;
-use crate::engine::fit::{Weights, fit};
-use crate::engine::inference::covariance;
-use crate::engine::noise_parts::Noise;
-use crate::engine::search::Hypothesis;
-use crate::engine::tails::Tails;
+use super::session_model::SessionModel;
+use crate::method::fit::{Weights, fit};
+use crate::method::inference::covariance;
+use crate::method::noise::Noise;
+use crate::method::noise::tails::Tails;
+use crate::method::search::Hypothesis;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
-/// Level of the check: far below the gate's, since a memory effect's curvature is only linearised here.
+/// Level of the check: far below the omnibus test's, since a memory effect's curvature is only linearised here.
 pub const HOLDOUT_LEVEL: f64 = 1e-4;
 /// Family-wise level of single held-out readings.
 const SINGLE_LEVEL: f64 = 1e-3;
@@ -17,13 +17,13 @@ const SINGLE_LEVEL: f64 = 1e-3;
 const MAX_SHARE: f64 = 0.08;
 
 /// Measured less predicted at every reading of `whole`, in the engine's channels.
-fn residual<M: MeasurementModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
+fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
     Some(whole.measured() - whole.design(&h.fit.terms)? * &h.fit.coefficients)
 }
 
 /// Unsealed readings that no tails of the noise explain, as in the fit: single slips are no misfit.
 #[must_use]
-pub fn flagged<M: MeasurementModel>(whole: &M, h: &Hypothesis, noise: &Noise) -> Vec<usize> {
+pub fn flagged<M: SessionModel>(whole: &M, h: &Hypothesis, noise: &Noise) -> Vec<usize> {
     let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     let Some(left) = residual(whole, h).filter(|_| noise.repeat.value > 0.0) else { return Vec::new() };
     let sd = noise.reading_sd(&whole.noise_inputs());
@@ -48,7 +48,7 @@ fn noise_scale(tails: &Tails) -> f64 {
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
 /// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
 #[must_use]
-pub fn holdout_p<M: MeasurementModel>(
+pub fn holdout_p<M: SessionModel>(
     whole: &M,
     accepted: &Hypothesis,
     noise: &Noise,

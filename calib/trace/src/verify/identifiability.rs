@@ -4,14 +4,14 @@
 //! R_ij = C_ij / sqrt(C_ii C_jj);   for |R_ij| near 1:  var(a / s_a -+ b / s_b) = 2 (1 - |R_ij|)   is what the data determine well
 //! ```
 
-use super::heldout::rmse;
-use super::model::MeasurementModel;
-use super::unseal::scored;
-use crate::engine::fit::{Fit, fit};
-use crate::engine::inference::covariance;
-use crate::engine::noise_parts::Noise;
-use crate::engine::null::f_test;
-use crate::engine::search::{Found, Hypothesis};
+use super::error_summary::rmse;
+use super::held_out::scored;
+use super::session_model::SessionModel;
+use crate::method::fit::{Fit, fit};
+use crate::method::inference::covariance;
+use crate::method::min_p::f_test;
+use crate::method::noise::Noise;
+use crate::method::search::{Hypothesis, SearchResult};
 use wcal_core::verify_document::EffectLeftOut;
 
 /// Correlation from which two values are said to trade off.
@@ -26,7 +26,7 @@ struct Value {
 }
 
 /// Every fitted value in the order of the covariance: coefficients channel by channel, then nonlinear values.
-fn values<M: MeasurementModel>(model: &M, fit: &Fit) -> Vec<Value> {
+fn values<M: SessionModel>(model: &M, fit: &Fit) -> Vec<Value> {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let law = |k: usize| model.catalogue()[fit.terms[k].effect].law(fit.terms[k].law);
     let id = |k: usize| model.catalogue()[fit.terms[k].effect].id();
@@ -51,7 +51,7 @@ fn values<M: MeasurementModel>(model: &M, fit: &Fit) -> Vec<Value> {
 
 /// Trade-offs, values at a bound and values that move no prediction, each in a sentence.
 #[must_use]
-pub fn sentences<M: MeasurementModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+pub fn sentences<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
     let fit = &h.fit;
     let (all, c) = (values(model, fit), covariance(fit, fit.variance()));
     if all.len() != c.nrows() {
@@ -93,10 +93,10 @@ pub fn sentences<M: MeasurementModel>(model: &M, h: &Hypothesis) -> Vec<String> 
 
 /// What the fit and the held-out readings lose without each accepted effect, the others refitted.
 #[must_use]
-pub fn left_out<M: MeasurementModel>(
+pub fn left_out<M: SessionModel>(
     model: &M,
     whole: &M,
-    found: &Found,
+    found: &SearchResult,
     accepted: &Hypothesis,
     noise: &Noise,
     left_out: &[usize],
@@ -121,7 +121,7 @@ pub fn left_out<M: MeasurementModel>(
             Some(EffectLeftOut {
                 id: model.catalogue()[effect].id().to_owned(),
                 misfit_ratio: (b.ssr / a.ssr).sqrt(),
-                p_value: found.first_gate.family.adjusted(single),
+                p_value: found.first_test.family.adjusted(single),
                 held_out: with,
                 held_out_without: held_out(&Hypothesis { fit: without, ..accepted.clone() }),
             })

@@ -3,8 +3,8 @@
 //! With the errors e of what it infers and the standard deviations s that it states, it holds where its 95 % intervals cover at least 80 %
 //! and `rms(e / s) <= 2`: looser than the statement itself, because readings of one session share what a calibration has wrong.
 
-use super::heldout::{coverage95, summarise};
-use super::model::{HeldOut, Quantity};
+use super::error_summary::{coverage95, summarise};
+use super::session_model::{HeldOut, Quantity};
 use wcal_core::verify_document::CalibrationJudgement;
 
 /// Least coverage of stated 95 % intervals.

@@ -3,17 +3,17 @@
 pub mod conclusion;
 pub mod detect;
 mod document;
-pub mod heldout;
+pub mod error_summary;
+pub mod held_out;
 pub mod holdout_check;
 pub mod identifiability;
 pub mod judgement;
-pub mod model;
 pub mod noise_report;
 pub mod options;
 pub mod procedure;
 pub mod rival;
-pub mod unseal;
+pub mod session_model;
 
-pub use model::{HeldOut, MeasurementModel};
 pub use options::VerifyOptions;
 pub use procedure::{Verification, verify};
+pub use session_model::{HeldOut, SessionModel};

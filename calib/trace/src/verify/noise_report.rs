@@ -1,6 +1,6 @@
 //! The noise in parts, as `verify.json` and a reader have it.
 
-use crate::engine::noise_parts::{Estimated, Noise};
+use crate::method::noise::{Estimated, Noise};
 use wcal_core::verify_document::{CorrelatedNoise, NoiseDocument, NoiseLaw, NoisePart};
 
 fn part(e: Estimated) -> NoisePart {

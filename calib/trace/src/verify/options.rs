@@ -1,6 +1,6 @@
 //! Settings of `verify`.
 
-use crate::engine::search::Options;
+use crate::method::search::Options;
 use wcal_core::Seal;
 
 /// Settings of `verify`.

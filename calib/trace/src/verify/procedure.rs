@@ -2,20 +2,20 @@
 
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
-use super::heldout::rmse;
+use super::error_summary::rmse;
+use super::held_out::{Errors, Unsealed, left_out_in_turn, on_unsealed, scored};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
-use super::model::{MeasurementModel, Record};
 use super::options::VerifyOptions;
-use super::unseal::{Errors, Unsealed, left_out_in_turn, on_unsealed, scored};
-use crate::engine::explain::Explained;
-use crate::engine::noise_parts::Noise;
-use crate::engine::search::Hypothesis;
+use super::session_model::{Record, SessionModel};
 use crate::error::TraceError;
+use crate::method::explain::Explained;
+use crate::method::noise::Noise;
+use crate::method::search::Hypothesis;
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{ResidualRecord, Sealed, Unsealing};
 
 /// Everything that `verify` found.
-pub struct Verification<M: MeasurementModel> {
+pub struct Verification<M: SessionModel> {
     /// verify.json, without session and files.
     pub document: VerifyDocument,
     /// The model as the noise made it.
@@ -45,7 +45,7 @@ const SEALED_RISE: f64 = 1.1;
 ///
 /// # Errors
 /// Where the declared model has no solution at the readings, or the explanation to be accepted is not open.
-pub fn verify<M: MeasurementModel>(
+pub fn verify<M: SessionModel>(
     model: M,
     sealed: &Sealed<M::Row>,
     options: &VerifyOptions,
@@ -94,7 +94,7 @@ pub fn verify<M: MeasurementModel>(
 
 /// Predicts every reading under both models; accepted effects that make the unsealed readings worse are withdrawn, and a verdict that they
 /// contradict is taken back.
-fn last_word<M: MeasurementModel>(
+fn last_word<M: SessionModel>(
     model: &M,
     whole: &M,
     explained: &Explained,
@@ -134,7 +134,7 @@ fn readable(value: f64) -> String {
 }
 
 /// Records of every reading and channel.
-fn residuals<M: MeasurementModel>(
+fn residuals<M: SessionModel>(
     model: &M,
     whole: &M,
     conclusion: &Conclusion,

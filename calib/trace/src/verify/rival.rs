@@ -3,8 +3,8 @@
 //! Rasmussen & Williams, "Gaussian Processes for Machine Learning" (2006), alg. 2.1 and eq. 5.8: Matern 5/2 over the standardised
 //! covariates, length and signal chosen by the evidence on the fitted readings. It names nothing; an explanation that it beats is missing something.
 
-use super::model::{HeldOut, MeasurementModel};
-use crate::candidate::System;
+use super::session_model::{HeldOut, SessionModel};
+use crate::measurement_model::MeasurementModel;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Lengths, in root of the number of covariates (standardised).
@@ -13,7 +13,7 @@ const LENGTHS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
 const SIGNALS: [f64; 5] = [0.1, 0.5, 2.0, 8.0, 32.0];
 
 /// Standardised covariates, readings x covariates; constant ones are left out.
-fn covariates(system: &dyn System) -> DMatrix<f64> {
+fn covariates(system: &dyn MeasurementModel) -> DMatrix<f64> {
     let n = system.measured().nrows();
     let columns: Vec<Vec<f64>> = system
         .covariates()
@@ -65,7 +65,7 @@ const MAX_FITTED: usize = 400;
 
 /// Errors of the rival on the unsealed readings; `before` holds every reading of `whole` under the declared model. Sealed readings have no part
 /// in it.
-pub fn rival<M: MeasurementModel>(whole: &M, before: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+pub fn rival<M: SessionModel>(whole: &M, before: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
     let sealed = whole.sealed();
     let (all, n) = (covariates(whole), sealed.len());
     let residual: Vec<Vec<f64>> = (0..n).map(|i| whole.errors(before, i).errors[0].clone()).collect();

@@ -5,7 +5,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_distr::{Distribution, StandardNormal};
 use std::sync::Arc;
-use wcal_trace::candidate::{Candidate, Law, Parameter, Role, System, Term};
+use wcal_trace::effect::{Effect, EffectModel, EffectTerm, Parameter, Role};
+use wcal_trace::measurement_model::MeasurementModel;
 
 /// Indices of the candidates.
 pub const SHELF: usize = 0;
@@ -24,11 +25,11 @@ pub const NOISE: f64 = 0.1;
 
 struct Toy(usize);
 
-impl Candidate for Toy {
+impl Effect for Toy {
     fn id(&self) -> &'static str {
         ["shelf", "bend", "scale", "outliers"][self.0]
     }
-    fn laws(&self) -> Vec<Law> {
+    fn laws(&self) -> Vec<EffectModel> {
         let amplitude =
             |name, range| Parameter { name, unit: "1", range, role: Role::Amplitude { probe: 0.02 } };
         let parameters = match self.0 {
@@ -46,9 +47,9 @@ impl Candidate for Toy {
         };
         let linear = if self.0 == BEND { vec![("square", "1")] } else { Vec::new() };
         let largest_share = (self.0 == BEND).then_some(BEND_SHARE);
-        vec![Law { name: "only", parameters, linear, largest_share }]
+        vec![EffectModel { name: "only", parameters, linear, largest_share, needs: Vec::new() }]
     }
-    fn refinements(&self) -> Vec<Law> {
+    fn refinements(&self) -> Vec<EffectModel> {
         if self.0 != SHELF {
             return Vec::new();
         }
@@ -62,7 +63,16 @@ impl Candidate for Toy {
             |name| Parameter { name, unit: "1", range: [0.0, 0.5], role: Role::Amplitude { probe: 0.02 } };
         let parameters =
             vec![height("height"), place("place"), height("second_height"), place("second_place")];
-        vec![Law { name: "two", parameters, linear: Vec::new(), largest_share: None }]
+        vec![EffectModel {
+            name: "two",
+            parameters,
+            linear: Vec::new(),
+            largest_share: None,
+            needs: Vec::new(),
+        }]
+    }
+    fn in_single_readings(&self) -> bool {
+        self.0 == OUTLIERS
     }
     fn sentence(&self) -> &'static str {
         "Something acts."
@@ -80,7 +90,7 @@ pub fn shelf(x: f64, place: f64) -> f64 {
 pub struct ToySystem {
     x: Vec<f64>,
     measured: DMatrix<f64>,
-    catalogue: Vec<Arc<dyn Candidate>>,
+    catalogue: Vec<Arc<dyn Effect>>,
     groups: Vec<u32>,
     known: DMatrix<f64>,
 }
@@ -98,18 +108,18 @@ impl ToySystem {
         Self {
             x,
             measured,
-            catalogue: (0..4).map(|k| Arc::new(Toy(k)) as Arc<dyn Candidate>).collect(),
+            catalogue: (0..4).map(|k| Arc::new(Toy(k)) as Arc<dyn Effect>).collect(),
             groups: (0..READINGS).map(|i| (i / 10) as u32).collect(),
             known: DMatrix::zeros(READINGS, 1),
         }
     }
 }
 
-impl System for ToySystem {
+impl MeasurementModel for ToySystem {
     fn measured(&self) -> &DMatrix<f64> {
         &self.measured
     }
-    fn design(&self, terms: &[Term]) -> Option<DMatrix<f64>> {
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let mut x = self.x.clone();
         for t in terms {
             for (x, raw) in x.iter_mut().zip(&self.x) {
@@ -130,7 +140,7 @@ impl System for ToySystem {
         }
         Some(DMatrix::from_fn(READINGS, columns.len(), |i, j| columns[j][i]))
     }
-    fn catalogue(&self) -> &[Arc<dyn Candidate>] {
+    fn catalogue(&self) -> &[Arc<dyn Effect>] {
         &self.catalogue
     }
     fn not_observable(&self, _effect: usize) -> Option<String> {

@@ -1,43 +1,43 @@
-//! Two cameras that see the wire against a bright background; frames over TCP (firmware-notes/cameras.md).
+//! Two cameras that see the bench; frames over TCP (firmware-notes/cameras.md).
 
 use super::link::Wire;
-use super::plant::rest_point;
+use super::scene::SceneState;
 use super::world::Shared;
-use std::io;
+use std::io::{self, Read};
 use std::net::TcpStream;
 use std::time::Duration;
 
 /// First bytes of every frame.
 pub const MAGIC: &[u8; 4] = b"WCAM";
-/// Exposure of the virtual cameras, ms.
+/// Right exposure of the virtual cameras, ms.
 const EXPOSURE_MS: f64 = 5.0;
-/// Scale of the picture, px/mm.
-const SCALE: f64 = 4.0;
-/// Half width of the drawn wire, px.
-const HALF_WIDTH: f64 = 1.2;
+/// Grey value where no scene is plugged in.
+const GREY: u8 = 170;
+/// Longest command, bytes.
+const COMMAND_LIMIT: usize = 64;
 
-/// Sends a picture a period until the client is gone.
+/// Sends a picture a period until the client is gone. A camera that is late by more than a period leaves frames out.
 ///
 /// # Errors
 /// Why the link ended.
 pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<()> {
     link.set_write_timeout(Some(Duration::from_secs(5)))?;
     let spec = &shared.scenario.cameras;
-    let period_s = 1.0 / spec.rate_hz.max(1e-3);
+    let period_s = 1.0 / spec.rate_hz;
     let mut trigger = (shared.clock.now_s() / period_s).ceil() as u64;
     let mut frozen: Option<Vec<u8>> = None;
+    let mut heard = Vec::new();
     while !shared.stopping() {
         let due_s = trigger as f64 * period_s;
         let now_s = shared.clock.now_s();
         if now_s < due_s {
+            obey(shared, &mut link, &mut heard)?;
             std::thread::sleep(shared.clock.wall(due_s - now_s).min(Duration::from_millis(20)));
             continue;
         }
-        let state = shared.camera_state();
         let second = index == 1;
+        let state = shared.camera_state();
         let late_s = if second { state.skew_ms * 1e-3 } else { 0.0 };
-        let stage_mm = shared.world().units.first().map_or(0.0, |u| u.axis.at(due_s).0);
-        let depth_mm = stage_mm - shared.scenario.stage.contact_mm();
         let mut bytes = Vec::new();
         bytes.extend(MAGIC);
         bytes.extend(spec.size_px[0].to_le_bytes());
@@ -45,40 +45,76 @@ pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<(
         bytes.extend(0_u32.to_le_bytes());
         bytes.extend(trigger.to_le_bytes());
         bytes.extend(shared.clock.epoch_s(due_s + late_s).to_le_bytes());
-        bytes.extend(EXPOSURE_MS.to_le_bytes());
-        bytes.extend(picture(shared, depth_mm, index));
+        bytes.extend((EXPOSURE_MS * state.exposure).to_le_bytes());
+        bytes.extend(picture(shared, index, due_s, trigger));
         if second && state.frozen {
             bytes = frozen.get_or_insert(bytes).clone();
         } else {
             frozen = None;
         }
-        Wire::send(&mut link, &bytes)?;
-        trigger += 1;
+        if !(second && shared.loses_frame()) {
+            Wire::send(&mut link, &bytes)?;
+        }
+        trigger = (trigger + 1).max((shared.clock.now_s() / period_s) as u64);
     }
     Ok(())
 }
 
-/// A dark wire on a bright ground, seen from the side (first camera) or from below (second).
-fn picture(shared: &Shared, depth_mm: f64, index: usize) -> Vec<u8> {
-    let [width, height] = shared.scenario.cameras.size_px;
-    let wire = &shared.scenario.whisker;
-    let mut grey = vec![220_u8; (width * height) as usize];
-    let steps = (wire.length_mm * SCALE * 2.0) as usize;
-    for k in 0..=steps {
-        let s = wire.length_mm * k as f64 / steps as f64;
-        let (p, _) = rest_point(wire, s);
-        // Drawn deflection: the shape of an end-loaded cantilever, enough for a preview.
-        let bend = depth_mm.max(0.0) * (s / wire.length_mm).powi(2);
-        let side = if index == 0 { p[2] + bend } else { bend };
-        let (x, y) = (20.0 + p[0] * SCALE, f64::from(height) * 0.3 - side * SCALE);
-        for dy in -3..=3 {
-            let row = y.round() + f64::from(dy);
-            let dark = 180.0 * (-((row - y) / HALF_WIDTH).powi(2)).exp();
-            if row >= 0.0 && row < f64::from(height) && x >= 0.0 && x < f64::from(width) {
-                let at = row as usize * width as usize + x as usize;
-                grey[at] = grey[at].min((220.0 - dark) as u8);
+/// Carries out what the client asks: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
+fn obey(shared: &Shared, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
+    let mut bytes = [0_u8; COMMAND_LIMIT];
+    // Commands are taken up as they come; nobody waits for them.
+    link.set_nonblocking(true)?;
+    let found = link.read(&mut bytes);
+    link.set_nonblocking(false)?;
+    let count = match found {
+        Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+        Err(e) if e.kind() == io::ErrorKind::WouldBlock => 0,
+        other => other?,
+    };
+    for byte in &bytes[..count] {
+        if *byte != b'\n' {
+            heard.push(*byte);
+            heard.truncate(COMMAND_LIMIT);
+            continue;
+        }
+        let line = String::from_utf8_lossy(heard).into_owned();
+        heard.clear();
+        if let Some(view) = line.trim().strip_prefix("board ") {
+            let view = view.trim();
+            if view == "off" {
+                shared.show_board(None);
+            } else if let Ok(k) = view.parse() {
+                shared.show_board(Some(k));
             }
         }
+    }
+    Ok(())
+}
+
+/// What a camera sees at `due_s`: whole pixels at rest, blocks of them while stage or mount move, so that a bench in motion is not held up by
+/// its pictures.
+fn picture(shared: &Shared, index: usize, due_s: f64, trigger: u64) -> Vec<u8> {
+    let spec = &shared.scenario.cameras;
+    let [width, height] = spec.size_px;
+    let Some(scene) = &shared.scene else {
+        return vec![GREY; (width * height) as usize];
+    };
+    let state = shared.camera_state();
+    let (trajectory, depth_mm, moving) = shared.world().seen(due_s, &shared.scenario);
+    let seen =
+        SceneState { trajectory, depth_mm, board: state.board, exposure: state.exposure, moved: state.moved };
+    let bin = if moving { spec.moving_binning } else { 1 };
+    let seed = shared.scenario.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (2 * trigger + index as u64);
+    let small = scene.picture(index, &seen, [width / bin, height / bin], seed);
+    if bin == 1 {
+        return small;
+    }
+    let (bin, width) = (bin as usize, width as usize);
+    let mut grey = Vec::with_capacity(width * height as usize);
+    for row in small.chunks_exact(width / bin) {
+        let wide: Vec<u8> = row.iter().flat_map(|v| std::iter::repeat_n(*v, bin)).collect();
+        (0..bin).for_each(|_| grey.extend_from_slice(&wide));
     }
     grey
 }

@@ -87,6 +87,28 @@ pub enum Fault {
         /// Delay, ms.
         ms: f64,
     },
+    /// Frames of the second camera that are never sent.
+    LostFrames {
+        /// How many.
+        count: u64,
+    },
+    /// Somebody knocks the second camera: views of the bench are from its new place, those of the board from the old one.
+    CameraMoved {
+        /// Shift in the camera's frame, mm.
+        mm: [f64; 3],
+        /// Rotation vector in the camera's frame, degrees.
+        deg: [f64; 3],
+    },
+    /// Both cameras expose for another time.
+    Exposure {
+        /// Times the right one.
+        factor: f64,
+    },
+    /// A chessboard is held up before the cameras, or taken away.
+    Board {
+        /// Attitude, counted from 0; none: taken away.
+        view: Option<usize>,
+    },
     /// The unit's clock runs wrong from now on.
     ClockDrift {
         /// Parts per million.
@@ -135,6 +157,8 @@ mod tests {
             parse("{\"kind\":\"lost-samples\",\"count\":7}").unwrap(),
             Fault::LostSamples { count: 7 }
         );
+        assert_eq!(parse("{\"kind\":\"board\",\"view\":3}").unwrap(), Fault::Board { view: Some(3) });
+        assert_eq!(parse("board").unwrap(), Fault::Board { view: None });
         assert!(parse("earthquake").is_err() && parse("").is_err() && parse("{").is_err());
     }
 }

@@ -13,6 +13,7 @@ pub mod link;
 pub mod motion;
 pub mod plant;
 pub mod scenario;
+pub mod scene;
 mod sm130_server;
 mod stage_server;
 pub mod unit;

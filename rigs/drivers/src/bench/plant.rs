@@ -1,10 +1,12 @@
 //! What the sensor does when the stage presses it. Shares no code with the program that fits it.
 
 use super::scenario::{Scenario, WhiskerScenario};
+use super::scene::Scene;
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use std::sync::Arc;
 
 /// Lead of the LSM100A's screw, mm.
 const SCREW_LEAD_MM: f64 = 0.6096;
@@ -17,6 +19,10 @@ const PIECES: usize = 600;
 pub trait Plant: Send {
     /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact (negative: none).
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2];
+    /// What cameras see of it; `None`: an even grey.
+    fn scene(&self) -> Option<Arc<dyn Scene>> {
+        None
+    }
 }
 
 /// Centre line at an arc length (mm): point and unit tangent.
@@ -191,23 +197,40 @@ impl Physics {
         out
     }
 
-    /// Depth of the groove: screw errors, play, delay.
-    fn depth_mm(&mut self, stage_mm: f64, dt: f64) -> f64 {
+    /// What cameras see.
+    #[must_use]
+    pub fn scene(&self) -> Option<Arc<dyn Scene>> {
+        self.plant.scene()
+    }
+
+    /// Carriage past the position of first contact, mm: screw errors and play, as the play was left by the last step.
+    fn carriage_mm(&self, stage_mm: f64) -> f64 {
         let e = &self.scenario.effects;
-        let zero_mm = self.scenario.stage.contact_mm();
-        let screw = (stage_mm - zero_mm) * (1.0 + e.stage_scale)
+        let screw = (stage_mm - self.scenario.stage.contact_mm()) * (1.0 + e.stage_scale)
             + e.periodic_um * 1e-3 * (std::f64::consts::TAU * stage_mm / SCREW_LEAD_MM).sin();
         // Play operator: the carriage follows the nut only once the play is used up.
         let half = e.backlash_um * 5e-4;
-        let carriage = self.carriage_mm.unwrap_or(screw).clamp(screw - half, screw + half);
+        self.carriage_mm.unwrap_or(screw).clamp(screw - half, screw + half)
+    }
+
+    /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the reference of the play.
+    #[must_use]
+    pub fn groove_mm(&self, stage_mm: f64) -> f64 {
+        self.carriage_mm(stage_mm) + 5e-4 * self.scenario.effects.backlash_um
+    }
+
+    /// Depth of the groove as the signal follows it: screw errors, play, delay.
+    fn depth_mm(&mut self, stage_mm: f64, dt: f64) -> f64 {
+        let carriage = self.carriage_mm(stage_mm);
         self.carriage_mm = Some(carriage);
+        let e = &self.scenario.effects;
         // First-order delay of the reading behind the carriage.
         let share = if e.lag_ms > 0.0 { 1.0 - (-dt * 1e3 / e.lag_ms).exp() } else { 1.0 };
         let lagged = self.lagged_mm.unwrap_or(carriage);
         let lagged = lagged + share * (carriage - lagged);
         self.lagged_mm = Some(lagged);
         // Loading direction is the reference of the play.
-        lagged + if e.backlash_um > 0.0 { half } else { 0.0 }
+        lagged + 5e-4 * e.backlash_um
     }
 
     /// One Prony term: the moment relaxes by a share of its slow part.

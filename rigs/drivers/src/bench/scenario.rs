@@ -70,7 +70,24 @@ impl Scenario {
             ("interrogator.rate_hz", scenario.interrogator.rate_hz),
             ("whisker.diameter_mm", scenario.whisker.diameter_mm),
             ("stage.unit.microstep_um", scenario.stage.unit.microstep_um),
+            ("cameras.rate_hz", scenario.cameras.rate_hz),
+            ("cameras.exposure", scenario.cameras.exposure),
+            ("cameras.board_square_mm", scenario.cameras.board_square_mm),
+            ("cameras.errors.board_scale", scenario.cameras.errors.board_scale),
         ];
+        let camera_sizes = scenario.cameras.size_px;
+        if camera_sizes.iter().any(|s| !(16..=4096).contains(s)) {
+            return Err(format!("cameras.size_px: expected 16 to 4096 px, found {camera_sizes:?}"));
+        }
+        let binning = scenario.cameras.moving_binning;
+        if binning == 0 || camera_sizes.iter().any(|s| s % binning != 0) {
+            return Err(format!(
+                "cameras.moving_binning: expected a divisor of {camera_sizes:?}, found {binning}"
+            ));
+        }
+        if ![0, 2].contains(&scenario.cameras.count) {
+            return Err(format!("cameras.count: expected 0 or 2, found {}", scenario.cameras.count));
+        }
         if scenario.format != FORMAT {
             return Err(format!("format: expected {FORMAT}, found {}", scenario.format));
         }
@@ -328,6 +345,10 @@ pub struct EffectsScenario {
     pub creep_s: f64,
     /// Quadratic share of the response at 1 N mm.
     pub quadratic_fraction: f64,
+    /// Shift of the groove that the paths do not tell, base frame, mm (`plant = "rod"`).
+    pub groove_offset_mm: [f64; 3],
+    /// Turn of the wire's root per base moment, rad/(N mm) (`plant = "rod"`).
+    pub root_turn_rad_per_nmm: f64,
 }
 
 /// Cameras.
@@ -342,11 +363,66 @@ pub struct CameraScenario {
     pub size_px: [u32; 2],
     /// Delay of the second camera, ms.
     pub skew_ms: f64,
+    /// Side of the blocks of pixels that are read as one while stage or mount move; 1: none.
+    pub moving_binning: u32,
+    /// Exposure relative to the right one; 3 saturates the white of the tags.
+    pub exposure: f64,
+    /// Blur of the lenses (standard deviation), px.
+    pub blur_px: f64,
+    /// Read noise, grey values; shot noise comes with the light.
+    pub noise_dn: f64,
+    /// Relative fall of the light from one side of a picture to the other, and toward its corners.
+    pub uneven_light: [f64; 2],
+    /// Attitudes of the chessboard: `board K` shows K from 0 to this less one.
+    pub board_views: usize,
+    /// Inner corners of the board.
+    pub board_corners: [usize; 2],
+    /// Stated side of its squares, mm.
+    pub board_square_mm: f64,
+    /// What is wrong with the cameras and not declared.
+    pub errors: CameraErrors,
 }
 
 impl Default for CameraScenario {
     fn default() -> Self {
-        Self { count: 2, rate_hz: 10.0, size_px: [320, 240], skew_ms: 0.0 }
+        Self {
+            count: 2,
+            rate_hz: 5.0,
+            size_px: [640, 480],
+            skew_ms: 0.0,
+            moving_binning: 4,
+            exposure: 1.0,
+            blur_px: 0.6,
+            noise_dn: 0.8,
+            uneven_light: [0.12, 0.10],
+            board_views: 12,
+            board_corners: [9, 6],
+            board_square_mm: 6.0,
+            errors: CameraErrors::default(),
+        }
+    }
+}
+
+/// Errors of cameras and tags.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraErrors {
+    /// Shift of the second camera in its own frame after the board was shown, mm.
+    pub moved_mm: [f64; 3],
+    /// Its rotation vector, degrees.
+    pub moved_deg: [f64; 3],
+    /// True over stated side of the board's squares.
+    pub board_scale: f64,
+    /// Shift of the rig tag in its own frame from where the rig file puts it, mm.
+    pub rig_tag_mm: [f64; 3],
+    /// Its rotation vector, degrees.
+    pub rig_tag_deg: [f64; 3],
+}
+
+impl Default for CameraErrors {
+    fn default() -> Self {
+        let none = [0.0; 3];
+        Self { moved_mm: none, moved_deg: none, board_scale: 1.0, rig_tag_mm: none, rig_tag_deg: none }
     }
 }
 
@@ -368,6 +444,11 @@ mod tests {
             "format = \"wcal-scenario/1\"\nsped = 2",
             "format = \"wcal-scenario/1\"\nspeed = 0",
             "format = \"wcal-scenario/1\"\n[[trajectory]]\nid = 1\norigin_mm = [1, 0, 0]\ndirection = [0, 0, 0]",
+            "format = \"wcal-scenario/1\"\n[cameras]\nsize_px = [9000, 480]",
+            "format = \"wcal-scenario/1\"\n[cameras]\nmoving_binning = 0",
+            "format = \"wcal-scenario/1\"\n[cameras]\nmoving_binning = 7",
+            "format = \"wcal-scenario/1\"\n[cameras]\ncount = 3",
+            "format = \"wcal-scenario/1\"\n[cameras.errors]\nboard_scale = 0",
             "format = \"wcal-scenario/1\"\n[[fault]]\nat_s = 1\nkind = \"earthquake\"",
         ] {
             assert!(Scenario::parse(bad).is_err(), "{bad}");

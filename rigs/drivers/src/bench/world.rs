@@ -4,7 +4,8 @@ use super::clock::BenchClock;
 use super::faults::{Fault, ScheduledFault};
 use super::link::{Cable, ReplyFault};
 use super::plant::{Physics, Plant};
-use super::scenario::Scenario;
+use super::scenario::{CameraScenario, Scenario};
+use super::scene::Scene;
 use super::unit::{Unit, UnitSpec};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -47,12 +48,33 @@ pub struct Ring {
 }
 
 /// State of the picture stream.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraState {
     /// The second camera repeats its last picture.
     pub frozen: bool,
     /// Extra delay of the second camera, ms.
     pub skew_ms: f64,
+    /// Attitude of the chessboard that is held up.
+    pub board: Option<usize>,
+    /// Exposure relative to the right one.
+    pub exposure: f64,
+    /// Shift (mm) and rotation vector (degrees) of the second camera since the board was shown.
+    pub moved: ([f64; 3], [f64; 3]),
+    /// Frames of the second camera still to be lost.
+    pub lose: u64,
+}
+
+impl CameraState {
+    fn new(cameras: &CameraScenario) -> Self {
+        Self {
+            frozen: false,
+            skew_ms: cameras.skew_ms,
+            board: None,
+            exposure: cameras.exposure,
+            moved: (cameras.errors.moved_mm, cameras.errors.moved_deg),
+            lose: 0,
+        }
+    }
 }
 
 /// Shared by all threads of one bench.
@@ -67,6 +89,8 @@ pub struct Shared {
     pub interrogator_cable: Cable,
     /// Picture stream.
     pub cameras: Mutex<CameraState>,
+    /// What the cameras see.
+    pub scene: Option<Arc<dyn Scene>>,
     world: Mutex<World>,
     ring: Mutex<Ring>,
     fresh: Condvar,
@@ -100,9 +124,11 @@ impl Shared {
         }
         let mut schedule = scenario.fault.clone();
         schedule.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let physics = Physics::new(&scenario, plant);
+        let scene = physics.scene();
         let world = World {
             units,
-            physics: Physics::new(&scenario, plant),
+            physics,
             health: InterrogatorHealth::default(),
             lost: [false; 3],
             crossing: false,
@@ -115,7 +141,8 @@ impl Shared {
             clock: BenchClock::start(scenario.speed),
             stage_cable: Cable::default(),
             interrogator_cable: Cable::default(),
-            cameras: Mutex::new(CameraState { frozen: false, skew_ms: scenario.cameras.skew_ms }),
+            cameras: Mutex::new(CameraState::new(&scenario.cameras)),
+            scene,
             scenario,
             world: Mutex::new(world),
             ring: Mutex::new(Ring::default()),
@@ -135,6 +162,23 @@ impl Shared {
     /// Picture stream state.
     pub fn camera_state(&self) -> CameraState {
         *guard(&self.cameras)
+    }
+
+    /// Shows the board in attitude `view`, or takes it away; an attitude that there is not is refused.
+    pub fn show_board(&self, view: Option<usize>) -> bool {
+        let known = view.is_none_or(|k| k < self.scenario.cameras.board_views);
+        if known {
+            guard(&self.cameras).board = view;
+        }
+        known
+    }
+
+    /// True for each frame of the second camera that is to be lost.
+    pub fn loses_frame(&self) -> bool {
+        let mut state = guard(&self.cameras);
+        let lost = state.lose > 0;
+        state.lose = state.lose.saturating_sub(1);
+        lost
     }
 
     /// Whether the bench is shutting down.
@@ -249,18 +293,37 @@ impl Shared {
             Fault::ClockDrift { ppm } => *guard(&self.clock_fault) = (t_s, ppm),
             Fault::FrozenCamera { on } => guard(&self.cameras).frozen = on,
             Fault::CameraSkew { ms } => guard(&self.cameras).skew_ms = ms,
+            Fault::LostFrames { count } => guard(&self.cameras).lose += count,
+            Fault::CameraMoved { mm, deg } => guard(&self.cameras).moved = (mm, deg),
+            Fault::Exposure { factor } => guard(&self.cameras).exposure = factor,
+            Fault::Board { view } => {
+                self.show_board(view);
+            }
             other => self.world().inject(other, t_s),
         }
     }
 }
 
 impl World {
-    fn scan(&mut self, serial: u64, t_s: f64, scenario: &Scenario) -> Scan {
+    /// Stage position (mm) and the trajectory that the mount presents.
+    fn place(&self, t_s: f64, scenario: &Scenario) -> (f64, u32) {
         let stage_mm = self.units.first().map_or(0.0, |u| u.axis.at(t_s).0);
         let trajectory = self.units.get(1).map_or(1, |mount| {
             let steps = mount.axis.spec.unit.from_mm(mount.axis.at(t_s).0);
             u32::try_from(steps / scenario.mount.steps_per_trajectory.max(1)).unwrap_or(0)
         });
+        (stage_mm, trajectory)
+    }
+
+    /// Trajectory, depth of the groove (mm), and whether stage or mount move.
+    pub fn seen(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
+        let (stage_mm, trajectory) = self.place(t_s, scenario);
+        let moving = self.units.iter().any(|u| u.axis.at(t_s).1 != 0.0);
+        (trajectory, self.physics.groove_mm(stage_mm), moving)
+    }
+
+    fn scan(&mut self, serial: u64, t_s: f64, scenario: &Scenario) -> Scan {
+        let (stage_mm, trajectory) = self.place(t_s, scenario);
         let nm = self.physics.step(t_s, trajectory, stage_mm);
         let mut peaks_nm = nm.map(Some);
         if self.crossing {

@@ -1,0 +1,177 @@
+//! What the loop knows of an effect before it sees data: laws, named parameters with unit and range, and what they need of a session.
+
+/// Role of a parameter in a law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// Zero means "not there"; `probe` is a typical size.
+    Amplitude {
+        /// Typical size, in the parameter's unit.
+        probe: f64,
+    },
+    /// Shapes the law; tried on `grid` before it is refined.
+    Shape {
+        /// Values tried in screening.
+        grid: &'static [f64],
+    },
+}
+
+/// A nonlinear parameter of a law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parameter {
+    /// Name in `verify.json`.
+    pub name: &'static str,
+    /// Unit, `1` where dimensionless.
+    pub unit: &'static str,
+    /// Physical range; an estimate at its end is no explanation unless the end is "not there".
+    pub range: [f64; 2],
+    /// Role.
+    pub role: Role,
+}
+
+/// What a law needs of a session beyond the required columns: the one place that says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Need {
+    /// Time stamps.
+    Time,
+    /// Time stamps, or rows in the order in which they were taken.
+    Clock,
+    /// The order of the rows itself.
+    Order,
+    /// A temperature that varies.
+    Temperature,
+    /// Readings of both directions.
+    BothDirections,
+    /// Readings taken while the stage moves.
+    Motion,
+    /// A base that moves through the medium.
+    MovingBase,
+    /// The direction of gravity and the wire's density.
+    Weight,
+    /// A declared model that follows the stimulus.
+    Slope,
+    /// A further covariate that varies.
+    Covariate,
+}
+
+/// One law by which an effect can act.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EffectModel {
+    /// Name, e.g. `prony`.
+    pub name: &'static str,
+    /// Nonlinear parameters.
+    pub parameters: Vec<Parameter>,
+    /// Names and units of the coefficients that enter linearly, one a column and channel.
+    pub linear: Vec<(&'static str, &'static str)>,
+    /// Largest part that those columns may have in what a channel spans; none where the law has no such limit.
+    pub largest_share: Option<f64>,
+    /// What it needs of the session.
+    pub needs: Vec<Need>,
+}
+
+impl EffectModel {
+    /// The same law that needs something of the session.
+    #[must_use]
+    pub fn needing(mut self, needs: &[Need]) -> Self {
+        self.needs = needs.to_vec();
+        self
+    }
+}
+
+/// Values of a law's parameters, by name: what the hooks of an effect see.
+#[derive(Debug, Clone, Copy)]
+pub struct Values<'a> {
+    law: &'a EffectModel,
+    index: usize,
+    values: &'a [f64],
+}
+
+impl<'a> Values<'a> {
+    /// Values of `law`, which is number `index` of its effect, in the order of its parameters.
+    #[must_use]
+    pub fn new(law: &'a EffectModel, index: usize, values: &'a [f64]) -> Self {
+        Self { law, index, values }
+    }
+
+    /// Name of the law.
+    #[must_use]
+    pub fn law(&self) -> &'static str {
+        self.law.name
+    }
+
+    /// Number of the law among its effect's.
+    #[must_use]
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Value of a parameter; NaN where the law has none of that name, so that no design comes of it.
+    #[must_use]
+    pub fn of(&self, name: &str) -> f64 {
+        let at = self.law.parameters.iter().position(|p| p.name == name);
+        at.and_then(|k| self.values.get(k)).copied().unwrap_or(f64::NAN)
+    }
+
+    /// All values in the order of the law's parameters.
+    #[must_use]
+    pub fn all(&self) -> &'a [f64] {
+        self.values
+    }
+}
+
+/// An effect of a catalogue.
+pub trait Effect: Send + Sync {
+    /// Identifier of FORMATS.md.
+    fn id(&self) -> &'static str;
+    /// Laws, the plainest first.
+    fn laws(&self) -> Vec<EffectModel>;
+    /// Richer laws, tried only where the effect is accepted already and something is left. Their indices go on after those of `laws`.
+    fn refinements(&self) -> Vec<EffectModel> {
+        Vec::new()
+    }
+    /// A law by its index.
+    ///
+    /// # Panics
+    /// Where there is none.
+    fn law(&self, index: usize) -> EffectModel {
+        let mut all = self.laws();
+        if index >= all.len() {
+            all.extend(self.refinements());
+        }
+        all.swap_remove(index)
+    }
+    /// A law by its name, with its index.
+    fn law_named(&self, name: &str) -> Option<(usize, EffectModel)> {
+        self.laws().into_iter().chain(self.refinements()).enumerate().find(|(_, l)| l.name == name)
+    }
+    /// What the plainest law needs of a session.
+    fn needs(&self) -> Vec<Need> {
+        self.laws().into_iter().next().map_or_else(Vec::new, |l| l.needs)
+    }
+    /// Columns that help to find it without being needed, for people.
+    fn helped_by(&self) -> Option<&'static str> {
+        None
+    }
+    /// What it does to a reading depends on the readings before.
+    fn has_memory(&self) -> bool {
+        false
+    }
+    /// It is found reading by reading, by the outlier stage, not by a law.
+    fn in_single_readings(&self) -> bool {
+        false
+    }
+    /// One plain sentence for the report.
+    fn sentence(&self) -> &'static str;
+    /// Where the law and its ranges come from.
+    fn source(&self) -> &'static str;
+}
+
+/// An effect with its law and nonlinear parameter values.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EffectTerm {
+    /// Index in the catalogue.
+    pub effect: usize,
+    /// Index in the effect's laws.
+    pub law: usize,
+    /// Values of the law's nonlinear parameters.
+    pub values: Vec<f64>,
+}

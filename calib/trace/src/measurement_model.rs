@@ -1,0 +1,43 @@
+//! The measurement model that the statistics work on: measured values, a design whose coefficients are free, effects, noise.
+//!
+//! ```text
+//! Y = D(terms) B + noise          Y: readings x channels, D: design under the effects' values, B: coefficients, one column a channel
+//! ```
+//!
+//! [`crate::verify::SessionModel`] adds what the procedure asks of a kind of session: words, predictions, folds, checks.
+
+use crate::effect::{Effect, EffectTerm};
+use crate::method::noise::NoiseInputs;
+use nalgebra::DMatrix;
+
+/// A session seen through a declared model and a catalogue: what the loop works on.
+///
+/// The prediction is `design(terms) * B` with free coefficients B, one column a channel.
+pub trait MeasurementModel: Sync {
+    /// Measured values, readings x channels.
+    fn measured(&self) -> &DMatrix<f64>;
+    /// From the channels of [`MeasurementModel::measured`], whose noise is alike and apart, to those of the sensor: `sensor = measured * this`.
+    fn channels_pm(&self) -> DMatrix<f64> {
+        DMatrix::identity(self.measured().ncols(), self.measured().ncols())
+    }
+    /// Design matrix, readings x coefficients; none where the model has no solution at these values.
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
+    /// The catalogue.
+    fn catalogue(&self) -> &[std::sync::Arc<dyn Effect>];
+    /// Catalogue entry of single readings far outside the noise.
+    fn outliers(&self) -> Option<usize> {
+        self.catalogue().iter().position(|e| e.in_single_readings())
+    }
+    /// Why an effect cannot be seen in this session; none where it can.
+    fn not_observable(&self, effect: usize) -> Option<String>;
+    /// Group of each reading (trajectory, cycle); resampling keeps groups whole.
+    fn groups(&self) -> &[u32];
+    /// Covariates for finding what drives an unexplained residual: name and one value a reading.
+    fn covariates(&self) -> Vec<(String, Vec<f64>)>;
+    /// Known part of the noise, readings x channels (same unit as measured).
+    fn known_noise(&self) -> &DMatrix<f64>;
+    /// What the noise of the readings can depend on.
+    fn noise_inputs(&self) -> NoiseInputs {
+        NoiseInputs::none(self.measured().nrows())
+    }
+}

@@ -1,0 +1,189 @@
+//! Generic signatures: what a residual looks like if something outside the catalogue drives it by a covariate.
+
+use super::fit::{Fit, Weights};
+use super::linear::{Basis, in_channel};
+use super::signature::{Signature, build};
+use crate::effect::EffectTerm;
+use crate::measurement_model::MeasurementModel;
+use nalgebra::DVector;
+
+/// A generic signature: the residual varies with a covariate in a certain shape (`unknown` of verify.json).
+#[derive(Debug, Clone)]
+pub struct CovariateSignature {
+    /// Covariate.
+    pub covariate: String,
+    /// Shape.
+    pub shape: &'static str,
+    /// Period, for a sinusoid, in the covariate's unit.
+    pub period: Option<f64>,
+    /// Its columns, free in every channel.
+    pub columns: Vec<Vec<f64>>,
+    /// The signature.
+    pub signature: Signature,
+}
+
+/// Terms of generic signatures are never refitted; this marks them.
+const GENERIC: usize = usize::MAX;
+
+struct Maker<'a> {
+    channels: usize,
+    weights: &'a Weights,
+    nuisance: &'a Basis,
+    out: Vec<CovariateSignature>,
+}
+
+impl Maker<'_> {
+    /// `columns` free in every channel.
+    fn add(&mut self, covariate: &str, shape: &'static str, period: Option<f64>, columns: &[Vec<f64>]) {
+        let mut raw: Vec<DVector<f64>> = Vec::new();
+        for column in columns {
+            let weighted = self.weights.apply_to(column);
+            raw.extend((0..self.channels).map(|c| in_channel(&weighted, c, self.channels)));
+        }
+        let term = EffectTerm { effect: GENERIC, law: 0, values: Vec::new() };
+        if let Some(signature) = build(term, Vec::new(), false, &raw, self.nuisance) {
+            let columns = columns.to_vec();
+            self.out.push(CovariateSignature {
+                covariate: covariate.to_owned(),
+                shape,
+                period,
+                columns,
+                signature,
+            });
+        }
+    }
+}
+
+fn quantiles(values: &[f64], count: usize) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    if sorted.len() < 4 {
+        return Vec::new();
+    }
+    let mut out: Vec<f64> = (1..count).map(|k| sorted[k * (sorted.len() - 1) / count] + 1e-9).collect();
+    out.dedup();
+    out
+}
+
+/// Covariates whose plain dependence a clock or a thermometer shows: additive shapes are tried on them.
+fn is_clock(name: &str) -> bool {
+    matches!(name, "t_s" | "order" | "temperature_degc" | "stimulus" | "commanded_mm")
+}
+
+/// Generic signatures of every covariate of `system`, projected off `nuisance`.
+#[must_use]
+pub fn signatures_of_covariates(
+    system: &dyn MeasurementModel,
+    fit: &Fit,
+    weights: &Weights,
+    nuisance: &Basis,
+) -> Vec<CovariateSignature> {
+    let channels = fit.residual.ncols();
+    let mut maker = Maker { channels, weights, nuisance, out: Vec::new() };
+    let mut covariates = system.covariates();
+    if channels > 1 {
+        // Wavelengths as the model has them: measured ones carry the very noise that is looked at.
+        let fitted = (system.measured() - &fit.raw_residual) * system.channels_pm();
+        covariates.extend(
+            (0..channels).map(|c| (format!("fbg_{}_pm", c + 1), fitted.column(c).iter().copied().collect())),
+        );
+    }
+    // Columns after the constant carry the signal; gains act on them.
+    let signal: Vec<Vec<f64>> =
+        (1..fit.design.ncols().min(3)).map(|j| fit.raw_design.column(j).iter().copied().collect()).collect();
+    let has_time = covariates.iter().any(|(n, _)| n == "t_s");
+    for (name, values) in &covariates {
+        let (lo, hi) =
+            values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+        let span = hi - lo;
+        if !(span > 0.0) || (name == "order" && has_time) {
+            continue;
+        }
+        let unit: Vec<f64> = values.iter().map(|v| (v - lo) / span).collect();
+        let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
+        let gain = |g: &[f64]| -> Vec<Vec<f64>> {
+            signal.iter().map(|s| s.iter().zip(g).map(|(s, g)| s * g).collect()).collect()
+        };
+        match name.as_str() {
+            "trajectory" => {
+                let mut groups: Vec<f64> = values.clone();
+                groups.sort_by(f64::total_cmp);
+                groups.dedup();
+                let member =
+                    |g: f64| values.iter().map(|v| f64::from(u8::from(*v == g))).collect::<Vec<f64>>();
+                let dummies: Vec<Vec<f64>> = groups.iter().skip(1).map(|g| member(*g)).collect();
+                maker.add(name, "irregular", None, &dummies);
+                let gains: Vec<Vec<f64>> = dummies.iter().flat_map(|d| gain(d)).collect();
+                maker.add(name, "irregular", None, &gains);
+            }
+            "direction" => {
+                maker.add(name, "sign", None, std::slice::from_ref(values));
+                maker.add(name, "sign", None, &gain(values));
+            }
+            "speed_mm_s" => {
+                maker.add(name, "linear", None, &[map(&|u| u)]);
+                maker.add(name, "sign", None, &[values.iter().map(|v| v.abs()).collect()]);
+            }
+            "dwell_s" => {
+                maker.add(name, "linear", None, &[map(&|u| u)]);
+                maker.add(name, "exponential", None, &[values.iter().map(|v| (1.0 + v).ln()).collect()]);
+            }
+            _ if is_clock(name) => {
+                maker.add(name, "linear", None, &[map(&|u| u)]);
+                maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
+                for q in quantiles(&unit, 24) {
+                    maker.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
+                }
+                if name == "t_s" || name == "order" {
+                    for tau in [0.03, 0.08, 0.2, 0.5] {
+                        maker.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
+                    }
+                    // Half cycles: neighbouring frequencies are then still half in step.
+                    for half in 3..=60 {
+                        let cycles = 0.5 * f64::from(half);
+                        let phase = std::f64::consts::TAU * cycles;
+                        maker.add(
+                            name,
+                            "sinusoid",
+                            Some(span / cycles),
+                            &[map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())],
+                        );
+                    }
+                }
+                maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5)));
+            }
+            "stage_mm" | "moment_nmm" => {
+                let toward = &signal;
+                for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
+                    let hinge = map(&|u| (u - q).max(0.0));
+                    maker.add(name, "dead-zone", None, std::slice::from_ref(&hinge));
+                    if !toward.is_empty() {
+                        maker.add(name, "dead-zone", None, &gain(&hinge));
+                    }
+                }
+                maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
+            }
+            "moment_1_nmm" | "moment_2_nmm" => {
+                maker.add(
+                    name,
+                    "sign",
+                    None,
+                    &[values.iter().map(|v| v.signum() * f64::from(u8::from(v.abs() > 1e-9))).collect()],
+                );
+            }
+            // An interferometer's error repeats with the wavelength itself.
+            _ if name.starts_with("fbg_") => {
+                for half in 3..=24 {
+                    let cycles = 0.5 * f64::from(half);
+                    let phase = std::f64::consts::TAU * cycles;
+                    let waves = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
+                    maker.add(name, "sinusoid", Some(span / cycles), &waves);
+                }
+            }
+            "contact_arclength_mm" => maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5))),
+            _ => maker.add(name, "linear", None, &[map(&|u| u)]),
+        }
+    }
+    maker.out
+}

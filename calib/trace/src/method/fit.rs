@@ -1,0 +1,295 @@
+//! Variable projection: the coefficients are solved for exactly, the few nonlinear parameters by bounded Levenberg-Marquardt.
+//!
+//! Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), with Kaufman's Jacobian. The crate levenberg-marquardt knows no bounds, and bounds
+//! carry the physics here (friction and creep do not go below zero), hence the short loop of our own.
+
+pub use super::noise::Weights;
+use crate::effect::{EffectTerm, Role};
+use crate::measurement_model::MeasurementModel;
+use nalgebra::{DMatrix, DVector};
+
+/// How a fit ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// The sum of squares no longer falls.
+    Converged,
+    /// It was still falling when the iterations ran out.
+    NotConverged,
+    /// Columns of the design depend on each other; the others were fitted.
+    RankDeficient,
+}
+
+/// A fitted model.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// Terms with fitted values.
+    pub terms: Vec<EffectTerm>,
+    /// Coefficients, design columns x channels.
+    pub coefficients: DMatrix<f64>,
+    /// Whitened residual, readings x channels.
+    pub residual: DMatrix<f64>,
+    /// Whitened design.
+    pub design: DMatrix<f64>,
+    /// Design as it is, readings x coefficients.
+    pub raw_design: DMatrix<f64>,
+    /// Residual as it is, of every reading, in the unit of the measured values.
+    pub raw_residual: DMatrix<f64>,
+    /// Sum of squares.
+    pub ssr: f64,
+    /// Readings x channels less coefficients and parameters.
+    pub dof: f64,
+    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (whitened).
+    pub tangents: Vec<DMatrix<f64>>,
+    /// The same as they are, not whitened.
+    pub raw_tangents: Vec<DMatrix<f64>>,
+    /// Which nonlinear parameters sit at an end of their range.
+    pub at_bound: Vec<bool>,
+    /// How it ended.
+    pub status: Status,
+}
+
+impl Fit {
+    /// Residual variance.
+    #[must_use]
+    pub fn variance(&self) -> f64 {
+        self.ssr / self.dof.max(1.0)
+    }
+}
+
+/// Coefficients and residual of `y` on `design` by Householder QR on scaled columns.
+pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {
+    let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
+    let scaled = DMatrix::from_fn(design.nrows(), design.ncols(), |i, j| {
+        if scale[j] > 0.0 { design[(i, j)] / scale[j] } else { 0.0 }
+    });
+    let qr = scaled.clone().qr();
+    let (q, r) = (qr.q(), qr.r());
+    let qty = q.transpose() * y;
+    let count = design.ncols();
+    let mut b = DMatrix::zeros(count, y.ncols());
+    let mut full_rank = true;
+    for i in (0..count).rev() {
+        // A column that the earlier ones already span keeps the coefficient 0.
+        if r[(i, i)].abs() < 1e-9 {
+            full_rank = false;
+            continue;
+        }
+        for c in 0..y.ncols() {
+            let mut v = qty[(i, c)];
+            for k in i + 1..count {
+                v -= r[(i, k)] * b[(k, c)];
+            }
+            b[(i, c)] = v / r[(i, i)];
+        }
+    }
+    let residual = y - &scaled * &b;
+    for (i, s) in scale.iter().enumerate() {
+        for c in 0..y.ncols() {
+            b[(i, c)] = if *s > 0.0 { b[(i, c)] / s } else { 0.0 };
+        }
+    }
+    (b, residual, full_rank)
+}
+
+/// One evaluation at fixed nonlinear values.
+struct Evaluation {
+    raw: DMatrix<f64>,
+    design: DMatrix<f64>,
+    coefficients: DMatrix<f64>,
+    residual: DMatrix<f64>,
+    ssr: f64,
+    full_rank: bool,
+}
+
+fn evaluate(
+    system: &dyn MeasurementModel,
+    terms: &[EffectTerm],
+    weights: &Weights,
+    y: &DMatrix<f64>,
+) -> Option<Evaluation> {
+    let raw = system.design(terms)?;
+    let design = weights.apply(&raw);
+    let (coefficients, residual, full_rank) = linear(&design, y);
+    let ssr = residual.norm_squared();
+    ssr.is_finite().then_some(Evaluation { raw, design, coefficients, residual, ssr, full_rank })
+}
+
+/// (term, value) of every nonlinear parameter in order.
+fn slots(terms: &[EffectTerm]) -> Vec<(usize, usize)> {
+    terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k))).collect()
+}
+
+fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 {
+    let p = system.catalogue()[term.effect].law(term.law).parameters[k];
+    match p.role {
+        Role::Amplitude { probe } => 0.02 * probe.abs().max(0.1 * term.values[k].abs()),
+        Role::Shape { grid } => {
+            let plain = 0.01 * term.values[k].abs().max(1e-3 * (p.range[1] - p.range[0]));
+            plain.min(0.02 * grid_gap(grid, term.values[k]))
+        }
+    }
+}
+
+/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
+fn grid_gap(grid: &[f64], value: f64) -> f64 {
+    let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
+    let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
+    gaps.fold(f64::INFINITY, f64::min)
+}
+
+fn tangents(
+    system: &dyn MeasurementModel,
+    terms: &[EffectTerm],
+    here: &Evaluation,
+) -> Option<Vec<DMatrix<f64>>> {
+    slots(terms)
+        .iter()
+        .map(|&(t, k)| {
+            let p = system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k];
+            let mut h = step_size(system, &terms[t], k);
+            if terms[t].values[k] + h > p.range[1] {
+                h = -h;
+            }
+            let mut moved = terms.to_vec();
+            moved[t].values[k] += h;
+            let design = match system.design(&moved) {
+                Some(d) => d,
+                None => {
+                    h = -h;
+                    moved[t].values[k] = terms[t].values[k] + h;
+                    system.design(&moved)?
+                }
+            };
+            Some((design - &here.raw) * &here.coefficients / h)
+        })
+        .collect()
+}
+
+/// Residual-space part of a tangent: what the coefficients cannot take up.
+fn off_design(design: &DMatrix<f64>, tangent: &DMatrix<f64>) -> DMatrix<f64> {
+    linear(design, tangent).1
+}
+
+/// Fits `terms` from their present values.
+pub fn fit(
+    system: &dyn MeasurementModel,
+    terms: &[EffectTerm],
+    weights: &Weights,
+    iterations: usize,
+) -> Option<Fit> {
+    let y = weights.apply(system.measured());
+    let mut terms = terms.to_vec();
+    let mut here = evaluate(system, &terms, weights, &y)?;
+    let index = slots(&terms);
+    let range = |terms: &[EffectTerm], (t, k): (usize, usize)| {
+        system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
+    };
+    let mut damping = 1e-3;
+    let mut status = if index.is_empty() { Status::Converged } else { Status::NotConverged };
+    let mut directions = Vec::new();
+    for _ in 0..if index.is_empty() { 0 } else { iterations } {
+        directions = tangents(system, &terms, &here)?;
+        let columns: Vec<DVector<f64>> = directions
+            .iter()
+            .map(|t| super::linear::stack(&off_design(&here.design, &weights.apply(t))))
+            .collect();
+        let r = super::linear::stack(&here.residual);
+        let m = columns.len();
+        let gram = DMatrix::from_fn(m, m, |i, j| columns[i].dot(&columns[j]));
+        let gradient = DVector::from_fn(m, |i, _| columns[i].dot(&r));
+        let mut improved = false;
+        for _ in 0..8 {
+            let step = bounded_step(&gram, &gradient, damping, &terms, &index, &range);
+            let mut moved = terms.clone();
+            for (j, &(t, k)) in index.iter().enumerate() {
+                let [lo, hi] = range(&terms, (t, k));
+                moved[t].values[k] = (terms[t].values[k] + step[j]).clamp(lo, hi);
+            }
+            if let Some(next) = evaluate(system, &moved, weights, &y).filter(|e| e.ssr < here.ssr) {
+                let gain = here.ssr - next.ssr;
+                let small = gain < 1e-5 * next.ssr.max(1e-300);
+                terms = moved;
+                here = next;
+                damping = (damping * 0.2).max(1e-9);
+                improved = !small;
+                break;
+            }
+            damping *= 8.0;
+        }
+        if !improved {
+            status = Status::Converged;
+            break;
+        }
+    }
+    if !index.is_empty() {
+        directions = tangents(system, &terms, &here).unwrap_or(directions);
+    }
+    if !here.full_rank {
+        status = Status::RankDeficient;
+    }
+    let at_bound = index
+        .iter()
+        .map(|&(t, k)| {
+            let [lo, hi] = range(&terms, (t, k));
+            let v = terms[t].values[k];
+            v <= lo + 1e-6 * (hi - lo) || v >= hi - 1e-6 * (hi - lo)
+        })
+        .collect();
+    let channels = y.ncols() as f64;
+    let used = here.design.ncols() as f64 * channels + index.len() as f64;
+    Some(Fit {
+        dof: weights.active() as f64 * channels - used,
+        raw_residual: system.measured() - &here.raw * &here.coefficients,
+        raw_design: here.raw,
+        coefficients: here.coefficients,
+        residual: here.residual,
+        design: here.design,
+        ssr: here.ssr,
+        tangents: directions.iter().map(|t| weights.apply(t)).collect(),
+        raw_tangents: directions,
+        at_bound,
+        status,
+        terms,
+    })
+}
+
+/// Levenberg-Marquardt step with the parameters that push against their range held there.
+fn bounded_step(
+    gram: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    damping: f64,
+    terms: &[EffectTerm],
+    index: &[(usize, usize)],
+    range: &impl Fn(&[EffectTerm], (usize, usize)) -> [f64; 2],
+) -> DVector<f64> {
+    let m = gradient.len();
+    let mut free = vec![true; m];
+    let mut step = DVector::zeros(m);
+    for _ in 0..=m {
+        let kept: Vec<usize> = (0..m).filter(|&j| free[j]).collect();
+        if kept.is_empty() {
+            return DVector::zeros(m);
+        }
+        let a = DMatrix::from_fn(kept.len(), kept.len(), |i, j| {
+            let v = gram[(kept[i], kept[j])];
+            if i == j { v * (1.0 + damping) + 1e-300 } else { v }
+        });
+        let b = DVector::from_fn(kept.len(), |i, _| gradient[kept[i]]);
+        let Some(x) = a.cholesky().map(|c| c.solve(&b)) else { return DVector::zeros(m) };
+        step.fill(0.0);
+        for (i, &j) in kept.iter().enumerate() {
+            step[j] = x[i];
+        }
+        let pushing = kept.iter().find(|&&j| {
+            let (t, k) = index[j];
+            let [lo, hi] = range(terms, (t, k));
+            let v = terms[t].values[k];
+            (v <= lo && step[j] < 0.0) || (v >= hi && step[j] > 0.0)
+        });
+        match pushing {
+            Some(&j) => free[j] = false,
+            None => return step,
+        }
+    }
+    step
+}

@@ -1,0 +1,168 @@
+//! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
+
+use super::fit::Fit;
+use super::linear::{Basis, in_channel, stack};
+use super::search::{Hypothesis, SearchResult};
+use super::signature::nuisance;
+use crate::effect::{EffectTerm, Role};
+use crate::measurement_model::MeasurementModel;
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+use wcal_core::verify_document::EffectParameter;
+
+/// Joint covariance: coefficients channel by channel, then nonlinear values in term order.
+#[must_use]
+pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
+    let (n, q, c) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols());
+    let m = fit.tangents.len();
+    let mut jacobian = DMatrix::zeros(n * c, q * c + m);
+    for channel in 0..c {
+        jacobian.view_mut((channel * n, channel * q), (n, q)).copy_from(&fit.design);
+    }
+    for (j, t) in fit.tangents.iter().enumerate() {
+        jacobian.set_column(q * c + j, &stack(t));
+    }
+    let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
+    let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / scale[j]);
+    let gram = scaled.transpose() * &scaled;
+    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(q * c + m, q * c + m));
+    // What moves no prediction (the place of a step between two readings) has no covariance: 0, never an infinity.
+    let dead: Vec<bool> = jacobian.column_iter().map(|v| v.norm() < 1e-150).collect();
+    DMatrix::from_fn(q * c + m, q * c + m, |i, j| {
+        if dead[i] || dead[j] { 0.0 } else { inverse[(i, j)] * variance / (scale[i] * scale[j]) }
+    })
+}
+
+/// Quantile of Student's t for a two-sided 95 % interval.
+#[must_use]
+pub fn t95(dof: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, dof.max(1.0)).map_or(1.96, |t| t.inverse_cdf(0.975))
+}
+
+/// Parameters of one effect of an explanation with 95 % intervals.
+#[must_use]
+pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+    let fit = &h.fit;
+    let covariance = covariance(fit, fit.variance());
+    let pm = system.channels_pm();
+    let (q, c) = (fit.design.ncols(), fit.residual.ncols());
+    let t = t95(fit.dof);
+    let mut out = Vec::new();
+    let mut slot = q * c;
+    // Columns of linear terms follow the declared model's in term order.
+    let own: usize =
+        fit.terms.iter().map(|term| system.catalogue()[term.effect].law(term.law).linear.len()).sum();
+    let mut column = q - own.min(q);
+    for term in &fit.terms {
+        let law = &system.catalogue()[term.effect].law(term.law);
+        for (p, v) in law.parameters.iter().zip(&term.values) {
+            let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+            slot += 1;
+            if term.effect == effect {
+                let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
+                let low = if one_sided { (v - half).max(0.0) } else { v - half };
+                out.push(EffectParameter {
+                    name: p.name.to_owned(),
+                    value: *v,
+                    unit: p.unit.to_owned(),
+                    interval95: [low, v + half],
+                });
+            }
+        }
+        for (name, unit) in &law.linear {
+            if term.effect == effect {
+                for channel in 0..c {
+                    let shares = pm.column(channel);
+                    let of = |a: usize, b: usize| {
+                        shares[a] * shares[b] * covariance[(a * q + column, b * q + column)]
+                    };
+                    let variance: f64 =
+                        (0..c).flat_map(|a| (0..c).map(move |b| (a, b))).map(|(a, b)| of(a, b)).sum();
+                    let half = t * variance.max(0.0).sqrt();
+                    let v = (fit.coefficients.row(column) * shares)[0];
+                    out.push(EffectParameter {
+                        name: if c > 1 { format!("{name}_{}", channel + 1) } else { (*name).to_owned() },
+                        value: v,
+                        unit: (*unit).to_owned(),
+                        interval95: [v - half, v + half],
+                    });
+                }
+            }
+            column += 1;
+        }
+    }
+    out
+}
+
+/// Signature cosine above which two explanations are one class (docs/src/formats.md).
+pub const CLASS_COSINE: f64 = 0.995;
+
+/// What an explanation takes out of the declared model's residual.
+#[must_use]
+pub fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
+    let n = base.fit.residual.nrows();
+    let mut v = stack(&(&base.fit.residual - &h.fit.residual));
+    // Flagged readings count as explained whole in both, so that they do not dominate the angle.
+    for &i in &h.flagged {
+        for c in 0..base.fit.residual.ncols() {
+            v[c * n + i] = 0.0;
+        }
+    }
+    v
+}
+
+/// Cosine between what two explanations explain.
+#[must_use]
+pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
+    let size = a.norm() * b.norm();
+    if size > 0.0 { a.dot(b) / size } else { 0.0 }
+}
+
+/// For every survivor: is it of the best one's class? What both explanations share (effects in common, whatever both leave unexplained) is
+/// projected off first: a large common effect makes any two look alike.
+#[must_use]
+pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
+    let best = explained(&found.base, &found.best);
+    found
+        .survivors
+        .iter()
+        .map(|h| {
+            let common = common_effects(system, &found.base, &found.best, h);
+            let off = |v: &DVector<f64>| common.project_off(v);
+            let other = explained(&found.base, h);
+            let (a, b) = (off(&best), off(&other));
+            // Nothing of their own left: they are the same explanation.
+            let own = a.norm().max(b.norm());
+            own <= 1e-9 * best.norm() || cosine(&a, &b).abs() > CLASS_COSINE
+        })
+        .collect()
+}
+
+/// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s
+/// terms that `b` has, too.
+fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
+    let declared = nuisance(&base.fit);
+    let channels = a.fit.residual.ncols();
+    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+    let own: usize = a.fit.terms.iter().map(linear).sum();
+    let (mut slot, mut column) = (0, a.fit.design.ncols() - own.min(a.fit.design.ncols()));
+    let mut basis = Basis::default();
+    for term in &a.fit.terms {
+        let shared = b.fit.terms.iter().any(|t| t.effect == term.effect);
+        let mut add = |v: &DVector<f64>| {
+            if shared {
+                basis.push(&declared.project_off(v));
+            }
+        };
+        for j in column..column + linear(term) {
+            let values: Vec<f64> = a.fit.design.column(j).iter().copied().collect();
+            (0..channels).for_each(|c| add(&in_channel(&values, c, channels)));
+        }
+        column += linear(term);
+        for tangent in a.fit.tangents.iter().skip(slot).take(term.values.len()) {
+            add(&stack(tangent));
+        }
+        slot += term.values.len();
+    }
+    basis
+}

@@ -1,0 +1,20 @@
+//! The statistics shared by every kind of session: fit, screen, refit, compare. They know measurement models and effects, not whiskers.
+
+pub mod ambiguity;
+pub mod covariates;
+pub mod explain;
+pub mod fit;
+pub mod inference;
+pub mod lack_of_fit;
+pub mod lasso;
+pub mod linear;
+pub mod min_p;
+pub mod noise;
+pub mod omnibus;
+pub mod outliers;
+pub mod range_check;
+mod refine;
+pub mod search;
+pub mod signature;
+mod socp;
+pub mod subsets;

@@ -1,0 +1,303 @@
+//! Stage 1: the parts of the noise, estimated from the residuals of a model.
+//!
+//! For given ratios theta (correlated part, its time constant, pose scatter) the readings are whitened and the model refitted; the ratios
+//! with the highest restricted likelihood (`likelihood`) are taken.
+//!
+//! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
+
+use super::likelihood::{MeanModel, Misfit, best_of, descend, misfit, standardised};
+use super::parts::{Estimated, Noise, NoiseInputs};
+use super::spread_model::{SpreadModel, law_of};
+use super::tails::tails;
+use super::whitening::Weights;
+
+/// Gain in -2 log restricted likelihood from which the correlated part is taken up (chi-squared of 2, 0.3 %).
+const CORRELATED_GAIN: f64 = 11.6;
+/// The same for pose scatter (one parameter at its bound, 0.3 %).
+const POSE_GAIN: f64 = 7.5;
+/// Fewer repeats of held poses do not tell pose scatter from repeat noise.
+pub const MIN_HELD_REPEATS: usize = 6;
+/// Fewer readings do not tell a correlation.
+const MIN_CORRELATED: usize = 20;
+
+/// Which parts are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sought {
+    /// Correlation in time.
+    pub correlated: bool,
+    /// Pose scatter.
+    pub pose: bool,
+    /// A law of the spread.
+    pub law: bool,
+}
+
+impl Sought {
+    /// Everything.
+    pub const ALL: Self = Self { correlated: true, pose: true, law: true };
+}
+
+/// Logarithms of time constants that the readings can show: a typical spacing to half the whole time.
+fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
+    let mut gaps: Vec<f64> = clock.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
+    gaps.sort_by(f64::total_cmp);
+    let typical = *gaps.get(gaps.len() / 2)?;
+    let whole = clock.last()? - clock.first()?;
+    let range = [typical.ln(), (0.5 * whole).ln()];
+    (range[1] > range[0]).then_some(range)
+}
+
+/// Ratios of a shared part to the repeat noise that are looked at.
+const RATIOS: [f64; 2] = [0.05, 30.0];
+
+/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count.
+#[must_use]
+pub fn estimate(
+    model: &MeanModel,
+    inputs: &NoiseInputs,
+    counted: &Weights,
+    sought: Sought,
+    seed: u64,
+) -> Option<Noise> {
+    let n = inputs.settings.len();
+    let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { inputs.known[i] } else { 0.0 }).collect();
+    let law =
+        if sought.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
+    let relative = |law: &Option<SpreadModel>| match law {
+        Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
+        None => mask.clone(),
+    };
+    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), sought)?;
+    let mut law = law;
+    if law.is_some() && weights.shared().is_some() {
+        // What readings share can look like a law of the spread: it must hold among whitened readings, too.
+        let (plain, c, p) = shared_of(model, inputs, &mask, sought)?;
+        if plain.shared().is_some() && law_of(model, inputs, &plain, seed).is_none() {
+            (weights, correlated, pose, law) = (plain, c, p, None);
+        }
+    }
+    // The readings that do not count keep their spread, so that they can be taken back.
+    let own = law.as_ref().map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
+    let every: Vec<f64> = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
+    let every = match weights.shared() {
+        Some(shared) => Weights::sharing(every, shared.clone()),
+        None => Weights::independent(every),
+    };
+    let weights = every.masked(|i| counted.counts(i));
+    let m = misfit(model, &weights)?;
+    let s = (m.ssr / m.dof).sqrt();
+    let whitened = standardised(model, &weights, s)?;
+    let half = 1.96 / (2.0 * m.dof).sqrt();
+    Some(Noise {
+        repeat: Estimated { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },
+        pose,
+        correlated,
+        law,
+        tails: tails(&whitened),
+        step: inputs.step.clone(),
+        weights,
+    })
+}
+
+/// A shared part's estimate.
+type Parts = (Weights, Option<(Estimated, f64)>, Option<Estimated>);
+
+/// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
+/// the spread and is where nothing suits better.
+#[must_use]
+pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<Misfit> {
+    let relative = noise.weights.relative().to_vec();
+    let at = |v: &[f64; 3]| {
+        let shared = inputs.shared(Some([v[0].exp(), v[1].exp()]), v[2].exp());
+        misfit(model, &Weights::sharing(relative.clone(), shared))
+    };
+    let plain = misfit(model, &noise.weights)?;
+    let independent = Weights::independent(relative.clone());
+    let can_pose = inputs.held_repeats(&independent) >= MIN_HELD_REPEATS;
+    let clock = inputs.clock.as_ref().filter(|_| independent.active() >= MIN_CORRELATED);
+    let Some(tau) = clock.and_then(|c| time_constants(c)) else { return Some(plain) };
+    let ratio = RATIOS.map(f64::ln);
+    let shared = noise.weights.shared();
+    let pose = shared.map_or(0.0, |s| s.pose).max(RATIOS[0]).ln();
+    let known = shared
+        .and_then(|s| s.correlated)
+        .map(|c| [c[0].max(RATIOS[0]).ln(), c[1].ln().clamp(tau[0], tau[1])]);
+    let cost = |v: &[f64; 3]| at(v).map_or(f64::INFINITY, |m| m.plain);
+    let place = |k: f64| tau[0] + (tau[1] - tau[0]) * k;
+    let starts: Vec<[f64; 3]> = match known {
+        Some([r, t]) => vec![[r, t, pose]],
+        None => [0.15, 0.45, 0.8].iter().flat_map(|k| [-1.0, 0.5].map(|r| [r, place(*k), pose])).collect(),
+    };
+    let start = starts.into_iter().map(|v| (cost(&v), v)).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+    let (low, high) = (
+        [ratio[0], tau[0], if can_pose { ratio[0] } else { pose }],
+        [ratio[1], tau[1], if can_pose { ratio[1] } else { pose }],
+    );
+    let (best, _) = descend(start, [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }], low, high, &cost);
+    at(&best).filter(|m| m.plain < plain.plain).or(Some(plain))
+}
+
+/// What readings share, by restricted likelihood, one part after the other.
+fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: Sought) -> Option<Parts> {
+    let at = |correlated: Option<[f64; 2]>, pose: f64| {
+        Weights::sharing(relative.to_vec(), inputs.shared(correlated, pose))
+    };
+    let cost = |correlated: Option<[f64; 2]>, pose: f64| {
+        misfit(model, &at(correlated, pose)).map_or(f64::INFINITY, |m| m.restricted)
+    };
+    let plain = cost(None, 0.0);
+    if !plain.is_finite() {
+        return None;
+    }
+    let independent = Weights::independent(relative.to_vec());
+    let repeats = inputs.held_repeats(&independent);
+    let ratio = RATIOS.map(f64::ln);
+    let tau = inputs
+        .clock
+        .as_ref()
+        .filter(|_| sought.correlated && independent.active() >= MIN_CORRELATED)
+        .and_then(|c| time_constants(c));
+    let can_pose = sought.pose && repeats >= MIN_HELD_REPEATS;
+    // Pose scatter alone, correlation alone, both.
+    let pose_alone = can_pose.then(|| {
+        best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {
+            descend([*r], [0.7], [ratio[0]], [ratio[1]], &|v| cost(None, v[0].exp()))
+        })
+    });
+    let correlated_alone = tau.map(|tau| {
+        let starts: Vec<[f64; 2]> = (0..4)
+            .flat_map(|k| {
+                [-0.7, 0.7, 2.0].map(|r| [r, tau[0] + (tau[1] - tau[0]) * (0.5 + f64::from(k)) / 4.0])
+            })
+            .collect();
+        let coarse = starts.iter().map(|v| (cost(Some([v[0].exp(), v[1].exp()]), 0.0), *v));
+        let start = coarse.min_by(|a, b| a.0.total_cmp(&b.0)).map_or([0.0, tau[0]], |c| c.1);
+        descend(start, [0.5, 0.5], [ratio[0], tau[0]], [ratio[1], tau[1]], &|v| {
+            cost(Some([v[0].exp(), v[1].exp()]), 0.0)
+        })
+    });
+    let mut found: (f64, Option<[f64; 2]>, f64) = (plain, None, 0.0);
+    if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > POSE_GAIN) {
+        found = (c, None, v[0].exp());
+    }
+    if let Some((v, c)) = correlated_alone.filter(|(_, c)| plain - c > CORRELATED_GAIN && *c < found.0 - 2.0)
+    {
+        found = (c, Some(v.map(f64::exp)), 0.0);
+    }
+    if let (Some(tau), true, true) = (tau, can_pose, found.0 < plain) {
+        let start = [
+            found.1.map_or(-0.7, |c| c[0].ln()),
+            found.1.map_or(0.5 * (tau[0] + tau[1]), |c| c[1].ln()),
+            if found.2 > 0.0 { found.2.ln() } else { -0.7 },
+        ];
+        let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
+        let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
+        let needed = if found.1.is_some() { POSE_GAIN } else { CORRELATED_GAIN };
+        if found.0 - both.1 > needed {
+            found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
+        }
+    }
+    let (_, correlated, pose) = found;
+    let sd_at = |correlated: Option<[f64; 2]>, pose: f64| {
+        misfit(model, &at(correlated, pose)).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
+    };
+    let s = sd_at(correlated, pose);
+    // Profile likelihood: where -2 log L has risen by 3.84.
+    let interval = |value: f64, f: &dyn Fn(f64) -> (f64, f64)| {
+        let end = |step: f64| {
+            let mut x = value.max(RATIOS[0]);
+            for _ in 0..60 {
+                let next = x * step;
+                if f(next).0 > found.0 + 3.84 || !(0.01..100.0).contains(&next) {
+                    break;
+                }
+                x = next;
+            }
+            x
+        };
+        [end(1.0 / 1.07), end(1.07)].map(|x| x * f(x).1)
+    };
+    let pose_part = can_pose.then(|| {
+        let f = |x: f64| (cost(correlated, x), sd_at(correlated, x));
+        let [low, high] = interval(pose, &f);
+        Estimated { value: pose * s, interval95: [if pose > 0.0 { low } else { 0.0 }, high] }
+    });
+    let correlated_part = correlated.map(|[r, tau]| {
+        let f = |x: f64| (cost(Some([x, tau]), pose), sd_at(Some([x, tau]), pose));
+        (Estimated { value: r * s, interval95: interval(r, &f) }, tau)
+    });
+    Some((at(correlated, pose), correlated_part, pose_part))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DMatrix;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use std::sync::Arc;
+
+    /// SIMULATED readings of a straight line in two channels: repeat noise 1, and what is asked for.
+    struct Simulated {
+        inputs: NoiseInputs,
+        design: DMatrix<f64>,
+        residual: DMatrix<f64>,
+    }
+
+    fn simulated(pose: f64, correlated: Option<[f64; 2]>, deep: f64, seed: u64) -> Simulated {
+        let n = 120;
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        // Every pose is read twice without moving.
+        let settings: Vec<usize> = (0..n).map(|i| i / 2).collect();
+        let depth: Vec<f64> = (0..n).map(|i| ((i / 2) % 7) as f64 / 6.0).collect();
+        let mut residual = DMatrix::zeros(n, 2);
+        for c in 0..2 {
+            let (mut slow, mut set) = (normal() * correlated.map_or(0.0, |x| x[0]), 0.0);
+            for i in 0..n {
+                if let Some([sd, tau]) = correlated {
+                    let decay = (-10.0 / tau).exp();
+                    slow = decay * slow + (1.0 - decay * decay).sqrt() * sd * normal();
+                }
+                if i % 2 == 0 {
+                    set = pose * normal();
+                }
+                residual[(i, c)] = normal() * deep.powf(depth[i]) + slow + set;
+            }
+        }
+        let inputs = NoiseInputs {
+            clock: Some(Arc::new((0..n).map(|i| 10.0 * i as f64).collect())),
+            settings: Arc::new(settings),
+            posed: Arc::new(vec![true; n]),
+            spread: vec![("depth".into(), depth.clone())],
+            known: vec![1.0; n],
+            step: Vec::new(),
+        };
+        Simulated {
+            inputs,
+            design: DMatrix::from_fn(n, 2, |i, j| if j == 0 { 1.0 } else { depth[i] }),
+            residual,
+        }
+    }
+
+    fn estimated(s: &Simulated) -> Noise {
+        let model = MeanModel { design: &s.design, tangents: &[], residual: &s.residual, extra: Vec::new() };
+        estimate(&model, &s.inputs, &Weights::equal(120), Sought::ALL, 1).unwrap()
+    }
+
+    #[test]
+    fn every_part_is_found_with_its_size_and_white_noise_has_none() {
+        let (mut poses, mut slow, mut laws, mut clean) = (0, 0, 0, 0);
+        for seed in 0..20 {
+            let n = estimated(&simulated(3.0, None, 1.0, seed));
+            let pose = n.pose.unwrap();
+            poses += usize::from((2.3..3.9).contains(&pose.value) && n.correlated.is_none());
+            let n = estimated(&simulated(0.0, Some([2.0, 400.0]), 1.0, seed));
+            slow += usize::from(n.correlated.is_some_and(|(sd, _)| (0.8..5.0).contains(&sd.value)));
+            let n = estimated(&simulated(0.0, None, 4.0, seed));
+            laws += usize::from(n.law.is_some_and(|l| (0.9..1.9).contains(&l.spread.exponent)));
+            let n = estimated(&simulated(0.0, None, 1.0, seed));
+            clean += usize::from(n.weights.shared().is_none() && n.law.is_none());
+        }
+        assert!(poses >= 18 && slow >= 18 && laws >= 18 && clean >= 19, "{poses} {slow} {laws} {clean}");
+    }
+}

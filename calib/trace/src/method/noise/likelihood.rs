@@ -1,0 +1,187 @@
+//! Restricted likelihood of a noise model, every coefficient of the mean refitted.
+//!
+//! With p columns X in all, Sigma(theta) the covariance of the readings in units of the repeat noise, and r the whitened residual:
+//!
+//! ```text
+//! -2 log L(theta) = (N - p) log(r' r) + log|Sigma(theta)| + log|X' Sigma^-1 X|          (parts of one mean model)
+//! -2 log L(theta) = N log(r' r) + log|Sigma(theta)|                                     (models with different means)
+//! ```
+//!
+//! Patterson & Thompson, Biometrika 58 (1971), 545-554; the scale is concentrated out.
+
+use super::whitening::Weights;
+use crate::method::fit::Fit;
+use nalgebra::{DMatrix, DVector};
+
+/// The mean model that residuals are left by: everything refitted at each theta.
+pub struct MeanModel<'a> {
+    pub(super) design: &'a DMatrix<f64>,
+    pub(super) tangents: &'a [DMatrix<f64>],
+    pub(super) residual: &'a DMatrix<f64>,
+    pub(super) extra: Vec<Vec<f64>>,
+}
+
+impl<'a> MeanModel<'a> {
+    /// Around a fit.
+    #[must_use]
+    pub fn of(fit: &'a Fit) -> Self {
+        Self {
+            design: &fit.raw_design,
+            tangents: &fit.raw_tangents,
+            residual: &fit.raw_residual,
+            extra: Vec::new(),
+        }
+    }
+
+    /// With more columns, free in every channel.
+    #[must_use]
+    pub fn with(mut self, columns: &[Vec<f64>]) -> Self {
+        self.extra.extend_from_slice(columns);
+        self
+    }
+}
+
+/// Misfit of a mean model under given weights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Misfit {
+    /// Sum of squares of the whitened residual.
+    pub ssr: f64,
+    /// Values less parameters.
+    pub dof: f64,
+    /// Values.
+    pub values: f64,
+    /// -2 log restricted likelihood.
+    pub restricted: f64,
+    /// -2 log likelihood.
+    pub plain: f64,
+}
+
+/// Guards columns of unit length that depend on each other.
+const RIDGE: f64 = 1e-9;
+
+/// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
+#[must_use]
+pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
+    let (n, channels) = model.residual.shape();
+    let q = model.design.ncols() + model.extra.len();
+    let design = DMatrix::from_fn(n, q, |i, j| match j.checked_sub(model.design.ncols()) {
+        None => model.design[(i, j)],
+        Some(k) => model.extra[k][i],
+    });
+    let mut x = weights.apply(&design);
+    let y = weights.apply(model.residual);
+    // Columns of one length, so that the ridge that guards dependent ones means the same to all.
+    let mut log_scale = 0.0;
+    for mut column in x.column_iter_mut() {
+        let norm = column.norm();
+        if norm > 0.0 {
+            column /= norm;
+            log_scale += 2.0 * norm.ln();
+        }
+    }
+    let gram = (x.transpose() * &x) + DMatrix::identity(q, q) * RIDGE;
+    let chol = gram.cholesky()?;
+    let log_det: f64 = chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum();
+    let off = |m: &DMatrix<f64>| m - &x * chol.solve(&(x.transpose() * m));
+    let r = off(&y);
+    let mut log_x = channels as f64 * (log_det + log_scale);
+    let mut ssr = r.norm_squared();
+    // A tangent may be nothing at all: the place of a step moves no reading at first.
+    let tangents: Vec<DMatrix<f64>> = model.tangents.iter().map(|t| off(&weights.apply(t))).collect();
+    let live: Vec<&DMatrix<f64>> = tangents.iter().filter(|t| t.norm_squared() > 1e-200).collect();
+    let m = live.len();
+    if m > 0 {
+        let size: Vec<f64> = live.iter().map(|t| t.norm()).collect();
+        let small = DMatrix::from_fn(m, m, |a, b| live[a].dot(live[b]) / (size[a] * size[b]))
+            + DMatrix::identity(m, m) * RIDGE;
+        let right = DVector::from_fn(m, |a, _| live[a].dot(&r) / size[a]);
+        let chol = small.cholesky()?;
+        ssr -= right.dot(&chol.solve(&right));
+        log_x += chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum::<f64>()
+            + size.iter().map(|s| 2.0 * s.ln()).sum::<f64>();
+    }
+    let values = (weights.active() * channels) as f64;
+    let dof = values - (q * channels + model.tangents.len()) as f64;
+    if !(dof >= 1.0 && ssr > 0.0) {
+        return None;
+    }
+    let log_sigma = channels as f64 * weights.log_determinant();
+    Some(Misfit {
+        ssr,
+        dof,
+        values,
+        restricted: dof * ssr.ln() + log_sigma + log_x,
+        plain: values * ssr.ln() + log_sigma,
+    })
+}
+
+/// Lowest value of a function of a few variables by a shrinking star, from `start` with steps `step`.
+pub(super) fn descend<const K: usize>(
+    start: [f64; K],
+    step: [f64; K],
+    low: [f64; K],
+    high: [f64; K],
+    f: &dyn Fn(&[f64; K]) -> f64,
+) -> ([f64; K], f64) {
+    let (mut at, mut step) = (start, step);
+    let mut best = f(&at);
+    for _ in 0..7 {
+        let mut moved = true;
+        let mut rounds = 0;
+        while moved && rounds < 6 {
+            moved = false;
+            rounds += 1;
+            for k in 0..K {
+                for sign in [1.0, -1.0] {
+                    let mut next = at;
+                    next[k] = (next[k] + sign * step[k]).clamp(low[k], high[k]);
+                    let value = f(&next);
+                    if value < best {
+                        (at, best, moved) = (next, value, true);
+                    }
+                }
+            }
+        }
+        step = step.map(|s| 0.5 * s);
+    }
+    (at, best)
+}
+
+/// Lowest of several descents.
+pub(super) fn best_of<const K: usize>(
+    starts: &[f64],
+    run: impl Fn(&f64) -> ([f64; K], f64),
+) -> ([f64; K], f64) {
+    let all = starts.iter().map(run).collect::<Vec<_>>();
+    all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or(([0.0; K], f64::INFINITY))
+}
+
+/// Whitened residuals in standard deviations, each over the share of its variance that the fit leaves, channel by channel; only readings
+/// that count.
+pub(super) fn standardised(model: &MeanModel, weights: &Weights, s: f64) -> Option<Vec<f64>> {
+    let parts = standardised_by_channel(model, weights, s)?;
+    Some(parts.into_iter().flat_map(|(_, z)| z).collect())
+}
+
+/// Reading and its standardised residuals in every channel.
+pub(super) fn standardised_by_channel(
+    model: &MeanModel,
+    weights: &Weights,
+    s: f64,
+) -> Option<Vec<(usize, Vec<f64>)>> {
+    let x = weights.apply(model.design);
+    let (n, channels) = model.residual.shape();
+    let norms: Vec<f64> = x.column_iter().map(|c| c.norm().max(1e-300)).collect();
+    let x = DMatrix::from_fn(n, x.ncols(), |i, j| x[(i, j)] / norms[j]);
+    let gram = x.transpose() * &x + DMatrix::identity(x.ncols(), x.ncols()) * RIDGE;
+    let chol = gram.cholesky()?;
+    let y = weights.apply(model.residual);
+    let r = &y - &x * chol.solve(&(x.transpose() * &y));
+    let hat = chol.solve(&x.transpose());
+    let leverage = |i: usize| (x.row(i) * hat.column(i))[(0, 0)];
+    let of = |i: usize| {
+        let left = (1.0 - leverage(i)).max(0.05).sqrt();
+        (i, (0..channels).map(|c| r[(i, c)] / (s * left)).collect())
+    };
+    Some((0..n).filter(|&i| weights.counts(i)).map(of).collect())
+}

@@ -1,0 +1,15 @@
+//! Stage 1: the noise of the readings in parts, estimated from the residuals of a model.
+
+mod estimate;
+mod likelihood;
+mod parts;
+pub mod spread;
+mod spread_model;
+pub mod tails;
+mod whitening;
+
+pub use estimate::{MIN_HELD_REPEATS, Sought, best_misfit, estimate};
+pub use likelihood::{MeanModel, Misfit, misfit};
+pub use parts::{Estimated, Noise, NoiseInputs};
+pub use spread_model::SpreadModel;
+pub use whitening::{SharedNoise, Weights};

@@ -1,0 +1,135 @@
+//! The noise of a session in parts, and what it can depend on.
+//!
+//! ```text
+//! n_i = s (h_i e_i + rho_c c(t_i) + rho_p g_i p_k(i))        (symbols: `whitening`)
+//! var(reading at a pose set anew, another time) = s^2 (h^2 + rho_c^2 + rho_p^2)
+//! ```
+
+use super::spread_model::SpreadModel;
+use super::tails::Tails;
+use super::whitening::{SharedNoise, Weights};
+use std::sync::Arc;
+
+/// What the noise of a session's readings can depend on.
+#[derive(Debug, Clone, Default)]
+pub struct NoiseInputs {
+    /// Clock of the readings, rising; none where their order in time is not known.
+    pub clock: Option<Arc<Vec<f64>>>,
+    /// Number of the pose setting of each reading.
+    pub settings: Arc<Vec<usize>>,
+    /// Whether a pose is set at all (not at rest).
+    pub posed: Arc<Vec<bool>>,
+    /// Covariates that the spread may follow: name and values.
+    pub spread: Vec<(String, Vec<f64>)>,
+    /// 1 / relative standard deviation that is known beforehand (few samples averaged).
+    pub known: Vec<f64>,
+    /// Step of the recorded values in each channel, in the unit of the measured values; none where they are not rounded coarsely.
+    pub step: Vec<Option<f64>>,
+}
+
+impl NoiseInputs {
+    /// Readings of which nothing is known.
+    #[must_use]
+    pub fn none(n: usize) -> Self {
+        Self {
+            clock: None,
+            settings: Arc::new((0..n).collect()),
+            posed: Arc::new(vec![true; n]),
+            spread: Vec::new(),
+            known: vec![1.0; n],
+            step: Vec::new(),
+        }
+    }
+
+    pub(super) fn shared(&self, correlated: Option<[f64; 2]>, pose: f64) -> SharedNoise {
+        let n = self.settings.len();
+        let clock = self.clock.clone().unwrap_or_else(|| Arc::new((0..n).map(|k| k as f64).collect()));
+        SharedNoise { clock, settings: self.settings.clone(), posed: self.posed.clone(), correlated, pose }
+    }
+
+    /// Readings beyond the first of each pose setting: what tells pose scatter from repeat noise.
+    #[must_use]
+    pub fn held_repeats(&self, weights: &Weights) -> usize {
+        let mut last = None;
+        let mut count = 0;
+        for i in (0..self.settings.len()).filter(|&i| weights.counts(i) && self.posed[i]) {
+            count += usize::from(last == Some(self.settings[i]));
+            last = Some(self.settings[i]);
+        }
+        count
+    }
+}
+
+/// A value with its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimated {
+    /// Estimate.
+    pub value: f64,
+    /// 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// The noise of a model's residuals.
+#[derive(Debug, Clone)]
+pub struct Noise {
+    /// Rows that count, their spread and what they share.
+    pub weights: Weights,
+    /// Repeat noise `s`: standard deviation of a typical loaded reading by itself, in the unit of the measured values.
+    pub repeat: Estimated,
+    /// What setting a pose adds; none where nothing tells it from repeat noise.
+    pub pose: Option<Estimated>,
+    /// Part correlated in time, and its time constant in units of the clock; none where the order in time is not known or none was found.
+    pub correlated: Option<(Estimated, f64)>,
+    /// The spread's law.
+    pub law: Option<SpreadModel>,
+    /// Tails of the standardised residuals.
+    pub tails: Option<Tails>,
+    /// Steps of the recorded values.
+    pub step: Vec<Option<f64>>,
+}
+
+impl Noise {
+    /// No noise at all, on the readings of `other`.
+    #[must_use]
+    pub fn none(other: &Self) -> Self {
+        let nothing = Estimated { value: 0.0, interval95: [0.0; 2] };
+        let weights = Weights::independent(vec![1.0; other.weights.relative().len()]);
+        Self {
+            weights,
+            repeat: nothing,
+            pose: None,
+            correlated: None,
+            law: None,
+            tails: None,
+            step: Vec::new(),
+        }
+    }
+
+    /// Weights of other readings of the same session (sealed ones among them) under this noise; `upper` takes the upper ends of the shared
+    /// parts' intervals.
+    #[must_use]
+    pub fn weights_of(&self, inputs: &NoiseInputs, upper: bool) -> Weights {
+        let own =
+            self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
+        let relative = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
+        let size =
+            |e: &Estimated| if upper { e.interval95[1].max(e.value) } else { e.value } / self.repeat.value;
+        let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);
+        let pose = self.pose.as_ref().filter(|p| p.value > 0.0).map_or(0.0, size);
+        Weights::sharing(relative, inputs.shared(correlated, pose))
+    }
+
+    /// Variance of what readings share, in units of the repeat noise's.
+    #[must_use]
+    pub fn shared_variance(&self) -> f64 {
+        let of = |e: &Estimated| (e.value / self.repeat.value).powi(2);
+        self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
+    }
+
+    /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
+    #[must_use]
+    pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
+        let weights = self.weights_of(inputs, false);
+        (0..inputs.settings.len()).map(|i| self.repeat.value * weights.total_sd(i)).collect()
+    }
+}

@@ -1,0 +1,78 @@
+//! The law of the spread: how the standard deviation of single readings follows a covariate.
+//!
+//! ```text
+//! h(v) = exp(b (v - v0)),   v0: the covariate at a typical loaded reading        (Harvey, Econometrica 44, 1976: multiplicative)
+//! ```
+
+use super::likelihood::{MeanModel, misfit, standardised_by_channel};
+use super::parts::NoiseInputs;
+use super::spread::{SPREAD_LEVEL, Spread, spread_test};
+use super::whitening::Weights;
+
+/// Permutations of the test of the spread.
+const PERMUTATIONS: usize = 1999;
+
+/// How the spread of single readings follows a covariate: `h = exp(b (v - typical))`.
+#[derive(Debug, Clone)]
+pub struct SpreadModel {
+    /// Covariate, by its name in [`NoiseInputs::spread`].
+    pub follows: String,
+    /// Test and exponent b.
+    pub spread: Spread,
+    /// The covariate at a typical loaded reading.
+    pub typical: f64,
+}
+
+/// Spreads beyond these factors of a typical one are not believed.
+const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
+
+impl SpreadModel {
+    /// Relative standard deviations of readings.
+    #[must_use]
+    pub fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
+        let values = inputs.spread.iter().find(|(name, _)| *name == self.follows).map(|(_, v)| v);
+        let of = |v: &f64| {
+            (self.spread.exponent * (v - self.typical)).exp().clamp(SPREAD_RANGE[0], SPREAD_RANGE[1])
+        };
+        values.map_or_else(|| vec![1.0; inputs.settings.len()], |v| v.iter().map(of).collect())
+    }
+}
+
+/// The covariate that the spread follows, where it follows one beyond chance.
+pub(super) fn law_of(
+    model: &MeanModel,
+    inputs: &NoiseInputs,
+    weights: &Weights,
+    seed: u64,
+) -> Option<SpreadModel> {
+    if inputs.spread.is_empty() {
+        return None;
+    }
+    let rows = standardised_by_channel(model, weights, 1.0)?;
+    let channels = model.residual.ncols();
+    let mut best: Option<(f64, SpreadModel)> = None;
+    for (name, values) in &inputs.spread {
+        let u: Vec<f64> = rows.iter().flat_map(|(i, _)| vec![values[*i]; channels]).collect();
+        let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
+        // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
+        let Some(spread) = spread_test(&z, &vec![-1.0; u.len()], &u, PERMUTATIONS, seed) else {
+            continue;
+        };
+        if spread.p_value > SPREAD_LEVEL {
+            continue;
+        }
+        // 1 for a typical loaded reading.
+        let mut loaded: Vec<f64> =
+            (0..values.len()).filter(|&i| inputs.posed[i]).map(|i| values[i]).collect();
+        loaded.sort_by(f64::total_cmp);
+        let typical = loaded.get(loaded.len() / 2).copied().unwrap_or(0.0);
+        let law = SpreadModel { follows: name.clone(), spread, typical };
+        let own = law.relative_sd(inputs);
+        let relative = (0..values.len()).map(|i| if weights.counts(i) { 1.0 / own[i] } else { 0.0 });
+        let cost = misfit(model, &Weights::independent(relative.collect()))?.restricted;
+        if best.as_ref().is_none_or(|b| cost < b.0) {
+            best = Some((cost, law));
+        }
+    }
+    best.map(|(_, law)| law)
+}

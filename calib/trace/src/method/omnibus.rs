@@ -1,0 +1,203 @@
+//! The omnibus test: is anything left beyond noise? One family-wise level, shared (Bonferroni) between four kinds of alternative:
+//!
+//! ```text
+//! 0.01 named signatures + 0.005 generic drivers + 0.002 serial correlation + 0.002 lack of fit against pure error = 0.019
+//! ```
+
+use super::covariates::{CovariateSignature, signatures_of_covariates};
+use super::fit::{Fit, Weights};
+use super::linear::stack;
+use super::min_p::{MinPDistribution, signature_p};
+use super::search::Options;
+use super::signature::{Signature, nuisance, signatures_of_catalogue};
+use crate::measurement_model::MeasurementModel;
+use nalgebra::DVector;
+use statrs::distribution::{ContinuousCDF, Normal};
+
+/// Level of the catalogue's family: what names an effect.
+pub const CATALOGUE_LEVEL: f64 = 0.01;
+/// Level of the generic family: what says that something is left.
+pub const COVARIATE_LEVEL: f64 = 0.005;
+/// Level of the serial-correlation test.
+pub const SERIAL_LEVEL: f64 = 0.002;
+/// Level of the lack of fit against pure error, where readings repeat a stimulus.
+pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
+/// Chance that any verdict-changing test of the family rejects where nothing is there.
+pub const FAMILY_LEVEL: f64 = CATALOGUE_LEVEL + COVARIATE_LEVEL + SERIAL_LEVEL + LACK_OF_FIT_LEVEL;
+
+/// A covariate along which the residual varies, with its best shape.
+#[derive(Debug, Clone)]
+pub struct CovariateScore {
+    /// Covariate, by its name in [`MeasurementModel::covariates`].
+    pub covariate: String,
+    /// Shape.
+    pub shape: &'static str,
+    /// Period for a sinusoid.
+    pub period: Option<f64>,
+    /// Single p-value.
+    pub p_single: f64,
+    /// Fall of the sum of squares.
+    pub gain: f64,
+    /// Degrees of freedom.
+    pub dimension: usize,
+    /// Its columns, free in every channel.
+    pub columns: Vec<Vec<f64>>,
+}
+
+/// Result of the omnibus test on one model.
+#[derive(Debug, Clone)]
+pub struct OmnibusTest {
+    /// Signatures of the catalogue on top of the model.
+    pub signatures: Vec<Signature>,
+    /// Their joint null distribution.
+    pub family: MinPDistribution,
+    /// Distribution of the smallest p of the generic signatures.
+    pub covariate_family: MinPDistribution,
+    /// Family-wise p-value of the catalogue.
+    pub p_catalogue: f64,
+    /// Family-wise p-value of the generic signatures.
+    pub p_covariates: f64,
+    /// p-value of serial correlation along the sweeps.
+    pub p_serial: f64,
+    /// Best shape of each covariate, strongest first.
+    pub covariates: Vec<CovariateScore>,
+}
+
+impl OmnibusTest {
+    /// Something beyond noise is left.
+    #[must_use]
+    pub fn rejected(&self) -> bool {
+        self.p_catalogue < CATALOGUE_LEVEL || self.generic()
+    }
+
+    /// Something is left that need not be in the catalogue.
+    #[must_use]
+    pub fn generic(&self) -> bool {
+        self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL
+    }
+
+    /// Family-wise p-values: catalogue, generic signatures, serial correlation.
+    #[must_use]
+    pub fn p_values(&self) -> [f64; 3] {
+        [self.p_catalogue, self.p_covariates, self.p_serial]
+    }
+
+    /// One omnibus p-value: Bonferroni over the families by their shares of the level; `p_lack_of_fit` where readings repeat.
+    #[must_use]
+    pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
+        [
+            (self.p_catalogue, CATALOGUE_LEVEL),
+            (self.p_covariates, COVARIATE_LEVEL),
+            (self.p_serial, SERIAL_LEVEL),
+            (p_lack_of_fit.unwrap_or(1.0), LACK_OF_FIT_LEVEL),
+        ]
+        .into_iter()
+        .map(|(p, level)| p * FAMILY_LEVEL / level)
+        .fold(1.0, f64::min)
+    }
+}
+
+/// Lag-one correlation of neighbouring readings of one group; two-sided normal approximation.
+fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> f64 {
+    let groups = system.groups();
+    let (mut product, mut count) = (0.0, 0.0);
+    let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.counts(i)).collect();
+    for pair in rows.windows(2) {
+        if groups[pair[0]] == groups[pair[1]] {
+            for c in 0..fit.residual.ncols() {
+                product += fit.residual[(pair[0], c)] * fit.residual[(pair[1], c)];
+                count += 1.0;
+            }
+        }
+    }
+    if count < 10.0 || fit.ssr <= 0.0 {
+        return 1.0;
+    }
+    // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
+    let mean_square = fit.ssr / (weights.active() * fit.residual.ncols()) as f64;
+    let z = product / count / mean_square * count.sqrt();
+    Normal::standard().sf(z)
+}
+
+/// Share of a label's gain from which a continuous covariate does as well.
+const AS_WELL: f64 = 0.6;
+
+/// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where no continuous covariate does as well.
+fn behind_continuous(scores: &mut [CovariateScore]) {
+    let is_label = |s: &CovariateScore| s.covariate == "trajectory";
+    let Some(label) = scores.iter().position(is_label) else { return };
+    let gain = scores[label].gain;
+    let last = scores.iter().rposition(|s| !is_label(s) && s.gain >= AS_WELL * gain);
+    if let Some(last) = last.filter(|l| *l > label) {
+        scores[label..=last].rotate_left(1);
+    }
+}
+
+fn generic(
+    system: &dyn MeasurementModel,
+    fit: &Fit,
+    weights: &Weights,
+    residual: &DVector<f64>,
+    options: &Options,
+) -> (f64, Vec<CovariateScore>, MinPDistribution) {
+    let basis = nuisance(fit);
+    let signatures: Vec<CovariateSignature> = signatures_of_covariates(system, fit, weights, &basis)
+        .into_iter()
+        .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
+        .collect();
+    let plain: Vec<&Signature> = signatures.iter().map(|a| &a.signature).collect();
+    let family =
+        MinPDistribution::simulate(&plain, fit.dof, &Options { seed: options.seed ^ 0x5eed, ..*options });
+    let mut scores: Vec<CovariateScore> = Vec::new();
+    for a in &signatures {
+        let gain = a.signature.gain(residual);
+        let p_single = signature_p(&a.signature, gain, fit.ssr, fit.dof);
+        let score = CovariateScore {
+            covariate: a.covariate.clone(),
+            shape: a.shape,
+            period: a.period,
+            p_single,
+            gain,
+            dimension: a.signature.dimension(),
+            columns: a.columns.clone(),
+        };
+        match scores.iter_mut().find(|s| s.covariate == a.covariate) {
+            Some(kept) if kept.p_single <= p_single => {}
+            Some(kept) => *kept = score,
+            None => scores.push(score),
+        }
+    }
+    // Where two p-values underflow, the larger gain decides.
+    scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
+    behind_continuous(&mut scores);
+    let p = scores.iter().map(|s| s.p_single).min_by(f64::total_cmp).map_or(1.0, |p| family.adjusted(p));
+    (p, scores, family)
+}
+
+/// Runs the omnibus test on a fitted model.
+#[must_use]
+pub fn omnibus_test(
+    system: &dyn MeasurementModel,
+    fit: &Fit,
+    weights: &Weights,
+    options: &Options,
+) -> OmnibusTest {
+    let basis = nuisance(fit);
+    let signatures = signatures_of_catalogue(system, fit, weights, &basis);
+    let residual = stack(&fit.residual);
+    let refs: Vec<&Signature> = signatures.iter().collect();
+    let family = MinPDistribution::simulate(&refs, fit.dof, options);
+    let smallest =
+        signatures.iter().map(|a| signature_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
+    let p_catalogue = family.adjusted(smallest);
+    let (p_covariates, covariates, covariate_family) = generic(system, fit, weights, &residual, options);
+    OmnibusTest {
+        p_catalogue,
+        p_covariates,
+        p_serial: serial(system, fit, weights),
+        signatures,
+        family,
+        covariate_family,
+        covariates,
+    }
+}

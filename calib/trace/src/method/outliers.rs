@@ -1,0 +1,162 @@
+//! Single readings that do not belong: kept in the table, left out of the fit, taken back where a better model explains them.
+//!
+//! Residuals are judged by [`super::tails`]. The declared model's first fit must not lean on a gross reading, or it bends toward it and
+//! its neighbours look wrong: it starts from least trimmed squares (Rousseeuw & Van Driessen, Technometrics 41, 1999), the coefficients
+//! for which the smaller three quarters of the residuals have the least sum of squares.
+
+use super::fit::{Fit, Weights, fit, linear};
+use super::noise::tails::outlying;
+use super::signature::nuisance;
+use crate::effect::EffectTerm;
+use crate::measurement_model::MeasurementModel;
+use nalgebra::DMatrix;
+use rand::SeedableRng;
+use rand::seq::index::sample;
+
+/// A fit without the readings that were flagged.
+#[derive(Debug, Clone)]
+pub struct Cleaned {
+    /// The refit.
+    pub fit: Fit,
+    /// Weights with flagged readings at zero.
+    pub weights: Weights,
+    /// Flagged readings.
+    pub flagged: Vec<usize>,
+    /// Chance that noise with tails as heavy as the data allow reaches so far.
+    pub p_value: f64,
+}
+
+/// More flagged readings than this share are no longer single readings.
+const MAX_SHARE: f64 = 0.08;
+/// Family-wise level over all readings.
+const LEVEL: f64 = 0.002;
+/// Rounds of flagging and refitting.
+const ROUNDS: usize = 6;
+
+/// Residuals in standard deviations of their own, readings x channels: a reading that counts by its whitened residual over the share that
+/// the fit leaves, one that does not by its prediction.
+#[must_use]
+pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
+    let (n, channels) = fit.residual.shape();
+    let s = fit.variance().sqrt().max(1e-300);
+    let basis = nuisance(fit);
+    DMatrix::from_fn(n, channels, |i, c| {
+        if weights.counts(i) {
+            let leverage: f64 = basis.vectors().iter().map(|q| q[c * n + i] * q[c * n + i]).sum();
+            fit.residual[(i, c)] / (s * (1.0 - leverage).max(0.05).sqrt())
+        } else {
+            fit.raw_residual[(i, c)] / (s * weights.total_sd(i))
+        }
+    })
+}
+
+/// Flags readings that no tails explain, refits, and flags anew from all readings until nothing changes. `weights` may hold earlier flags.
+pub fn clean(
+    system: &dyn MeasurementModel,
+    terms: &[EffectTerm],
+    start: &Fit,
+    weights: &Weights,
+) -> Option<Cleaned> {
+    let (n, channels) = start.residual.shape();
+    if n < 12 {
+        return None;
+    }
+    let most = (MAX_SHARE * n as f64) as usize + 1;
+    let all = weights.unmasked();
+    let mut current = start.clone();
+    let mut weights = weights.clone();
+    let mut flagged: Vec<usize> = (0..n).filter(|&i| all.counts(i) && !weights.counts(i)).collect();
+    let mut p_value = 1.0;
+    for _ in 0..ROUNDS {
+        let z = standardised(&current, &weights);
+        let judged: Vec<f64> = (0..n)
+            .filter(|&i| all.counts(i))
+            .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())
+            .collect();
+        let found = outlying(&judged, most * channels, LEVEL);
+        let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
+            (0..n).filter(|&i| all.counts(i) && z.row(i).iter().any(|v| v.abs() >= f.beyond)).collect()
+        });
+        p_value = found.map_or(1.0, |f| f.p_value);
+        if next.len() > most {
+            return None;
+        }
+        if next == flagged {
+            break;
+        }
+        flagged = next;
+        weights = all.masked(|i| !flagged.contains(&i));
+        current = fit(system, terms, &weights, 15)?;
+    }
+    (!flagged.is_empty()).then_some(Cleaned { fit: current, weights, flagged, p_value })
+}
+
+/// Draws of the elemental sets.
+const DRAWS: usize = 300;
+/// Share of the readings that the trimmed fit holds on to.
+const HELD: f64 = 0.75;
+/// Robust standard deviations from which a reading is gross: what anything less does to the first fit, flagging anew mends.
+const GROSS: f64 = 20.0;
+/// Robust standard deviations that noise with heavy tails reaches now and then.
+const LARGE: f64 = 5.0;
+
+/// Readings that stand so far out of the declared model that its first fit must not see them.
+#[must_use]
+pub fn gross(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
+    let Some(raw) = system.design(&[]) else { return Vec::new() };
+    let rows: Vec<usize> = (0..weights.len()).filter(|&i| weights.counts(i)).collect();
+    let (n, q) = (rows.len(), raw.ncols());
+    let held = ((HELD * n as f64) as usize).max(q + 2);
+    if n < q + 6 || held >= n {
+        return Vec::new();
+    }
+    let scaled =
+        |m: &DMatrix<f64>| DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]));
+    let (x, y) = (scaled(&raw), scaled(system.measured()));
+    let channels = y.ncols();
+    // Channels may have noises of different sizes; a reading is as far out as its worst channel.
+    let sizes = |subset: &[usize]| -> Vec<f64> {
+        let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
+        let r = &y - &x * b;
+        let scale: Vec<f64> = (0..channels)
+            .map(|c| median(r.column(c).iter().map(|v| v.abs()).collect()).max(1e-300))
+            .collect();
+        (0..n)
+            .map(|k| (0..channels).map(|c| r[(k, c)].abs() / scale[c]).fold(0.0, f64::max) * 0.6745)
+            .collect()
+    };
+    // The whole fit's trimmed sum in the worst channel's units would change with the scale: compare by the spread itself.
+    let spread = |subset: &[usize]| -> (f64, Vec<usize>) {
+        let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
+        let r = &y - &x * b;
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(|&a, &b| r.row(a).norm_squared().total_cmp(&r.row(b).norm_squared()));
+        order.truncate(held);
+        (order.iter().map(|&k| r.row(k).norm_squared()).sum(), order)
+    };
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0175);
+    let mut best: Option<(f64, Vec<usize>)> = None;
+    for _ in 0..DRAWS {
+        let mut subset = sample(&mut rng, n, (q + 1).min(n)).into_vec();
+        for _ in 0..3 {
+            subset = spread(&subset).1;
+        }
+        let (cost, subset) = spread(&subset);
+        if best.as_ref().is_none_or(|b| cost < b.0) {
+            best = Some((cost, subset));
+        }
+    }
+    let Some((_, subset)) = best else { return Vec::new() };
+    let size = sizes(&subset);
+    let out: Vec<usize> = (0..n).filter(|&k| size[k] > GROSS).map(|k| rows[k]).collect();
+    // Many such readings, or a slope of large ones beside them, are structure: what the model lacks, not gross readings.
+    let large = (0..n).filter(|&k| size[k] > LARGE && size[k] <= GROSS).count() as f64;
+    let structure =
+        out.len() as f64 > 0.03 * n as f64 + 2.0 || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
+    if structure { Vec::new() } else { out }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}

@@ -1,0 +1,99 @@
+//! Physical range of effects that enter linearly: their part in what a channel spans. Where it is exceeded, the effect is refitted at its
+//! bounds (convex, by clarabel), and the data may insist on more or not.
+
+use super::fit::Fit;
+use super::linear::{Basis, in_channel, stack};
+use super::min_p::f_test;
+use super::socp::minimise;
+use crate::measurement_model::MeasurementModel;
+use clarabel::solver::SupportedConeT;
+use nalgebra::{DMatrix, DVector};
+
+/// Chance below which the data insist on a part that physics does not allow.
+const LEVEL: f64 = 0.01;
+
+/// Whether every law with a largest share keeps to it, or would explain as well if held there.
+#[must_use]
+pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
+    let laws: Vec<_> = fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).clone()).collect();
+    let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+    // Columns of linear terms follow the declared model's in term order.
+    let mut first = fit.design.ncols() - own.min(fit.design.ncols());
+    laws.iter().all(|law| {
+        let columns = first..first + law.linear.len();
+        first = columns.end;
+        law.largest_share.is_none_or(|share| holds(fit, columns, share))
+    })
+}
+
+fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
+    let channels = fit.residual.ncols();
+    let part = fit.design.columns_range(columns.clone()) * fit.coefficients.rows_range(columns.clone());
+    let whole = &fit.design * &fit.coefficients;
+    // The largest part that each channel allows.
+    let largest: Vec<f64> =
+        (0..channels).map(|c| share * (whole.column(c).max() - whole.column(c).min())).collect();
+    let over = (0..channels).filter(|&c| part.column(c).amax() > largest[c]).count();
+    if over == 0 {
+        return true;
+    }
+    let mut others = Basis::default();
+    for (_, column) in fit.design.column_iter().enumerate().filter(|(j, _)| !columns.contains(j)) {
+        let column: Vec<f64> = column.iter().copied().collect();
+        for c in 0..channels {
+            others.push(&in_channel(&column, c, channels));
+        }
+    }
+    for tangent in &fit.tangents {
+        others.push(&stack(tangent));
+    }
+    // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
+    let own: Vec<(usize, usize)> = (0..channels).flat_map(|c| columns.clone().map(move |j| (j, c))).collect();
+    let directions: Vec<DVector<f64>> = own
+        .iter()
+        .map(|&(j, c)| {
+            let column: Vec<f64> = fit.design.column(j).iter().copied().collect();
+            others.project_off(&in_channel(&column, c, channels))
+        })
+        .collect();
+    let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
+    let Some(rise) = held_rise(fit, &own, &directions, &free, &largest) else { return true };
+    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > LEVEL
+}
+
+/// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.
+///
+/// None where the solver gives up: nothing is held against the explanation then.
+fn held_rise(
+    fit: &Fit,
+    own: &[(usize, usize)],
+    directions: &[DVector<f64>],
+    free: &[f64],
+    largest: &[f64],
+) -> Option<f64> {
+    // Free coefficients have very different sizes: each is counted in the length of its direction.
+    let size: Vec<f64> = directions.iter().map(|d| d.norm().max(1e-300)).collect();
+    let k = own.len();
+    let gram = DMatrix::from_fn(k, k, |a, b| directions[a].dot(&directions[b]) / (size[a] * size[b]));
+    let start = DVector::from_iterator(k, (0..k).map(|a| free[a] * size[a]));
+    let linear = -(&gram * &start);
+    let scale = start.amax().max(1e-300);
+    let (mut rows, mut bounds) = (Vec::new(), Vec::new());
+    for (c, limit) in largest.iter().enumerate() {
+        for i in 0..fit.design.nrows() {
+            let entries = |sign: f64| -> Vec<(usize, f64)> {
+                let of_channel = (0..k).filter(|&a| own[a].1 == c);
+                of_channel.map(|a| (a, sign * fit.design[(i, own[a].0)] / size[a] * scale)).collect()
+            };
+            for sign in [1.0, -1.0] {
+                rows.push(entries(sign));
+                bounds.push(*limit);
+            }
+        }
+    }
+    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
+    let linear: Vec<f64> = linear.iter().map(|x| x / scale).collect();
+    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds, &cones)?) * scale;
+    let change = held - start;
+    Some((&gram * &change).dot(&change))
+}

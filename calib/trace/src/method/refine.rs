@@ -1,0 +1,85 @@
+//! An accepted effect by a richer law of its own, where the plain one leaves something: two time constants, a stack of plays.
+
+use super::min_p::f_test;
+use super::omnibus::CATALOGUE_LEVEL;
+use super::search::{Hypothesis, refit};
+use crate::effect::{EffectModel, EffectTerm, Role};
+use crate::measurement_model::MeasurementModel;
+
+/// Explanations of a size that are refined: the best and its nearest rivals, so that none is judged by a law that is too plain.
+const REFINED: usize = 3;
+
+/// Refines the best explanations of a size where the data ask for it; true where the first of them, then sorted again, is another.
+pub(super) fn refine_level(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    level: &mut [Hypothesis],
+) -> bool {
+    let mut changed = false;
+    for h in level.iter_mut().take(REFINED) {
+        if let Some(refined) = refine(system, base, h) {
+            *h = refined;
+            changed = true;
+        }
+    }
+    if changed {
+        let scale = level.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
+        level.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
+    }
+    changed
+}
+
+/// The best refinement of one of its terms, where it is physical and earns its parameters (F test over all that were tried).
+fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -> Option<Hypothesis> {
+    let mut tried = 0;
+    let mut best: Option<(f64, Hypothesis)> = None;
+    for (slot, term) in from.fit.terms.iter().enumerate() {
+        let effect = &system.catalogue()[term.effect];
+        let plain = effect.laws().len();
+        if term.law >= plain {
+            continue;
+        }
+        for (k, law) in effect.refinements().iter().enumerate() {
+            let starts: Vec<Vec<EffectTerm>> = starts(law, term)
+                .into_iter()
+                .map(|values| {
+                    let mut terms = from.fit.terms.clone();
+                    terms[slot] = EffectTerm { effect: term.effect, law: plain + k, values };
+                    terms
+                })
+                .collect();
+            tried += 1;
+            let Some(to) = refit(system, &starts, from).filter(|h| h.physical(system)) else { continue };
+            let extra = (to.parameters(&base.fit) - from.parameters(&base.fit)).max(1.0);
+            let p = f_test(from.fit.ssr - to.fit.ssr, from.fit.ssr, from.fit.dof, extra as usize);
+            if best.as_ref().is_none_or(|(least, _)| p < *least) {
+                best = Some((p, to));
+            }
+        }
+    }
+    best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE_LEVEL).map(|(_, h)| h)
+}
+
+/// Places to start from: the amplitude shared out, shapes from their grids in rising order.
+fn starts(law: &EffectModel, term: &EffectTerm) -> Vec<Vec<f64>> {
+    let amplitudes = law.parameters.iter().filter(|p| matches!(p.role, Role::Amplitude { .. })).count();
+    let share = term.values[0] / amplitudes.max(1) as f64;
+    let mut all: Vec<Vec<f64>> = vec![Vec::new()];
+    let mut highest: Vec<f64> = vec![f64::NEG_INFINITY];
+    for p in &law.parameters {
+        let (mut next, mut next_highest) = (Vec::new(), Vec::new());
+        for (values, high) in all.iter().zip(&highest) {
+            let choices: Vec<f64> = match p.role {
+                Role::Amplitude { .. } => vec![share],
+                Role::Shape { grid } => grid.iter().copied().filter(|g| g > high).collect(),
+            };
+            for choice in choices {
+                let shape = matches!(p.role, Role::Shape { .. });
+                next.push(values.iter().copied().chain([choice]).collect());
+                next_highest.push(if shape { choice } else { *high });
+            }
+        }
+        (all, highest) = (next, next_highest);
+    }
+    all
+}

@@ -1,0 +1,488 @@
+//! From a rejected omnibus test to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the omnibus test first.
+
+use super::ambiguity::{AMBIGUITY_LEVEL, cox_test};
+use super::fit::{Fit, Status, Weights, fit};
+use super::linear::stack;
+use super::min_p::f_test;
+use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
+use super::outliers::{clean, gross};
+use super::range_check::range_check;
+use super::refine::refine_level;
+use super::signature::{Signature, nuisance, signatures_of_catalogue};
+use super::subsets::best_subsets;
+use crate::effect::{EffectTerm, Role};
+use crate::measurement_model::MeasurementModel;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Hears how far a search is: name of the stage, and the part of it that is done.
+type Heard = Box<dyn Fn(&str, f64) + Send + Sync>;
+static HEARD: OnceLock<Heard> = OnceLock::new();
+
+/// Names who hears, for this process; the first one stays.
+pub fn on_progress(heard: impl Fn(&str, f64) + Send + Sync + 'static) {
+    let _ = HEARD.set(Box::new(heard));
+}
+
+/// Tells how far a stage is.
+pub fn progress(stage: &str, done: f64) {
+    if let Some(heard) = HEARD.get() {
+        heard(stage, done);
+    }
+}
+
+/// Settings of the loop.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Seed of every draw.
+    pub seed: u64,
+    /// Null draws a family.
+    pub draws: usize,
+    /// Largest number of effects in one explanation.
+    pub largest: usize,
+    /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a Gaussian's.
+    pub tails_dof: Option<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None }
+    }
+}
+
+/// An explanation: effects with fitted parameters.
+#[derive(Debug, Clone)]
+pub struct Hypothesis {
+    /// The fit.
+    pub fit: Fit,
+    /// Weights, flagged readings at zero.
+    pub weights: Weights,
+    /// Readings flagged as outliers.
+    pub flagged: Vec<usize>,
+    /// Chance that noise with tails as heavy as the data allow gives the flagged readings; 1 where none is.
+    pub flag_p: f64,
+}
+
+/// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
+/// compliance, 2 um of backlash), and estimates scatter about them.
+const MIN_SHARE: f64 = 0.1;
+/// Price of one flagged reading: it must stand out among all readings, in every channel.
+const PRICE_A_FLAG: f64 = 2.0;
+
+impl Hypothesis {
+    /// Indices of its effects, ascending; outliers included.
+    #[must_use]
+    pub fn effects(&self, outliers: Option<usize>) -> Vec<usize> {
+        let mut ids: Vec<usize> = self.fit.terms.iter().map(|t| t.effect).collect();
+        if let (Some(o), false) = (outliers, self.flagged.is_empty()) {
+            ids.push(o);
+        }
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// Parameters that the explanation spends beyond the declared model.
+    #[must_use]
+    pub fn parameters(&self, base: &Fit) -> f64 {
+        let columns = (self.fit.design.ncols() - base.design.ncols()) * self.fit.residual.ncols();
+        let values: usize = self.fit.terms.iter().map(|t| t.values.len()).sum();
+        (columns + values) as f64
+    }
+
+    /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
+    #[must_use]
+    pub fn criterion(&self, base: &Fit, variance: f64) -> f64 {
+        let n = self.fit.residual.nrows() as f64;
+        let channels = self.fit.residual.ncols() as f64;
+        // A flagged reading is a free shift in every channel, chosen among n.
+        let flags = self.flagged.len() as f64 * (2.0 * channels + PRICE_A_FLAG * n.ln());
+        self.fit.ssr / variance + 2.0 * self.parameters(base) + flags
+    }
+
+    /// Every parameter lies inside its physical range and every amplitude is there.
+    #[must_use]
+    pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
+        let mut slot = 0;
+        for t in &self.fit.terms {
+            let law = &system.catalogue()[t.effect].law(t.law);
+            for (p, v) in law.parameters.iter().zip(&t.values) {
+                let at_bound = self.fit.at_bound[slot];
+                slot += 1;
+                // A share of one is complete, not out of range.
+                let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
+                // Far below the usual size the effect is a correction to something else, not an explanation.
+                let negligible = match p.role {
+                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
+                    Role::Shape { .. } => false,
+                };
+                if (at_bound && !complete) || negligible {
+                    return false;
+                }
+            }
+        }
+        self.fit.status != Status::RankDeficient && range_check(system, &self.fit)
+    }
+}
+
+/// One line of the evidence table.
+#[derive(Debug, Clone)]
+pub struct Evidence {
+    /// Effects of the explanation.
+    pub effects: Vec<String>,
+    /// Law of each.
+    pub laws: Vec<String>,
+    /// Fall of the misfit against the declared model, in units of the final variance.
+    pub gain: f64,
+    /// Criterion less the best's.
+    pub behind: f64,
+    /// Parameters that it spends.
+    pub parameters: usize,
+    /// Chance of falling this far behind were it true (parametric bootstrap; 1 for the best).
+    pub p_value: f64,
+}
+
+impl Evidence {
+    /// The data do not reject it.
+    #[must_use]
+    pub fn survives(&self) -> bool {
+        self.p_value >= AMBIGUITY_LEVEL
+    }
+}
+
+/// What the search found.
+pub struct SearchResult {
+    /// The declared model.
+    pub base: Hypothesis,
+    /// Omnibus test on the declared model.
+    pub first_test: OmnibusTest,
+    /// Best explanation (the declared model where nothing was accepted).
+    pub best: Hypothesis,
+    /// Omnibus test on the best explanation.
+    pub last_test: OmnibusTest,
+    /// Explanations that the data do not reject, best first, the best included.
+    pub survivors: Vec<Hypothesis>,
+    /// Every explanation of the final size that was refitted.
+    pub evidence: Vec<Evidence>,
+    /// The same as hypotheses, best first.
+    pub refitted: Vec<Hypothesis>,
+    /// A generic driver explains more than the catalogue does.
+    pub covariate_beats_catalogue: bool,
+}
+
+impl SearchResult {
+    /// The omnibus test that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
+    #[must_use]
+    pub fn left(&self) -> Option<&OmnibusTest> {
+        if self.covariate_beats_catalogue {
+            Some(&self.first_test)
+        } else {
+            self.last_test.rejected().then_some(&self.last_test)
+        }
+    }
+
+    /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
+    #[must_use]
+    pub fn accepted(&self) -> &Hypothesis {
+        if self.covariate_beats_catalogue { &self.base } else { &self.best }
+    }
+
+    /// Something was found or is left: heavier tails would be a reason to look again.
+    #[must_use]
+    pub fn something_left_or_found(&self) -> bool {
+        self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
+    }
+}
+
+/// Refits tried at each size.
+const REFITS: usize = 7;
+
+fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
+    system.outliers().filter(|&e| system.not_observable(e).is_none())
+}
+
+/// Refits `terms` from each start and keeps the best physical one (else the best).
+pub(super) fn refit(
+    system: &dyn MeasurementModel,
+    starts: &[Vec<EffectTerm>],
+    from: &Hypothesis,
+) -> Option<Hypothesis> {
+    let mut best: Option<Hypothesis> = None;
+    for terms in starts {
+        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
+        let next = Hypothesis { fit, ..from.clone() };
+        let better = best.as_ref().is_none_or(|b| {
+            let (was, is) = (b.physical(system), next.physical(system));
+            // A law with more parameters must earn them.
+            let price = 2.0 * next.fit.variance();
+            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
+            (is && !was) || (is == was && cost(&next) < cost(b))
+        });
+        if better {
+            best = Some(next);
+        }
+    }
+    best
+}
+
+/// Explanations with one effect more than `from`: the best laws of each effect refitted, and outliers removed.
+fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signature]) -> Vec<Hypothesis> {
+    let residual = stack(&from.fit.residual);
+    let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
+    let mut ranked: Vec<(f64, usize)> = (0..system.catalogue().len())
+        .filter_map(|e| {
+            let best = (0..gains.len())
+                .filter(|&i| signatures[i].term.effect == e)
+                .map(|i| gains[i])
+                .fold(0.0, f64::max);
+            (best > 4.0 * from.fit.variance().min(1.0e300)).then_some((best, e))
+        })
+        .collect();
+    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+    ranked.truncate(REFITS);
+    let mut out: Vec<Hypothesis> = ranked
+        .par_iter()
+        .flat_map_iter(|&(top, e)| {
+            let laws = system.catalogue()[e].laws();
+            // Laws are rivals of their own; within a law the best point of the grid starts the refit.
+            let starts: Vec<Vec<EffectTerm>> = (0..laws.len())
+                .filter_map(|l| {
+                    let best = (0..gains.len())
+                        .filter(|&i| signatures[i].term.effect == e && signatures[i].term.law == l)
+                        .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
+                    (gains[best] > 0.5 * top).then(|| {
+                        let mut terms = from.fit.terms.clone();
+                        terms.push(signatures[best].start(&residual, &laws[l]));
+                        terms
+                    })
+                })
+                .collect();
+            refit(system, &starts, from)
+        })
+        .collect();
+    let single = outlier_index(system).filter(|_| from.flagged.is_empty());
+    if let Some(c) = single.and_then(|_| clean(system, &from.fit.terms, &from.fit, &from.weights)) {
+        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value });
+    }
+    out
+}
+
+/// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
+fn by_subsets(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    signatures: &[Signature],
+    next: &[Hypothesis],
+    size: usize,
+) -> Vec<Hypothesis> {
+    const KEPT: usize = 2;
+    let fitting = || next.iter().filter(|h| h.physical(system));
+    let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
+    let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
+    let residual = stack(&base.fit.residual);
+    let known: Vec<Vec<usize>> = next.iter().map(|h| h.effects(None)).collect();
+    best_subsets(signatures, &residual, size, scale, KEPT + known.len())
+        .into_iter()
+        .filter(|s| base.fit.ssr / scale - s.merit < top)
+        .filter_map(|s| {
+            let mut effects: Vec<usize> = s.signatures.iter().map(|&i| signatures[i].term.effect).collect();
+            effects.sort_unstable();
+            if known.contains(&effects) {
+                return None;
+            }
+            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law).clone();
+            Some(
+                s.signatures
+                    .iter()
+                    .map(|&i| signatures[i].start(&residual, &law(&signatures[i])))
+                    .collect::<Vec<EffectTerm>>(),
+            )
+        })
+        .take(KEPT)
+        .filter_map(|terms| refit(system, &[terms], base))
+        .collect()
+}
+
+/// Adds the explanations of `more` that are not there yet; of two with the same effects the better stays.
+fn merge(
+    all: &mut Vec<Hypothesis>,
+    more: Vec<Hypothesis>,
+    outliers: Option<usize>,
+    base: &Fit,
+    variance: f64,
+) {
+    for h in more {
+        let key = h.effects(outliers);
+        match all.iter_mut().find(|o| o.effects(outliers) == key) {
+            Some(old) if old.criterion(base, variance) <= h.criterion(base, variance) => {}
+            Some(old) => *old = h,
+            None => all.push(h),
+        }
+    }
+}
+
+/// p-value of the step from `from` to `to`, adjusted by the family that was searched.
+fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
+    if to.flagged.len() > from.flagged.len() {
+        return to.flag_p;
+    }
+    let extra = to.parameters(base) - from.parameters(base);
+    let gain = from.fit.ssr - to.fit.ssr;
+    let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
+    test.family.adjusted(single)
+}
+
+/// Runs the search.
+pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
+    progress("testing the declared model", 0.0);
+    let outliers = outlier_index(system);
+    let base = declared(system, weights, options.seed)?;
+    let first_test = omnibus_test(system, &base.fit, &base.weights, options);
+    // Gross readings that the declared model's first fit left out are no step of the search.
+    let given = base.effects(outliers).len();
+    let mut best = base.clone();
+    let mut level: Vec<Hypothesis> = vec![base.clone()];
+    let mut level_test = first_test.clone();
+    let mut final_level: Vec<Hypothesis> = Vec::new();
+    for size in 1..=options.largest {
+        progress("searching for effects", (size - 1) as f64 / options.largest as f64);
+        if !level_test.rejected() && !single_readings(system, &best) {
+            break;
+        }
+        // Extend the few best explanations of the last size; the true set need not contain the best single effect.
+        let mut next: Vec<Hypothesis> = Vec::new();
+        let variance = best.fit.variance();
+        for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
+            let more = if k == 0 {
+                extend(system, h, &level_test.signatures)
+            } else {
+                extend(system, h, &signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
+            };
+            merge(&mut next, more, outliers, &base.fit, variance);
+        }
+        if size > 1 {
+            let more = by_subsets(system, &base, &first_test.signatures, &next, size);
+            merge(&mut next, more, outliers, &base.fit, variance);
+        }
+        let mut physical: Vec<Hypothesis> = next
+            .into_iter()
+            .filter(|h| h.physical(system) && h.effects(outliers).len() == given + size)
+            .collect();
+        let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
+        physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
+        let candidate = physical[0].clone();
+        let p = step_p(&best, &candidate, &base.fit, &level_test);
+        if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
+            break;
+        }
+        best = flag_anew(system, candidate);
+        physical[0] = best.clone();
+        level_test = gate_again(system, &best, options, size as u64);
+        if level_test.rejected() && refine_level(system, &base, &mut physical) {
+            best = flag_anew(system, physical[0].clone());
+            physical[0] = best.clone();
+            level_test = gate_again(system, &best, options, (options.largest + size) as u64);
+        }
+        level = physical.clone();
+        final_level = physical;
+    }
+    let variance = best.fit.variance();
+    let top = best.criterion(&base.fit, variance);
+    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
+    let p_values: Vec<f64> = final_level
+        .iter()
+        .enumerate()
+        .map(|(k, h)| {
+            progress("comparing explanations", k as f64 / final_level.len() as f64);
+            if k == 0 { 1.0 } else { cox_test(&best, h, variance, options.draws, options.seed + k as u64) }
+        })
+        .collect();
+    let survivors: Vec<Hypothesis> = final_level
+        .iter()
+        .zip(&p_values)
+        .filter(|(_, p)| **p >= AMBIGUITY_LEVEL)
+        .map(|(h, _)| h.clone())
+        .collect();
+    let evidence = final_level
+        .iter()
+        .zip(&p_values)
+        .map(|(h, p_value)| Evidence {
+            effects: h.effects(outliers).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect(),
+            laws: h
+                .fit
+                .terms
+                .iter()
+                .map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned())
+                .collect(),
+            gain: (base.fit.ssr - h.fit.ssr) / variance,
+            behind: behind(h),
+            parameters: h.parameters(&base.fit) as usize,
+            p_value: *p_value,
+        })
+        .collect();
+    let covariate_beats_catalogue = covariate_wins(&base, &first_test, &best, variance);
+    Some(SearchResult {
+        base,
+        first_test,
+        best,
+        last_test: level_test,
+        survivors,
+        evidence,
+        refitted: final_level,
+        covariate_beats_catalogue,
+    })
+}
+
+/// One generic score alone explains the residual better than the accepted effects do.
+fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
+    const MARGIN: f64 = 10.0;
+    let Some(score) = test.covariates.first() else { return false };
+    // Periods and steps were scanned: some forty places each.
+    let scanned = if matches!(score.shape, "sinusoid" | "step") { 2.0 * 40f64.ln() } else { 2.0 };
+    let by_covariate = (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
+    test.generic() && by_covariate + MARGIN < best.criterion(&base.fit, variance)
+}
+
+/// Readings stand out singly although nothing smooth is left.
+fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
+    h.flagged.is_empty()
+        && outlier_index(system).is_some()
+        && clean(system, &h.fit.terms, &h.fit, &h.weights).is_some()
+}
+
+fn gate_again(system: &dyn MeasurementModel, h: &Hypothesis, options: &Options, round: u64) -> OmnibusTest {
+    let seed = options.seed.wrapping_add(round.wrapping_mul(0x9e37));
+    omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..*options })
+}
+
+/// The declared model, fitted without readings that stand far out of it.
+pub fn declared(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
+    let plain = |weights: &Weights| {
+        let fit = fit(system, &[], weights, 15)?;
+        Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
+    };
+    let out = if outlier_index(system).is_some() { gross(system, weights, seed) } else { Vec::new() };
+    if out.is_empty() {
+        return plain(weights);
+    }
+    let without = plain(&weights.masked(|i| !out.contains(&i)))?;
+    match clean(system, &[], &without.fit, &without.weights) {
+        Some(c) => Some(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value }),
+        None => plain(weights),
+    }
+}
+
+/// Flags of a model that has changed: a reading that it explains is taken back.
+fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+    if h.flagged.is_empty() {
+        return h;
+    }
+    match clean(system, &h.fit.terms, &h.fit, &h.weights) {
+        Some(c) => Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value },
+        None => {
+            let weights = h.weights.unmasked();
+            let refitted = fit(system, &h.fit.terms, &weights, 15);
+            refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! Stage 6, all subsets: which sets of effects explain most in the projected linear model, from the Gram matrix of their signatures.
+
+use super::signature::Signature;
+use nalgebra::{DMatrix, DVector};
+
+/// A set of signatures, one an effect, and what its linear model leaves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Subset {
+    /// Indices of the signatures.
+    pub signatures: Vec<usize>,
+    /// Fall of the sum of squares in units of the variance, less twice the parameters (Akaike); larger is better.
+    pub merit: f64,
+}
+
+/// Signatures (laws, points of the shape grids) tried for every effect.
+const AN_EFFECT: usize = 2;
+
+/// The sets of `size` effects with the largest merit, best first, at most `keep`. One-sided amplitudes of the wrong sign are left out.
+#[must_use]
+pub fn best_subsets(
+    signatures: &[Signature],
+    residual: &DVector<f64>,
+    size: usize,
+    variance: f64,
+    keep: usize,
+) -> Vec<Subset> {
+    let chosen = promising(signatures, residual);
+    let columns: Vec<&DVector<f64>> = chosen.iter().flat_map(|&i| &signatures[i].directions).collect();
+    let starts: Vec<usize> = chosen
+        .iter()
+        .scan(0, |at, &i| {
+            let here = *at;
+            *at += signatures[i].dimension();
+            Some(here)
+        })
+        .collect();
+    let gram = DMatrix::from_fn(columns.len(), columns.len(), |i, j| columns[i].dot(columns[j]));
+    let along = DVector::from_iterator(columns.len(), columns.iter().map(|v| v.dot(residual)));
+    let mut found: Vec<Subset> = Vec::new();
+    let mut members = Vec::new();
+    combine(
+        &mut members,
+        0,
+        size,
+        &|members: &[usize]| {
+            let new = members[members.len() - 1];
+            // Signatures of one effect are rivals, not company.
+            members[..members.len() - 1]
+                .iter()
+                .all(|&m| signatures[chosen[m]].term.effect != signatures[chosen[new]].term.effect)
+        },
+        chosen.len(),
+        &mut |members: &[usize]| {
+            let own: Vec<usize> = members
+                .iter()
+                .flat_map(|&m| starts[m]..starts[m] + signatures[chosen[m]].dimension())
+                .collect();
+            let small = DMatrix::from_fn(own.len(), own.len(), |i, j| gram[(own[i], own[j])]);
+            let right = DVector::from_iterator(own.len(), own.iter().map(|&k| along[k]));
+            let Some(solution) = small.cholesky().map(|c| c.solve(&right)) else { return };
+            let mut at = 0;
+            let mut price = 0.0;
+            for &m in members {
+                let signature = &signatures[chosen[m]];
+                if signature.one_sided && solution[at] <= 0.0 {
+                    return;
+                }
+                at += signature.dimension();
+                price += 2.0
+                    * (signature.dimension() + signature.term.values.len() - signature.amplitudes.len())
+                        as f64;
+            }
+            let merit = right.dot(&solution) / variance - price;
+            found.push(Subset { signatures: members.iter().map(|&m| chosen[m]).collect(), merit });
+        },
+    );
+    found.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+    let mut seen: Vec<Vec<usize>> = Vec::new();
+    found.retain(|s| {
+        let mut effects: Vec<usize> = s.signatures.iter().map(|&i| signatures[i].term.effect).collect();
+        effects.sort_unstable();
+        let new = !seen.contains(&effects);
+        seen.push(effects);
+        new
+    });
+    found.truncate(keep);
+    found
+}
+
+/// The best few signatures of every effect.
+fn promising(signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
+    let gains: Vec<f64> = signatures.iter().map(|a| a.gain(residual)).collect();
+    let mut order: Vec<usize> = (0..signatures.len()).collect();
+    order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]));
+    let mut count = std::collections::BTreeMap::new();
+    order.retain(|&i| {
+        let c = count.entry(signatures[i].term.effect).or_insert(0);
+        *c += 1;
+        *c <= AN_EFFECT
+    });
+    order
+}
+
+fn combine(
+    members: &mut Vec<usize>,
+    from: usize,
+    size: usize,
+    fits: &dyn Fn(&[usize]) -> bool,
+    count: usize,
+    visit: &mut dyn FnMut(&[usize]),
+) {
+    if members.len() == size {
+        visit(members);
+        return;
+    }
+    for next in from..count {
+        members.push(next);
+        if fits(members) {
+            combine(members, next + 1, size, fits, count, visit);
+        }
+        members.pop();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effect::EffectTerm;
+    use crate::method::linear::Basis;
+    use crate::method::signature::build;
+
+    fn signature(effect: usize, v: &DVector<f64>, one_sided: bool) -> Signature {
+        let term = EffectTerm { effect, law: 0, values: vec![1.0] };
+        build(term, vec![(0, 1.0)], one_sided, std::slice::from_ref(v), &Basis::default()).unwrap()
+    }
+
+    #[test]
+    fn a_pair_that_no_single_shows_is_found() {
+        let wave = |k: f64| DVector::from_fn(50, |i, _| (0.2 * k * i as f64).sin());
+        // The sum of 0 and 1 looks most like 2; the pair leaves nothing.
+        let (a, b) = (wave(1.0), wave(1.7));
+        let both = &a + &b;
+        let decoy = &both + wave(4.0) * 0.6;
+        let signatures = [
+            signature(0, &a, false),
+            signature(1, &b, false),
+            signature(2, &decoy, false),
+            signature(3, &wave(6.0), false),
+        ];
+        let single = best_subsets(&signatures, &both, 1, 0.01, 1);
+        assert_eq!(single[0].signatures, [2]);
+        let pair = best_subsets(&signatures, &both, 2, 0.01, 1);
+        let mut found = pair[0].signatures.clone();
+        found.sort_unstable();
+        assert_eq!(found, [0, 1]);
+    }
+
+    #[test]
+    fn a_wrong_sign_is_no_explanation() {
+        let a = DVector::from_fn(20, |i, _| (0.3 * i as f64).sin());
+        let b = DVector::from_fn(20, |i, _| (0.9 * i as f64).cos());
+        let signatures = [signature(0, &a, true), signature(1, &b, false)];
+        assert_eq!(best_subsets(&signatures, &(&b - &a), 2, 0.01, 3), []);
+        assert_eq!(best_subsets(&signatures, &(&b + &a), 2, 0.01, 3).len(), 1);
+    }
+}

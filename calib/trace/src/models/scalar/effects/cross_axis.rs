@@ -1,0 +1,40 @@
+//! A further covariate acts on the response.
+
+use super::law;
+use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::frame::Frame;
+use crate::scalar::system::ScalarEffect;
+
+/// See the module.
+pub struct CrossAxis {
+    /// Further covariates of the table.
+    pub count: usize,
+}
+
+impl Effect for CrossAxis {
+    fn id(&self) -> &'static str {
+        "cross-axis"
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        // One law a covariate; the names stand in the session.
+        (0..self.count.max(1))
+            .map(|_| {
+                law("covariate", Vec::new(), &[("slope", "response/covariate")]).needing(&[Need::Covariate])
+            })
+            .collect()
+    }
+    fn sentence(&self) -> &'static str {
+        "The response follows a second quantity of the table, not only the stimulus."
+    }
+    fn source(&self) -> &'static str {
+        "linear cross-sensitivity"
+    }
+}
+
+impl ScalarEffect for CrossAxis {
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        let Some(Some(column)) = frame.covariates.get(values.index()) else { return false };
+        out.push(column.clone());
+        true
+    }
+}

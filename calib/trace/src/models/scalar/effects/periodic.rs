@@ -1,0 +1,132 @@
+//! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
+
+use super::{PERIODIC, law, shape};
+use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::frame::{Frame, correlation};
+use crate::scalar::system::ScalarEffect;
+
+/// See the module.
+pub struct Periodic;
+
+/// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the best between them.
+const GRID: [f64; 197] = {
+    let mut grid = [0.0; 197];
+    let mut k = 0;
+    while k < 197 {
+        grid[k] = 2.0 + 0.5 * k as f64;
+        k += 1;
+    }
+    grid
+};
+
+/// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
+const MIN_CYCLES: f64 = 1.5;
+
+impl Effect for Periodic {
+    fn id(&self) -> &'static str {
+        PERIODIC
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        let columns = [("sine", "response"), ("cosine", "response")];
+        let cycles = |unit| vec![shape("period", unit, [MIN_CYCLES, 120.0], &GRID)];
+        vec![
+            law("over-stimulus", cycles("period:stimulus"), &columns),
+            law("over-time", cycles("period:time"), &columns).needing(&[Need::Time]),
+            law("over-order", cycles("period:order"), &columns).needing(&[Need::Order]),
+        ]
+    }
+    fn sentence(&self) -> &'static str {
+        "The residual repeats with a fixed period."
+    }
+    fn source(&self) -> &'static str {
+        "harmonic regression; frequencies up to the sampling limit or 100 cycles"
+    }
+}
+
+/// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it is a function of the stimulus.
+const LOCKED: f64 = 0.95;
+
+/// Share of the variance of `u` that a sine and a cosine of `phase` explain.
+fn share_explained(u: &[f64], phase: &[f64]) -> f64 {
+    let design = nalgebra::DMatrix::from_fn(u.len(), 3, |i, j| match j {
+        0 => 1.0,
+        1 => phase[i].sin(),
+        _ => phase[i].cos(),
+    });
+    let y = nalgebra::DVector::from_row_slice(u);
+    let mean = y.mean();
+    let total: f64 = y.iter().map(|v| (v - mean).powi(2)).sum();
+    match design.clone().svd(true, true).solve(&y, 1e-9) {
+        Ok(b) if total > 0.0 => 1.0 - (y - design * b).norm_squared() / total,
+        _ => 0.0,
+    }
+}
+
+/// Strokes from which on a wave that follows stimulus and direction counts as the strokes' own.
+const MIN_STROKES: usize = 5;
+
+/// Degree of the polynomial of the stimulus that stands for whatever repeats with the strokes.
+const STROKE_DEGREE: usize = 6;
+
+/// A polynomial of the stimulus for each direction explains sine and cosine: the wave or its fundamental repeats with the strokes.
+fn locked_to_strokes(frame: &Frame, phase: &[f64]) -> bool {
+    let Some(direction) = frame.direction.as_ref() else { return false };
+    let strokes = 1 + direction.windows(2).filter(|d| d[0] * d[1] < 0.0).count();
+    if strokes < MIN_STROKES {
+        return false;
+    }
+    let design = nalgebra::DMatrix::from_fn(phase.len(), 2 * (STROKE_DEGREE + 1), |i, j| {
+        let power = frame.u[i].powi(j as i32 / 2);
+        if j % 2 == 0 { power } else { power * direction[i] }
+    });
+    let svd = design.clone().svd(true, true);
+    [f64::sin as fn(f64) -> f64, f64::cos].into_iter().all(|wave| {
+        let y = nalgebra::DVector::from_iterator(phase.len(), phase.iter().map(|p| wave(*p)));
+        let total = y.map(|v| v - y.mean()).norm_squared();
+        svd.solve(&y, 1e-9).is_ok_and(|b| (&y - &design * b).norm_squared() < (1.0 - LOCKED) * total)
+    })
+}
+
+/// Two covariates that run together this closely are one.
+const SAME: f64 = 0.9999;
+/// Fewer places than this do not show a period.
+const MIN_PLACES: usize = 12;
+
+/// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
+fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
+    // New rows are not searched: they follow the law that was fitted.
+    let same = |a: &[f64], b: &[f64]| !frame.new_rows && correlation(a, b).abs() > SAME;
+    let n = frame.scaling.count;
+    match law {
+        "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
+        "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
+        _ => {
+            let known =
+                frame.time.as_ref().is_some_and(|t| same(t, &frame.order)) || same(&frame.u, &frame.order);
+            (!known && frame.ordered).then(|| (frame.order.clone(), n))
+        }
+    }
+}
+
+impl ScalarEffect for Periodic {
+    fn not_observable(&self, frame: &Frame) -> Option<String> {
+        (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
+    }
+    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
+        let Some((place, places)) = variable(values.law(), frame) else { return false };
+        // Above half a cycle from place to place a frequency is another one's alias.
+        let cycles = values.of("period");
+        let aliased = places < MIN_PLACES || cycles > 0.5 * (places as f64 - 1.0);
+        if aliased && !frame.new_rows {
+            return false;
+        }
+        let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * cycles * p).collect();
+        let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
+        if values.law() != "over-stimulus" && !frame.new_rows && locked() {
+            return false;
+        }
+        out.push(phase.iter().map(|p| p.sin()).collect());
+        out.push(phase.iter().map(|p| p.cos()).collect());
+        true
+    }
+}

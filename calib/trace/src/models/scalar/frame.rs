@@ -1,0 +1,370 @@
+//! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
+
+use serde::{Deserialize, Serialize};
+use wcal_core::Sealed;
+use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
+
+/// Session of one of the two scalar kinds.
+#[derive(Debug, Clone, Copy)]
+pub enum ScalarData<'a> {
+    /// Stimulus and response.
+    Transducer(&'a TransducerData),
+    /// Commanded and measured position.
+    Axis(&'a AxisData),
+}
+
+/// Declared model of the session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Declared {
+    /// Polynomial of this degree in the stimulus with free coefficients.
+    Polynomial(usize),
+    /// measured = commanded + constant.
+    Axis,
+}
+
+impl Declared {
+    /// A sentence about stimulus and response in the words of the session's kind: an axis has commanded and measured positions.
+    #[must_use]
+    pub fn worded(self, sentence: &str) -> String {
+        match self {
+            Self::Polynomial(_) => sentence.to_owned(),
+            Self::Axis => sentence
+                .replace("stimuli", "commanded positions")
+                .replace("stimulus", "commanded position")
+                .replace("response", "measured position"),
+        }
+    }
+}
+
+/// One reading; `y` is the response, or measured - commanded in um.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScalarRow {
+    /// File, line and point of the row.
+    pub origin: (String, usize, i64),
+    /// Role in the table.
+    pub role: Role,
+    /// Stimulus, or commanded position in mm.
+    pub x: f64,
+    /// Response, or measured - commanded in um.
+    pub y: f64,
+    /// Time, s.
+    pub t_s: Option<f64>,
+    /// Temperature, deg C.
+    pub temperature_degc: Option<f64>,
+    /// +1 or -1.
+    pub direction: Option<f64>,
+    /// Cycle (axis) or replicate (transducer).
+    pub cycle: Option<u32>,
+    /// Further covariates.
+    pub covariates: Vec<f64>,
+    /// Place among all readings of the session, where not all of them are fitted; none: as they come.
+    pub place: Option<usize>,
+}
+
+impl From<&TransducerRow> for ScalarRow {
+    fn from(r: &TransducerRow) -> Self {
+        Self {
+            origin: (r.source.clone(), r.line, r.point),
+            role: r.role,
+            x: r.stimulus,
+            y: r.response,
+            t_s: r.t_s,
+            temperature_degc: r.temperature_degc,
+            direction: r.direction,
+            cycle: r.replicate,
+            covariates: r.covariates.clone(),
+            place: None,
+        }
+    }
+}
+
+impl From<&AxisRow> for ScalarRow {
+    fn from(r: &AxisRow) -> Self {
+        Self {
+            origin: (r.source.clone(), r.line, r.point),
+            role: r.role,
+            x: r.commanded_mm,
+            y: 1e3 * (r.measured_mm - r.commanded_mm),
+            t_s: r.t_s,
+            temperature_degc: r.temperature_degc,
+            direction: r.direction,
+            cycle: r.cycle,
+            covariates: Vec::new(),
+            place: None,
+        }
+    }
+}
+
+impl ScalarData<'_> {
+    /// Rows of the points table.
+    #[must_use]
+    pub fn rows(&self) -> Vec<ScalarRow> {
+        match self {
+            Self::Transducer(d) => d.rows.iter().map(Into::into).collect(),
+            Self::Axis(d) => d.rows.iter().map(Into::into).collect(),
+        }
+    }
+
+    /// Rows of the sealed table, still sealed.
+    #[must_use]
+    pub fn sealed(&self) -> Sealed<ScalarRow> {
+        match self {
+            Self::Transducer(d) => d.holdout.map(|row| row.into()),
+            Self::Axis(d) => d.holdout.map(|row| row.into()),
+        }
+    }
+
+    /// Kind as in `verify.json`.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Transducer(_) => "transducer",
+            Self::Axis(_) => "axis",
+        }
+    }
+
+    /// Declared model.
+    #[must_use]
+    pub fn declared(&self) -> Declared {
+        match self {
+            Self::Transducer(d) => Declared::Polynomial(match d.model {
+                TransducerModel::Constant => 0,
+                TransducerModel::Linear => 1,
+                TransducerModel::Quadratic => 2,
+            }),
+            Self::Axis(_) => Declared::Axis,
+        }
+    }
+
+    /// Names of further covariates.
+    #[must_use]
+    pub fn covariate_names(&self) -> Vec<String> {
+        match self {
+            Self::Transducer(d) => d.covariates.clone(),
+            Self::Axis(_) => Vec::new(),
+        }
+    }
+
+    /// Units of stimulus and response.
+    #[must_use]
+    pub fn units(&self) -> (String, String) {
+        match self {
+            Self::Transducer(d) => (d.stimulus_unit.clone(), d.response_unit.clone()),
+            Self::Axis(_) => ("mm".to_owned(), "um".to_owned()),
+        }
+    }
+}
+
+/// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for prediction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scaling {
+    /// Middle of the stimulus.
+    pub mid: f64,
+    /// Half of its range.
+    pub half: f64,
+    /// First time and duration, s.
+    pub time: Option<[f64; 2]>,
+    /// Mean temperature, deg C.
+    pub temperature: Option<f64>,
+    /// Middle and half range of each further covariate.
+    pub covariates: Vec<[f64; 2]>,
+    /// Readings of the points table, those that the search left out among them.
+    pub count: usize,
+}
+
+/// Rows and normalised covariates, in the order of the measurement.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Rows.
+    pub rows: Vec<ScalarRow>,
+    /// Normalisation.
+    pub scaling: Scaling,
+    /// Stimulus in half ranges from the middle.
+    pub u: Vec<f64>,
+    /// Where stimulus 0 lies on that scale.
+    pub zero_u: f64,
+    /// Place in the order, first fitted row 0, last 1.
+    pub order: Vec<f64>,
+    /// Time in durations.
+    pub time: Option<Vec<f64>>,
+    /// Temperature less its mean, deg C.
+    pub temperature: Option<Vec<f64>>,
+    /// Direction, where both occur and the sequence is known.
+    pub direction: Option<Vec<f64>>,
+    /// Further covariates from -1 to 1; none where constant.
+    pub covariates: Vec<Option<Vec<f64>>>,
+    /// Declared model.
+    pub declared: Declared,
+    /// Group of each row.
+    pub groups: Vec<u32>,
+    /// The order of the rows is that of the measurement: time stamps say so, or nothing speaks against it.
+    pub ordered: bool,
+    /// Rows that no fit sees: what asks for enough readings to fit is not asked of them.
+    pub new_rows: bool,
+}
+
+/// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
+/// stands among its repetitions then says nothing of when it was taken.
+fn sorted_with_repetitions(rows: &[ScalarRow]) -> bool {
+    let rises = rows.windows(2).all(|p| p[1].x >= p[0].x);
+    let falls = rows.windows(2).all(|p| p[1].x <= p[0].x);
+    let level = rises && falls;
+    (rises || falls) && !level && rows.windows(2).any(|p| p[1].x == p[0].x)
+}
+
+fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
+}
+
+fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Option<Vec<T>> {
+    rows.iter().map(f).collect()
+}
+
+impl Scaling {
+    /// Normalisation by the rows to be fitted.
+    #[must_use]
+    pub fn of(rows: &[ScalarRow]) -> Self {
+        let [lo, hi] = range(rows.iter().map(|r| r.x));
+        let time = all(rows, |r| r.t_s).map(|t| range(t.into_iter())).filter(|[a, b]| b > a);
+        let temperature = all(rows, |r| r.temperature_degc).filter(|t| {
+            let [a, b] = range(t.iter().copied());
+            b > a
+        });
+        let count = rows.first().map_or(0, |r| r.covariates.len());
+        let covariates = (0..count)
+            .map(|k| {
+                let [a, b] = range(rows.iter().map(|r| r.covariates[k]));
+                [0.5 * (a + b), 0.5 * (b - a)]
+            })
+            .collect();
+        Self {
+            mid: 0.5 * (lo + hi),
+            half: 0.5 * (hi - lo),
+            time: time.map(|[a, b]| [a, b - a]),
+            temperature: temperature.map(|t| t.iter().sum::<f64>() / t.len() as f64),
+            covariates,
+            count: rows.len(),
+        }
+    }
+}
+
+/// Directions are usable where each occurs this often.
+const MIN_EACH_WAY: usize = 3;
+
+/// Given directions, or those of the sequence where time or cycles attest it.
+fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
+    let found = match all(rows, |r| r.direction) {
+        Some(given) => given,
+        None if rows.iter().all(|r| r.t_s.is_some()) => {
+            let mut out = vec![0.0; rows.len()];
+            for k in 1..rows.len() {
+                let step = rows[k].x - rows[k - 1].x;
+                out[k] = if step == 0.0 { out[k - 1] } else { step.signum() };
+            }
+            let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
+            out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
+        }
+        None => return None,
+    };
+    let up = found.iter().filter(|d| **d > 0.0).count();
+    (up >= least && found.len() - up >= least).then_some(found)
+}
+
+/// Cycles or replicates that are runs over several stimuli; else one group.
+fn groups(rows: &[ScalarRow]) -> Vec<u32> {
+    let Some(cycles) = all(rows, |r| r.cycle) else { return vec![0; rows.len()] };
+    let run = |c: u32| {
+        let [lo, hi] = range(rows.iter().zip(&cycles).filter(|(_, k)| **k == c).map(|(r, _)| r.x));
+        hi > lo
+    };
+    let mut distinct = cycles.clone();
+    distinct.sort_unstable();
+    distinct.dedup();
+    if distinct.len() > 1 && distinct.iter().all(|c| run(*c)) { cycles } else { vec![0; rows.len()] }
+}
+
+impl Frame {
+    /// Frame of `rows`, normalised by `scaling`.
+    #[must_use]
+    pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+        Self::build(rows, scaling, declared, false)
+    }
+
+    /// Frame of rows for prediction alone, `y` unused.
+    #[must_use]
+    pub fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
+        Self::build(rows, scaling, declared, true)
+    }
+
+    fn build(mut rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared, new_rows: bool) -> Self {
+        let timed = rows.iter().all(|r| r.t_s.is_some());
+        if timed {
+            rows.sort_by(|a, b| a.t_s.unwrap_or(0.0).total_cmp(&b.t_s.unwrap_or(0.0)));
+        }
+        let half = if scaling.half > 0.0 { scaling.half } else { 1.0 };
+        let span = scaling.count.max(2) as f64 - 1.0;
+        let covariates = scaling
+            .covariates
+            .iter()
+            .enumerate()
+            .map(|(k, [mid, half])| {
+                (*half > 0.0).then(|| rows.iter().map(|r| (r.covariates[k] - mid) / half).collect())
+            })
+            .collect();
+        Self {
+            u: rows.iter().map(|r| (r.x - scaling.mid) / half).collect(),
+            zero_u: -scaling.mid / half,
+            order: rows.iter().enumerate().map(|(k, r)| r.place.unwrap_or(k) as f64 / span).collect(),
+            time: scaling.time.filter(|_| timed).map(|[first, duration]| {
+                rows.iter().map(|r| (r.t_s.unwrap_or(first) - first) / duration).collect()
+            }),
+            temperature: scaling
+                .temperature
+                .and_then(|mean| all(&rows, |r| r.temperature_degc.map(|t| t - mean))),
+            direction: directions(&rows, if new_rows { 0 } else { MIN_EACH_WAY }),
+            covariates,
+            declared,
+            groups: groups(&rows),
+            ordered: timed || !sorted_with_repetitions(&rows),
+            new_rows,
+            scaling: scaling.clone(),
+            rows,
+        }
+    }
+
+    /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
+    #[must_use]
+    pub fn sloped(&self) -> bool {
+        self.declared != Declared::Polynomial(0)
+    }
+
+    /// Distinct stimuli.
+    #[must_use]
+    pub fn levels(&self) -> usize {
+        let mut x: Vec<f64> = self.u.clone();
+        x.sort_by(f64::total_cmp);
+        x.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+        x.len()
+    }
+
+    /// Time where it is known, else the order.
+    #[must_use]
+    pub fn clock(&self) -> &[f64] {
+        self.time.as_deref().unwrap_or(&self.order)
+    }
+}
+
+/// Correlation of two covariates.
+#[must_use]
+pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len() as f64;
+    let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (x, y) in a.iter().zip(b) {
+        ab += (x - ma) * (y - mb);
+        aa += (x - ma).powi(2);
+        bb += (y - mb).powi(2);
+    }
+    if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
+}

@@ -1,0 +1,32 @@
+//! An existing calibration at the readings of a session, against their responses.
+
+use super::model::{ModelError, ScalarModel};
+use super::system::ScalarSystem;
+use crate::measurement_model::MeasurementModel;
+use crate::method::inference::t95;
+use crate::verify::judgement::Judged;
+use crate::verify::{HeldOut, SessionModel};
+
+/// All readings, or those that were sealed, through the calibration.
+///
+/// # Errors
+/// As [`ScalarModel::predict`].
+pub fn of_model(
+    system: &ScalarSystem,
+    model: &ScalarModel,
+    only_sealed: bool,
+) -> Result<Vec<Judged>, ModelError> {
+    let rows = &system.frame.rows;
+    let predictions = model.predict(rows)?;
+    let quantile = t95(model.dof);
+    let of = |i: usize| {
+        let (error, half95) = (rows[i].y - predictions[i].value, predictions[i].half95);
+        let held_out = HeldOut {
+            group: system.groups()[i],
+            errors: vec![vec![error]],
+            inside95: vec![error.abs() <= half95],
+        };
+        Judged { held_out, in_sd: vec![error * quantile / half95] }
+    };
+    Ok((0..rows.len()).filter(|&i| !only_sealed || system.sealed()[i]).map(of).collect())
+}

@@ -1,0 +1,261 @@
+//! A transducer or axis session as a measurement model of the procedure.
+
+use super::effects::HETEROSCEDASTIC_NOISE;
+use super::floor::{noise_floor, replicate_keys};
+use super::frame::Declared;
+use super::parameters::{self, of_effect};
+use super::predictions::{Fitted, folds, predict};
+use super::spread_trend::explain_with_spread;
+use super::steadiness::{UNSTEADY, steadiness};
+use super::system::ScalarSystem;
+use super::{ScalarRow, next};
+use crate::error::TraceError;
+use crate::measurement_model::MeasurementModel;
+use crate::method::explain::Explained;
+use crate::method::lack_of_fit::{LackOfFit, lack_of_fit};
+use crate::method::noise::Noise;
+use crate::method::noise::spread::SpreadLaw;
+use crate::method::omnibus::CATALOGUE_LEVEL;
+use crate::method::search::{Hypothesis, SearchResult};
+use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
+use crate::verify::{HeldOut, SessionModel, VerifyOptions};
+use nalgebra::DVector;
+use wcal_core::ResidualRecord;
+use wcal_core::observation::Role;
+use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
+
+/// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScalarPredictions {
+    value: DVector<f64>,
+    half95: Vec<f64>,
+}
+
+/// Covariates over which a period can run.
+const PERIOD_RUNS_OVER: [&str; 4] = ["stimulus", "commanded_mm", "t_s", "order"];
+
+impl ScalarSystem {
+    fn axis(&self) -> bool {
+        self.frame.declared == Declared::Axis
+    }
+
+    /// Splits what a fit leaves by its replicates.
+    #[must_use]
+    pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
+        let parameters = h.fit.design.ncols() + h.fit.tangents.len();
+        let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
+        lack_of_fit(&residual, &replicate_keys(&self.frame), h.weights.relative(), parameters)
+    }
+}
+
+impl SessionModel for ScalarSystem {
+    type Row = ScalarRow;
+    type Predictions = ScalarPredictions;
+
+    fn kind(&self) -> &'static str {
+        if self.axis() { "axis" } else { "transducer" }
+    }
+
+    fn unit(&self) -> String {
+        self.names().response.clone()
+    }
+
+    fn origin(&self, reading: usize) -> Origin {
+        let row = &self.frame.rows[reading];
+        let (source, line, point) = row.origin.clone();
+        Origin { source, line, point, role: row.role }
+    }
+
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+        of_effect(self, &h.fit, effect, self.names())
+    }
+
+    fn worded(&self, sentence: &str) -> String {
+        self.frame.declared.worded(sentence)
+    }
+
+    fn law_name(&self, name: &str) -> String {
+        if self.axis() { name.replace("stimulus", "position") } else { name.to_owned() }
+    }
+
+    fn physical(&self, unit: &str, value: f64, law: usize) -> (f64, String) {
+        parameters::physical(unit, value, law, &self.frame, self.names())
+    }
+
+    fn nuisances(&self) -> &'static str {
+        "the declared model"
+    }
+
+    fn nuisance(&self, column: usize) -> String {
+        if self.axis() { "constant".to_owned() } else { format!("b{column}") }
+    }
+
+    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
+        explain_with_spread(self, options)
+    }
+
+    fn noise_effect(&self) -> Option<NamedEffect> {
+        let spread = self.spread()?;
+        let name = match spread.law {
+            SpreadLaw::Power => "exponent",
+            SpreadLaw::Exponential => "log_sd_per_half_range",
+        };
+        let sentence = self.catalogue().iter().find(|c| c.id() == HETEROSCEDASTIC_NOISE);
+        Some(NamedEffect {
+            id: HETEROSCEDASTIC_NOISE.to_owned(),
+            class: vec![HETEROSCEDASTIC_NOISE.to_owned()],
+            p_value: spread.p_value,
+            parameters: vec![EffectParameter {
+                name: name.to_owned(),
+                value: spread.exponent,
+                unit: "1".to_owned(),
+                interval95: spread.interval95,
+            }],
+            sentence: self.worded(sentence.map_or("", |c| c.sentence())),
+        })
+    }
+
+    /// A period that wanders leaves its own traces along what it runs over; the reason says that it is not steady.
+    fn excuses(&self, found: &SearchResult) -> bool {
+        steadiness(self, &found.best).is_some_and(|s| s.z > UNSTEADY)
+            && found
+                .last_test
+                .covariates
+                .first()
+                .is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
+            && found.last_test.p_catalogue >= CATALOGUE_LEVEL
+    }
+
+    fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
+        let s = steadiness(self, accepted).filter(|s| s.z > UNSTEADY)?;
+        Some(format!(
+            "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
+            s.cycles[0], s.standard_errors[0], s.cycles[1], s.standard_errors[1]
+        ))
+    }
+
+    fn lack_of_fit(&self, h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
+        let driver = if self.axis() { "commanded_mm" } else { "stimulus" };
+        let unknown = UnknownEffect {
+            driver: driver.to_owned(),
+            shape: "irregular".to_owned(),
+            drivers_ranked: vec![driver.to_owned()],
+            period: None,
+        };
+        Some((self.pure_error(h)?, unknown))
+    }
+
+    fn floor(&self, h: &Hypothesis, noise: &Noise, _left: bool) -> FloorStatement {
+        let floor = noise_floor(&self.frame, h, noise.shared_variance());
+        let sd = floor.map(|f| f.sd);
+        let source = floor.map_or("none", |f| f.source).to_owned();
+        let floor = if self.axis() {
+            NoiseFloor { error_um: sd, source, ..NoiseFloor::default() }
+        } else {
+            NoiseFloor { response: sd, source, ..NoiseFloor::default() }
+        };
+        FloorStatement { floor, sd: sd.unwrap_or(noise.repeat.value), ..FloorStatement::default() }
+    }
+
+    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
+        next::next_measurement(self, best, rivals)
+    }
+
+    fn whole(&self, unsealed: &[ScalarRow]) -> Result<Self, TraceError> {
+        Ok(self.with_unsealed(unsealed))
+    }
+
+    fn sealed(&self) -> &[bool] {
+        self.sealed_rows()
+    }
+
+    fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<ScalarPredictions> {
+        let (value, half95) = predict(self, &Fitted::of(&h.fit), reading_sd)?;
+        Some(ScalarPredictions { value, half95 })
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        if self.axis() {
+            &[Quantity { key: "error_rmse_um", unit: "um" }]
+        } else {
+            &[Quantity { key: "response_rmse", unit: "" }]
+        }
+    }
+
+    fn errors(&self, predictions: &ScalarPredictions, reading: usize) -> HeldOut {
+        self.corrected(predictions, reading, &[0.0])
+    }
+
+    fn corrected(&self, predictions: &ScalarPredictions, reading: usize, added: &[f64]) -> HeldOut {
+        let error = self.measured()[(reading, 0)] - predictions.value[reading] - added[0];
+        HeldOut {
+            group: self.frame.groups[reading],
+            errors: vec![vec![error]],
+            inside95: vec![error.abs() <= predictions.half95[reading]],
+        }
+    }
+
+    fn folds(&self) -> Folds {
+        folds(&self.frame)
+    }
+
+    fn records(
+        &self,
+        before: &ScalarPredictions,
+        after: &ScalarPredictions,
+        at: &Record,
+    ) -> Vec<ResidualRecord> {
+        let (i, row) = (at.reading, &self.frame.rows[at.reading]);
+        let (source, line, point) = row.origin.clone();
+        vec![ResidualRecord {
+            source,
+            line,
+            point,
+            role: role(row.role).to_owned(),
+            group: self.frame.groups[i],
+            channel: if self.axis() { "error" } else { "response" }.to_owned(),
+            unit: self.unit(),
+            measured: row.y,
+            predicted_before: before.value[i] - self.offset(),
+            predicted_after: after.value[i] - self.offset(),
+            noise_sd: at.noise_sd,
+            rejected: at.rejected.clone(),
+            covariates: at.covariates.clone(),
+        }]
+    }
+
+    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
+        let (used, total) = (self.frame.rows.len(), self.points());
+        let mut notes = Vec::new();
+        if used < total {
+            notes.push(format!(
+                "The search used {used} of {total} readings, chosen evenly by stimulus, direction and cycle; all are predicted, and places \
+                 and periods are in rows of the table."
+            ));
+        }
+        for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
+            if let Some(l) = self.pure_error(h) {
+                notes.push(format!(
+                    "Lack of fit of the {model} model against repetitions: F = {:.4} on {} and {} degrees of freedom, p = {:.2e}.",
+                    l.f, l.dof, l.pure_dof, l.p_value
+                ));
+            }
+        }
+        if self.spread().is_some() {
+            notes.push(
+                "Readings were weighted by the spread found; held-out errors are not weighted.".to_owned(),
+            );
+        }
+        notes.extend(self.caveat(accepted));
+        notes
+    }
+}
+
+fn role(role: Role) -> &'static str {
+    match role {
+        Role::Rest => "rest",
+        Role::Calibration => "calibration",
+        Role::Verification => "verification",
+        Role::Holdout => "holdout",
+    }
+}

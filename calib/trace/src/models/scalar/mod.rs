@@ -1,0 +1,25 @@
+//! Measurement models with one value a reading: kinds "transducer" and "axis".
+
+pub mod admission;
+pub mod effects;
+pub mod floor;
+pub mod frame;
+pub mod judgement;
+mod measurement;
+pub mod model;
+pub mod next;
+pub mod parameters;
+pub mod polynomial;
+pub mod predictions;
+mod spread_trend;
+pub mod steadiness;
+pub mod system;
+pub mod verify;
+
+pub use crate::method::lack_of_fit::LackOfFit;
+pub use crate::method::noise::spread::{Spread, SpreadLaw, spread_test};
+pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
+pub use model::{ModelError, ScalarModel, ScalarPrediction};
+pub use polynomial::Polynomial;
+pub use system::{ScalarEffect, ScalarSystem};
+pub use verify::{ScalarVerification, verify_scalar};

@@ -1,0 +1,216 @@
+//! Fitted values in the session's units, with intervals.
+
+use super::effects::PERIODIC;
+use super::frame::Frame;
+use super::system::ScalarSystem;
+use crate::effect::Role;
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::Fit;
+use crate::method::inference::{self, t95};
+use nalgebra::DMatrix;
+use wcal_core::verify_document::EffectParameter;
+
+/// Joint covariance of coefficients and nonlinear values.
+#[must_use]
+pub fn covariance(fit: &Fit) -> DMatrix<f64> {
+    inference::covariance(fit, fit.variance())
+}
+
+/// Names by which the session calls things.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Names {
+    /// Unit of the stimulus.
+    pub stimulus: String,
+    /// Unit of the response.
+    pub response: String,
+    /// Further covariates.
+    pub covariates: Vec<String>,
+}
+
+/// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.
+#[must_use]
+pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
+    let plain = |unit: &str| matches!(unit.trim(), "" | "1");
+    let whole = |unit: &str| {
+        let unit = unit.trim();
+        if unit.contains(['/', '*', '^', ' ', '\u{b7}']) { format!("({unit})") } else { unit.to_owned() }
+    };
+    let below: Vec<&(&str, i32)> = denominators.iter().filter(|(unit, _)| !plain(unit)).collect();
+    let mut out = match (plain(numerator), below.is_empty()) {
+        (true, _) => "1".to_owned(),
+        (false, true) => return numerator.to_owned(),
+        (false, false) => whole(numerator),
+    };
+    for (unit, power) in below {
+        let exponent = if *power > 1 { format!("^{power}") } else { String::new() };
+        out += &format!("/{}{exponent}", whole(unit));
+    }
+    out
+}
+
+/// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of `cross-axis`.
+#[must_use]
+pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
+    let s = &frame.scaling;
+    let half = if s.half > 0.0 { s.half } else { 1.0 };
+    let readings = s.count.max(2) as f64 - 1.0;
+    let (response, stimulus) = (&names.response, &names.stimulus);
+    let duration = s.time.map_or(1.0, |t| t[1]);
+    if let Some(power) = unit.strip_prefix("response/half-range") {
+        let (power, rest) = match power {
+            "" => (1, ""),
+            "/degc" => (1, "degc"),
+            p => (p.trim_start_matches('^').parse::<i32>().unwrap_or(1), ""),
+        };
+        return (value / half.powi(power), ratio(response, &[(stimulus, power), (rest, 1)]));
+    }
+    match unit {
+        "half-range" => (value * half, stimulus.clone()),
+        "stimulus" => (s.mid + half * value, stimulus.clone()),
+        "duration" => (value * duration, "s".to_owned()),
+        "clock" => match s.time {
+            Some([first, _]) => (first + duration * value, "s".to_owned()),
+            None => (1.0 + readings * value, "reading".to_owned()),
+        },
+        "period:stimulus" => (2.0 * half / value, stimulus.clone()),
+        "period:time" => (duration / value, "s".to_owned()),
+        "period:order" => (readings / value, "readings".to_owned()),
+        "response" => (value, response.clone()),
+        "response/degc" => (value, ratio(response, &[("degc", 1)])),
+        "response/duration" => match s.time {
+            Some(_) => (value / duration, ratio(response, &[("s", 1)])),
+            None => (value / readings, ratio(response, &[("reading", 1)])),
+        },
+        "response/covariate" => {
+            let half = s.covariates.get(law).map_or(1.0, |c| c[1]);
+            let name = names.covariates.get(law).map_or("covariate", String::as_str);
+            (value / half, ratio(response, &[(name, 1)]))
+        }
+        other => (value, other.to_owned()),
+    }
+}
+
+fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
+    [a.min(b), a.max(b)]
+}
+
+/// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
+#[must_use]
+pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names) -> Vec<EffectParameter> {
+    let covariance = covariance(fit);
+    let q = fit.design.ncols();
+    let t = t95(fit.dof);
+    let mut out: Vec<EffectParameter> = Vec::new();
+    let mut slot = q;
+    let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+    let own: usize = fit.terms.iter().map(linear).sum();
+    let mut column = q - own;
+    for term in &fit.terms {
+        let law = &system.catalogue()[term.effect].law(term.law);
+        let mut push = |name: &str, unit: &str, value: f64, half: [f64; 2], lowest: f64| {
+            let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
+            let (value_out, unit_out) = at(value);
+            out.push(EffectParameter {
+                name: name.to_owned(),
+                value: value_out,
+                unit: unit_out,
+                interval95: ordered([at((value - half[0]).max(lowest)).0, at(value + half[1]).0]),
+            });
+        };
+        for (p, v) in law.parameters.iter().zip(&term.values) {
+            let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+            // A place between two readings has no derivative: the data do not tell where between them it is.
+            let [below, above] = if half > 0.0 { [half; 2] } else { plateau(system, fit, slot - q) };
+            slot += 1;
+            if term.effect == effect {
+                let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
+                let lowest =
+                    if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
+                push(p.name, p.unit, *v, [below, above], lowest);
+            }
+        }
+        for (k, (name, unit)) in law.linear.iter().enumerate() {
+            if term.effect == effect {
+                let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
+                push(name, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
+            }
+        }
+        if term.effect == effect && system.catalogue()[effect].id() == PERIODIC {
+            derived(&mut out, fit, column, &covariance, t);
+        }
+        column += law.linear.len();
+    }
+    out
+}
+
+/// How far nonlinear value `slot` can move down and up without moving any prediction.
+fn plateau(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
+    let places =
+        fit.terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
+    let Some((t, k)) = places.into_iter().nth(slot) else { return [0.0; 2] };
+    let [lo, hi] = system.catalogue()[fit.terms[t].effect].law(fit.terms[t].law).parameters[k].range;
+    let value = fit.terms[t].values[k];
+    let same = |v: f64| {
+        let mut terms = fit.terms.clone();
+        terms[t].values[k] = v;
+        system.design(&terms).is_some_and(|d| d == fit.raw_design)
+    };
+    [lo, hi].map(|end| {
+        // Bisection for the last place that still is the same.
+        let (mut inside, mut outside) = (0.0, 1.0);
+        for _ in 0..30 {
+            let middle = 0.5 * (inside + outside);
+            if same(value + middle * (end - value)) { inside = middle } else { outside = middle }
+        }
+        (inside * (end - value)).abs()
+    })
+}
+
+/// Frequency and amplitude of a periodic effect, from its period, sine and cosine.
+fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance: &DMatrix<f64>, t: f64) {
+    let Some(period) = out.iter().find(|p| p.name == "period").cloned() else { return };
+    out.push(EffectParameter {
+        name: "frequency".to_owned(),
+        value: 1.0 / period.value,
+        unit: ratio("1", &[(&period.unit, 1)]),
+        interval95: ordered(period.interval95.map(|v| 1.0 / v)),
+    });
+    let (s, c) = (fit.coefficients[(column, 0)], fit.coefficients[(column + 1, 0)]);
+    let size = s.hypot(c);
+    if size > 0.0 {
+        let g = [s / size, c / size];
+        let mut variance = 0.0;
+        for i in 0..2 {
+            for j in 0..2 {
+                variance += g[i] * g[j] * covariance[(column + i, column + j)];
+            }
+        }
+        let half = t * variance.max(0.0).sqrt();
+        let unit = out.iter().find(|p| p.name == "sine").map_or(String::new(), |p| p.unit.clone());
+        out.push(EffectParameter {
+            name: "amplitude".to_owned(),
+            value: size,
+            unit,
+            interval95: [(size - half).max(0.0), size + half],
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ratio;
+
+    #[test]
+    fn units_are_composed_and_ones_leave_no_trace() {
+        for (numerator, denominators, composed) in [
+            ("1", &[("1", 2)][..], "1"),
+            ("V", &[("1", 1), ("", 1)], "V"),
+            ("V", &[("kPa", 2), ("degc", 1)], "V/kPa^2/degc"),
+            ("pm", &[("1/m", 2)], "pm/(1/m)^2"),
+            ("um/mm", &[("N", 1)], "(um/mm)/N"),
+            ("1", &[("s", 1)], "1/s"),
+        ] {
+            assert_eq!(ratio(numerator, denominators), composed);
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! A spread of the readings that follows the stimulus: tested on the search's residuals, and the search made again with it.
+
+use super::frame::Frame;
+use super::steadiness::{UNSTEADY, steadiness};
+use super::system::ScalarSystem;
+use crate::method::explain::{Explained, explain};
+use crate::method::noise::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
+use crate::method::search::Hypothesis;
+use crate::method::signature::nuisance;
+use crate::verify::VerifyOptions;
+
+/// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
+fn standardised(h: &Hypothesis) -> Vec<f64> {
+    let basis = nuisance(&h.fit);
+    (0..h.fit.residual.nrows())
+        .map(|i| {
+            let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();
+            // What neighbours share is taken out, the law of the spread is not.
+            let own = h.weights.of(i).max(1e-300);
+            h.fit.residual[(i, 0)] / own / (1.0 - leverage).max(0.05).sqrt()
+        })
+        .collect()
+}
+
+/// Trend of the spread along the stimulus.
+pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, options: &VerifyOptions) -> Option<Spread> {
+    let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.counts(i)).collect();
+    let residual = standardised(h);
+    let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
+    let x = pick(&|i| frame.rows[i].x);
+    let mut spread = spread_test(
+        &pick(&|i| residual[i]),
+        &x,
+        &pick(&|i| frame.u[i]),
+        options.permutations,
+        options.search.seed,
+    )?;
+    // Readings that do not count keep the mean spread.
+    let mut relative = vec![1.0; frame.rows.len()];
+    for (&i, sd) in kept.iter().zip(&spread.relative_sd) {
+        relative[i] = *sd;
+    }
+    spread.relative_sd = relative;
+    Some(spread)
+}
+
+/// Search with equal weights; where the spread turns out to follow the stimulus, again with the readings weighted by it.
+pub(super) fn explain_with_spread(
+    system: ScalarSystem,
+    options: &VerifyOptions,
+) -> Option<(ScalarSystem, Explained)> {
+    let plain = explain(&system, &options.search)?;
+    // A period that is not steady leaves more toward the ends: that is no law of the noise.
+    let of = |e: &Explained, system: &ScalarSystem| {
+        test_spread(&system.frame, &e.found.best, options)
+            .filter(|s| s.p_value <= SPREAD_LEVEL)
+            .filter(|_| steadiness(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
+    };
+    let Some(spread) = of(&plain, &system).filter(|_| !plain.exact) else { return Some((system, plain)) };
+    let weighted_system = system.with_spread(spread.clone());
+    let weighted = explain(&weighted_system, &options.search)?;
+    // The trend must outlive the effects that the weighted search adds.
+    match of(&weighted, &weighted_system) {
+        Some(again) => {
+            let spread = Spread { relative_sd: spread.relative_sd, ..again };
+            Some((weighted_system.with_spread(spread), weighted))
+        }
+        None => Some((weighted_system.without_spread(), plain)),
+    }
+}
+
+/// A trend of the spread too weak to be called an effect, in words.
+pub(super) fn weak_trend(system: &ScalarSystem, h: &Hypothesis, options: &VerifyOptions) -> Option<String> {
+    let p = test_spread(&system.frame, h, options).filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
+    Some(format!(
+        "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."
+    ))
+}

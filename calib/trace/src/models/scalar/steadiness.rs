@@ -1,0 +1,64 @@
+//! Is an accepted period the same in both halves of the session?
+
+use super::effects::PERIODIC;
+use super::parameters::covariance;
+use super::system::ScalarSystem;
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::fit;
+use crate::method::search::Hypothesis;
+
+/// Cycles over the whole range, fitted to each half of the readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Steadiness {
+    /// Cycles over the whole range by the first and the second half.
+    pub cycles: [f64; 2],
+    /// Standard errors.
+    pub standard_errors: [f64; 2],
+    /// Amplitudes, response unit.
+    pub amplitudes: [f64; 2],
+    /// Difference in standard errors.
+    pub z: f64,
+}
+
+/// Beyond this many standard errors the frequency is not steady.
+pub const UNSTEADY: f64 = 3.0;
+/// Readings in a half below which the comparison says nothing.
+const MIN_HALF: usize = 15;
+
+/// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
+#[must_use]
+pub fn steadiness(system: &ScalarSystem, h: &Hypothesis) -> Option<Steadiness> {
+    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
+    let term = &h.fit.terms[place];
+    let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
+    let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+    let own: usize = h.fit.terms.iter().map(linear).sum();
+    let column = h.fit.design.ncols() - own + h.fit.terms[..place].iter().map(linear).sum::<usize>();
+    let frame = &system.frame;
+    let variable: &[f64] = match term.law {
+        0 => &frame.u,
+        1 => frame.time.as_deref()?,
+        _ => &frame.order,
+    };
+    let mut sorted = variable.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted[sorted.len() / 2];
+    let half = |late: bool| {
+        let kept = h.weights.masked(|i| (variable[i] >= middle) == late);
+        if kept.active() < MIN_HALF {
+            return None;
+        }
+        let fitted = fit(system, &h.fit.terms, &kept, 25)?;
+        let at = fitted.design.ncols() + slot;
+        let error = covariance(&fitted)[(at, at)].max(0.0).sqrt();
+        let amplitude = fitted.coefficients[(column, 0)].hypot(fitted.coefficients[(column + 1, 0)]);
+        Some((fitted.terms[place].values[0], error, amplitude))
+    };
+    let ((a, sa, ma), (b, sb, mb)) = (half(false)?, half(true)?);
+    Some(Steadiness {
+        cycles: [a, b],
+        standard_errors: [sa, sb],
+        amplitudes: [ma, mb],
+        z: (b - a).abs() / sa.hypot(sb).max(1e-300),
+    })
+}

@@ -1,0 +1,325 @@
+//! A transducer or axis session as a system: stimulus -> effects on the stimulus -> declared model -> additive effects.
+
+use super::admission::number;
+use super::effects;
+use super::frame::{Declared, Frame, ScalarRow};
+use super::parameters::Names;
+use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
+use crate::measurement_model::MeasurementModel;
+use crate::method::noise::NoiseInputs;
+use crate::method::noise::spread::{Spread, SpreadLaw};
+use nalgebra::DMatrix;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
+pub trait ScalarEffect: Effect {
+    /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
+    fn not_observable(&self, _frame: &Frame) -> Option<String> {
+        None
+    }
+    /// The power of the stimulus that it adds to a polynomial of one degree less.
+    fn degree(&self) -> Option<usize> {
+        None
+    }
+    /// Changes the effective stimulus of every reading, in half ranges.
+    fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
+        true
+    }
+    /// Appends columns (one value a reading) with free coefficients.
+    fn columns(&self, _values: &Values, _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
+        true
+    }
+}
+
+/// Why a session does not give what a law needs; none where it does.
+fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {
+    match need {
+        Need::Slope => {
+            (!frame.sloped()).then_some("the declared model is constant: it does not follow the stimulus")
+        }
+        Need::Time => frame.time.is_none().then_some("the session has no time stamps"),
+        Need::Clock | Need::Order => (!frame.ordered).then_some(
+            "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
+        ),
+        Need::BothDirections => frame.direction.is_none().then_some(
+            "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
+        ),
+        Need::Temperature => {
+            frame.temperature.is_none().then_some("the session has no temperature column, or it is constant")
+        }
+        Need::Covariate => {
+            let none = frame.covariates.iter().all(Option::is_none);
+            none.then_some("the table has no further covariate that varies")
+        }
+        Need::Motion | Need::MovingBase | Need::Weight => None,
+    }
+}
+
+/// A scalar session, its declared model and the catalogue.
+#[derive(Clone)]
+pub struct ScalarSystem {
+    /// Rows and covariates.
+    pub frame: Frame,
+    effects: Vec<Arc<dyn ScalarEffect>>,
+    catalogue: Vec<Arc<dyn Effect>>,
+    measured: DMatrix<f64>,
+    known: DMatrix<f64>,
+    /// 1 / relative standard deviation of each reading, where the spread follows the stimulus.
+    weights: Vec<f64>,
+    names: Names,
+    /// Every reading of the points table, those that the search leaves out among them.
+    points: Arc<Vec<ScalarRow>>,
+    sealed: Vec<bool>,
+    /// Trend of the spread, where one was found.
+    spread: Option<Spread>,
+    /// The axis's known part enters with this far offset, see `design`.
+    offset: f64,
+}
+
+/// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
+#[must_use]
+pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
+    law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
+}
+
+/// An axis is measured from a point this many times the largest error away.
+const FAR: f64 = 1e5;
+
+impl ScalarSystem {
+    /// System of a frame; `covariate_names` belong to the rows' further covariates.
+    #[must_use]
+    pub fn new(frame: Frame, covariate_names: &[String]) -> Self {
+        let effects = effects::scalar_catalogue(&frame, covariate_names);
+        let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Effect>).collect();
+        let n = frame.rows.len();
+        let largest = frame.rows.iter().map(|r| r.y.abs()).fold(0.0, f64::max);
+        let offset = match frame.declared {
+            Declared::Axis => FAR * if largest > 0.0 { largest } else { 1.0 },
+            Declared::Polynomial(_) => 0.0,
+        };
+        Self {
+            measured: DMatrix::from_fn(n, 1, |i, _| frame.rows[i].y + offset),
+            known: DMatrix::zeros(n, 1),
+            weights: vec![1.0; n],
+            names: Names {
+                stimulus: String::new(),
+                response: String::new(),
+                covariates: covariate_names.to_vec(),
+            },
+            points: Arc::new(frame.rows.clone()),
+            sealed: vec![false; n],
+            spread: None,
+            frame,
+            effects,
+            catalogue,
+            offset,
+        }
+    }
+
+    /// With the session's names, and every reading of its points table.
+    #[must_use]
+    pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>) -> Self {
+        (self.names, self.points) = (names, Arc::new(points));
+        self
+    }
+
+    /// The same effects seen on every row of the session, unsealed ones behind the others; far offset and law of the spread kept.
+    #[must_use]
+    pub fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
+        let mut unsealed = unsealed.to_vec();
+        // They go on behind, unless the clock says otherwise.
+        number(&mut unsealed);
+        for row in &mut unsealed {
+            row.place = row.place.map(|p| p + self.points.len());
+        }
+        let origins: BTreeSet<_> = unsealed.iter().map(|r| r.origin.clone()).collect();
+        let rows = self.points.iter().cloned().chain(unsealed).collect();
+        let frame = Frame::new(rows, &self.frame.scaling, self.frame.declared);
+        let mut all = Self::new(frame, &self.names.covariates).with_offset(self.offset);
+        all.sealed = all.frame.rows.iter().map(|r| origins.contains(&r.origin)).collect();
+        all = all.of_session(self.names.clone(), self.points.to_vec());
+        match &self.spread {
+            Some(s) => {
+                let scale = s.law.scale(&self.frame);
+                let centre = scale.iter().sum::<f64>() / scale.len() as f64;
+                let relative_sd = relative_sd_at(&all.frame, s.law, s.exponent, centre);
+                all.with_spread(Spread { relative_sd, ..s.clone() })
+            }
+            None => all,
+        }
+    }
+
+    /// The same rows seen from another far point.
+    #[must_use]
+    pub fn with_offset(mut self, offset: f64) -> Self {
+        self.measured.add_scalar_mut(offset - self.offset);
+        self.offset = offset;
+        self
+    }
+
+    /// The same rows whose noise has this trend.
+    #[must_use]
+    pub fn with_spread(mut self, spread: Spread) -> Self {
+        self.weights = spread.relative_sd.iter().map(|sd| 1.0 / sd).collect();
+        self.spread = Some(spread);
+        self
+    }
+
+    /// The same rows with equal noise.
+    #[must_use]
+    pub fn without_spread(mut self) -> Self {
+        self.weights.fill(1.0);
+        self.spread = None;
+        self
+    }
+
+    /// The effects with their hooks.
+    #[must_use]
+    pub fn effects(&self) -> &[Arc<dyn ScalarEffect>] {
+        &self.effects
+    }
+
+    /// Trend of the spread, where one was found.
+    #[must_use]
+    pub fn spread(&self) -> Option<&Spread> {
+        self.spread.as_ref()
+    }
+
+    /// By which names the session calls things.
+    #[must_use]
+    pub fn names(&self) -> &Names {
+        &self.names
+    }
+
+    /// Rows that were sealed.
+    #[must_use]
+    pub fn sealed_rows(&self) -> &[bool] {
+        &self.sealed
+    }
+
+    /// Readings of the points table.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// What is added to every measured value inside the system (0 for transducers).
+    #[must_use]
+    pub fn offset(&self) -> f64 {
+        self.offset
+    }
+}
+
+/// Coarsest decimal step of which all values are multiples; none where it is fine beside their range, as noise then hides it.
+fn step(values: &[f64]) -> Option<f64> {
+    let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if !(largest > 0.0) {
+        return None;
+    }
+    let on = |step: f64| values.iter().all(|v| ((v / step) - (v / step).round()).abs() < 1e-6);
+    (0..8).map(|k| 10f64.powi(largest.log10().floor() as i32 - k)).find(|s| on(*s))
+}
+
+impl MeasurementModel for ScalarSystem {
+    fn measured(&self) -> &DMatrix<f64> {
+        &self.measured
+    }
+
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+        let frame = &self.frame;
+        let mut u = frame.u.clone();
+        let laws: Vec<EffectModel> = terms.iter().map(|t| self.effects[t.effect].law(t.law)).collect();
+        let active = || {
+            let values = |(t, law)| {
+                let term: &EffectTerm = t;
+                (&self.effects[term.effect], Values::new(law, term.law, &term.values))
+            };
+            terms.iter().zip(&laws).map(values)
+        };
+        for (effect, values) in active() {
+            if !effect.warp(&values, frame, &mut u) {
+                return None;
+            }
+        }
+        let mut columns: Vec<Vec<f64>> = match frame.declared {
+            Declared::Polynomial(degree) => {
+                (0..=degree).map(|k| u.iter().map(|v| v.powi(k as i32)).collect()).collect()
+            }
+            // measured - commanded = constant + (x_eff - x): the second part has no free coefficient. Seen from a far point it
+            // rides on the constant's column, with a coefficient of one to within error / offset = 1e-5.
+            Declared::Axis => {
+                let um = 1e3 * frame.scaling.half / self.offset;
+                vec![u.iter().zip(&frame.u).map(|(e, c)| 1.0 + um * (e - c)).collect()]
+            }
+        };
+        for (effect, values) in active() {
+            if !effect.columns(&values, frame, &mut columns) {
+                return None;
+            }
+        }
+        let design = DMatrix::from_fn(frame.rows.len(), columns.len(), |i, j| columns[j][i]);
+        design.iter().all(|v| v.is_finite()).then_some(design)
+    }
+
+    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+        &self.catalogue
+    }
+
+    fn not_observable(&self, effect: usize) -> Option<String> {
+        let effect = &self.effects[effect];
+        let unmet = effect.needs().into_iter().find_map(|need| unmet(need, &self.frame));
+        unmet.map(str::to_owned).or_else(|| effect.not_observable(&self.frame))
+    }
+
+    fn groups(&self) -> &[u32] {
+        &self.frame.groups
+    }
+
+    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
+        let frame = &self.frame;
+        let stimulus = if frame.declared == Declared::Axis { "commanded_mm" } else { "stimulus" };
+        let mut out = vec![(stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>())];
+        if frame.ordered {
+            out.push(("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()));
+        }
+        if frame.time.is_some() {
+            out.push(("t_s".to_owned(), frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect()));
+        }
+        if frame.temperature.is_some() {
+            let column = frame.rows.iter().map(|r| r.temperature_degc.unwrap_or(0.0)).collect();
+            out.push(("temperature_degc".to_owned(), column));
+        }
+        if let Some(direction) = &frame.direction {
+            out.push(("direction".to_owned(), direction.clone()));
+        }
+        for (k, name) in self.names.covariates.iter().enumerate() {
+            if frame.covariates.get(k).is_some_and(Option::is_some) {
+                out.push((name.clone(), frame.rows.iter().map(|r| r.covariates[k]).collect()));
+            }
+        }
+        out
+    }
+
+    fn known_noise(&self) -> &DMatrix<f64> {
+        &self.known
+    }
+
+    fn noise_inputs(&self) -> NoiseInputs {
+        let frame = &self.frame;
+        let n = frame.rows.len();
+        let values: Vec<f64> = frame.rows.iter().map(|r| r.y).collect();
+        // The order of the rows stands in for a clock where nothing speaks against it; a break between sweeps shows in the time constant.
+        let clock = if frame.rows.iter().all(|r| r.t_s.is_some()) {
+            Some(frame.rows.iter().filter_map(|r| r.t_s).collect())
+        } else {
+            frame.ordered.then(|| (0..n).map(|k| k as f64).collect())
+        };
+        NoiseInputs {
+            clock: clock.map(Arc::new),
+            known: self.weights.clone(),
+            step: vec![step(&values)],
+            ..NoiseInputs::none(n)
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Rest of the temperature compensation: dk (T - T0) in each channel.
+
+use super::law;
+use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::whisker::WhiskerEffect;
+use crate::whisker::path::WhiskerPath;
+
+/// See the module.
+pub struct TemperatureMismatch;
+
+impl Effect for TemperatureMismatch {
+    fn id(&self) -> &'static str {
+        "temperature-mismatch"
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        vec![law("linear").needing(&[Need::Temperature]).column("mismatch_pm_per_degc", "pm/degC")]
+    }
+    fn sentence(&self) -> &'static str {
+        "The sensing and the reference grating do not follow temperature alike, so compensation leaves a rest."
+    }
+    fn source(&self) -> &'static str {
+        "difference of the temperature coefficients; tens of pm/K where bonded to polymer"
+    }
+}
+
+impl WhiskerEffect for TemperatureMismatch {
+    fn columns(
+        &self,
+        _values: &Values,
+        path: &WhiskerPath,
+        _moments_nmm: &[[f64; 2]],
+        out: &mut Vec<Vec<f64>>,
+    ) {
+        out.push(path.readings.iter().map(|r| r.rise_degc).collect());
+    }
+}

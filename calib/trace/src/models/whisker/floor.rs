@@ -1,0 +1,144 @@
+//! Stage 1: the noise floor, what a loaded reading at a pose set anew can reach.
+
+use super::system::WhiskerSystem;
+use crate::measurement_model::MeasurementModel;
+use crate::method::noise::{Noise, NoiseInputs};
+use crate::method::search::Hypothesis;
+use crate::whisker::path::Reading;
+use std::collections::BTreeMap;
+
+/// Floor of the wavelengths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Floor {
+    /// Standard deviation of a loaded reading at a pose set anew, pm.
+    pub sd_pm: f64,
+    /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves between neighbouring poses).
+    pub source: &'static str,
+    /// Degrees of freedom of the loaded replicates.
+    pub replicate_dof: f64,
+    /// Degrees of freedom of the rest readings' repetitions.
+    pub rest_dof: f64,
+}
+
+/// Fewer degrees of freedom than this do not make a floor.
+const MIN_DOF: f64 = 10.0;
+/// Poses of one approach nearer than this share of its range may be one pose set again.
+const NEAR_SHARE: f64 = 0.05;
+/// Gaps between sorted positions that part poses are this many times those within one.
+const GAP_RATIO: f64 = 3.0;
+
+/// Number of the pose of each reading: equal for readings that agree in trajectory, direction, speed and seating, and in position within a
+/// tolerance that follows from the positions themselves (repeated poses cluster: gaps within a cluster are far smaller than between).
+#[must_use]
+pub fn poses(readings: &[Reading]) -> Vec<usize> {
+    let mut approaches: BTreeMap<(u32, u32, bool, i64, i64), Vec<usize>> = BTreeMap::new();
+    for (i, r) in readings.iter().enumerate() {
+        let direction = if r.rest { 0 } else { r.direction as i64 };
+        let key = (r.seating, r.group, r.rest, direction, (r.velocity_mm_s * 10.0) as i64);
+        approaches.entry(key).or_default().push(i);
+    }
+    let mut pose = vec![0; readings.len()];
+    let mut next = 0;
+    for members in approaches.values_mut() {
+        members.sort_by(|&a, &b| readings[a].x_mm.total_cmp(&readings[b].x_mm));
+        let tolerance = tolerance_mm(&members.iter().map(|&i| readings[i].x_mm).collect::<Vec<_>>());
+        for k in 0..members.len() {
+            if k == 0 || readings[members[k]].x_mm - readings[members[k - 1]].x_mm > tolerance {
+                next += 1;
+            }
+            pose[members[k]] = next;
+        }
+    }
+    pose
+}
+
+/// Largest gap between sorted positions that still is one pose, mm.
+fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
+    let range = sorted_mm.last().zip(sorted_mm.first()).map_or(0.0, |(b, a)| b - a);
+    let exact = (1e-5 * range).max(1e-6);
+    let mut gaps: Vec<f64> = sorted_mm.windows(2).map(|w| (w[1] - w[0]).max(exact)).collect();
+    gaps.sort_by(f64::total_cmp);
+    let jump = (1..gaps.len())
+        .filter(|&k| gaps[k - 1] <= NEAR_SHARE * range && gaps[k] > GAP_RATIO * gaps[k - 1])
+        .max_by(|&a, &b| (gaps[a] / gaps[a - 1]).total_cmp(&(gaps[b] / gaps[b - 1])));
+    jump.map_or(exact, |k| (gaps[k - 1] * gaps[k]).sqrt())
+}
+
+/// Sum of squares and degrees of freedom within poses among `rows` of the residual, pm; settings held through count once, by their mean.
+fn within_poses(system: &WhiskerSystem, h: &Hypothesis, inputs: &NoiseInputs, rest: bool) -> (f64, f64) {
+    let readings = &system.path.readings;
+    let residual = &h.fit.raw_residual * system.channels_pm();
+    let pose = poses(readings);
+    let mut groups: BTreeMap<usize, BTreeMap<usize, Vec<usize>>> = BTreeMap::new();
+    for i in (0..readings.len()).filter(|&i| h.weights.counts(i) && readings[i].rest == rest) {
+        groups.entry(pose[i]).or_default().entry(inputs.settings[i]).or_default().push(i);
+    }
+    let (mut sum, mut dof) = (0.0, 0.0);
+    for settings in groups.values().filter(|s| s.len() > 1) {
+        for c in 0..residual.ncols() {
+            let means: Vec<f64> = settings
+                .values()
+                .map(|m| m.iter().map(|&i| residual[(i, c)]).sum::<f64>() / m.len() as f64)
+                .collect();
+            let mean = means.iter().sum::<f64>() / means.len() as f64;
+            sum += means.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
+            dof += means.len() as f64 - 1.0;
+        }
+    }
+    (sum, dof)
+}
+
+/// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
+/// and only replicates tell the floor.
+#[must_use]
+pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: bool) -> Option<Floor> {
+    let inputs = system.noise_inputs();
+    let readings = &system.path.readings;
+    let (sum, replicate_dof) = within_poses(system, h, &inputs, false);
+    let rest_dof = within_poses(system, h, &inputs, true).1;
+    let sd = noise.reading_sd(&inputs);
+    let loaded: Vec<f64> = (0..sd.len()).filter(|&i| !readings[i].rest).map(|i| sd[i] * sd[i]).collect();
+    // From the engine's channels, whose noise is alike and independent, to the gratings'.
+    let model = system.noise_factor() * (loaded.iter().sum::<f64>() / loaded.len().max(1) as f64).sqrt();
+    if loaded.len() < 2 || !model.is_finite() {
+        return None;
+    }
+    let replicated = replicate_dof >= MIN_DOF;
+    Some(Floor {
+        sd_pm: if left && replicated { (sum / replicate_dof).sqrt() } else { model },
+        source: if replicated { "replicates" } else { "difference" },
+        replicate_dof,
+        rest_dof,
+    })
+}
+
+impl Floor {
+    /// What a reader must know of it; none where loaded poses were repeated.
+    #[must_use]
+    pub fn remark(&self) -> Option<String> {
+        if self.source == "replicates" {
+            return None;
+        }
+        let only_rest = if self.rest_dof > 0.0 { "Only rest readings repeat" } else { "No reading repeats" };
+        Some(format!(
+            "{only_rest}: how well a loaded pose reproduces is not known from them. The floor is what the model leaves between neighbouring \
+             poses; to know it, set at least five loaded poses again (move away and back) in two or more approaches."
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::tolerance_mm;
+
+    #[test]
+    fn repeated_poses_cluster_and_a_plain_sweep_does_not() {
+        let jittered = [1.0, 1.02, 2.0, 2.05, 3.0, 3.01, 4.0, 4.03];
+        let t = tolerance_mm(&jittered);
+        assert!(t > 0.05 && t < 0.9, "{t}");
+        let sweep: Vec<f64> = (0..12).map(f64::from).collect();
+        assert!(tolerance_mm(&sweep) < 0.01);
+        // Exact revisits.
+        assert!(tolerance_mm(&[1.0, 1.0, 2.0, 2.0, 3.0, 3.0]) < 0.5);
+    }
+}

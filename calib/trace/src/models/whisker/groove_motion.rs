@@ -1,0 +1,175 @@
+//! A session as one sees it who knows how the groove moves but not where it is: moments through a calibration, and ways along the trajectories.
+//!
+//! A moment is off by `dm = K^-1 [1, m, ...] db` where the coefficients are off by `db`, alike for every reading of a calibration: with
+//! `cov(b) = F F'` each column of F gives one common unknown of unit variance. What is left is the reading's own noise, `K^-1 s^2 K^-T`.
+
+use super::physical::PhysicalModel;
+use super::rod_tables::RodParameters;
+use super::system::WhiskerSystem;
+use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use wcal_rod::Rod;
+
+/// The wire with the mechanics that the calibration carries.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AcceptedWire {
+    /// Rod.
+    pub rod: Rod,
+    /// Largest tangential over normal force along the wire.
+    pub friction: f64,
+    /// Friction while the groove moves over friction at rest.
+    pub moving_share: f64,
+    /// What the calibration adds to the declared place of the groove, mm.
+    pub offset_mm: Vector3<f64>,
+}
+
+/// A reading with the groove's way, none of whose numbers comes from the groove's place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MovedReading {
+    /// Index in the system's path.
+    pub reading: usize,
+    /// Index of the trajectory in the path's lines.
+    pub line: usize,
+    /// Time, s.
+    pub t_s: f64,
+    /// Base moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Inside the region that the calibration was fitted in.
+    pub valid: bool,
+    /// Covariance of the reading's own noise, (N mm)^2.
+    pub noise_nmm2: Matrix2<f64>,
+    /// Moments (N mm) by one standard deviation of each common unknown.
+    pub shared_nmm: Vec<[f64; 2]>,
+    /// Stage position as the accepted effects have it, mm.
+    pub stage_mm: f64,
+    /// What those effects added to it, mm.
+    pub added_mm: f64,
+    /// Signed speed, mm/s.
+    pub velocity_mm_s: f64,
+    /// Without load.
+    pub rest: bool,
+    /// Counts up where the contact was left: at rest, and where another trajectory stood between.
+    pub visit: u32,
+}
+
+/// Wire of a system under a calibration; none where it cannot be bent.
+#[must_use]
+pub fn accepted_wire(system: &WhiskerSystem, model: &PhysicalModel) -> Option<AcceptedWire> {
+    let mut mechanics = RodParameters::default();
+    for active in model.terms() {
+        active.effect.rod(&active.values(), &mut mechanics);
+    }
+    Some(AcceptedWire {
+        rod: system.rod_tables.rod(&mechanics)?,
+        friction: mechanics.friction,
+        moving_share: mechanics.moving_share,
+        offset_mm: Vector3::from(mechanics.offset_mm),
+    })
+}
+
+/// Readings on trajectories, in order of time; none where the sensitivity cannot be inverted. `poses` are those of a system whose rows have a
+/// stage position.
+#[must_use]
+pub fn moved_readings(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Vec<MovedReading>> {
+    let path = &system.path;
+    let inverse = model.sensitivity().try_inverse()?;
+    let terms = model.terms();
+    let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
+    for active in &terms {
+        active.effect.pose(&active.values(), path, &mut xs);
+    }
+    let mut effective = vec![0.0; path.readings.len()];
+    for (node, x) in path.nodes.iter().zip(&xs) {
+        if let Some(i) = node.reading {
+            effective[i] = *x;
+        }
+    }
+    let inferred = model.infer(path, None);
+    let sensed = model.sensed(&terms, path, &inverse);
+    let columns = model.columns(&terms, path, &sensed);
+    let factor = factor(model);
+    let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
+    let count = model.coefficients.len();
+    let shared = |i: usize| -> Vec<[f64; 2]> {
+        let of = |j: usize| -> [f64; 2] {
+            let shift = |c: usize| (0..count).map(|k| columns[k][i] * factor[(c * count + k, j)]).sum();
+            (inverse * Vector2::new(shift(0), shift(1))).into()
+        };
+        (0..factor.ncols()).map(of).collect()
+    };
+    let mut out: Vec<MovedReading> = Vec::with_capacity(path.readings.len());
+    let (mut visit, mut last) = (0, None);
+    for (i, r) in path.readings.iter().enumerate() {
+        if last.is_some_and(|before| before != (r.line, r.seating)) || r.rest {
+            visit += 1;
+        }
+        last = Some((r.line, r.seating));
+        let Some(line) = r.line else { continue };
+        out.push(MovedReading {
+            reading: i,
+            line,
+            t_s: r.t_s,
+            moment_nmm: inferred[i].moment_nmm,
+            valid: inferred[i].valid,
+            noise_nmm2,
+            shared_nmm: shared(i),
+            stage_mm: effective[i],
+            added_mm: effective[i] - r.x_mm,
+            velocity_mm_s: r.velocity_mm_s,
+            rest: r.rest,
+            visit,
+        });
+    }
+    Some(out)
+}
+
+/// F with cov(b) = F F': the eigenvectors that matter, scaled.
+fn factor(model: &PhysicalModel) -> DMatrix<f64> {
+    const LEAST: f64 = 1e-12;
+    let size = 2 * model.coefficients.len();
+    let covariance = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]);
+    let eigen = covariance.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let kept: Vec<usize> = (0..size).filter(|k| eigen.eigenvalues[*k] > LEAST * largest).collect();
+    DMatrix::from_fn(size, kept.len(), |i, j| {
+        eigen.eigenvectors[(i, kept[j])] * eigen.eigenvalues[kept[j]].sqrt()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wcal_core::FbgSpec;
+
+    #[test]
+    fn the_common_unknowns_are_the_coefficients_covariance() {
+        let covariance: Vec<Vec<f64>> =
+            (0..6).map(|i| (0..6).map(|j| if i == j { 2.0 } else { 0.3 }).collect()).collect();
+        let model = PhysicalModel {
+            coefficients: vec![[0.0, 0.0], [70.0, 5.0], [-5.0, 70.0]],
+            covariance: covariance.clone(),
+            noise_sd_pm: 0.5,
+            effects: Vec::new(),
+            seatings: 1,
+            fbg: FbgSpec::default(),
+            largest_moment_nmm: 1.0,
+        };
+        let f = factor(&model);
+        let again = &f * f.transpose();
+        for (i, row) in covariance.iter().enumerate() {
+            for (j, v) in row.iter().enumerate() {
+                assert!((again[(i, j)] - v).abs() < 1e-9);
+            }
+        }
+        // Through the readout they are what `sd_nmm` states beside the noise.
+        let row = [1.0, 0.4, -0.2];
+        let inverse = model.sensitivity().try_inverse().unwrap();
+        let mut sum = inverse * inverse.transpose() * 0.25;
+        for j in 0..f.ncols() {
+            let shift = |c: usize| (0..3).map(|k| row[k] * f[(c * 3 + k, j)]).sum::<f64>();
+            let m = inverse * Vector2::new(shift(0), shift(1));
+            sum += m * m.transpose();
+        }
+        let sd = model.sd_nmm(&inverse, &row, 0.5);
+        assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,227 @@
+//! The whisker session as a measurement model of the procedure.
+
+use super::floor::noise_floor;
+use super::map_left_out::leave_one_out;
+use super::next::{self, RIVALS};
+use super::physical::PhysicalModel;
+use super::predictions::{Predictions, by_labels, predict};
+use super::seatings::spread_of_zeros;
+use super::system::WhiskerSystem;
+use super::twin_check::{check_labels, labelled_moments};
+use crate::error::TraceError;
+use crate::measurement_model::MeasurementModel;
+use crate::method::explain::{Explained, explain};
+use crate::method::fit::Weights;
+use crate::method::inference;
+use crate::method::lasso::group_lasso;
+use crate::method::linear::stack;
+use crate::method::noise::Noise;
+use crate::method::search::{Hypothesis, SearchResult, declared};
+use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
+use crate::verify::{HeldOut, SessionModel, VerifyOptions};
+use nalgebra::Vector2;
+use wcal_core::ResidualRecord;
+use wcal_core::observation::WhiskerRow;
+use wcal_core::verify_document::{EffectParameter, MapLeftOut, NextMeasurement, NoiseFloor, TwinFault};
+
+/// Change of the channels' shared noise from which the search is made again.
+const WHITENING_CHANGED: f64 = 1.1;
+/// Two-sided 95 % of a Gaussian.
+const NORMAL_95: f64 = 1.96;
+/// From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
+const REFIT_STEPS: usize = 2;
+
+impl SessionModel for WhiskerSystem {
+    type Row = WhiskerRow;
+    type Predictions = Predictions;
+
+    fn kind(&self) -> &'static str {
+        "whisker"
+    }
+
+    fn unit(&self) -> String {
+        "pm".to_owned()
+    }
+
+    fn noise_factor(&self) -> f64 {
+        Self::noise_factor(self)
+    }
+
+    fn origin(&self, reading: usize) -> Origin {
+        let row = self.row(reading);
+        Origin { source: row.source.clone(), line: row.line, point: row.point, role: row.role }
+    }
+
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+        inference::parameters(self, h, effect)
+    }
+
+    fn nuisances(&self) -> &'static str {
+        "K, the zero"
+    }
+
+    fn nuisance(&self, column: usize) -> String {
+        match column {
+            0 => "zero".to_owned(),
+            1 | 2 => format!("K_{column}"),
+            later => format!("zero of seating {}", later - 1),
+        }
+    }
+
+    fn twin_faults(&self) -> Vec<TwinFault> {
+        check_labels(&self.data, &self.path, &self.rod_tables).faults
+    }
+
+    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
+        let known = Weights::independent(self.noise_inputs().known);
+        let base = declared(&self, &known, options.search.seed)?;
+        let system = self.whitened(&base.fit);
+        let explained = explain(&system, &options.search)?;
+        // An effect that was not declared hides how much noise the channels share.
+        let again = system.clone().whitened(&explained.found.accepted().fit);
+        if again.whitening_change(&system) > WHITENING_CHANGED {
+            let explained = explain(&again, &options.search)?;
+            return Some((again, explained));
+        }
+        Some((system, explained))
+    }
+
+    fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {
+        let floor = noise_floor(self, h, noise, left);
+        let sd = floor.map_or_else(|| noise.repeat.value * Self::noise_factor(self), |f| f.sd_pm);
+        let gain = PhysicalModel::new(self, h, sd).sensitivity().determinant().abs().sqrt();
+        let replicated = floor.is_some_and(|f| f.source == "replicates");
+        let provisional =
+            " Provisional: no loaded pose was set again, so the noise floor is an estimate from neighbours.";
+        FloorStatement {
+            floor: NoiseFloor {
+                wavelength_pm: floor.map(|f| f.sd_pm),
+                moment_nmm: floor.filter(|_| gain > 0.0).map(|f| f.sd_pm / gain),
+                source: floor.map_or("none", |f| f.source).to_owned(),
+                ..NoiseFloor::default()
+            },
+            reason: if replicated { String::new() } else { provisional.to_owned() },
+            note: floor.and_then(|f| f.remark()),
+            sd,
+        }
+    }
+
+    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
+        // Only what the poses are chosen against is promised to be separated.
+        let nearest = &rivals[..rivals.len().min(RIVALS)];
+        let effects = |h: &Hypothesis| -> String {
+            let ids: Vec<&str> = h.fit.terms.iter().map(|t| self.catalogue()[t.effect].id()).collect();
+            ids.join(" with ")
+        };
+        let names = std::iter::once(best).chain(nearest.iter().copied()).map(effects).collect();
+        next::next_measurement(self, best, nearest, names)
+    }
+
+    fn whole(&self, unsealed: &[WhiskerRow]) -> Result<Self, TraceError> {
+        let rows: Vec<&WhiskerRow> = self.data.rows.iter().chain(unsealed).collect();
+        Ok(Self::new(&self.data, &rows)?.with_whitening_of(self))
+    }
+
+    fn sealed(&self) -> &[bool] {
+        self.held_out()[0]
+    }
+
+    fn scored(&self) -> &[bool] {
+        self.held_out()[1]
+    }
+
+    fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Predictions> {
+        let sd_pm: Vec<f64> = reading_sd.iter().map(|sd| sd * Self::noise_factor(self)).collect();
+        let typical = sd_pm.iter().sum::<f64>() / sd_pm.len().max(1) as f64;
+        predict(self, h, &PhysicalModel::new(self, h, typical), &sd_pm)
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        &[
+            Quantity { key: "wavelength_rmse_pm", unit: "pm" },
+            Quantity { key: "moment_rmse_nmm", unit: "N mm" },
+        ]
+    }
+
+    fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
+        self.corrected(predictions, reading, &[0.0, 0.0])
+    }
+
+    fn corrected(&self, predictions: &Predictions, reading: usize, added: &[f64]) -> HeldOut {
+        let (r, p) = (&self.path.readings[reading], &predictions.readings[reading]);
+        let inverse = predictions.sensitivity.try_inverse().unwrap_or_default();
+        let shift = Vector2::new(added[0], added[1]);
+        // What is added to the shift is no moment's.
+        let moment = Vector2::from(p.moment_nmm) - inverse * shift - Vector2::from(p.pose_moment_nmm);
+        let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm) - shift;
+        let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
+        HeldOut {
+            group: r.group,
+            errors: vec![wavelength.iter().copied().collect(), moment.iter().copied().collect()],
+            inside95: vec![inside(0), inside(1)],
+        }
+    }
+
+    fn folds(&self) -> Folds {
+        let readings = &self.path.readings;
+        let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let fold =
+            |r: &crate::whisker::path::Reading| (!r.rest).then(|| groups.partition_point(|g| *g < r.group));
+        Folds {
+            split: "loto",
+            words: "leave-one-trajectory-out".to_owned(),
+            fold: readings.iter().map(fold).collect(),
+            refit_steps: REFIT_STEPS,
+        }
+    }
+
+    fn by_outside_twin(&self, weights: &Weights) -> Option<Predictions> {
+        by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
+    }
+
+    fn map_left_out(&self, predictions: &Predictions, declared: bool) -> Option<MapLeftOut> {
+        let of_pose = || predictions.readings.iter().map(|p| p.pose_moment_nmm).collect::<Vec<_>>();
+        let labels = declared.then(|| labelled_moments(&self.data, &self.path)).flatten();
+        leave_one_out(&self.path, &labels.unwrap_or_else(of_pose))
+    }
+
+    fn records(&self, before: &Predictions, after: &Predictions, at: &Record) -> Vec<ResidualRecord> {
+        let (i, row) = (at.reading, self.row(at.reading));
+        let of_channel = |c: usize| ResidualRecord {
+            source: row.source.clone(),
+            line: row.line,
+            point: row.point,
+            role: format!("{:?}", row.role).to_lowercase(),
+            group: self.path.readings[i].group,
+            channel: format!("fbg_{}", c + 1),
+            unit: "pm".to_owned(),
+            measured: self.path.readings[i].shift_pm[c],
+            predicted_before: before.readings[i].shift_pm[c],
+            predicted_after: after.readings[i].shift_pm[c],
+            noise_sd: at.noise_sd,
+            rejected: at.rejected.clone(),
+            covariates: at.covariates.clone(),
+        };
+        (0..2).map(of_channel).collect()
+    }
+
+    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
+        let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
+        notes.extend(cross_check(self, found));
+        notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
+        notes
+    }
+}
+
+/// What the group lasso keeps on the declared model's residual.
+fn cross_check(system: &WhiskerSystem, found: &SearchResult) -> Option<String> {
+    let base = &found.base.fit;
+    let sd = found.best.fit.variance().sqrt();
+    let kept = group_lasso(&found.first_test.signatures, &stack(&base.residual), base.dof, sd)?;
+    let names: Vec<String> =
+        kept.iter().map(|k| format!("{} ({:.1} sd)", system.catalogue()[k.effect].id(), k.size_sd)).collect();
+    let list = if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };
+    Some(format!("Cross-check by group lasso over the whole catalogue at the noise level: it keeps {list}."))
+}

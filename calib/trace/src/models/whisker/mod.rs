@@ -1,0 +1,30 @@
+//! The whisker's measurement model: pose -> rod -> moment -> memory -> wavelength, and what the procedure asks of it.
+
+mod branch_cache;
+pub mod effects;
+pub mod floor;
+pub mod groove_motion;
+pub mod judgement;
+mod map_left_out;
+mod measurement;
+pub mod next;
+mod noise;
+pub mod path;
+pub mod physical;
+pub mod plan_check;
+pub mod predictions;
+pub mod residual_tables;
+pub mod rod_tables;
+pub mod seatings;
+mod solve_cache;
+pub mod stream;
+pub mod system;
+pub mod tables;
+pub mod temperature;
+pub mod twin_check;
+pub mod verify;
+
+pub use physical::PhysicalModel;
+pub use stream::PhysicalStream;
+pub use system::{ActiveEffect, Memory, Moments, WhiskerEffect, WhiskerSystem};
+pub use verify::{Verified, WhiskerVerification, verify_whisker};

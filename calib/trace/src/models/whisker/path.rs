@@ -1,0 +1,233 @@
+//! The session as it really ran: readings in time order, with the moves and dwells between them.
+
+use crate::whisker::temperature::RandomWalkModel;
+use nalgebra::Vector3;
+use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
+use wcal_rod::Line;
+
+/// One reading in the form the models need.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Index of the trajectory in [`WhiskerPath::lines`]; none at rest away from any.
+    pub line: Option<usize>,
+    /// Stage position, mm.
+    pub x_mm: f64,
+    /// No load.
+    pub rest: bool,
+    /// +1 loading, -1 unloading, 0 unknown.
+    pub direction: f64,
+    /// Signed speed, mm/s.
+    pub velocity_mm_s: f64,
+    /// Time, s; file order where the session has none.
+    pub t_s: f64,
+    /// Time since arrival, s.
+    pub dwell_s: f64,
+    /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant. Freed of its sensor's
+    /// noise where the session's walk is known.
+    pub rise_degc: f64,
+    /// The same as the other readings have it: free of this reading's own noise, which compensation brings into its shifts.
+    pub temperature_loo_degc: f64,
+    /// Compensated shifts, pm.
+    pub shift_pm: [f64; 2],
+    /// Known part of the noise: sample sd over root samples, pm.
+    pub sample_sd_pm: [f64; 2],
+    /// Trajectory identifier (0 at rest without one).
+    pub group: u32,
+    /// Replicate number.
+    pub replicate: u32,
+    /// Belongs to the sealed table.
+    pub holdout: bool,
+    /// Seating of the whisker: 0 in the first session.
+    pub seating: u32,
+}
+
+/// A moment on the path: a reading, or an arrival between readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Node {
+    /// Time, s.
+    pub t_s: f64,
+    /// Line, if the groove is near the wire.
+    pub line: Option<usize>,
+    /// Stage position, mm.
+    pub x_mm: f64,
+    /// The wire is free here.
+    pub rest: bool,
+    /// The groove moves here.
+    pub moving: bool,
+    /// Reading taken here.
+    pub reading: Option<usize>,
+}
+
+/// Which optional columns the session has; what is absent limits what can be traced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Columns {
+    /// Time stamps, increasing.
+    pub time: bool,
+    /// A temperature or a reference grating.
+    pub temperature: bool,
+    /// Loading and unloading.
+    pub both_directions: bool,
+    /// At least two speeds while moving, or moving and settled.
+    pub speeds: bool,
+    /// Direction of gravity.
+    pub gravity: bool,
+}
+
+/// A whisker session on its path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WhiskerPath {
+    /// Readings in time order.
+    pub readings: Vec<Reading>,
+    /// For each reading the index of its row in the table it came from.
+    pub rows: Vec<usize>,
+    /// Nodes in time order; every reading has one.
+    pub nodes: Vec<Node>,
+    /// Paths of the groove.
+    pub lines: Vec<Line>,
+    /// Largest stage position on each line, mm.
+    pub reach_mm: Vec<f64>,
+    /// Smallest stage position on each line, mm.
+    pub start_mm: Vec<f64>,
+    /// Moment components.
+    pub moments: MomentAxes,
+    /// Columns present.
+    pub columns: Columns,
+}
+
+impl WhiskerPath {
+    /// One column a seating after the first, 1 at its readings: the zero of each seating is its own.
+    #[must_use]
+    pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
+        let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
+        (1..seatings).map(of).collect()
+    }
+}
+
+/// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
+fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
+    row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
+}
+
+/// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
+#[must_use]
+pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
+    let mut read: Vec<(f64, f64)> =
+        rows.iter().map(|r| Some((r.t_s?, temperature_of(r, fbg)?))).collect::<Option<_>>()?;
+    read.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (t_s, degc): (Vec<f64>, Vec<f64>) = read.into_iter().unzip();
+    RandomWalkModel::of(&t_s, &degc)
+}
+
+fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
+    match (row.stage_mm, row.groove_mm, trajectory) {
+        (Some(x), _, _) => x,
+        (None, Some(groove), Some(t)) => (groove - t.origin_mm).dot(&t.direction),
+        _ => 0.0,
+    }
+}
+
+impl WhiskerPath {
+    /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the temperature is freed of its noise.
+    #[must_use]
+    pub fn new(
+        rows: &[&WhiskerRow],
+        trajectories: &[Trajectory],
+        moments: &MomentAxes,
+        fbg: &FbgSpec,
+        gravity: Option<Vector3<f64>>,
+        walk: Option<&RandomWalkModel>,
+    ) -> Self {
+        let time = !rows.is_empty() && rows.iter().all(|r| r.t_s.is_some());
+        let temperature = !rows.is_empty() && rows.iter().all(|r| temperature_of(r, fbg).is_some());
+        let mut order: Vec<usize> = (0..rows.len()).collect();
+        if time {
+            order.sort_by(|&a, &b| rows[a].t_s.unwrap_or(0.0).total_cmp(&rows[b].t_s.unwrap_or(0.0)));
+        }
+        let line_of = |id: Option<u32>| id.and_then(|id| trajectories.iter().position(|t| t.id == id));
+        let mut readings: Vec<Reading> = order
+            .iter()
+            .enumerate()
+            .map(|(k, &i)| {
+                let r = rows[i];
+                let line = line_of(r.trajectory);
+                let direction = r.direction.unwrap_or(0.0);
+                let root = f64::from(r.samples.unwrap_or(1).max(1)).sqrt();
+                let sd = r.shift_sd_pm.unwrap_or([0.0; 2]);
+                Reading {
+                    line,
+                    x_mm: stage_position(r, line.map(|l| &trajectories[l])),
+                    rest: r.role == Role::Rest,
+                    direction,
+                    velocity_mm_s: r.speed_mm_s.unwrap_or(0.0) * if direction < 0.0 { -1.0 } else { 1.0 },
+                    t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
+                    dwell_s: r.dwell_s.unwrap_or(0.0),
+                    rise_degc: temperature_of(r, fbg).unwrap_or(0.0),
+                    temperature_loo_degc: temperature_of(r, fbg).unwrap_or(0.0),
+                    shift_pm: r.compensated_pm(fbg),
+                    sample_sd_pm: sd.map(|s| s / root),
+                    group: r.trajectory.unwrap_or(0),
+                    replicate: r.replicate.unwrap_or(0),
+                    holdout: r.sealed,
+                    seating: r.seating,
+                }
+            })
+            .collect();
+        if let Some(walk) = walk.filter(|_| temperature && time) {
+            let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
+            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read)) {
+                (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
+            }
+        }
+        let loaded = || readings.iter().filter(|r| !r.rest);
+        let columns = Columns {
+            time,
+            temperature,
+            both_directions: loaded().any(|r| r.direction < 0.0) && loaded().any(|r| r.direction > 0.0),
+            speeds: loaded().any(|r| r.velocity_mm_s != 0.0),
+            gravity: gravity.is_some(),
+        };
+        let lines: Vec<Line> =
+            trajectories.iter().map(|t| Line { origin_mm: t.origin_mm, direction: t.direction }).collect();
+        let extent = |l: usize, f: fn(f64, f64) -> f64| {
+            readings.iter().filter(|r| r.line == Some(l)).map(|r| r.x_mm).fold(0.0, f)
+        };
+        let reach_mm = (0..lines.len()).map(|l| extent(l, f64::max)).collect();
+        let start_mm = (0..lines.len()).map(|l| extent(l, f64::min)).collect();
+        let nodes = nodes_of(&readings, time);
+        Self { readings, rows: order, nodes, lines, reach_mm, start_mm, moments: moments.clone(), columns }
+    }
+}
+
+/// A settled reading ends a dwell: its arrival is a node of its own. Changing lines, the groove leaves the wire.
+fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
+    let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
+    for (i, r) in readings.iter().enumerate() {
+        // Between seatings the whisker was free.
+        if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
+            let free =
+                |t_s: f64| Node { t_s, line: None, x_mm: 0.0, rest: true, moving: false, reading: None };
+            nodes.extend([free(last.t_s + 1e-3), free(r.t_s - r.dwell_s - 1e-3)]);
+        }
+        if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
+            let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
+            let arrival = (r.t_s - r.dwell_s).max(earliest);
+            nodes.push(Node {
+                t_s: arrival,
+                line: r.line,
+                x_mm: r.x_mm,
+                rest: r.rest,
+                moving: false,
+                reading: None,
+            });
+        }
+        nodes.push(Node {
+            t_s: r.t_s,
+            line: r.line,
+            x_mm: r.x_mm,
+            rest: r.rest,
+            moving: r.velocity_mm_s != 0.0,
+            reading: Some(i),
+        });
+    }
+    nodes
+}

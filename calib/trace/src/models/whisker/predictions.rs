@@ -1,0 +1,81 @@
+//! Every reading of points and holdout under the declared and the accepted model.
+
+use super::physical::PhysicalModel;
+use super::system::WhiskerSystem;
+use crate::effect::EffectTerm;
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::Weights;
+use crate::method::search::Hypothesis;
+use nalgebra::{DMatrix, Matrix2, Vector2};
+
+/// One reading under one model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Predicted {
+    /// Base moment inferred from the wavelengths, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Its standard deviation, N mm.
+    pub moment_sd_nmm: [f64; 2],
+    /// Compensated shift predicted from the pose, pm, zero included.
+    pub shift_pm: [f64; 2],
+    /// Base moment predicted from the pose, N mm.
+    pub pose_moment_nmm: [f64; 2],
+}
+
+/// Every reading under one model, and the sensitivity that turns shifts into moments.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predictions {
+    /// Readings in the order of the path.
+    pub readings: Vec<Predicted>,
+    /// K, pm/(N mm): rows are channels.
+    pub sensitivity: Matrix2<f64>,
+}
+
+/// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each, pm; none where the model has no solution.
+#[must_use]
+pub fn predict(
+    system: &WhiskerSystem,
+    h: &Hypothesis,
+    model: &PhysicalModel,
+    noise_sd_pm: &[f64],
+) -> Option<Predictions> {
+    let terms: &[EffectTerm] = &h.fit.terms;
+    let design: DMatrix<f64> = system.design(terms)?;
+    let shifts = design * &h.fit.coefficients * system.channels_pm();
+    let (sensed, base) = system.moments(terms)?;
+    let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
+    let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
+    let readings = inferred.iter().zip(&base).enumerate().map(|(i, (m, b))| Predicted {
+        moment_nmm: m.moment_nmm,
+        moment_sd_nmm: m.sd_nmm,
+        shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+        pose_moment_nmm: *b,
+    });
+    Some(Predictions { readings: readings.collect(), sensitivity: model.sensitivity() })
+}
+
+/// Linear map on outside labels, fitted on the weighted readings.
+#[must_use]
+pub fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Predictions> {
+    let n = moments.len();
+    let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });
+    let w = DMatrix::from_fn(n, 3, |i, j| design[(i, j)] * weights.of(i));
+    let y = DMatrix::from_fn(n, 2, |i, c| system.path.readings[i].shift_pm[c] * weights.of(i));
+    let b = w.clone().svd(true, true).solve(&y, 1e-12).ok()?;
+    let residual = &y - &w * &b;
+    let variance = residual.norm_squared() / (2.0 * (weights.active() as f64 - 3.0)).max(1.0);
+    let k = Matrix2::from_fn(|c, j| b[(j + 1, c)]);
+    let inverse = k.try_inverse()?;
+    let spread = inverse * inverse.transpose() * variance;
+    let shifts = &design * &b;
+    let of = |i: usize| {
+        let shift = system.path.readings[i].shift_pm;
+        let m = inverse * Vector2::new(shift[0] - b[(0, 0)], shift[1] - b[(0, 1)]);
+        Predicted {
+            moment_nmm: [m[0], m[1]],
+            moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
+            shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
+            pose_moment_nmm: moments[i],
+        }
+    };
+    Some(Predictions { readings: (0..n).map(of).collect(), sensitivity: k })
+}

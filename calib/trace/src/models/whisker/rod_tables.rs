@@ -1,0 +1,399 @@
+//! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
+
+use crate::whisker::branch_cache::BranchCache;
+use crate::whisker::solve_cache::{SolveCache, positions};
+use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipTable};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_rod::{Equilibrium, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
+
+/// Mechanical deviations from the nominal whisker and bench.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RodParameters {
+    /// Constant offset of the groove, mm.
+    pub offset_mm: [f64; 3],
+    /// Root compliance about base y and z, rad/(N mm).
+    pub compliance_rad_per_nmm: [f64; 2],
+    /// Softening of the wire.
+    pub softening: Option<Softening>,
+    /// Relative change of EI from root to tip.
+    pub taper: f64,
+    /// Share of the wire's weight that acts (0 undeclared, 1 full).
+    pub weight: f64,
+    /// Friction coefficient along the wire; independent of the tables.
+    pub friction: f64,
+    /// Friction while the groove moves over friction at rest.
+    pub moving_share: f64,
+}
+
+impl Default for RodParameters {
+    fn default() -> Self {
+        Self {
+            offset_mm: [0.0; 3],
+            compliance_rad_per_nmm: [0.0; 2],
+            softening: None,
+            taper: 0.0,
+            weight: 0.0,
+            friction: 0.0,
+            moving_share: 1.0,
+        }
+    }
+}
+
+impl RodParameters {
+    /// Rough distance of two wires, 1 where a step from one to the other is worth trying.
+    pub(crate) fn distance(&self, other: &Self) -> f64 {
+        let softening = |m: &Self| match m.softening {
+            None => (0.0, 1.0, 0.0_f64),
+            Some(Softening::Bilinear { onset_per_m, ratio }) => (1.0 - ratio, onset_per_m, 1.0),
+            Some(Softening::Section { onset_per_m, hardening }) => (1.0 - hardening, onset_per_m, 2.0),
+        };
+        let ((a, a_onset, a_law), (b, b_onset, b_law)) = (softening(self), softening(other));
+        let mut sum: f64 = ((a - b) / 0.2).powi(2) + ((self.taper - other.taper) / 0.2).powi(2);
+        if a > 0.0 && b > 0.0 {
+            sum += ((a_onset - b_onset) / 10.0).powi(2) + (a_law - b_law).powi(2);
+        }
+        for k in 0..3 {
+            sum += ((self.offset_mm[k] - other.offset_mm[k]) / 0.5).powi(2);
+        }
+        for k in 0..2 {
+            sum += ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
+        }
+        sum.sqrt() + if self.weight == other.weight { 0.0 } else { f64::INFINITY }
+    }
+
+    pub(crate) fn key(&self) -> Vec<u64> {
+        let mut key: Vec<u64> = self.offset_mm.iter().map(|v| v.to_bits()).collect();
+        key.extend(self.compliance_rad_per_nmm.iter().map(|v| v.to_bits()));
+        match self.softening {
+            None => key.push(0),
+            Some(Softening::Bilinear { onset_per_m, ratio }) => {
+                key.extend([1, onset_per_m.to_bits(), ratio.to_bits()]);
+            }
+            Some(Softening::Section { onset_per_m, hardening }) => {
+                key.extend([2, onset_per_m.to_bits(), hardening.to_bits()]);
+            }
+        }
+        key.extend([self.taper.to_bits(), self.weight.to_bits()]);
+        key
+    }
+}
+
+type Key = Vec<u64>;
+
+/// The rod's answers along the lines of one session, kept by mechanical parameters.
+pub struct RodTables {
+    spec: WhiskerSpec,
+    fluid_kg_m3: f64,
+    pub(crate) lines: Vec<Line>,
+    start_mm: Vec<f64>,
+    reach_mm: Vec<f64>,
+    pub(crate) axes: MomentAxes,
+    step_mm: f64,
+    /// So few readings that each is solved for by itself.
+    sparse: bool,
+    pub(crate) points: SolveCache,
+    touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
+    pub(crate) walked: BranchCache,
+    tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
+    slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
+}
+
+/// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod, tests/acceptance/order.rs).
+const MESH_MM: f64 = 4.0;
+/// Grid of the tables, mm: interpolation is right to 1e-4 of the moment there (tests).
+const GRID_MM: f64 = 0.8;
+/// Room past the last reading for effects that shift the stage, mm.
+const MARGIN_MM: f64 = 0.6;
+
+/// At most this many distinct positions a line, on average, are solved one by one: a table has some twenty.
+const SPARSE_POSITIONS: usize = 6;
+
+fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
+    let xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
+    let wanted = positions(&path.nodes, &xs, path.lines.len());
+    let used = wanted.iter().filter(|w| !w.is_empty()).count();
+    wanted.iter().map(Vec::len).sum::<usize>() <= SPARSE_POSITIONS * used
+}
+
+impl RodTables {
+    /// Bench of a whisker and the lines that its readings use.
+    ///
+    /// # Errors
+    /// Where the rest shape cannot be used.
+    pub fn new(
+        spec: &WhiskerSpec,
+        fluid_kg_m3: f64,
+        path: &crate::whisker::path::WhiskerPath,
+    ) -> Result<Self, wcal_rod::RodError> {
+        Rod::new(spec, MESH_MM)?;
+        Ok(Self {
+            spec: spec.clone(),
+            fluid_kg_m3,
+            lines: path.lines.clone(),
+            start_mm: path.start_mm.clone(),
+            reach_mm: path.reach_mm.clone(),
+            axes: path.moments.clone(),
+            step_mm: MESH_MM,
+            sparse: is_sparse(path),
+            points: SolveCache::default(),
+            touches: Mutex::new(HashMap::new()),
+            walked: BranchCache::new(path.lines.len()),
+            tables: Mutex::new(HashMap::new()),
+            slips: Mutex::new(HashMap::new()),
+        })
+    }
+
+    /// The rod with the given deviations.
+    pub(crate) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
+        let mut rod = Rod::new(&self.spec, self.step_mm).ok()?;
+        let [y, z] = rod_parameters.compliance_rad_per_nmm;
+        let largest = y.abs().max(z.abs());
+        if largest > 0.0 {
+            rod.compliance_rad_per_nmm = largest;
+            rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
+        }
+        rod.section.softening = rod_parameters.softening;
+        rod.section.taper = rod_parameters.taper;
+        if rod_parameters.weight != 0.0 {
+            rod = rod.with_weight(&self.spec, self.fluid_kg_m3);
+            rod.weight_n_per_mm *= rod_parameters.weight;
+        }
+        Some(rod)
+    }
+
+    pub(crate) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {
+        Line {
+            origin_mm: self.lines[l].origin_mm + Vector3::from(rod_parameters.offset_mm),
+            direction: self.lines[l].direction,
+        }
+    }
+
+    /// Where line `l` ends: its last reading and some room, mm.
+    pub(crate) fn end_mm(&self, l: usize) -> f64 {
+        self.reach_mm[l] + MARGIN_MM
+    }
+
+    /// Tables of every line under `rod_parameters`.
+    pub fn tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<LineTable>>> {
+        let key = rod_parameters.key();
+        if let Some(found) = self.tables.lock().ok()?.get(&key) {
+            return Some(found.clone());
+        }
+        let rod = self.rod(rod_parameters)?;
+        let tables: Vec<LineTable> =
+            (0..self.lines.len()).into_par_iter().map(|l| self.tabulate(&rod, l, rod_parameters)).collect();
+        let tables = Arc::new(tables);
+        let mut kept = self.tables.lock().ok()?;
+        // Refits visit hundreds of parameter values; only a short memory is of use.
+        if kept.len() > 64 {
+            kept.clear();
+        }
+        kept.insert(key, tables.clone());
+        Some(tables)
+    }
+
+    fn tabulate(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> LineTable {
+        if self.reach_mm[l] <= self.start_mm[l] {
+            return LineTable {
+                touch_mm: self.reach_mm[l],
+                step_mm: 1.0,
+                moments_nmm: vec![[0.0; 2]; 4],
+                arclength_mm: vec![0.0; 4],
+                end_mm: f64::INFINITY,
+            };
+        }
+        let touch = self.touch(rod, l, rod_parameters);
+        let count = ((self.reach_mm[l] - touch.x_mm) / GRID_MM).ceil().clamp(14.0, 40.0) as usize;
+        let step_mm = (self.end_mm(l) - touch.x_mm) / count as f64;
+        let xs: Vec<f64> = (0..=count).map(|k| touch.x_mm + step_mm * k as f64).collect();
+        let equilibria = self
+            .warm_start(rod, l, rod_parameters, touch.x_mm, &xs)
+            .unwrap_or_else(|| self.followed(rod, l, rod_parameters, &xs));
+        let mut table = LineTable {
+            touch_mm: touch.x_mm,
+            step_mm,
+            moments_nmm: Vec::with_capacity(count + 1),
+            arclength_mm: Vec::with_capacity(count + 1),
+            end_mm: if equilibria.len() > count { xs[count] } else { xs[equilibria.len().saturating_sub(1)] },
+        };
+        let at_rest = self.axes.components_nmm(&rod.rest_moment_nmm());
+        for e in &equilibria {
+            let m = self.axes.components_nmm(&e.moment_nmm);
+            table.moments_nmm.push([m[0] - at_rest[0], m[1] - at_rest[1]]);
+            table.arclength_mm.push(e.arclength_mm);
+        }
+        while table.moments_nmm.len() < 4 {
+            table.moments_nmm.push([0.0; 2]);
+            table.arclength_mm.push(touch.arclength_mm);
+        }
+        table
+    }
+
+    /// Equilibria at `xs` from first touch on, as far as the branch goes; kept for neighbours where it goes all the way.
+    fn followed(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters, xs: &[f64]) -> Vec<Equilibrium> {
+        let outcomes = rod.follow(&self.line(l, rod_parameters), xs);
+        let found: Vec<(f64, Equilibrium)> =
+            xs.iter().zip(&outcomes).map_while(|(x, o)| Some((*x, *o.equilibrium()?))).collect();
+        if found.len() == xs.len() {
+            self.store_branch(rod, l, rod_parameters, xs[0], &found);
+        }
+        found.into_iter().map(|f| f.1).collect()
+    }
+
+    /// First touch; it depends on the groove's offset alone.
+    pub(crate) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
+        let find =
+            || rod.first_touch(&self.line(l, rod_parameters), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
+        let Ok(mut kept) = self.touches.lock() else { return find() };
+        if kept.len() > 4096 {
+            kept.clear();
+        }
+        *kept.entry((l, rod_parameters.offset_mm.map(f64::to_bits))).or_insert_with(find)
+    }
+
+    fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {
+        let key = rod_parameters.key();
+        if let Some(found) = self.slips.lock().ok()?.get(&key) {
+            return Some(found.clone());
+        }
+        let rod = self.rod(rod_parameters)?;
+        let tables = self.tables(rod_parameters)?;
+        let slips: Vec<Option<SlipTable>> = tables
+            .par_iter()
+            .enumerate()
+            .map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t))
+            .collect();
+        let slips = Arc::new(slips);
+        let mut kept = self.slips.lock().ok()?;
+        if kept.len() > 8 {
+            kept.clear();
+        }
+        kept.insert(key, slips.clone());
+        Some(slips)
+    }
+
+    /// Walks each slip branch outward from the frictionless one, ratio by ratio.
+    fn tabulate_slip(
+        &self,
+        rod: &Rod,
+        l: usize,
+        rod_parameters: &RodParameters,
+        table: &LineTable,
+    ) -> Option<SlipTable> {
+        if self.reach_mm[l] <= self.start_mm[l] || table.end_mm <= table.touch_mm {
+            return None;
+        }
+        let line = self.line(l, rod_parameters);
+        let count = table.moments_nmm.len().clamp(8, 24);
+        let step_mm = (table.end_mm - table.touch_mm) / (count - 1) as f64;
+        let ratios: Vec<f64> =
+            (0..=2 * RATIO_STEPS).map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();
+        let xs: Vec<f64> = (0..count).map(|k| table.touch_mm + step_mm * k as f64).collect();
+        let mut slip = SlipTable {
+            touch_mm: table.touch_mm,
+            step_mm,
+            ratios,
+            arclength_mm: Vec::with_capacity(count),
+            moments_nmm: Vec::with_capacity(count),
+        };
+        let width = slip.ratios.len();
+        slip.arclength_mm.push(vec![table.arclength(table.touch_mm); width]);
+        slip.moments_nmm.push(vec![[0.0; 2]; width]);
+        for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)).skip(1) {
+            let Outcome::Held(free) = outcome else { return None };
+            let mut arclength = vec![free.arclength_mm; width];
+            let mut moments = vec![self.axes.components_nmm(&free.moment_nmm); width];
+            for side in [-1_i64, 1] {
+                let mut guess = Guess::from(&free);
+                for step in 1..=RATIO_STEPS as i64 {
+                    let k = (RATIO_STEPS as i64 + side * step) as usize;
+                    let e = rod.solve(&line.point(*x), &guess, Tangential::Ratio(slip.ratios[k])).ok()?;
+                    guess = Guess::from(&e);
+                    arclength[k] = e.arclength_mm;
+                    moments[k] = self.axes.components_nmm(&e.moment_nmm);
+                }
+            }
+            slip.arclength_mm.push(arclength);
+            slip.moments_nmm.push(moments);
+        }
+        // At first touch the force vanishes but its direction does not: the contact's place tends to the next one's.
+        slip.arclength_mm[0] =
+            slip.arclength_mm[1].iter().zip(&slip.arclength_mm[2]).map(|(a, b)| 2.0 * a - b).collect();
+        Some(slip)
+    }
+
+    /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
+    fn frictionless(
+        &self,
+        nodes: &[crate::whisker::path::Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+    ) -> Option<Vec<[f64; 2]>> {
+        if self.sparse && rod_parameters.weight == 0.0 {
+            return Some(self.solved_moments(nodes, xs_mm, rod_parameters)?.to_vec());
+        }
+        let tables = self.tables(rod_parameters)?;
+        let at = |(node, x): (&crate::whisker::path::Node, &f64)| match node.line.filter(|_| !node.rest) {
+            Some(l) => tables[l].moment(*x),
+            None => Some([0.0; 2]),
+        };
+        nodes.iter().zip(xs_mm).map(at).collect()
+    }
+
+    /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage positions.
+    pub fn moments(
+        &self,
+        nodes: &[crate::whisker::path::Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+    ) -> Option<Vec<[f64; 2]>> {
+        let frictionless = self.frictionless(nodes, xs_mm, rod_parameters)?;
+        if rod_parameters.friction <= 0.0 {
+            return Some(frictionless);
+        }
+        let slips = self.slip_tables(rod_parameters)?;
+        let mut contact: Option<(usize, f64, f64)> = None;
+        let mut out = Vec::with_capacity(nodes.len());
+        for ((node, &x), frictionless) in nodes.iter().zip(xs_mm).zip(frictionless) {
+            let Some(l) = node.line.filter(|_| !node.rest) else {
+                contact = None;
+                out.push([0.0; 2]);
+                continue;
+            };
+            let slip = slips[l].as_ref()?;
+            if x <= slip.touch_mm {
+                contact = None;
+                out.push([0.0; 2]);
+                continue;
+            }
+            let (mut s, from) = match contact {
+                Some((line, s, from)) if line == l => (s, from),
+                _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
+            };
+            let friction =
+                rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
+            let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
+            for k in 1..=pieces {
+                slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
+            }
+            contact = Some((l, s, x));
+            let ratio = slip.ratio_at(x, s, friction);
+            let (with, without) = (slip.moment(x, ratio), slip.moment(x, 0.0));
+            // The fine table carries the size, the coarse one only the difference that friction makes.
+            out.push([frictionless[0] + with[0] - without[0], frictionless[1] + with[1] - without[1]]);
+        }
+        Some(out)
+    }
+
+    /// Contact arc length at stage position `x_mm` on line `l` under the declared model, mm.
+    pub fn arclength_mm(&self, l: usize, x_mm: f64) -> Option<f64> {
+        Some(self.tables(&RodParameters::default())?[l].arclength(x_mm))
+    }
+}
+
+/// Substep of the groove for the stick-slip play, mm.
+const FRICTION_STEP_MM: f64 = 0.25;

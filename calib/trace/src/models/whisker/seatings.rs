@@ -1,0 +1,81 @@
+//! Several seatings of one sensor: what differs between them beyond the zero.
+
+use super::system::WhiskerSystem;
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::{Fit, linear};
+use crate::method::min_p::f_test;
+use nalgebra::DMatrix;
+
+/// Below this p-value the sensitivities of the seatings count as different.
+pub const SENSITIVITY_LEVEL: f64 = 0.01;
+
+/// Variation between seatings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BetweenSeatings {
+    /// Seatings.
+    pub count: u32,
+    /// Standard deviation of the zeros, pm, per channel.
+    pub zero_sd_pm: [f64; 2],
+    /// p-value of one K for all seatings against one K a seating (F test, every effect of the accepted model kept).
+    pub sensitivity_p: f64,
+    /// Root mean square of the seatings' changes of K over the norm of K.
+    pub sensitivity_change: f64,
+}
+
+/// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be fitted.
+#[must_use]
+pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<BetweenSeatings> {
+    let count = system.seatings();
+    let later = count as usize - 1;
+    if later == 0 || fit.design.ncols() < 3 + later {
+        return None;
+    }
+    let pm = system.channels_pm();
+    let fitted_pm = &fit.coefficients * &pm;
+    // Columns: constant, two moments, then the zeros of the later seatings (System::design).
+    let zero_sd_pm = [0, 1].map(|c| {
+        let zeros: Vec<f64> = (0..=later).map(|k| if k == 0 { 0.0 } else { fitted_pm[(2 + k, c)] }).collect();
+        let mean = zeros.iter().sum::<f64>() / zeros.len() as f64;
+        (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / later as f64).sqrt()
+    });
+    let (n, q) = (fit.design.nrows(), fit.design.ncols());
+    let own = 2 * later;
+    let extended = DMatrix::from_fn(n, q + own, |i, j| {
+        if j < q {
+            fit.design[(i, j)]
+        } else {
+            let (k, m) = (1 + (j - q) / 2, 1 + (j - q) % 2);
+            if system.path.readings[i].seating as usize == k { fit.design[(i, m)] } else { 0.0 }
+        }
+    });
+    let fitted = &fit.design * &fit.coefficients;
+    let measured = &fit.residual + fitted;
+    let (coefficients, residual, full_rank) = linear(&extended, &measured);
+    if !full_rank {
+        return None;
+    }
+    let channels = fit.residual.ncols();
+    let sensitivity_p = f_test(fit.ssr - residual.norm_squared(), fit.ssr, fit.dof, own * channels);
+    let coefficients = coefficients * pm;
+    let size = coefficients.rows(1, 2).norm();
+    let changes = coefficients.rows(q, own).norm_squared() / later as f64;
+    Some(BetweenSeatings { count, zero_sd_pm, sensitivity_p, sensitivity_change: changes.sqrt() / size })
+}
+
+impl BetweenSeatings {
+    /// One line for the notes.
+    #[must_use]
+    pub fn note(&self) -> String {
+        let [a, b] = self.zero_sd_pm;
+        let share = 100.0 * self.sensitivity_change;
+        let verdict = if self.sensitivity_p < SENSITIVITY_LEVEL {
+            format!(
+                "their K differ by {share:.2} % (p = {:.1e}): the stated intervals of K hold within a seating only",
+                self.sensitivity_p
+            )
+        } else {
+            format!("one K serves all (difference {share:.2} %, p = {:.2})", self.sensitivity_p)
+        };
+        format!("{} seatings: their zeros vary by {a:.2} and {b:.2} pm (sd); {verdict}.", self.count)
+    }
+}

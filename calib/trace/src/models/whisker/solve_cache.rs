@@ -1,0 +1,161 @@
+//! Few readings on a line: the rod is solved at each of them instead of on a table's grid.
+
+use crate::whisker::path::Node;
+use crate::whisker::rod_tables::{RodParameters, RodTables};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+use wcal_rod::{Equilibrium, Rod};
+
+/// Moments at the nodes of one path, N mm.
+type Moments = Arc<Vec<[f64; 2]>>;
+
+/// Moments by stage positions and wire.
+#[derive(Default)]
+pub(crate) struct SolveCache(Mutex<HashMap<Vec<u64>, Moments>>);
+
+/// Sets of stage positions and wires whose moments are kept.
+const SOLVED_SETS: usize = 256;
+/// Largest gap between the equilibria of a walked wire, mm.
+const MAX_GAP_MM: f64 = 2.0;
+
+/// Distinct loaded stage positions on every line, ascending.
+pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<f64>> {
+    let mut out = vec![Vec::new(); lines];
+    for (node, &x) in nodes.iter().zip(xs_mm) {
+        if let Some(l) = node.line.filter(|_| !node.rest) {
+            out[l].push(x);
+        }
+    }
+    for xs in &mut out {
+        xs.sort_by(f64::total_cmp);
+        xs.dedup();
+    }
+    out
+}
+
+impl RodTables {
+    /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before one of them.
+    pub(crate) fn solved_moments(
+        &self,
+        nodes: &[Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+    ) -> Option<Moments> {
+        let mut key = rod_parameters.key();
+        key.extend(xs_mm.iter().map(|x| x.to_bits()));
+        if let Some(found) = self.points.0.lock().ok()?.get(&key) {
+            return Some(found.clone());
+        }
+        let rod = self.rod(rod_parameters)?;
+        let wanted = positions(nodes, xs_mm, self.lines.len());
+        let solved: Vec<Vec<[f64; 2]>> = wanted
+            .par_iter()
+            .enumerate()
+            .map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs))
+            .collect::<Option<_>>()?;
+        let mut out = Vec::with_capacity(nodes.len());
+        for (node, x) in nodes.iter().zip(xs_mm) {
+            out.push(match node.line.filter(|_| !node.rest) {
+                Some(l) => solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?],
+                None => [0.0; 2],
+            });
+        }
+        let out = Arc::new(out);
+        let mut kept = self.points.0.lock().ok()?;
+        if kept.len() >= SOLVED_SETS {
+            kept.clear();
+        }
+        kept.insert(key, out.clone());
+        Some(out)
+    }
+
+    fn solve_line(
+        &self,
+        rod: &Rod,
+        l: usize,
+        rod_parameters: &RodParameters,
+        xs: &[f64],
+    ) -> Option<Vec<[f64; 2]>> {
+        if xs.is_empty() {
+            return Some(Vec::new());
+        }
+        let touch_mm = self.touch(rod, l, rod_parameters).x_mm;
+        let loaded = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
+        let mut out = vec![[0.0; 2]; loaded];
+        let rest = &xs[loaded..];
+        let equilibria = match self.warm_start(rod, l, rod_parameters, touch_mm, rest) {
+            Some(near) => near,
+            None => self.walk(rod, l, rod_parameters, touch_mm, rest)?,
+        };
+        out.extend(equilibria.iter().map(|e| self.axes.components_nmm(&e.moment_nmm)));
+        Some(out)
+    }
+
+    /// Equilibria at `xs` by following the branch from first touch; kept for neighbours.
+    fn walk(
+        &self,
+        rod: &Rod,
+        l: usize,
+        rod_parameters: &RodParameters,
+        touch_mm: f64,
+        xs: &[f64],
+    ) -> Option<Vec<Equilibrium>> {
+        let mut stops = Vec::new();
+        let mut from = touch_mm;
+        for &x in xs {
+            let pieces = ((x - from) / MAX_GAP_MM).ceil().max(1.0) as usize;
+            stops.extend(
+                (1..=pieces)
+                    .map(|k| if k == pieces { x } else { from + (x - from) * k as f64 / pieces as f64 }),
+            );
+            from = x;
+        }
+        let outcomes = rod.follow(&self.line(l, rod_parameters), &stops);
+        let followed: Vec<(f64, Equilibrium)> =
+            stops.iter().zip(&outcomes).map(|(x, o)| Some((*x, *o.equilibrium()?))).collect::<Option<_>>()?;
+        self.store_branch(rod, l, rod_parameters, touch_mm, &followed);
+        let wanted = |x: &f64| xs.binary_search_by(|w| w.total_cmp(x)).is_ok();
+        Some(followed.into_iter().filter(|f| wanted(&f.0)).map(|f| f.1).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::whisker::WhiskerSystem;
+    use wcal_core::observation::WhiskerRow;
+
+    #[test]
+    fn neighbours_and_walks_from_first_touch_agree() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/whiskerfbg");
+        let session = wcal_session::load(&folder).unwrap();
+        let wcal_core::SessionData::Whisker(data) = session.data else { panic!("kind") };
+        let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
+        let system = WhiskerSystem::new(&data, &rows).unwrap();
+        let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
+        for rod_parameters in [
+            RodParameters::default(),
+            RodParameters { taper: 0.05, ..RodParameters::default() },
+            RodParameters {
+                offset_mm: [0.1, -0.2, 0.1],
+                compliance_rad_per_nmm: [2e-3, 1e-3],
+                ..RodParameters::default()
+            },
+        ] {
+            let by_points =
+                system.rod_tables.solved_moments(&system.path.nodes, &xs, &rod_parameters).unwrap();
+            let rod = system.rod_tables.rod(&rod_parameters).unwrap();
+            for (i, (node, point)) in system.path.nodes.iter().zip(by_points.iter()).enumerate() {
+                let Some(l) = node.line.filter(|_| !node.rest) else { continue };
+                let followed = rod.follow(&system.rod_tables.line(l, &rod_parameters), &[xs[i]]);
+                let m = followed[0]
+                    .equilibrium()
+                    .map_or([0.0; 2], |e| system.rod_tables.axes.components_nmm(&e.moment_nmm));
+                for c in 0..2 {
+                    assert!((point[c] - m[c]).abs() < 1e-6, "{i} {point:?} {m:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! Moments along one line on a grid of stage position: frictionless, and the slip branches beside it.
+
+/// Values on a uniform grid of stage position.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LineTable {
+    /// First touch, mm; the moment is zero before it.
+    pub touch_mm: f64,
+    /// Grid spacing, mm.
+    pub step_mm: f64,
+    /// Moment components, N mm.
+    pub moments_nmm: Vec<[f64; 2]>,
+    /// Contact arc length, mm.
+    pub arclength_mm: Vec<f64>,
+    /// Last stage position of the branch, mm; beyond it the model has no answer.
+    pub end_mm: f64,
+}
+
+/// Four-point Lagrange weights for position `f` in [-1, 2] relative to the second of four nodes.
+fn lagrange(f: f64) -> [f64; 4] {
+    [
+        -f * (f - 1.0) * (f - 2.0) / 6.0,
+        (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
+        -(f + 1.0) * f * (f - 2.0) / 2.0,
+        (f + 1.0) * f * (f - 1.0) / 6.0,
+    ]
+}
+
+fn bracket(x: f64, len: usize) -> (usize, [f64; 4]) {
+    let j = (x.floor().max(0.0) as usize).clamp(1, len.saturating_sub(3).max(1));
+    (j - 1, lagrange(x - j as f64))
+}
+
+impl LineTable {
+    /// Moment components at stage position `x_mm`, N mm; none past the end of the branch.
+    #[must_use]
+    pub fn moment(&self, x_mm: f64) -> Option<[f64; 2]> {
+        if x_mm <= self.touch_mm {
+            return Some([0.0; 2]);
+        }
+        if x_mm > self.end_mm + 1e-9 {
+            return None;
+        }
+        let (j, w) = bracket((x_mm - self.touch_mm) / self.step_mm, self.moments_nmm.len());
+        let mut m = [0.0; 2];
+        for (k, weight) in w.iter().enumerate() {
+            for (c, component) in m.iter_mut().enumerate() {
+                *component += weight * self.moments_nmm[j + k][c];
+            }
+        }
+        Some(m)
+    }
+
+    /// Contact arc length at stage position `x_mm`, mm.
+    #[must_use]
+    pub fn arclength(&self, x_mm: f64) -> f64 {
+        let x = x_mm.clamp(self.touch_mm, self.end_mm);
+        let (j, w) = bracket((x - self.touch_mm) / self.step_mm, self.arclength_mm.len());
+        (0..4).map(|k| w[k] * self.arclength_mm[j + k]).sum()
+    }
+}
+
+/// Slip branches of one line: tables over (stage position, tangential over normal force).
+#[derive(Debug, Clone, PartialEq)]
+pub struct SlipTable {
+    pub(crate) touch_mm: f64,
+    pub(crate) step_mm: f64,
+    /// Ratios, ascending, symmetric about 0.
+    pub(crate) ratios: Vec<f64>,
+    /// Arc length, mm: grid position x ratio.
+    pub(crate) arclength_mm: Vec<Vec<f64>>,
+    /// Moments, N mm: grid position x ratio.
+    pub(crate) moments_nmm: Vec<Vec<[f64; 2]>>,
+}
+
+/// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with room to fit.
+pub(crate) const MAX_RATIO: f64 = 0.72;
+pub(crate) const RATIO_STEPS: usize = 4;
+
+impl SlipTable {
+    fn at<T>(&self, x_mm: f64, pick: impl Fn(usize, usize) -> T, ratio: f64, zero: T) -> T
+    where
+        T: std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T> + Copy,
+    {
+        let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
+        let (j, w) = bracket(x, self.moments_nmm.len());
+        let dr = self.ratios[1] - self.ratios[0];
+        let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
+        let mut sum = zero;
+        for (a, wa) in w.iter().enumerate() {
+            for (b, vb) in v.iter().enumerate() {
+                sum = sum + pick(j + a, k + b) * (wa * vb);
+            }
+        }
+        sum
+    }
+
+    pub(crate) fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
+        self.at(x_mm, |i, k| self.arclength_mm[i][k], ratio, 0.0)
+    }
+
+    pub(crate) fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
+        [0, 1].map(|c| self.at(x_mm, |i, k| self.moments_nmm[i][k][c], ratio, 0.0))
+    }
+
+    /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is monotone in the ratio.
+    pub(crate) fn ratio_at(&self, x_mm: f64, s_mm: f64, limit: f64) -> f64 {
+        let rising = self.arclength(x_mm, limit) >= self.arclength(x_mm, -limit);
+        let (mut lo, mut hi) = (-limit, limit);
+        for _ in 0..40 {
+            let mid = 0.5 * (lo + hi);
+            if (self.arclength(x_mm, mid) < s_mm) == rising { lo = mid } else { hi = mid }
+        }
+        0.5 * (lo + hi)
+    }
+
+    /// One move of the groove to `x_mm`: the contact sticks until the cone's edge, then slips along it.
+    pub(crate) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
+        let (a, b) = (self.arclength(x_mm, -friction), self.arclength(x_mm, friction));
+        *contact_mm = contact_mm.clamp(a.min(b), a.max(b));
+    }
+}

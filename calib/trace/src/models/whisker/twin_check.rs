@@ -1,0 +1,180 @@
+//! Stage 0: labels of an outside twin against the rod at the same poses, point by point.
+//!
+//! A cable twin may differ from the rod smoothly (discretisation, diameter); a label that leaves the smooth relation is on another
+//! branch. The relation is fitted robustly, so the faulty labels do not pull it.
+
+use crate::whisker::path::WhiskerPath;
+use crate::whisker::rod_tables::RodTables;
+use nalgebra::{DMatrix, DVector};
+use wcal_core::observation::WhiskerData;
+use wcal_core::verify_document::TwinFault;
+
+/// The rod and the label at one pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LabelCheck {
+    /// Point number.
+    pub point: i64,
+    /// Trajectory.
+    pub trajectory: u32,
+    /// Stage position, mm.
+    pub stage_mm: f64,
+    /// Outside label, N mm.
+    pub label_nmm: [f64; 2],
+    /// Rod, N mm; none where the rod has no equilibrium either.
+    pub rod_nmm: Option<[f64; 2]>,
+    /// Label less smooth relation, in robust standard deviations.
+    pub deviation: f64,
+    /// Kind of fault.
+    pub fault: Option<&'static str>,
+}
+
+/// Result of stage 0.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LabelReport {
+    /// Every labelled pose.
+    pub checks: Vec<LabelCheck>,
+    /// Faults by kind.
+    pub faults: Vec<TwinFault>,
+    /// Median of |label| / |rod| over good labels; 1 where both agree.
+    pub median_ratio: f64,
+}
+
+/// A label this many robust standard deviations off is another equilibrium.
+const BRANCH_DEVIATION: f64 = 8.0;
+/// The smooth difference may be this share of the moment before it counts as a discretisation fault.
+const SMOOTH_SHARE: f64 = 0.03;
+/// Factors between common units (N m, N mm, mN m, kgf mm) would show as such a ratio.
+const UNIT_RATIO: f64 = 5.0;
+
+/// Checks every label of the session.
+#[must_use]
+pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
+    let Some(tables) = rod_tables.tables(&crate::whisker::rod_tables::RodParameters::default()) else {
+        return LabelReport::default();
+    };
+    let mut checks: Vec<LabelCheck> = Vec::new();
+    for (reading, &row) in path.readings.iter().zip(&path.rows) {
+        let Some(source) = data.rows.get(row) else { continue };
+        let Some(label) = data.twin.iter().find(|t| t.point == source.point) else { continue };
+        let rod = match reading.line {
+            Some(l) if !reading.rest => tables[l].moment(reading.x_mm),
+            _ => Some([0.0; 2]),
+        };
+        checks.push(LabelCheck {
+            point: source.point,
+            trajectory: reading.group,
+            stage_mm: reading.x_mm,
+            label_nmm: label.moment_nmm,
+            rod_nmm: rod,
+            deviation: 0.0,
+            fault: None,
+        });
+    }
+    let loaded: Vec<usize> =
+        (0..checks.len()).filter(|&i| checks[i].rod_nmm.is_some_and(|m| m[0].hypot(m[1]) > 1e-6)).collect();
+    if loaded.len() < 8 {
+        return LabelReport { checks, faults: Vec::new(), median_ratio: 1.0 };
+    }
+    deviations(&mut checks, &loaded);
+    let mut ratios: Vec<f64> = loaded
+        .iter()
+        .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION)
+        .filter_map(|&i| checks[i].rod_nmm.map(|m| size(checks[i].label_nmm) / size(m)))
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    let median_ratio = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
+    let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&median_ratio);
+    for &i in &loaded {
+        let Some(rod) = checks[i].rod_nmm else { continue };
+        let label = checks[i].label_nmm;
+        checks[i].fault = if checks[i].deviation > BRANCH_DEVIATION {
+            // A wire that left the groove carries almost nothing; one on another branch carries a moment of another direction.
+            Some(if size(label) < 0.1 * size(rod) { "contact-lost" } else { "branch" })
+        } else if unit {
+            Some("unit")
+        } else if (size(label) / size(rod) - 1.0).abs() > SMOOTH_SHARE {
+            Some("discretisation")
+        } else {
+            None
+        };
+    }
+    for c in checks.iter_mut().filter(|c| c.rod_nmm.is_none()) {
+        c.fault = Some("branch");
+    }
+    let faults = collect(&checks, median_ratio);
+    LabelReport { checks, faults, median_ratio }
+}
+
+fn size(m: [f64; 2]) -> f64 {
+    m[0].hypot(m[1])
+}
+
+/// Robust (iteratively reweighted) regression of each label component on the rod's moments and their size.
+fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
+    let rows = loaded.len();
+    let design = DMatrix::from_fn(rows, 4, |r, j| {
+        let m = checks[loaded[r]].rod_nmm.unwrap_or([0.0; 2]);
+        match j {
+            0 => m[0],
+            1 => m[1],
+            2 => m[0] * size(m),
+            _ => m[1] * size(m),
+        }
+    });
+    let mut squared = vec![0.0; rows];
+    for c in 0..2 {
+        let y = DVector::from_fn(rows, |r, _| checks[loaded[r]].label_nmm[c]);
+        let mut weights = DVector::from_element(rows, 1.0);
+        let mut residual = y.clone();
+        let mut scale = 1.0;
+        for _ in 0..60 {
+            let weighted = DMatrix::from_fn(rows, 4, |r, j| design[(r, j)] * weights[r]);
+            let target = y.component_mul(&weights);
+            let Ok(b) = weighted.svd(true, true).solve(&target, 1e-9) else { return };
+            residual = &y - &design * b;
+            let mut sorted: Vec<f64> = residual.iter().map(|v| v.abs()).collect();
+            sorted.sort_by(f64::total_cmp);
+            // 1.4826 MAD; labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
+            scale = (1.4826 * sorted[rows / 2]).max(2e-3);
+            for r in 0..rows {
+                // Cauchy weights (square roots): far labels lose all pull.
+                weights[r] = (1.0 / (1.0 + (residual[r] / (2.0 * scale)).powi(2))).sqrt();
+            }
+        }
+        for r in 0..rows {
+            squared[r] += (residual[r] / scale).powi(2);
+        }
+    }
+    for (r, &i) in loaded.iter().enumerate() {
+        checks[i].deviation = squared[r].sqrt();
+    }
+}
+
+fn collect(checks: &[LabelCheck], ratio: f64) -> Vec<TwinFault> {
+    ["branch", "contact-lost", "unit", "discretisation"]
+        .into_iter()
+        .filter_map(|kind| {
+            let points: Vec<i64> =
+                checks.iter().filter(|c| c.fault == Some(kind)).map(|c| c.point).collect();
+            let detail = match kind {
+                "branch" => "the label leaves the branch that starts at first touch: on the way to this pose the twin's wire snapped to another equilibrium".to_owned(),
+                "contact-lost" => "the label is near zero where the rod is held: the twin's wire left the groove".to_owned(),
+                "unit" => format!("the labels are {ratio:.3} times the rod's moments: a unit or a stiffness is wrong"),
+                _ => "the label differs smoothly from the rod by more than 3 %, most where the contact is near the root: too few links at the clamp, or another diameter".to_owned(),
+            };
+            (!points.is_empty()).then(|| TwinFault { points, kind: kind.to_owned(), detail })
+        })
+        .collect()
+}
+
+/// Moments at the readings of `path` with the outside labels as they are: none where a reading has no label.
+#[must_use]
+pub fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
+    path.rows
+        .iter()
+        .map(|&row| {
+            let point = data.rows.get(row)?.point;
+            data.twin.iter().find(|t| t.point == point).map(|t| t.moment_nmm)
+        })
+        .collect()
+}

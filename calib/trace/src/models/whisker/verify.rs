@@ -1,0 +1,133 @@
+//! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
+
+use super::physical::PhysicalModel;
+use super::residual_tables::{Branch, PredictionRow, branches, isolability, prediction_rows};
+use super::system::WhiskerSystem;
+use super::twin_check::{LabelReport, check_labels};
+use crate::error::TraceError;
+use crate::method::search::SearchResult;
+use crate::verify::{Verification, VerifyOptions, verify};
+use std::collections::BTreeMap;
+use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+use wcal_core::verify_document::{HeldOutError, VerifyDocument};
+use wcal_core::{InputFile, ResidualRecord, Unsealing};
+
+/// Everything that `verify` found.
+pub struct WhiskerVerification {
+    /// verify.json.
+    pub document: VerifyDocument,
+    /// predictions.csv.
+    pub predictions: Vec<PredictionRow>,
+    /// Residual records of every reading and channel.
+    pub residuals: Vec<ResidualRecord>,
+    /// Twin check.
+    pub labels: LabelReport,
+    /// Accepted calibration.
+    pub model: PhysicalModel,
+    /// The search, for the report.
+    pub found: SearchResult,
+    /// Held-out errors beside before and after: (name, error).
+    pub further: Vec<(String, HeldOutError)>,
+    /// Rod branch along each trajectory: (identifier, stage positions, moments).
+    pub branches: Vec<Branch>,
+    /// Names and matrix of cosines between explanations of one effect.
+    pub isolability: (Vec<String>, Vec<Vec<f64>>),
+    /// Every reading of the session, unsealed ones among them.
+    pub whole: WhiskerSystem,
+    /// Record of the unsealing; none where nothing was sealed.
+    pub unsealing: Option<Unsealing>,
+}
+
+/// A session's result, or why its data cannot be used.
+pub enum Verified {
+    /// The procedure ran.
+    Done(Box<WhiskerVerification>),
+    /// The data were refused; the document says why.
+    Refused(Box<VerifyDocument>),
+}
+
+/// Fewest loaded readings that carry K, the zero and a residual.
+const MIN_LOADED: usize = 9;
+
+/// Why the readings cannot be used at all.
+fn unusable(data: &WhiskerData) -> Option<String> {
+    let loaded = data.rows.iter().filter(|r| r.role != Role::Rest).count();
+    if loaded < MIN_LOADED {
+        return Some(format!(
+            "The session has {loaded} loaded readings; K, the zero and a residual need at least {MIN_LOADED}."
+        ));
+    }
+    let times: Vec<f64> = data.rows.iter().filter_map(|r| r.t_s).collect();
+    if let Some(k) = times.windows(2).position(|w| w[1] < w[0]) {
+        return Some(format!(
+            "The clock runs backwards after reading {} (t_s {} follows {}).",
+            k + 1,
+            times[k + 1],
+            times[k]
+        ));
+    }
+    let place = |r: &WhiskerRow| (r.shift_pm, r.stage_mm, r.t_s);
+    let fitted: Vec<_> = data.rows.iter().filter(|r| r.role != Role::Rest).map(place).collect();
+    let sealed = data.holdout.admission(|r| r.sealed.then(|| place(r)));
+    let copied = sealed.iter().flatten().filter(|h| fitted.contains(h)).count();
+    if copied > 0 {
+        return Some(format!(
+            "{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing."
+        ));
+    }
+    copied_rows(&data.rows)
+}
+
+/// Rows that repeat another in every column, clock included. Without a clock, rounded readings agree by chance: then copies are no evidence.
+fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
+    if rows.iter().any(|r| r.t_s.is_none()) && rows.iter().any(|r| r.replicate.is_none()) {
+        return None;
+    }
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    for r in rows {
+        // The point is the row's name and the line its place: neither was measured.
+        let row =
+            WhiskerRow { point: 0, line: 0, role: Role::Calibration, source: String::new(), ..r.clone() };
+        *seen.entry(format!("{row:?}")).or_default() += 1;
+    }
+    let copies: usize = seen.values().map(|c| c - 1).sum();
+    (copies >= 3).then(|| {
+        format!("{copies} readings repeat another in every column, the clock included; copied rows are no replicates.")
+    })
+}
+
+/// Verifies a whisker session.
+///
+/// # Errors
+/// Where the wire's description cannot be used or the declared model has no solution at the poses.
+pub fn verify_whisker(
+    session: &str,
+    data: &WhiskerData,
+    inputs: &[InputFile],
+    options: &VerifyOptions,
+) -> Result<Verified, TraceError> {
+    if let Some(reason) = unusable(data) {
+        let mut document = VerifyDocument::refused(session, "whisker", reason, options.search.seed);
+        document.inputs = inputs.to_vec();
+        return Ok(Verified::Refused(Box::new(document)));
+    }
+    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
+    let model = WhiskerSystem::new(data, &rows)?;
+    let v = verify(model, &data.holdout, options).map_err(|e| e.of_session(session))?;
+    let Verification { mut document, model: system, whole, explained, conclusion, unsealed, .. } = v;
+    document.session = session.to_owned();
+    document.inputs = inputs.to_vec();
+    Ok(Verified::Done(Box::new(WhiskerVerification {
+        document,
+        predictions: prediction_rows(&whole, &unsealed.before.readings, &unsealed.after.readings),
+        residuals: v.residuals,
+        labels: check_labels(data, &system.path, &system.rod_tables),
+        model: PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd),
+        further: v.errors.further,
+        branches: branches(&system),
+        isolability: isolability(&system, &explained.found),
+        found: explained.found,
+        unsealing: v.unsealing,
+        whole,
+    })))
+}

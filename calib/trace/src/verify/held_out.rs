@@ -1,0 +1,167 @@
+//! Stage 11: the error on readings that no fit saw, before and after, beside a black-box rival.
+
+use super::conclusion::Conclusion;
+use super::error_summary::{coverage95, summarise};
+use super::rival::rival;
+use super::session_model::{Folds, HeldOut, SessionModel};
+use crate::method::fit::{Weights, fit};
+use crate::method::linear::{Basis, in_channel, stack};
+use crate::method::noise::Noise;
+use crate::method::search::{Hypothesis, SearchResult};
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+use wcal_core::verify_document::HeldOutError;
+
+/// Held-out errors of the declared and the accepted model.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Errors {
+    /// Declared model.
+    pub before: Option<HeldOutError>,
+    /// Accepted model.
+    pub after: Option<HeldOutError>,
+    /// Share of values inside their stated intervals.
+    pub coverage95: Option<f64>,
+    /// Further models by name.
+    pub further: Vec<(String, HeldOutError)>,
+    /// What the verdict's reason must add.
+    pub remark: String,
+}
+
+/// What the unsealed readings are under both models.
+pub struct Unsealed<P> {
+    /// Noise of the accepted model.
+    pub noise: Noise,
+    /// Declared model.
+    pub before: P,
+    /// Accepted model.
+    pub after: P,
+    /// Single unsealed readings that do not belong.
+    pub left_out: Vec<usize>,
+}
+
+/// Errors of the readings that count.
+pub fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+    let counts = |i: &usize| whole.scored()[*i] && !left_out.contains(i);
+    (0..whole.scored().len()).filter(counts).map(|i| whole.errors(predictions, i)).collect()
+}
+
+/// Errors on the unsealed readings of `whole`, beside a rival that names nothing.
+pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
+    let of = |p: &M::Predictions| scored(whole, p, &unsealed.left_out);
+    let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
+    let rows = of(&unsealed.after);
+    let black_box = rival(whole, &unsealed.before, &unsealed.left_out);
+    let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
+    Errors {
+        before: sum(&of(&unsealed.before)),
+        after: sum(&rows),
+        coverage95: coverage95(&rows),
+        further: sum(&black_box).map(|e| (name, e)).into_iter().collect(),
+        remark: String::new(),
+    }
+}
+
+/// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
+/// accepted on request.
+pub fn left_out_in_turn<M: SessionModel>(
+    model: &M,
+    found: &SearchResult,
+    conclusion: &Conclusion,
+    unsealed: &Unsealed<M::Predictions>,
+    on_request: bool,
+    seed: u64,
+) -> Errors {
+    let rivals: Vec<&Hypothesis> = if conclusion.accepted.fit.terms.is_empty() || on_request {
+        Vec::new()
+    } else {
+        std::iter::once(&found.base).chain(&found.refitted).collect()
+    };
+    let folds = model.folds();
+    let leave =
+        LeaveOut { model, found, accepted: &conclusion.accepted, noise: &unsealed.noise, folds: &folds };
+    let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), folds.split, seed);
+    let after = leave.errors(&conclusion.accepted, &rivals, false);
+    let repaired = leave.errors(&found.base, &[], false);
+    let by_twin = leave.errors(&found.base, &[], true);
+    let with_map = |error: Option<HeldOutError>, p: &M::Predictions, declared: bool| {
+        error.map(|e| HeldOutError { loo: model.map_left_out(p, declared), ..e })
+    };
+    let mut further = Vec::new();
+    if !by_twin.is_empty()
+        && let Some(e) = sum(&repaired)
+    {
+        further.push(("declared model, labels repaired by the rod".to_owned(), e));
+    }
+    let declared = if by_twin.is_empty() { &repaired } else { &by_twin };
+    Errors {
+        before: with_map(sum(declared), &unsealed.before, true),
+        after: with_map(sum(&after), &unsealed.after, false),
+        coverage95: coverage95(&after),
+        further,
+        remark: format!(
+            " Errors are {}: the choice among the refitted explanations and every fitted value were made without what is left out.",
+            folds.words
+        ),
+    }
+}
+
+/// The explanation that the readings of `weights` alone would choose among `rivals` (tangent models, Akaike's price).
+fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights) -> Option<&'a Hypothesis> {
+    let variance = found.best.fit.variance();
+    let cost = |h: &Hypothesis| {
+        let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
+        let kept = |v: &DMatrix<f64>| DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.of(i));
+        let mut basis = Basis::default();
+        for column in h.fit.design.column_iter() {
+            let column: Vec<f64> = column.iter().zip(weights.relative()).map(|(v, w)| v * w).collect();
+            for c in 0..channels {
+                basis.push(&in_channel(&column, c, channels));
+            }
+        }
+        for t in &h.fit.tangents {
+            basis.push(&stack(&kept(t)));
+        }
+        let left = basis.project_off(&stack(&kept(&h.fit.residual))).norm_squared();
+        left / variance + (h.criterion(&found.base.fit, variance) - h.fit.ssr / variance)
+    };
+    rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)
+}
+
+/// Leaves folds out in turn.
+struct LeaveOut<'a, M> {
+    model: &'a M,
+    found: &'a SearchResult,
+    accepted: &'a Hypothesis,
+    noise: &'a Noise,
+    folds: &'a Folds,
+}
+
+impl<M: SessionModel> LeaveOut<'_, M> {
+    /// Errors of `start`, or of what each fold chooses among `rivals`, on the readings that count in the accepted model; by the labels of
+    /// an outside twin on request, none where there are none.
+    fn errors(&self, start: &Hypothesis, rivals: &[&Hypothesis], by_twin: bool) -> Vec<HeldOut> {
+        let (model, fold) = (self.model, &self.folds.fold);
+        let count = fold.iter().flatten().max().map_or(0, |m| m + 1);
+        let sd = self.noise.reading_sd(&model.noise_inputs());
+        let counts = |i: usize| self.accepted.weights.counts(i);
+        let of_fold = |f: usize| {
+            let inside = |i: usize| fold[i] == Some(f);
+            let outside: Vec<f64> = (0..fold.len()).map(|i| f64::from(u8::from(!inside(i)))).collect();
+            let h = choice(rivals, self.found, &Weights::independent(outside)).unwrap_or(start);
+            // Readings that the accepted model flags are in no fit: before and after stand on the same rows.
+            let weights = h.weights.masked(|i| !inside(i) && counts(i));
+            let predictions = if by_twin {
+                model.by_outside_twin(&weights)
+            } else {
+                fit(model, &h.fit.terms, &weights, self.folds.refit_steps).and_then(|refit| {
+                    model.predict(&Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() }, &sd)
+                })
+            };
+            let rows = (0..fold.len()).filter(|&i| inside(i) && counts(i));
+            predictions.map_or(Vec::new(), |p| {
+                rows.map(|i| HeldOut { group: f as u32, ..model.errors(&p, i) }).collect()
+            })
+        };
+        (0..count).into_par_iter().flat_map_iter(of_fold).collect()
+    }
+}

@@ -1,0 +1,196 @@
+//! What the procedure asks of a kind of session: its measurement model, in the words of its catalogue.
+
+use crate::measurement_model::MeasurementModel;
+use crate::method::explain::{Explained, explain};
+use crate::method::fit::Weights;
+use crate::method::lack_of_fit::LackOfFit;
+use crate::method::noise::Noise;
+use crate::method::search::{Hypothesis, SearchResult};
+use crate::verify::options::VerifyOptions;
+use wcal_core::ResidualRecord;
+use wcal_core::observation::Role;
+use wcal_core::verify_document::{
+    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, TwinFault, UnknownEffect,
+};
+
+/// A held-out error of `verify.json`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quantity {
+    /// Key, e.g. `wavelength_rmse_pm`.
+    pub key: &'static str,
+    /// Unit in sentences; empty where the session names it.
+    pub unit: &'static str,
+}
+
+/// Errors of one held-out reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldOut {
+    /// Group that is resampled whole.
+    pub group: u32,
+    /// Measured less predicted, one list a [`Quantity`]; the first quantity is the measured one, channel by channel.
+    pub errors: Vec<Vec<f64>>,
+    /// Whether each stated 95 % interval holds its value.
+    pub inside95: Vec<bool>,
+}
+
+/// Where a reading comes from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Origin {
+    /// File.
+    pub source: String,
+    /// Line in it, header = 1.
+    pub line: usize,
+    /// Point number.
+    pub point: i64,
+    /// Use of the reading.
+    pub role: Role,
+}
+
+/// How readings are left out in turn where nothing is sealed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Folds {
+    /// `loto` (trajectories, cycles) or `loo` (stimuli or readings).
+    pub split: &'static str,
+    /// In words.
+    pub words: String,
+    /// Fold of each reading; none where it stays in every fit (at rest).
+    pub fold: Vec<Option<usize>>,
+    /// Steps of a refit without a fold, from the optimum with it.
+    pub refit_steps: usize,
+}
+
+/// The noise floor and what a reader must know of it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FloorStatement {
+    /// Floor.
+    pub floor: NoiseFloor,
+    /// Added to the verdict's reason.
+    pub reason: String,
+    /// Added to the notes.
+    pub note: Option<String>,
+    /// Standard deviation of a typical reading under it, in the sensor's unit.
+    pub sd: f64,
+}
+
+/// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`]; words, predictions and checks here.
+pub trait SessionModel: MeasurementModel + Sized {
+    /// A row as it was loaded.
+    type Row;
+    /// Predictions at every reading.
+    type Predictions;
+
+    /// Kind as in docs/src/formats.md.
+    fn kind(&self) -> &'static str;
+    /// Unit of the measured values.
+    fn unit(&self) -> String;
+    /// From the noise in the engine's channels to that of a measured value: mean of the channels.
+    fn noise_factor(&self) -> f64 {
+        1.0
+    }
+    /// Where a reading comes from.
+    fn origin(&self, reading: usize) -> Origin;
+    /// Fitted values of an effect with intervals, in the session's units.
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
+    /// A sentence of the catalogue in the words of the session.
+    fn worded(&self, sentence: &str) -> String {
+        sentence.to_owned()
+    }
+    /// Name of a law as a reader of this kind of session has it; calibration.json keeps the catalogue's.
+    fn law_name(&self, name: &str) -> String {
+        name.to_owned()
+    }
+    /// What the verdict's reason must say of the accepted model.
+    fn caveat(&self, _accepted: &Hypothesis) -> Option<String> {
+        None
+    }
+    /// A value of the catalogue in the session's unit.
+    fn physical(&self, unit: &str, value: f64, _law: usize) -> (f64, String) {
+        (value, unit.to_owned())
+    }
+    /// What takes up a signature of which nothing is left.
+    fn nuisances(&self) -> &'static str;
+    /// Name of a coefficient of the declared model.
+    fn nuisance(&self, column: usize) -> String;
+
+    /// Stage 0: faults of an outside twin.
+    fn twin_faults(&self) -> Vec<TwinFault> {
+        Vec::new()
+    }
+    /// Stages 1 and 3 to 9: noise and explanation, and the model as the noise makes it (channels apart, spread known).
+    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
+        let explained = explain(&self, &options.search)?;
+        Some((self, explained))
+    }
+    /// A law of the noise that is an effect of the catalogue.
+    fn noise_effect(&self) -> Option<NamedEffect> {
+        None
+    }
+    /// What is left follows from an accepted effect that is not quite of its law.
+    fn excuses(&self, _found: &SearchResult) -> bool {
+        false
+    }
+    /// Lack of fit against pure error, and what it would follow.
+    fn lack_of_fit(&self, _h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
+        None
+    }
+    /// Floor under the accepted model; `left`: something is left, so that only replicates tell.
+    fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
+
+    /// Stage 10: what would decide between the best explanation and its rivals of another class.
+    fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement>;
+
+    /// Stage 11: the model at every reading of the session, unsealed ones behind.
+    ///
+    /// # Errors
+    /// Where the rows cannot be modelled.
+    fn whole(&self, unsealed: &[Self::Row]) -> Result<Self, crate::TraceError>;
+    /// Readings that were sealed.
+    fn sealed(&self) -> &[bool];
+    /// Sealed readings that count in the held-out error (not at rest in the session's own table).
+    fn scored(&self) -> &[bool] {
+        self.sealed()
+    }
+    /// Every reading under an explanation that was fitted on this model's rows or part of them; `reading_sd`: noise of each.
+    fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Self::Predictions>;
+    /// Errors that are stated.
+    fn quantities(&self) -> &'static [Quantity];
+    /// Errors of one reading.
+    fn errors(&self, predictions: &Self::Predictions, reading: usize) -> HeldOut;
+    /// The same after a correction of the measured value.
+    fn corrected(&self, predictions: &Self::Predictions, reading: usize, added: &[f64]) -> HeldOut;
+    /// Folds where nothing is sealed.
+    fn folds(&self) -> Folds;
+    /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
+    fn by_outside_twin(&self, _weights: &Weights) -> Option<Self::Predictions> {
+        None
+    }
+    /// Leave-one-out error of the map from readings to the quantity wanted; `declared`: on the twin's labels where there are some.
+    fn map_left_out(&self, _predictions: &Self::Predictions, _declared: bool) -> Option<MapLeftOut> {
+        None
+    }
+
+    /// Residual records of a reading, one a channel.
+    fn records(
+        &self,
+        before: &Self::Predictions,
+        after: &Self::Predictions,
+        at: &Record,
+    ) -> Vec<ResidualRecord>;
+    /// Remarks of this kind of session.
+    fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// What a residual record holds beyond the predictions.
+#[derive(Debug, Clone)]
+pub struct Record {
+    /// Reading.
+    pub reading: usize,
+    /// Standard deviation of its noise, in the sensor's unit.
+    pub noise_sd: f64,
+    /// Why it was in no fit.
+    pub rejected: Option<String>,
+    /// Covariates by name.
+    pub covariates: Vec<(String, f64)>,
+}

@@ -10,6 +10,7 @@
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! The table of goals has the rows for which there are data; below it stands one row a kind of noise.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,4 +1,5 @@
 //! The program on its own recordings, end to end, with negative controls.
+#![allow(clippy::expect_used, reason = "a test that fails should say where")]
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -108,8 +109,9 @@ fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tem
 #[test]
 fn a_perturbed_pose_is_noticed() {
     // Every seventh pose of the first 40 (path 1 runs along z, so does the groove) is written 0.4 mm deeper than it was.
-    let moved =
-        |i: usize, mm: f64| format!("{:.6}", if i % 7 == 0 && i < 40 && mm > 0.0 { mm + 0.4 } else { mm });
+    let moved = |i: usize, mm: f64| {
+        format!("{:.6}", if i.is_multiple_of(7) && i < 40 && mm > 0.0 { mm + 0.4 } else { mm })
+    };
     let stage = edited(&fixture("practice/case-004"), "stage_mm", moved);
     let folder = edited(stage.path(), "groove_z_mm", moved);
     let (code, v) = verify(folder.path());

@@ -1,4 +1,5 @@
 //! `--add` and `--accept` through the program, on a SIMULATED session (fixtures/practice) cut into two seatings.
+#![allow(clippy::expect_used, reason = "a test that fails should say where")]
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};

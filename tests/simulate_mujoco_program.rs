@@ -1,4 +1,5 @@
 //! `wcal simulate --engine mujoco` as a user runs it (SIMULATED sweeps); skipped with a message where there is no libmujoco.
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test that fails should say where")]
 
 use std::process::{Command, Output};
 

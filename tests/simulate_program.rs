@@ -1,4 +1,5 @@
 //! `wcal simulate` as a user runs it (SIMULATED sweeps).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::process::{Command, Output};
 

@@ -1,4 +1,5 @@
 //! The program against its own virtual bench: record, fit, verify; crash and resume; Ctrl-C; a pulled cable; dry run.
+#![allow(clippy::expect_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
@@ -201,7 +202,6 @@ fn marked_as_simulated(bench: &Bench, sweep: &Value) {
 }
 
 /// Exit code and verdict of `verify` on what a bench recorded.
-
 fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
     let verify = wcal().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();

@@ -1,5 +1,5 @@
 //! The picture commands as a user runs them, on ray-traced pictures of the bench (simulated by an outside renderer).
-
+#![allow(clippy::print_stdout, reason = "a test says what it found")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 use serde_json::Value;

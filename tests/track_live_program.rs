@@ -1,5 +1,6 @@
 //! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and everything that it must refuse or flag.
 //! Bench and sweeps are SIMULATED.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod live_bench;
 

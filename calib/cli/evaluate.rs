@@ -18,13 +18,15 @@ use std::process::ExitCode;
 use std::time::Instant;
 use wcal_mujoco::read::manifests;
 use wcal_mujoco::{Mesh, objects};
-use wcal_track::bayes::BayesSettings;
-use wcal_track::bootstrap::{Of, mean_interval95, object_interval95};
+use wcal_track::bootstrap::{ErrorOf, mean_interval95, object_interval95};
 use wcal_track::classes::coverage_by_class;
-use wcal_track::evaluate::{Method, ObjectScores, over_objects};
+use wcal_track::evaluate::{Method, ObjectScores, score_objects};
+use wcal_track::filter::BayesSettings;
 use wcal_track::model_file::{Card, SplitBy, load};
-use wcal_track::several::{told_before, two_contacts, weighed, weighed_by_network};
-use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
+use wcal_track::two_contacts::{
+    contact_evidence, network_evidence, two_contacts, two_contacts_given_previous,
+};
+use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 use work::{STREAMING, TWO_CONTACTS, Work, cost};
 
 /// Arguments of `wcal evaluate`.
@@ -106,19 +108,19 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     progress.says("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
     let there: BTreeSet<String> = manifests(&args.sweeps)?.into_iter().map(|(_, m)| m.object).collect();
-    let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<Course>>> {
+    let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<SweepSeries>>> {
         let names: Vec<String> =
             names.iter().filter(|n| there.contains(*n)).take(args.objects).cloned().collect();
         if names.is_empty() {
             return Ok(BTreeMap::new());
         }
-        let mut courses = course::read_courses(&args.sweeps, &names)?;
-        for of_object in courses.values_mut() {
+        let mut all_series = sweep_series::read_sweep_series(&args.sweeps, &names)?;
+        for of_object in all_series.values_mut() {
             of_object.retain(|c| !kept_back || card.kept_back(&c.object, c.sweep));
             of_object.truncate(args.sweeps_each);
         }
-        courses.retain(|_, c| !c.is_empty());
-        Ok(courses)
+        all_series.retain(|_, c| !c.is_empty());
+        Ok(all_series)
     };
     let sets =
         [("seen", pick(&card.objects.training, true)?), ("unseen", pick(&card.objects.unseen, false)?)];
@@ -126,14 +128,14 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
     // Two thirds out: the middle of what sweeps touch.
     let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
-    let (settings, rough) = (BayesSettings::default(), BayesSettings::rough());
+    let (settings, multi_mu) = (BayesSettings::default(), BayesSettings::multi_mu());
     let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
     let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;
     let mut methods = vec![
         ("network, speed known", Method::Network(&tracker, true)),
         ("network", Method::Network(&tracker, false)),
-        ("bayes, speed known", Method::Bayes(&fine, true, &rough)),
-        ("bayes", Method::Bayes(&fine, false, &rough)),
+        ("bayes, speed known", Method::Bayes(&fine, true, &multi_mu)),
+        ("bayes", Method::Bayes(&fine, false, &multi_mu)),
         ("static inverse", Method::Static(&fine, middle)),
         ("constant", Method::Constant([middle, 0.0, 0.0].into())),
     ];
@@ -146,27 +148,29 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         tables::cost(&card, args),
     );
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
-    for (k, (set, courses)) in sets.iter().enumerate() {
-        let meshes = meshes(courses.keys(), args)?;
+    for (k, (set, all_series)) in sets.iter().enumerate() {
+        let meshes = meshes(all_series.keys(), args)?;
         for (name, method) in &methods {
             work.next(&format!("{name}, {set} objects"), count(k) * cost(method));
-            rows.push((set, name, over_objects(&|c: &Course| method.run(c), courses, &meshes)?));
+            rows.push((set, name, score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes)?));
         }
     }
     work.next("time of one sample", STREAMING);
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
     work.next("two contacts", (count(0) + count(1)) * TWO_CONTACTS);
-    let of = |told: bool| [0, 1].map(|k| weighed(&fine, sets[k].1.values().flatten(), settings, told));
+    let of = |given_truth: bool| {
+        [0, 1].map(|k| contact_evidence(&fine, sets[k].1.values().flatten(), settings, given_truth))
+    };
     let [seen, unseen] = of(false);
     // The limit is chosen on other objects than it is judged on.
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = [0, 1].map(|k| weighed_by_network(&tracker, sets[k].1.values().flatten()));
+    let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = of(true);
-    document["two_contacts_told_before"] = json!(told_before(&seen, &unseen));
+    document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
     if !card.sd_factors_by_class.is_empty() {
-        let of = |set: usize| -> Vec<Course> { sets[set].1.values().flatten().cloned().collect() };
+        let of = |set: usize| -> Vec<SweepSeries> { sets[set].1.values().flatten().cloned().collect() };
         let rows = |set: usize| {
             let (classes, by_class) = (&card.object_classes, &card.sd_factors_by_class);
             coverage_by_class(&tracker, &of(set), classes, by_class, card.sd_factors)
@@ -195,7 +199,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         if args.quick {
-            println!("QUICK: few objects and sweeps; the intervals say how little that is");
+            println!("QUICK: few objects and sweeps, wide intervals");
         }
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
@@ -232,12 +236,12 @@ fn meshes<'a>(
 }
 
 /// Samples a second on one core, one by one, and the slowest of a hundred.
-fn streaming<'a>(tracker: &Tracker, courses: impl Iterator<Item = &'a Course>) -> Value {
+fn streaming<'a>(tracker: &Tracker, all_series: impl Iterator<Item = &'a SweepSeries>) -> Value {
     const SAMPLES: usize = 1000;
     let mut times_us: Vec<f64> = Vec::new();
-    for course in courses {
+    for series in all_series {
         let mut stream = tracker.stream();
-        for i in &course.instants {
+        for i in &series.samples {
             let sample = Sample { t_s: i.t_s, moment_nmm: i.moment_nmm, base_mm_s: Some(i.speed_mm_s) };
             let begin = Instant::now();
             std::hint::black_box(stream.push(&sample));
@@ -258,7 +262,7 @@ fn mean(rows: &[ObjectScores], value: impl Fn(&ObjectScores) -> f64) -> f64 {
 }
 
 /// Errors of a row that are means over objects.
-const MEANS: [(&str, Of); 4] = [
+const MEANS: [(&str, ErrorOf); 4] = [
     ("rmse_mm", |s| s.surface),
     ("true_contact_rmse_mm", |s| s.contact),
     ("followed_rmse_mm", |s| s.followed_surface),
@@ -304,7 +308,7 @@ fn method(set: &str, name: &str, r: &[ObjectScores]) -> Value {
 
 /// 95 % intervals of the two means.
 fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Value {
-    let of: Of = |s| s.surface;
+    let of: ErrorOf = |s| s.surface;
     json!({"seen_mean_mm": mean_interval95(seen, of), "unseen_mean_mm": mean_interval95(unseen, of)})
 }
 
@@ -333,15 +337,18 @@ fn stated(row: &Value, key: &str) -> String {
 fn print_told(document: &Value) {
     let two = &document["two_contacts"];
     if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
-        println!("two contacts: F1 {f1:.2}; one contact explains {:.0} % of them as well", 100.0 * share);
+        println!(
+            "two contacts: F1 {f1:.2}; {:.0} % of them are explained by one contact as well",
+            100.0 * share
+        );
     }
     if let Some(f1) = document["two_contacts_network"]["detection"]["f1"].as_f64() {
         println!("two contacts by the network: F1 {f1:.2}");
     }
-    let told = &document["two_contacts_told_before"];
-    if let (Some(before), Some(f1)) = (told["f1_as_before"].as_f64(), told["f1"].as_f64()) {
+    let given = &document["two_contacts_told_before"];
+    if let (Some(before), Some(f1)) = (given["f1_as_before"].as_f64(), given["f1"].as_f64()) {
         println!(
-            "two contacts by one who is told the truth one sample before: F1 {before:.2} as before, {f1:.2} with the moments"
+            "two contacts given the true count one sample before: F1 {before:.2} unchanged count, {f1:.2} with the moments"
         );
     }
     for set in ["seen", "unseen"] {
@@ -356,7 +363,7 @@ fn print_told(document: &Value) {
     let leak = &document["leak"];
     if !leak.is_null() {
         println!(
-            "random split: test {} mm; objects never seen {} mm: the difference is what the split hides",
+            "random split: test {} mm; unseen objects {} mm; the difference is the leakage of the split",
             stated(leak, "random_split_mm"),
             stated(leak, "unseen_objects_mm")
         );

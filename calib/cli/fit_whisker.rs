@@ -29,11 +29,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use stiffness::stiffness;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 use wcal_core::{InputFile, Provenance};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::{MeasuredShape, fit_rest};
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 
 /// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
 const YOUNGS_GPA: f64 = 75.0;
@@ -157,9 +157,9 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
                 .to_owned(),
         );
     } else {
-        fit.add_common(&nominal, &moved)?;
+        fit.add_common_errors(&nominal, &moved)?;
     }
-    warnings.extend(fit.left_out.iter().map(|(name, why)| format!("{name} is left out: {why}")));
+    warnings.extend(fit.excluded.iter().map(|(name, why)| format!("{name} is left out: {why}")));
     if fit.covariance.is_none() {
         warnings.push(format!(
             "expected three shapes or more for standard deviations, found {}",

@@ -41,9 +41,6 @@ pub struct SimulateArgs {
     /// STL file, or folder of them (may be repeated)
     #[arg(long, value_name = "PATH")]
     pub meshes: Vec<PathBuf>,
-    /// Take K stretched copies of each object in its place, named NAME~1 to NAME~K: each axis by a factor of 0.6 to 1.6 that follows from the name; for `wcal train --beside`
-    #[arg(long, value_name = "K")]
-    pub stretched: Option<u32>,
     /// Sweeps over each object
     #[arg(long, default_value_t = 200)]
     pub sweeps: u64,

@@ -7,11 +7,13 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::imports::read_cameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::import::read_cameras;
+use wcal_vision::calibrate::reference::differences;
+use wcal_vision::camera::lens::{FISHEYE, OPENCV5};
 use wcal_vision::pairs::list_pictures;
-use wcal_vision::reference::differences;
 
 /// What is on the board.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -22,6 +24,15 @@ pub enum PatternName {
     Charuco,
     /// A grid of AprilTags.
     Aprilgrid,
+}
+
+/// Model of the lenses.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum LensName {
+    /// OpenCV's five coefficients: normal and mildly wide lenses.
+    Opencv5,
+    /// OpenCV's fisheye (Kannala-Brandt, equidistant): fields up to nearly 180 degrees.
+    Fisheye,
 }
 
 /// Arguments of `wcal stereo-calibrate`.
@@ -54,6 +65,9 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
+    /// Model of both cameras' lenses
+    #[arg(long, value_enum, default_value_t = LensName::Opencv5)]
+    pub lens: LensName,
     /// An earlier calibration of these cameras, or another tool's (stereo.json, OpenCV, Kalibr, both ROS files): warns where they
     /// differ in scale, sides, focal lengths or the convention for pixel centres, which no picture shows by itself
     #[arg(long, num_args = 1..=2, value_name = "FILE")]
@@ -125,10 +139,14 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         },
     };
     let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
+    let lens = match args.lens {
+        LensName::Opencv5 => OPENCV5,
+        LensName::Fisheye => FISHEYE,
+    };
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = {
         let progress = Progress::new("stereo-calibrate");
-        calibrate_folders(&args.left, &args.right, &board, &|stage| progress.says(stage))?
+        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.says(stage))?
     };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
     document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));
@@ -136,7 +154,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         document.warnings.extend(differences(&document, reference));
     }
     let text = serde_json::to_string_pretty(&document)?;
-    for (name, content) in wcal_vision::exchange::exports(&document)? {
+    for (name, content) in wcal_vision::calibrate::export::exports(&document)? {
         out.put(&name, content);
     }
     out.put("stereo.json", text.as_str());

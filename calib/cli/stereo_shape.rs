@@ -7,15 +7,15 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use wcal_core::shapes_document::PairDocument;
 use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
-use wcal_vision::drawing::{drawing, residuals};
-use wcal_vision::imports::read_cameras;
-use wcal_vision::overlay::overlay_png;
+use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes::{ShapesResult, shapes_of_pairs};
-use wcal_vision::shapes_document::PairDocument;
+use wcal_vision::shape::drawing::{drawing, residuals};
+use wcal_vision::shape::folder::{ShapesResult, shapes_of_pairs};
+use wcal_vision::shape::overlay::overlay_png;
 
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]

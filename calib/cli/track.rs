@@ -1,25 +1,26 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
-mod checks;
+mod contact_history;
 mod feed;
-mod found;
 mod groove;
+mod known_motion;
 mod live;
 mod motion;
 mod output;
 mod table;
+mod trust;
 mod whiskers;
 
-pub use checks::told;
+pub use trust::filters_for;
 
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
-use checks::{Judged, Loaded};
 use clap::Args;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use trust::{CheckedCalibration, WhiskerModel};
 use wcal_acquisition::rig::Rig;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
@@ -29,6 +30,7 @@ use wcal_track::model_file::{load, read_card};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal track readings.csv --calibration calibration.json --model model --out track.csv
+  wcal track session --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
@@ -38,6 +40,11 @@ of --lag-s and the map; t_s of a row is the time that it is true of, the lag bef
 slip, snap, jump) are told from every scan; the first --prefix-s must be without contact. Beside track.csv come track.json (filters, noise,
 limits, counts, contact intervals) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
 Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
+
+A session folder without --model: the contact comes from physics, not from a network. The moments of the points table and the way of the
+groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
+groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
+and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
@@ -53,8 +60,8 @@ pub struct TrackArgs {
     /// calibration.json of verify; ID=FILE for one of several whiskers
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal train`; ID=DIR for one of several whiskers
-    #[arg(long, value_name = "[ID=]DIR", required = true)]
+    /// Folder of `wcal train`; ID=DIR for one of several whiskers. A session folder needs none: how its groove moves is known
+    #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
     /// Rig: rig.toml or the folder that holds it; a session folder has its own
     #[arg(long, value_name = "RIG")]
@@ -126,6 +133,15 @@ enum Source {
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
+    if args.model.is_empty() {
+        let folder = args.source.as_deref().filter(|s| s.join("session.toml").is_file());
+        let Some(folder) = folder else {
+            bail!(
+                "--model: expected one (only the groove of a session folder moves in a known way), found none"
+            );
+        };
+        return known_motion::track(args, folder);
+    }
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
@@ -136,10 +152,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let stream_s = (!matches!(source, Source::Table(_))).then(|| 1.0 / args.rate_hz);
     let mut judged = Vec::new();
     for name in &names {
-        let mut one = Judged::read(name, &calibrations[name], read_card(&folders[name])?)?;
+        let mut one = CheckedCalibration::read(name, &calibrations[name], read_card(&folders[name])?)?;
         match (&source, stream_s) {
-            (Source::Table(path), _) => one.judge_step(table::median_step_s(path)?),
-            (_, step_s) => one.judge_step(step_s),
+            (Source::Table(path), _) => one.check_step(table::median_step_s(path)?),
+            (_, step_s) => one.check_step(step_s),
         }
         judged.push(one);
     }
@@ -161,12 +177,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                 // How a class differs is known from clean sweeps.
                 let [unknown, known] = tracker.sd_factors;
                 let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
-                tracker.sd_factors = [unknown.times(differs[0]), known.times(differs[1])];
+                tracker.sd_factors = [unknown.scaled(differs[0]), known.scaled(differs[1])];
             }
             trackers.insert(folder, tracker);
         }
     }
-    let loaded: Vec<Loaded<'_>> =
+    let loaded: Vec<WhiskerModel<'_>> =
         names.iter().zip(judged).map(|(n, j)| j.with(&trackers[folders[n].as_path()])).collect();
     if let (Source::Table(path), true) = (&source, args.mcap.is_some() || args.live.is_some()) {
         bail!("{}: expected a stream for --mcap and --live, found a table", path.display());
@@ -259,7 +275,7 @@ fn exit_code(args: &TrackArgs, found: Outcome) -> ExitCode {
     })
 }
 
-/// A cloud needs to know where the base was: said before anything is written.
+/// A cloud needs the pose of the base: checked before anything is written.
 fn refuse_surface(args: &TrackArgs, posed: bool) -> Result<()> {
     if args.surface && !posed && args.base_mm_s.is_none() {
         bail!(

@@ -14,9 +14,9 @@ use wcal_mujoco::{Mesh, objects};
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_session::TextTableLayout;
 use wcal_track::classes::ObjectClasses;
-use wcal_track::make::{Making, make_model};
 use wcal_track::model_file::{Card, SplitBy};
 use wcal_track::train::{Pass, TrainSettings, best};
+use wcal_track::train_model::{TrainingRequest, train_model};
 
 /// Arguments of `wcal train`.
 #[derive(Debug, Args)]
@@ -30,16 +30,16 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`
     pub sweeps: PathBuf,
-    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects or stretched copies of them: trained on beside the first, never held out or scored (may be repeated)
-    #[arg(long, value_name = "DIR")]
-    pub beside: Vec<PathBuf>,
+    /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: added to the training, never held out or scored (may be repeated)
+    #[arg(long, alias = "beside", value_name = "DIR")]
+    pub additional: Vec<PathBuf>,
     /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
-    /// Network: default (weights over the rod's inverse curve, three layers), deep (the same with five), paper, or baseline (40 thousand parameters, nothing of the rod)
+    /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
@@ -48,9 +48,6 @@ pub struct TrainArgs {
     /// Largest learning rate
     #[arg(long, default_value_t = TrainSettings::default().rate)]
     pub rate: f64,
-    /// Passes for which noise, drift and windows are drawn once: drawing takes as long as ten passes (the filters run over every sweep)
-    #[arg(long, default_value_t = TrainSettings::default().reuse)]
-    pub reuse: usize,
     /// Objects held out for the early stop and the spread; an eighth of all without it
     #[arg(long)]
     pub held_out: Option<usize>,
@@ -110,24 +107,18 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     RESULT.check(&args.out, args.overwrite.force)?;
     let device = wcal_track::device(&args.device)?;
     let whisker = whisker(args.whisker.as_deref())?;
-    for folder in std::iter::once(&args.sweeps).chain(&args.beside) {
+    for folder in std::iter::once(&args.sweeps).chain(&args.additional) {
         same_whisker(folder, &format!("{whisker:?}"))?;
         check_one_dataset(folder)?;
     }
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
-    ensure!(args.reuse > 0, "--reuse: expected 1 or more, found 0");
-    let settings = TrainSettings {
-        epochs: args.epochs,
-        rate: args.rate,
-        reuse: args.reuse,
-        seed: args.seed,
-        ..TrainSettings::default()
-    };
+    let settings =
+        TrainSettings { epochs: args.epochs, rate: args.rate, seed: args.seed, ..TrainSettings::default() };
     let meshes = surfaces(args)?;
-    let making = Making {
+    let request = TrainingRequest {
         meshes: &meshes,
         sweeps: &args.sweeps,
-        beside: &args.beside,
+        additional: &args.additional,
         from: args.from.as_deref(),
         whisker,
         preset: &args.preset,
@@ -143,8 +134,8 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     };
     eprintln!("train: on SIMULATED sweeps");
     let progress = Progress::new("train");
-    let card = make_model(&making, &device, |pass| {
-        heard(pass);
+    let card = train_model(&request, &device, |pass| {
+        on_pass(pass);
         progress.at(
             &format!("pass {} of at most {}", pass.epoch, args.epochs),
             pass.epoch as f64 / args.epochs as f64,
@@ -168,7 +159,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
 /// Meshes of the sweeps' objects; none where one of them is not there and no folder was named.
 fn surfaces(args: &TrainArgs) -> anyhow::Result<BTreeMap<String, Mesh>> {
     let mut names = BTreeSet::new();
-    for folder in std::iter::once(&args.sweeps).chain(&args.beside) {
+    for folder in std::iter::once(&args.sweeps).chain(&args.additional) {
         names.extend(manifests(folder)?.into_iter().map(|(_, manifest)| manifest.object));
     }
     let mut meshes = BTreeMap::new();
@@ -206,7 +197,7 @@ pub fn burn_device() -> wcal_track::Device {
     wcal_track::Device::flex()
 }
 
-fn heard(pass: &Pass) {
+fn on_pass(pass: &Pass) {
     let surface =
         pass.held_out_surface_mm.map_or_else(String::new, |s| format!(", from the surface {s:.2} mm"));
     eprintln!(

@@ -1,5 +1,6 @@
 //! `wcal verify`: the residual loop on a session.
 
+use crate::known_motion::{groove_sentence, track};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -9,8 +10,10 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_calibration::{CalibrationModel, GivenCalibration, SessionSystem, provenance, seal};
-use wcal_core::verify_document::{CalibrationJudgement, Verdict, VerifyDocument};
+use wcal_calibration::{
+    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, provenance, seal,
+};
+use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
@@ -18,7 +21,7 @@ use wcal_trace::method::search::Options;
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::residual_tables::PredictionRow;
-use wcal_trace::whisker::{Verified, verify_whisker};
+use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 /// Arguments of `wcal verify`.
 #[derive(Debug, Args)]
@@ -254,9 +257,30 @@ fn of_whisker_session(
                 .transpose()?,
             predictions: Some(predictions_csv(&done.predictions)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
-            report: of_whisker(session, data, &done, !options.accept.is_empty(), provenance),
+            report: {
+                let mut report = of_whisker(session, data, &done, !options.accept.is_empty(), provenance);
+                report.verify.groove_tracking = groove_tracking(&done)?;
+                report
+            },
         },
     })
+}
+
+/// The tracker on the groove, with the accepted calibration: on the sealed readings where there are any. None where the verdict accepts no
+/// calibration, or the stage's way is not recorded.
+fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTracking>> {
+    let whole = &done.whole;
+    let readings = 0..whole.path.readings.len();
+    let way_known = |i: usize| whole.path.readings[i].rest || whole.row(i).stage_mm.is_some();
+    let accepted = matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault);
+    if !accepted || !readings.clone().all(way_known) {
+        return Ok(None);
+    }
+    let Some(motion) = done.model.groove_motion(whole) else { return Ok(None) };
+    let [sealed, _] = whole.held_out();
+    let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
+    let tracked = track(whole, motion, |i| sealed[i] == any)?;
+    tracked.beside_groove(whole, |i| whole.row(i).groove_mm, split)
 }
 
 fn of_scalar_session(
@@ -398,6 +422,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         if let Some(floor) = floor {
             println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
+    }
+    if let Some(tracked) = &v.groove_tracking {
+        println!("  {}", groove_sentence(tracked));
     }
     for sentence in &v.identifiability {
         println!("  {sentence}");

@@ -1,4 +1,5 @@
 //! kill -9 while recording: less than a second is lost, the file opens, and what it holds is whole.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
 //! The live view speaks WebSocket to a Foxglove client: handshake, server info, the advertised channels.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};

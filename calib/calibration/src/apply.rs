@@ -9,6 +9,7 @@ use wcal_trace::scalar::ScalarSystem;
 use wcal_trace::verify::SessionModel;
 use wcal_trace::verify::judgement::Judged;
 use wcal_trace::verify::session_model::Quantity;
+use wcal_trace::whisker::groove_motion::GrooveMotion;
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.
@@ -57,6 +58,8 @@ pub trait WhiskerCalibration {
     /// # Errors
     /// Where it cannot be inverted.
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError>;
+    /// A session's moments and the ways of its groove, not its place; none where nothing can be computed.
+    fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion>;
 }
 
 /// A session as its kind's measurement model sees it.

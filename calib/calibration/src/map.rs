@@ -8,7 +8,8 @@ use wcal_core::stream::MomentStream;
 use wcal_map::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
 use wcal_trace::verify::judgement::Judged;
-use wcal_trace::whisker::judgement;
+use wcal_trace::whisker::groove_motion::{self, GrooveMotion};
+use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
      moment_1_half95_nmm,moment_2_half95_nmm,fbg_1_fitted_pm,fbg_2_fitted_pm,outside_valid_region,outside_by_pm\n";
@@ -102,6 +103,10 @@ impl WhiskerCalibration for MapArtefact {
             }
         };
         Ok(MomentTable { rows: table.rows.iter().map(one).collect(), warnings: table.warnings })
+    }
+
+    fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {
+        groove_motion::of_map(system, self)
     }
 
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {

@@ -7,8 +7,9 @@ use wcal_core::stream::MomentStream;
 use wcal_core::{FbgSpec, MomentAxes, WhiskerRow};
 use wcal_session::load_table;
 use wcal_trace::verify::judgement::Judged;
+use wcal_trace::whisker::groove_motion::{self, GrooveMotion};
 use wcal_trace::whisker::path::WhiskerPath;
-use wcal_trace::whisker::{PhysicalModel, PhysicalStream, judgement};
+use wcal_trace::whisker::{PhysicalModel, PhysicalStream, WhiskerSystem, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,outside_valid_region\n";
 
@@ -105,6 +106,10 @@ impl WhiskerCalibration for PhysicalModel {
             }
         };
         Ok(MomentTable { rows: order.into_iter().map(one).collect(), warnings: table.warnings })
+    }
+
+    fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {
+        groove_motion::of_model(system, self)
     }
 
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError> {

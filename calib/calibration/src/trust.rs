@@ -26,6 +26,8 @@ pub enum TrustIssue {
     NeverVerified,
     /// The tracker was trained for another whisker: what differs.
     OtherWhisker(String),
+    /// The session was taken with another whisker: what differs.
+    OtherSession(String),
     /// The readings come at another pace than the tracker was trained with, s.
     SampleRate {
         /// Least and largest time between readings in training.
@@ -44,7 +46,7 @@ impl TrustIssue {
             Self::Expired(_) => "expired",
             Self::FailedVerification => "failed",
             Self::NeverVerified => "unverified",
-            Self::OtherWhisker(_) => "other-whisker",
+            Self::OtherWhisker(_) | Self::OtherSession(_) => "other-whisker",
             Self::SampleRate { .. } => "sample-rate",
         }
     }
@@ -62,6 +64,9 @@ impl fmt::Display for TrustIssue {
             Self::NeverVerified => write!(f, "the calibration was never verified"),
             Self::OtherWhisker(found) => {
                 write!(f, "the model was trained for another whisker than the calibration's: {found}")
+            }
+            Self::OtherSession(found) => {
+                write!(f, "the session was taken with another whisker than the calibration's: {found}")
             }
             Self::SampleRate { trained_s: [low, high], found_s } => write!(
                 f,

@@ -3,7 +3,7 @@
 use super::virtual_bench::VirtualBench;
 use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
 use super::{EvaluateArgs, both_means, intervals, mean, meshes};
-use crate::track::told;
+use crate::track::filters_for;
 use anyhow::Context;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -11,14 +11,14 @@ use std::path::Path;
 use wcal_calibration::CalibrationModel;
 use wcal_mujoco::physics::Medium;
 use wcal_mujoco::{Mesh, SweepPlan, Turn};
-use wcal_track::bayes::BayesSettings;
 use wcal_track::bootstrap::{mean_interval95, worst_interval95};
-use wcal_track::drawn::{Order, drawn};
-use wcal_track::evaluate::{Estimate, Method, ObjectScores, over_objects};
+use wcal_track::evaluate::{Estimate, Method, ObjectScores, score_objects};
+use wcal_track::filter::BayesSettings;
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::model_file::Card;
-use wcal_track::{Course, Tracker};
+use wcal_track::{SweepSeries, Tracker};
 
-type Courses = BTreeMap<String, Vec<Course>>;
+type SeriesByObject = BTreeMap<String, Vec<SweepSeries>>;
 type Meshes = BTreeMap<String, Mesh>;
 
 /// Speeds of table II, mm/s.
@@ -35,7 +35,7 @@ const UPRIGHT: usize = 4;
 fn upright(args: &EvaluateArgs) -> usize {
     if args.quick { 1 } else { UPRIGHT }
 }
-/// Steps of the base in which jumps are told from slides there, mm.
+/// Steps of the base in which jumps are distinguished from slides, mm.
 const JUMPS_TOLD_MM: f64 = 0.1;
 /// Bounds of the random speeds as shares, and of their accelerations, mm/s^2.
 const RANDOM: [f64; 2] = [0.75, 1.25];
@@ -44,7 +44,7 @@ const RANDOM_MM_S2: f64 = 1.0;
 const RATE_HZ: f64 = 10.0;
 /// Sweeps that were trained on have small seeds: the same number must not draw the same sweeps here.
 const ON_THE_SPOT: u64 = 0x6576_616c_7561_7465;
-/// Material time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
+/// TrainingData time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
 const DAMPING_S: f64 = 0.24;
 
 /// What the tables are made with.
@@ -144,19 +144,19 @@ impl Maker<'_> {
             ..SweepPlan::default()
         };
         let fewer = self.args.sweeps_each.next_multiple_of(FACES);
-        let order = Order {
+        let order = SweepRequest {
             whisker: &self.card.whisker,
             plan: &plan,
             seed: self.seed(),
             sweeps: upright(self.args) * fewer,
         };
         let sets = [("seen", seen), ("unseen", unseen)];
-        let mut courses = [self.courses(seen, &order)?, self.courses(unseen, &order)?];
-        let rows = |courses: &[Courses; 2], known: bool| -> anyhow::Result<Value> {
+        let mut all_series = [self.all_series(seen, &order)?, self.all_series(unseen, &order)?];
+        let rows = |all_series: &[SeriesByObject; 2], known: bool| -> anyhow::Result<Value> {
             let score = |k: usize| {
-                over_objects(
-                    &|c: &Course| Method::Network(self.tracker, known).run(c),
-                    &courses[k],
+                score_objects(
+                    &|c: &SweepSeries| Method::Network(self.tracker, known).run(c),
+                    &all_series[k],
                     sets[k].1,
                 )
             };
@@ -167,46 +167,51 @@ impl Maker<'_> {
             Ok(json!({"seen_mean_mm": means(&seen), "unseen_mean_mm": means(&unseen),
                 "interval95": both_means(&seen, &unseen), "objects": objects.collect::<Vec<Value>>()}))
         };
-        let mut told = rows(&courses, true)?;
-        courses.iter_mut().flat_map(BTreeMap::values_mut).for_each(|all| all.truncate(fewer));
-        told["speed_not_known"] = rows(&courses, false)?;
-        Ok(told)
+        let mut table = rows(&all_series, true)?;
+        all_series.iter_mut().flat_map(BTreeMap::values_mut).for_each(|all| all.truncate(fewer));
+        table["speed_not_known"] = rows(&all_series, false)?;
+        Ok(table)
     }
 
-    fn courses(&self, meshes: &Meshes, order: &Order<'_>) -> anyhow::Result<Courses> {
-        let mut all = Courses::new();
+    fn all_series(&self, meshes: &Meshes, order: &SweepRequest<'_>) -> anyhow::Result<SeriesByObject> {
+        let mut all = SeriesByObject::new();
         for (name, mesh) in meshes {
-            let courses = drawn(mesh, order)?;
-            if !courses.is_empty() {
-                all.insert(name.clone(), courses);
+            let all_series = generate_sweeps(mesh, order)?;
+            if !all_series.is_empty() {
+                all.insert(name.clone(), all_series);
             }
         }
         Ok(all)
     }
 
-    fn on_bench(&self, bench: &VirtualBench, meshes: &Meshes, medium: Medium) -> anyhow::Result<Courses> {
+    fn on_bench(
+        &self,
+        bench: &VirtualBench,
+        meshes: &Meshes,
+        medium: Medium,
+    ) -> anyhow::Result<SeriesByObject> {
         let plan = VirtualBench::plan(medium);
         let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
-        self.courses(meshes, &Order { whisker: &bench.whisker, plan: &plan, seed, sweeps })
+        self.all_series(meshes, &SweepRequest { whisker: &bench.whisker, plan: &plan, seed, sweeps })
     }
 
     fn through(
         &self,
         bench: &VirtualBench,
         by: &CalibrationModel,
-        courses: &Courses,
-    ) -> anyhow::Result<Courses> {
-        let one = |(name, all): (&String, &Vec<Course>)| {
+        all_series: &SeriesByObject,
+    ) -> anyhow::Result<SeriesByObject> {
+        let one = |(name, all): (&String, &Vec<SweepSeries>)| {
             let seen = all.iter().map(|c| bench.through(c, by, self.args.seed, self.folder));
-            Ok((name.clone(), seen.collect::<anyhow::Result<Vec<Course>>>()?))
+            Ok((name.clone(), seen.collect::<anyhow::Result<Vec<SweepSeries>>>()?))
         };
-        courses.iter().map(one).collect()
+        all_series.iter().map(one).collect()
     }
 
-    /// The tracker told of a calibration's noise, with the spread of a stream, as `wcal track` has it.
-    fn told(&self, by: &CalibrationModel) -> Tracker {
+    /// The tracker with the measurement noise of a calibration and the standard deviations of a stream, as `wcal track` has it.
+    fn on_stream(&self, by: &CalibrationModel) -> Tracker {
         Tracker {
-            filters: told(self.tracker.filters, by),
+            filters: filters_for(self.tracker.filters, by),
             sd_factors: self.card.sd_factors_of_stream(),
             ..self.tracker.clone()
         }
@@ -220,16 +225,16 @@ impl Maker<'_> {
         sweeps: &Sweeps,
     ) -> anyhow::Result<(Value, Value)> {
         let by = bench.verified.as_ref().unwrap_or(&bench.map);
-        let rough = told(BayesSettings::rough().into(), by).first;
-        let told = self.told(by);
-        let score = |meshes: &Meshes, courses: &Courses, known: bool| {
-            over_objects(&|c: &Course| Method::Network(&told, known).run(c), courses, meshes)
+        let multi_mu = filters_for(BayesSettings::multi_mu().into(), by).frictional;
+        let tracker = self.on_stream(by);
+        let score = |meshes: &Meshes, all_series: &SeriesByObject, known: bool| {
+            score_objects(&|c: &SweepSeries| Method::Network(&tracker, known).run(c), all_series, meshes)
         };
         let [true_seen, true_unseen] =
             [self.on_bench(bench, seen, Medium::Air)?, self.on_bench(bench, unseen, Medium::Air)?];
         let rows_seen = score(seen, &self.through(bench, by, &true_seen)?, true)?;
-        let felt = self.through(bench, by, &true_unseen)?;
-        let rows_unseen = score(unseen, &felt, true)?;
+        let measured = self.through(bench, by, &true_unseen)?;
+        let rows_unseen = score(unseen, &measured, true)?;
         let every: Vec<&ObjectScores> = rows_seen.iter().chain(&rows_unseen).collect();
         let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
         let mut interval95 = both_means(&rows_seen, &rows_unseen);
@@ -249,14 +254,14 @@ impl Maker<'_> {
             "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
             "objects": objects,
         });
-        let later = |c: &Course| {
+        let later = |c: &SweepSeries| {
             // The estimate of the reading before; the first one has none.
-            let estimates: Vec<Estimate> = Method::Network(&told, true).run(c);
-            estimates.first().into_iter().chain(&estimates).take(c.instants.len()).copied().collect()
+            let estimates: Vec<Estimate> = Method::Network(&tracker, true).run(c);
+            estimates.first().into_iter().chain(&estimates).take(c.samples.len()).copied().collect()
         };
         self.work.next("ablations", ABLATION * sweeps.ablations);
-        let damped = |courses: &Courses| -> Courses {
-            courses.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
+        let damped = |all_series: &SeriesByObject| -> SeriesByObject {
+            all_series.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
         };
         let row = |name: &str, rows: Vec<ObjectScores>| {
             json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
@@ -270,12 +275,16 @@ impl Maker<'_> {
                 score(unseen, &self.through(bench, &bench.map, &true_unseen)?, true)?,
             ),
             row("moments-without-error", score(unseen, &true_unseen, true)?),
-            row("speed-not-known", score(unseen, &felt, false)?),
-            row("horizon-1", over_objects(&later, &felt, unseen)?),
-            row("damping-bias", score(unseen, &damped(&felt), true)?),
+            row("speed-not-known", score(unseen, &measured, false)?),
+            row("horizon-1", score_objects(&later, &measured, unseen)?),
+            row("damping-bias", score(unseen, &damped(&measured), true)?),
             row(
                 "bayes-filter",
-                over_objects(&|c: &Course| Method::Bayes(&told.inverse, true, &rough).run(c), &felt, unseen)?,
+                score_objects(
+                    &|c: &SweepSeries| Method::Bayes(&tracker.inverse, true, &multi_mu).run(c),
+                    &measured,
+                    unseen,
+                )?,
             ),
         ];
         for (name, map) in &bench.maps {
@@ -293,10 +302,13 @@ impl Maker<'_> {
                 let plan =
                     SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
                 let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
-                let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
-                let courses = self.courses(meshes, &order)?;
-                let rows =
-                    over_objects(&|c: &Course| Method::Network(self.tracker, true).run(c), &courses, meshes)?;
+                let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
+                let all_series = self.all_series(meshes, &order)?;
+                let rows = score_objects(
+                    &|c: &SweepSeries| Method::Network(self.tracker, true).run(c),
+                    &all_series,
+                    meshes,
+                )?;
                 Ok(mean_with_interval(&rows))
             };
             let constant = run([speed, speed], 0.0)?;
@@ -309,7 +321,7 @@ impl Maker<'_> {
 
     fn sim_to_real(&self, bench: &VirtualBench, sweeps: &Sweeps) -> anyhow::Result<Value> {
         let by = bench.verified.as_ref().unwrap_or(&bench.map);
-        let told = self.told(by);
+        let tracker = self.on_stream(by);
         let mut rows = Vec::new();
         for name in SIM_TO_REAL {
             self.work.next("air and water", ON_BENCH * sweeps.media / SIM_TO_REAL.len() as f64);
@@ -320,16 +332,20 @@ impl Maker<'_> {
             };
             let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
             let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
-            let order = Order { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
-            let score = |courses: &Courses, tracker: &Tracker| -> anyhow::Result<Mean> {
-                let rows = over_objects(&|c: &Course| Method::Network(tracker, true).run(c), courses, &mesh)?;
+            let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
+            let score = |all_series: &SeriesByObject, tracker: &Tracker| -> anyhow::Result<Mean> {
+                let rows = score_objects(
+                    &|c: &SweepSeries| Method::Network(tracker, true).run(c),
+                    all_series,
+                    &mesh,
+                )?;
                 Ok(mean_with_interval(&rows))
             };
-            let simulation = score(&self.courses(&mesh, &order)?, self.tracker)?;
+            let simulation = score(&self.all_series(&mesh, &order)?, self.tracker)?;
             let mut media = Vec::new();
             for medium in [Medium::Air, Medium::Water] {
-                let courses = self.on_bench(bench, &mesh, medium)?;
-                media.push(score(&self.through(bench, by, &courses)?, &told)?);
+                let all_series = self.on_bench(bench, &mesh, medium)?;
+                media.push(score(&self.through(bench, by, &all_series)?, &tracker)?);
             }
             rows.push(json!({"name": name, "seen": self.card.objects.training.contains(&name),
                 "simulation_mm": simulation.0, "air_mm": media[0].0, "water_mm": media[1].0,
@@ -347,13 +363,13 @@ fn mean_with_interval(rows: &[ObjectScores]) -> Mean {
 }
 
 /// The moments that a cable with damped joints would have: damping and stiffness of all its joints have one ratio.
-fn damped(course: &Course) -> Course {
-    let mut with = course.clone();
-    for (k, pair) in course.instants.windows(2).enumerate() {
+fn damped(series: &SweepSeries) -> SweepSeries {
+    let mut with = series.clone();
+    for (k, pair) in series.samples.windows(2).enumerate() {
         let dt = pair[1].t_s - pair[0].t_s;
         for axis in 0..2 {
             let rate = (pair[1].moment_nmm[axis] - pair[0].moment_nmm[axis]) / dt;
-            with.instants[k + 1].moment_nmm[axis] += DAMPING_S * rate;
+            with.samples[k + 1].moment_nmm[axis] += DAMPING_S * rate;
         }
     }
     with

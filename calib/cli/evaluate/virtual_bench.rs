@@ -23,7 +23,7 @@ use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::session::draw_on;
 use wcal_plant::{Design, Kind, Request, Want};
-use wcal_track::{Course, Tare};
+use wcal_track::{SweepSeries, Tare};
 
 /// The bench.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ const SIZE_SIGMA: f64 = 20.0;
 const AVERAGED: f64 = 200.0;
 /// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
 const SLOW_S: f64 = 60.0;
-/// Time at the start of a course that sets its zero, without contact (`wcal track --tare-s`), s.
+/// Time at the start of a series that sets its zero, without contact (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
 
 impl VirtualBench {
@@ -138,35 +138,35 @@ impl VirtualBench {
         SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
     }
 
-    /// The course as the calibration sees it: true moments become wavelengths, and those the moments that a user would get.
+    /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user would get.
     pub fn through(
         &self,
-        course: &Course,
+        series: &SweepSeries,
         by: &CalibrationModel,
         seed: u64,
         folder: &Path,
-    ) -> anyhow::Result<Course> {
-        let path = folder.join(format!("{}-{}.csv", course.object, course.sweep));
-        std::fs::write(&path, self.readings(course, seed)).with_context(|| path.display().to_string())?;
+    ) -> anyhow::Result<SweepSeries> {
+        let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
+        std::fs::write(&path, self.readings(series, seed)).with_context(|| path.display().to_string())?;
         let by = by.whisker().context("virtual bench: expected a whisker's calibration")?;
         let rows = by.moments(&path)?.rows;
         let mut tare = Tare::new(TARE_S);
-        let mut seen = course.clone();
-        for (instant, row) in seen.instants.iter_mut().zip(&rows) {
+        let mut seen = series.clone();
+        for (instant, row) in seen.samples.iter_mut().zip(&rows) {
             instant.moment_nmm = tare.zeroed(instant.t_s, row.moment_nmm);
         }
         Ok(seen)
     }
 
     /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.
-    fn readings(&self, course: &Course, seed: u64) -> String {
+    fn readings(&self, series: &SweepSeries, seed: u64) -> String {
         let b = &self.bench;
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ course.sweep.wrapping_mul(0x9e37_79b9));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ series.sweep.wrapping_mul(0x9e37_79b9));
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let mut slow = [0, 1].map(|_| b.noise_pm * normal());
         let mut out = String::from("point,t_s,fbg_ref_nm,fbg_1_nm,fbg_2_nm,temperature_degc\n");
         let mut last_s = 0.0;
-        for (point, i) in course.instants.iter().enumerate() {
+        for (point, i) in series.samples.iter().enumerate() {
             let kept = (-(i.t_s - last_s) / SLOW_S).exp();
             last_s = i.t_s;
             let warm = b.thermal.at(i.t_s);

@@ -37,7 +37,7 @@ pub struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    /// Of `sweeps` sweeps by methods that cost `methods` together, and the tables that the arguments ask for.
+    /// ErrorOf `sweeps` sweeps by methods that cost `methods` together, and the tables that the arguments ask for.
     pub fn new(progress: &'a Progress, sweeps: f64, methods: f64, tables: f64) -> Self {
         let all = sweeps * (methods + TWO_CONTACTS) + STREAMING + tables;
         Self { progress, all, done: Cell::new(0.0), now: Cell::new(0.0) }

@@ -130,7 +130,7 @@ pub fn curvature(fit: &RestFit) -> Option<Curvature> {
 
 /// Models that BIC chose from; a fit that did not converge has no finite one and is left out.
 pub fn rest_models(fit: &RestFit) -> Vec<RestModelRow> {
-    let row = |c: &wcal_rod::rest_fit::Candidate| RestModelRow {
+    let row = |c: &wcal_rod::fit::ModelScore| RestModelRow {
         model: c.model.name(),
         unknowns: c.model.names().len(),
         bic: c.bic,

@@ -192,7 +192,7 @@ fn by_geometry(
     let Some(covariance) = &fit.covariance else { return Ok(0.0) };
     let weight: BTreeMap<i64, f64> = used.iter().map(|(p, w)| (p.point, *w)).collect();
     let mut gradient = DVector::zeros(fit.values.len());
-    for (k, nudge) in fit.model.nudges().into_iter().enumerate() {
+    for (k, nudge) in fit.model.difference_steps().into_iter().enumerate() {
         let mut there = fit.values.clone();
         there[k] += NUDGE * nudge;
         let (pairs, _) = pairs(data, nominal, fit, &there)?;

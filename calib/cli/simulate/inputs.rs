@@ -129,11 +129,6 @@ pub fn objects_of(args: &SimulateArgs) -> anyhow::Result<(Vec<Mesh>, Vec<String>
             }
         }
     }
-    if let Some(copies) = args.stretched {
-        ensure!(copies > 0, "--stretched: expected 1 copy or more, found 0");
-        let copies = |mesh: &Mesh| (1..=copies).map(|k| objects::stretched(mesh, k)).collect::<Vec<_>>();
-        all = all.iter().flat_map(copies).collect::<Result<_, _>>()?;
-    }
     let mut names: Vec<&str> = all.iter().map(|m| m.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {

@@ -8,7 +8,7 @@ use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_track::network::Prediction;
-use wcal_track::score::{Compared, scores};
+use wcal_track::score::{EstimateError, scores};
 
 const GROOVE: [&str; 3] = ["groove_x_mm", "groove_y_mm", "groove_z_mm"];
 /// An answer this long before or after a reading is none of it, s.
@@ -57,10 +57,10 @@ pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>> {
 }
 
 /// Velocity of the base past the groove between the readings of a table, base frame, mm/s, by line.
-pub fn velocities(places: &[KnownPlace], most_step_s: f64) -> BTreeMap<usize, Vector3<f64>> {
+pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vector3<f64>> {
     let mut all = BTreeMap::new();
     for (k, place) in places.iter().enumerate() {
-        let before = k.checked_sub(1).map(|k| &places[k]).filter(|b| place.t_s - b.t_s <= most_step_s);
+        let before = k.checked_sub(1).map(|k| &places[k]).filter(|b| place.t_s - b.t_s <= max_step_s);
         let moved = before.filter(|b| place.t_s > b.t_s);
         if place.settled == Some(true) {
             all.insert(place.line, Vector3::zeros());
@@ -87,13 +87,13 @@ pub struct KnownGroove {
     next: usize,
     radius_mm: f64,
     last: Option<Answer>,
-    compared: Vec<Compared>,
+    compared: Vec<EstimateError>,
     /// Readings at which the tracker sees no contact.
     unseen: usize,
 }
 
 impl KnownGroove {
-    /// Of a whisker; none without known places.
+    /// ErrorOf a whisker; none without known places.
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
         let own = Self { places, next: 0, radius_mm, last: None, compared: Vec::new(), unseen: 0 };
@@ -120,7 +120,12 @@ impl KnownGroove {
             if (chosen.t_s - place.t_s).abs() <= APART_S {
                 let off_mm = chosen.axis_mm - place.groove_mm;
                 let way = Vector3::zeros();
-                self.compared.push(Compared::new(off_mm.norm(), off_mm, &way, Some(&chosen.covariance_mm2)));
+                self.compared.push(EstimateError::new(
+                    off_mm.norm(),
+                    off_mm,
+                    &way,
+                    Some(&chosen.covariance_mm2),
+                ));
                 self.unseen += usize::from(chosen.contact < 0.5);
             }
             self.next += 1;
@@ -134,7 +139,7 @@ impl KnownGroove {
             return None;
         }
         let s = scores(&self.compared);
-        let largest_mm = self.compared.iter().map(|c| c.off_mm.norm()).fold(0.0, f64::max);
+        let largest_mm = self.compared.iter().map(|c| c.error_mm.norm()).fold(0.0, f64::max);
         Some(json!({
             "readings": self.places.len(), "compared": s.samples, "without_contact": self.unseen, "rmse_mm": s.true_contact_rmse_mm,
             "median_mm": s.true_contact_median_mm, "p95_mm": s.p95_mm, "largest_mm": largest_mm, "coverage90": s.coverage90,
@@ -143,12 +148,12 @@ impl KnownGroove {
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.
     pub fn misstated(&self) -> bool {
-        let within = self.compared.iter().filter(|c| c.holds90()).count();
+        let within = self.compared.iter().filter(|c| c.in_region90()).count();
         !self.compared.is_empty() && at_most(within, self.compared.len(), STATED) < LEVEL
     }
 
     /// The same for people.
-    pub fn said(&self) -> Option<String> {
+    pub fn message(&self) -> Option<String> {
         let s = self.summary()?;
         let mm = |key: &str| s[key].as_f64().unwrap_or(f64::NAN);
         Some(format!(
@@ -165,7 +170,7 @@ impl KnownGroove {
 }
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
-fn at_most(hits: usize, n: usize, p: f64) -> f64 {
+pub fn at_most(hits: usize, n: usize, p: f64) -> f64 {
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {
         sum += ln_term.exp();

@@ -1,9 +1,9 @@
 //! Tracks of a stream: live from the interrogator, or replayed from recordings.
 
-use super::checks::Loaded;
 use super::feed::{Intake, Item};
 use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles};
+use super::trust::WhiskerModel;
 use super::whiskers::{Whiskers, lost_text};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::progress::Progress;
@@ -49,7 +49,7 @@ impl Sinks {
         args: &TrackArgs,
         rig_place: &str,
         whiskers: &Whiskers<'_>,
-        loaded: &[Loaded<'_>],
+        loaded: &[WhiskerModel<'_>],
     ) -> Result<Self> {
         let recorder = match (&args.mcap, args.live) {
             (Some(path), _) => Some(Recorder::create(path, about(args, rig_place, whiskers, loaded))?),
@@ -79,7 +79,7 @@ impl Sinks {
 }
 
 /// Whether a calibration was made on simulated data.
-fn by_simulation(loaded: &[Loaded<'_>]) -> bool {
+fn by_simulation(loaded: &[WhiskerModel<'_>]) -> bool {
     loaded.iter().any(|l| l.file.provenance.simulated)
 }
 
@@ -88,7 +88,7 @@ fn about(
     args: &TrackArgs,
     rig_place: &str,
     whiskers: &Whiskers<'_>,
-    loaded: &[Loaded<'_>],
+    loaded: &[WhiskerModel<'_>],
 ) -> BTreeMap<String, String> {
     let facts = whiskers.summary();
     let mut all = BTreeMap::from([
@@ -118,7 +118,7 @@ pub fn replay(
     parts: &[PathBuf],
     place: &str,
     rig: &Rig,
-    loaded: &[Loaded<'_>],
+    loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
     let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
@@ -187,7 +187,7 @@ pub fn replay(
 ///
 /// # Errors
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
-pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[Loaded<'_>]) -> Result<ExitCode> {
+pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_>]) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
     let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
     let clock = HostClock::start(rig.clock_scale);
@@ -232,7 +232,7 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Intake, done: &AtomicBool) {
-    let mut heard = Instant::now();
+    let mut on_pass = Instant::now();
     if let Err(e) = interrogator.start() {
         return intake.fail(e);
     }
@@ -242,7 +242,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
             Err(e) => return intake.fail(e),
         };
         if readings.is_empty() {
-            if heard.elapsed() > SILENCE {
+            if on_pass.elapsed() > SILENCE {
                 let found = format!("silence for {} s", SILENCE.as_secs());
                 let kind = DeviceErrorKind::Timeout;
                 return intake.fail(DeviceError::new(
@@ -255,7 +255,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
             }
             continue;
         }
-        heard = Instant::now();
+        on_pass = Instant::now();
         match intake.scans(readings) {
             Ok(true) => {}
             Ok(false) => break,
@@ -351,11 +351,11 @@ fn conclude(
     }
     for name in whiskers.unheard() {
         let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-        eprintln!("warning: {whose}no quiet prefix of {} s: no events were told", args.prefix_s);
+        eprintln!("warning: {whose}no quiet prefix of {} s: no events were detected", args.prefix_s);
     }
-    let said = lost_text(lost, dropped);
-    if let Some(said) = &said {
-        eprintln!("warning: {said}");
+    let loss = lost_text(lost, dropped);
+    if let Some(loss) = &loss {
+        eprintln!("warning: {loss}");
     }
     whiskers.say_doubts();
     if args.surface {
@@ -364,7 +364,7 @@ fn conclude(
     files.finish(&summary, args.json)?;
     sinks.finish()?;
     let [untrained, misstated] = doubtful;
-    let lost = said.is_some() || cut_off;
+    let lost = loss.is_some() || cut_off;
     Ok(exit_code(args, Outcome { outside: outside > 0, misstated, lost, untrained }))
 }
 

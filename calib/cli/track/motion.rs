@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_track::motion::{Felt, MotionCheck};
 use wcal_track::network::Prediction;
 use wcal_track::train::TrainSettings;
+use wcal_track::untrained_motion::{MotionCheck, MotionSample};
 
 /// The check of one whisker with its counts.
 #[derive(Debug, Clone)]
@@ -35,8 +35,8 @@ impl Motions {
         velocity_mm_s: Option<Vector3<f64>>,
     ) -> Flags {
         let contact = f64::from(answer.contact);
-        let felt = Felt { t_s, moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, contact, velocity_mm_s };
-        let Some(motion) = self.check.push(&felt) else { return Flags::default() };
+        let sample = MotionSample { t_s, moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, contact, velocity_mm_s };
+        let Some(motion) = self.check.push(&sample) else { return Flags::default() };
         *self.rows.entry(motion.name()).or_default() += 1;
         Flags::UNTRAINED_MOTION
     }

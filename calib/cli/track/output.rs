@@ -8,8 +8,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_track::live::{BasePose, ContactEvent};
 use wcal_track::network::Prediction;
+use wcal_track::stream::{BasePose, ContactEvent};
 
 /// Version of the table's columns.
 pub const FORMAT: &str = "wcal-track/2";
@@ -23,7 +23,7 @@ const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2
      ring_hz,ring_q,ring_amplitude_nmm,doubts";
 
 /// Files beside the table, by their endings.
-const BESIDE: [&str; 4] = [".json", "-events.csv", "-cloud.ply", "-surface.ply"];
+const COMPANIONS: [&str; 4] = [".json", "-events.csv", "-cloud.ply", "-surface.ply"];
 
 /// Whether a table with this first line is a track, of this version or an earlier one.
 pub fn is_track(first: &str) -> bool {
@@ -160,7 +160,9 @@ impl TrackFiles {
     pub fn create(out: &Path, events: bool) -> Result<Self> {
         // Nothing of an earlier track stays beside the new one.
         if out.is_file() && is_track(&crate::output::first_line(out)?) {
-            for path in BESIDE.map(|ending| beside(out, ending)).into_iter().filter(|path| path.is_file()) {
+            for path in
+                COMPANIONS.map(|ending| companion(out, ending)).into_iter().filter(|path| path.is_file())
+            {
                 std::fs::remove_file(&path).with_context(|| format!("replacing {}", path.display()))?;
             }
         }
@@ -171,7 +173,7 @@ impl TrackFiles {
             Ok(file)
         };
         let rows = open(out, COLUMNS)?;
-        let events = events.then(|| open(&beside(out, "-events.csv"), EVENT_COLUMNS)).transpose()?;
+        let events = events.then(|| open(&companion(out, "-events.csv"), EVENT_COLUMNS)).transpose()?;
         Ok(Self { rows, events, out: out.to_owned() })
     }
 
@@ -224,7 +226,7 @@ impl TrackFiles {
     pub fn finish(mut self, summary: &serde_json::Value, print: bool) -> Result<()> {
         self.flush()?;
         let text = serde_json::to_string_pretty(summary)?;
-        wcal_core::files::write_atomic(&beside(&self.out, ".json"), text.as_bytes())?;
+        wcal_core::files::write_atomic(&companion(&self.out, ".json"), text.as_bytes())?;
         if print {
             println!("{text}");
         }
@@ -233,7 +235,7 @@ impl TrackFiles {
 }
 
 /// `track.csv` -> `track` + ending.
-pub fn beside(out: &Path, ending: &str) -> PathBuf {
+pub fn companion(out: &Path, ending: &str) -> PathBuf {
     let stem = out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     out.with_file_name(format!("{stem}{ending}"))
 }

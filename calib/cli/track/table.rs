@@ -1,10 +1,10 @@
 //! Tracks of a table of readings.
 
-use super::checks::Loaded;
-use super::found::{Found, write_surface};
+use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, known_places, velocities};
 use super::motion::Motions;
 use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
@@ -17,7 +17,7 @@ use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
-use wcal_track::live::BasePose;
+use wcal_track::stream::BasePose;
 use wcal_track::{Sample, Tare};
 
 /// A step this many times the median is a gap.
@@ -48,7 +48,7 @@ fn median(mut steps: Vec<f64>) -> Option<f64> {
 ///
 /// # Errors
 /// Where the table cannot be used, or a row has no time.
-pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitCode> {
+pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result<ExitCode> {
     let calibration = loaded.calibration()?;
     let MomentTable { rows, warnings } =
         calibration.moments(path).with_context(|| loaded.place.display().to_string())?;
@@ -68,7 +68,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
     let mut tare = Tare::new(args.tare_s);
-    let mut found = Found::new("");
+    let mut found = ContactHistory::new("");
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -150,7 +150,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &Loaded<'_>) -> Result<ExitC
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
     }
     motions.say("", rows.len() as u64);
-    if let Some(said) = groove.as_ref().and_then(KnownGroove::said) {
+    if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
         eprintln!("{said}");
     }
     let misstated = groove.as_ref().is_some_and(KnownGroove::misstated);

@@ -1,11 +1,11 @@
 //! The whiskers of a stream: readings in, rows and events out.
 
 use super::TrackArgs;
-use super::checks::Loaded;
-use super::found::{Found, write_surface};
+use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, KnownPlace};
 use super::motion::Motions;
 use super::output::{TrackFiles, TrackRow, event_message};
+use super::trust::WhiskerModel;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
@@ -19,18 +19,18 @@ use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
 use wcal_core::stream::StreamMoments;
-use wcal_track::live::{BaseMotion, Chain, ChainSettings, Row, first_mode_hz};
-use wcal_track::{Sample, Stream, Tare};
+use wcal_track::stream::{BaseMotion, Row, SignalChain, SignalChainSettings, first_mode_hz};
+use wcal_track::{Sample, Tare, TrackerStream};
 
 /// One whisker of a stream.
 struct Whisker<'a> {
-    loaded: &'a Loaded<'a>,
+    loaded: &'a WhiskerModel<'a>,
     doubts: String,
     reader: WhiskerReader,
-    chain: Chain,
-    stream: Stream<'a>,
+    chain: SignalChain,
+    stream: TrackerStream<'a>,
     tare: Tare,
-    found: Found,
+    found: ContactHistory,
     motions: Motions,
     groove: Option<KnownGroove>,
     rows: u64,
@@ -57,7 +57,7 @@ pub struct Whiskers<'a> {
     lost: u64,
     gaps: u64,
     next_serial: Option<u64>,
-    settings: ChainSettings,
+    settings: SignalChainSettings,
     /// Time in filters, maps and detectors, and in the network.
     spent: [Duration; 2],
     /// When the first scan was taken, and how long the stream is, s.
@@ -70,8 +70,8 @@ impl<'a> Whiskers<'a> {
     ///
     /// # Errors
     /// Where gratings, calibration, filter or base do not fit.
-    pub fn new(args: &TrackArgs, place: &str, rig: &Rig, loaded: &'a [Loaded<'a>]) -> Result<Self> {
-        let settings = ChainSettings {
+    pub fn new(args: &TrackArgs, place: &str, rig: &Rig, loaded: &'a [WhiskerModel<'a>]) -> Result<Self> {
+        let settings = SignalChainSettings {
             rate_hz: rig.interrogator.rate_hz,
             out_hz: args.rate_hz,
             lag_s: args.lag_s,
@@ -79,19 +79,19 @@ impl<'a> Whiskers<'a> {
             false_alarms_per_hour: args.false_alarms_per_hour,
             first_mode_hz: 0.0,
         };
-        let one = |l: &'a Loaded<'a>| -> Result<Whisker<'a>> {
+        let one = |l: &'a WhiskerModel<'a>| -> Result<Whisker<'a>> {
             let calibration = l.calibration()?;
             let place_of = || l.place.display().to_string();
             let (map, fbg) = (calibration.stream().with_context(place_of)?, calibration.fbg());
-            let settings = ChainSettings { first_mode_hz: first_mode_hz(&l.card.whisker), ..settings };
+            let settings = SignalChainSettings { first_mode_hz: first_mode_hz(&l.card.whisker), ..settings };
             Ok(Whisker {
                 loaded: l,
                 doubts: l.doubts.codes(),
                 reader: WhiskerReader::new(place, &rig.interrogator, &l.name, fbg)?,
-                chain: Chain::new(&settings, map)?,
+                chain: SignalChain::new(&settings, map)?,
                 stream: l.stream(),
                 tare: Tare::new(args.tare_s),
-                found: Found::new(&l.name),
+                found: ContactHistory::new(&l.name),
                 motions: Motions::new(&l.card.training),
                 groove: None,
                 rows: 0,
@@ -222,7 +222,7 @@ impl<'a> Whiskers<'a> {
         [self.lost, unusable, self.all.iter().map(|w| w.chain.detector().cut_off()).sum()]
     }
 
-    /// Whiskers that never had a quiet prefix: no events were told of them.
+    /// Whiskers that never had a quiet prefix: no events were detected.
     pub fn unheard(&self) -> Vec<&str> {
         let silent = self.all.iter().filter(|w| w.chain.detector().noise().is_none());
         silent.map(|w| w.loaded.name.as_str()).collect()
@@ -234,7 +234,7 @@ impl<'a> Whiskers<'a> {
             let whose =
                 if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
             w.motions.say(&whose, w.rows);
-            if let Some(said) = w.groove.as_ref().and_then(KnownGroove::said) {
+            if let Some(said) = w.groove.as_ref().and_then(KnownGroove::message) {
                 eprintln!("{whose}{said}");
             }
         }
@@ -376,7 +376,7 @@ pub fn lost_text([lost, unusable, cut_off]: [u64; 3], dropped: u64) -> Option<St
         (unusable, "readings not usable"),
         (cut_off, "events cut off by a gap"),
     ];
-    let said: Vec<String> =
+    let messages: Vec<String> =
         all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-    (!said.is_empty()).then(|| format!("{}; flagged in status", said.join(", ")))
+    (!messages.is_empty()).then(|| format!("{}; flagged in status", messages.join(", ")))
 }

@@ -13,6 +13,7 @@ pub mod provenance;
 pub mod residual;
 pub mod rig_devices;
 pub mod sealed;
+pub mod shapes_document;
 pub mod stream;
 pub mod verify_document;
 

@@ -66,9 +66,40 @@ pub fn sha256_hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
 }
 
+/// JSON without spaces and with the keys of every object sorted: equal content is equal text, and so has one hash.
+#[must_use]
+pub fn canonical_json(value: &serde_json::Value) -> String {
+    use serde_json::Value;
+    match value {
+        Value::Array(items) => {
+            let items: Vec<String> = items.iter().map(canonical_json).collect();
+            format!("[{}]", items.join(","))
+        }
+        Value::Object(map) => {
+            let mut entries: Vec<(&String, &Value)> = map.iter().collect();
+            entries.sort_by_key(|(key, _)| *key);
+            let entries: Vec<String> = entries
+                .into_iter()
+                .map(|(key, value)| format!("{}:{}", Value::from(key.as_str()), canonical_json(value)))
+                .collect();
+            format!("{{{}}}", entries.join(","))
+        }
+        other => other.to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Provenance, sha256_hex};
+    use super::{Provenance, canonical_json, sha256_hex};
+
+    #[test]
+    fn canonical_json_depends_on_content_alone() {
+        let read = |text: &str| canonical_json(&serde_json::from_str(text).unwrap());
+        let text = r#"{"a":[1,{"x":"y","z":null}],"b":2.5}"#;
+        assert_eq!(read(text), text);
+        assert_eq!(read("{ \"b\": 2.5, \"a\": [1, {\"z\": null, \"x\": \"y\"}] }"), text);
+        assert_ne!(read(r#"{"a":[{"x":"y","z":null},1],"b":2.5}"#), text);
+    }
 
     #[test]
     fn the_mark_of_simulated_data_is_kept_and_older_files_stay_as_they_were() {

@@ -23,8 +23,10 @@ impl Flags {
     pub const FILLING: Self = Self(128);
     /// The contact moves as in no sweep that the tracker was trained on.
     pub const UNTRAINED_MOTION: Self = Self(256);
+    /// Moments and known motion do not belong together.
+    pub const MOTION_DISAGREES: Self = Self(512);
 
-    const NAMES: [(Self, &'static str); 9] = [
+    const NAMES: [(Self, &'static str); 10] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -34,6 +36,7 @@ impl Flags {
         (Self::DROPPED, "dropped"),
         (Self::FILLING, "filling"),
         (Self::UNTRAINED_MOTION, "untrained-motion"),
+        (Self::MOTION_DISAGREES, "motion-disagrees"),
     ];
 
     /// Both.

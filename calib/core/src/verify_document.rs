@@ -280,6 +280,25 @@ pub struct Detectable {
     pub why: String,
 }
 
+/// The tracker on the groove: its place from the moments and the stage's way alone, beside where it is known to be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GrooveTracking {
+    /// Error in space, root mean square, mm.
+    pub rmse_mm: f64,
+    /// Cramer-Rao bound of that error under the calibration's covariance and the noise, root mean square, mm.
+    pub bound_mm: f64,
+    /// Share of the readings whose groove lies in the stated 95 % region.
+    pub coverage95: f64,
+    /// Loaded readings that were compared.
+    pub points: usize,
+    /// Trajectories; the error is one and the same at all readings of a trajectory.
+    pub trajectories: usize,
+    /// Trajectories on which moments and motion do not belong together.
+    pub doubted: usize,
+    /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.
+    pub split: String,
+}
+
 /// `verify.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VerifyDocument {
@@ -338,6 +357,9 @@ pub struct VerifyDocument {
     /// How a given calibration does on readings that were not in its fit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
+    /// Where the tracker puts the groove through the accepted calibration (kind whisker).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub groove_tracking: Option<GrooveTracking>,
 }
 
 impl VerifyDocument {
@@ -374,6 +396,7 @@ impl VerifyDocument {
             leave_one_effect_out: Vec::new(),
             identifiability: Vec::new(),
             calibration: None,
+            groove_tracking: None,
         }
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! 2 kHz x 16 whiskers on one core leave 31 us a reading. Beside criterion's mean, the 99th percentile of single readings
 //! is printed, since that is what the goal (100 us) is about.
+#![allow(clippy::unwrap_used, reason = "a measurement")]
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,

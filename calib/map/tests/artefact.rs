@@ -1,4 +1,6 @@
 //! The stored map: same numbers after a round trip, refusal of what is unsound, refusal outside the region.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+#![allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
 
 mod support;
 

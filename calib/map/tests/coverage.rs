@@ -1,4 +1,6 @@
 //! Claimed against observed coverage on simulated sensors, and what breaks it.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+#![allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
 
 mod support;
 

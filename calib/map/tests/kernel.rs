@@ -1,4 +1,5 @@
 //! The thin-plate kernel: where it is positive definite, what its radius does, and what is refused.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod support;
 

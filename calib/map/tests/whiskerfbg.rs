@@ -1,4 +1,5 @@
 //! The measured set: reference numbers of the released labels, the released map, the choice and its warnings.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod support;
 

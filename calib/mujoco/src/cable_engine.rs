@@ -159,7 +159,7 @@ impl CableEngine {
         }
         let mut nodes = nodes_mm(&frame, 0.0);
         let at_start = Passing::new(mesh, sweep, 0.0);
-        if nodes.iter().any(|p| at_start.near(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
+        if nodes.iter().any(|p| at_start.closest_point(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
             run.verdict = Verdict::Rejected("starts-inside");
             return Ok(());
         }
@@ -290,7 +290,7 @@ fn contacts(
         let s_mm = group.iter().map(|g| g.0 * g.1.norm()).sum::<f64>() / weight;
         let force: Vector3<f64> = group.drain(..).map(|g| g.1).sum();
         let centre_mm = on_wire(nodes, s_mm);
-        let Some(near) = body.near(&centre_mm, 10.0) else { continue };
+        let Some(near) = body.closest_point(&centre_mm, 10.0) else { continue };
         let along = force.dot(&near.normal);
         contacts.push(Contact {
             arclength_mm: s_mm,

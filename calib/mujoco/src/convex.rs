@@ -105,7 +105,8 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
             hull.indices(),
         ) {
             // Only what sticks out: faces between parts lie inside.
-            beyond_mm = mesh.near(&p, f64::MAX).map_or(beyond_mm, |near| beyond_mm.max(near.distance_mm));
+            beyond_mm =
+                mesh.closest_point(&p, f64::MAX).map_or(beyond_mm, |near| beyond_mm.max(near.distance_mm));
         }
     }
     let mut short_mm: f64 = 0.0;

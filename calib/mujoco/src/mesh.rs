@@ -8,7 +8,7 @@ use parry3d_f64::query::{PointProjection, PointQueryWithLocation};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
-use wcal_rod::Near;
+use wcal_rod::ClosestPoint;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
@@ -172,7 +172,7 @@ impl Mesh {
 
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
     #[must_use]
-    pub fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+    pub fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         self.near_from(p, within_mm, None)
     }
 
@@ -182,7 +182,7 @@ impl Mesh {
         p: &Vector3<f64>,
         within_mm: f64,
         known: Option<[f64; 2]>,
-    ) -> Option<Near> {
+    ) -> Option<ClosestPoint> {
         let [known_mm, way_mm] = known.unwrap_or([0.0, f64::INFINITY]);
         if known_mm - way_mm > within_mm {
             return None;
@@ -213,7 +213,7 @@ impl Mesh {
         }
         if size < ON_SURFACE_MM {
             let normal = surface.triangle(triangle).normal().map_or_else(Vector3::x, vector);
-            return Some(Near { distance_mm, normal, point_mm, second_per_mm: Matrix3::zeros() });
+            return Some(ClosestPoint { distance_mm, normal, point_mm, second_per_mm: Matrix3::zeros() });
         }
         let normal = off / distance_mm;
         // Distance from a plane is linear; from an edge or a corner it bends with the inverse of itself.
@@ -227,7 +227,7 @@ impl Mesh {
                 side * side.transpose()
             }
         };
-        Some(Near { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
+        Some(ClosestPoint { distance_mm, normal, point_mm, second_per_mm: across / distance_mm })
     }
 }
 

@@ -9,7 +9,7 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 use wcal_core::observation::WhiskerSpec;
-use wcal_rod::{Chain, Section, Shape};
+use wcal_rod::{DiscreteRod, Section, Shape};
 
 /// What a model needs besides the wire. Damping and armature are stated over the stiffness: they then scale with the number of links
 /// as it does, and the wire's motion does not depend on that number.
@@ -152,9 +152,9 @@ pub fn mjcf_among(
     let shape = Shape::new(&whisker.rest_shape, SHAPE_STEP_MM)
         .map_err(|e| refuse("whisker", "a wire that can be bent", e.to_string()))?;
     let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-    let chain = Chain::new(&section, &shape, whisker.diameter_mm, options.links)
+    let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, options.links)
         .map_err(|e| refuse("whisker", "a wire that can be bent", e.to_string()))?;
-    let (joints, h_m) = (chain.joints(), chain.link_mm * 1e-3);
+    let (joints, h_m) = (rod.joints(), rod.link_mm * 1e-3);
     let density = whisker.density_or_niti_kg_m3();
     // Of the cylinder, not of the capsule: the round ends overlap.
     let mass_kg = density * PI * (whisker.diameter_mm * 0.5e-3).powi(2) * h_m;

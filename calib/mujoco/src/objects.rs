@@ -1,9 +1,7 @@
 //! Built-in objects: primitives and look-alikes of everyday things, closed and oriented.
 
 use crate::{Mesh, TwinError};
-use nalgebra::{Matrix3, Vector3};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -26,54 +24,15 @@ pub const NAMES: [&str; 12] = [
 /// Corners around an axis.
 const AROUND: usize = 96;
 
-/// Stands between an object's name and the number of a stretched copy of it.
-const COPY: char = '~';
-/// Least and largest factor by which a copy is stretched along an axis.
-const STRETCH: [f64; 2] = [0.6, 1.6];
-
-/// An object by its name: built in, or from `NAME.stl` in the folder of meshes; with `~K` behind the name, its copy K (`stretched`).
+/// An object by its name: built in, or from `NAME.stl` in the folder of meshes.
 ///
 /// # Errors
 /// Where there is neither, or the mesh cannot be used.
 pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, TwinError> {
-    if let Some((of, copy)) = parts(name) {
-        return stretched(&named(of, meshes)?, copy);
-    }
     match (built_in(name), meshes) {
         (Err(_), Some(folder)) => Mesh::read(&folder.join(format!("{name}.stl"))),
         (found, _) => found,
     }
-}
-
-/// Name and number of a copy.
-fn parts(name: &str) -> Option<(&str, u32)> {
-    let (of, copy) = name.rsplit_once(COPY)?;
-    Some((of, copy.parse().ok()?))
-}
-
-/// Name of the object that a copy is of; that of what is no copy as it is.
-#[must_use]
-pub fn original(name: &str) -> &str {
-    parts(name).map_or(name, |(of, _)| of)
-}
-
-/// Copy of an object, stretched along each of its axes by a factor of 0.6 to 1.6 that follows from name and number: another shape with
-/// edges and faces of the same kind, named `NAME~K`.
-///
-/// # Errors
-/// Where the copy has an impossible size.
-pub fn stretched(mesh: &Mesh, copy: u32) -> Result<Mesh, TwinError> {
-    let name = format!("{}{COPY}{copy}", mesh.name);
-    // FNV-1a: the same on every machine.
-    let seed = name
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325, |h: u64, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let [least, most] = STRETCH.map(f64::ln);
-    let factors = Vector3::from_fn(|_, _| rng.random_range(least..most).exp());
-    let mut copy = mesh.placed(&Matrix3::from_diagonal(&factors), &Vector3::zeros())?;
-    copy.name = name;
-    Ok(copy)
 }
 
 /// A built-in object by its name.

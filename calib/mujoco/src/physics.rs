@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use wcal_core::observation::WhiskerSpec;
-use wcal_rod::{Chain, Links, Softening};
+use wcal_rod::{Configuration, DiscreteRod, Softening};
 
 const GRAVITY_M_S2: f64 = 9.806_65;
 
@@ -208,7 +208,7 @@ impl Surroundings {
     #[must_use]
     pub fn loads_n_per_mm(
         &self,
-        links: &Links,
+        links: &Configuration,
         base_mm_s: &Vector3<f64>,
         nodes_mm_s: &[Vector3<f64>],
     ) -> Vec<Vector3<f64>> {
@@ -221,15 +221,19 @@ impl Surroundings {
 }
 
 /// Velocities of the links' ends between two places of the wire, mm/s.
-pub(crate) fn node_velocities(before: &Links, after: &Links, seconds: f64) -> Vec<Vector3<f64>> {
+pub(crate) fn node_velocities(
+    before: &Configuration,
+    after: &Configuration,
+    seconds: f64,
+) -> Vec<Vector3<f64>> {
     before.nodes_mm.iter().zip(&after.nodes_mm).map(|(a, b)| (b - a) / seconds).collect()
 }
 
 /// A chain with a sweep's softening.
-pub(crate) fn chain_of(chain: &Chain, physics: &Physics) -> Chain {
-    let mut chain = chain.clone();
-    chain.softening = physics.softening;
-    chain
+pub(crate) fn with_physics(rod: &DiscreteRod, physics: &Physics) -> DiscreteRod {
+    let mut rod = rod.clone();
+    rod.softening = physics.softening;
+    rod
 }
 
 #[cfg(test)]
@@ -237,7 +241,7 @@ mod tests {
     use super::{Medium, Physics, Surroundings};
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
-    use wcal_rod::{Chain, Section, Shape};
+    use wcal_rod::{DiscreteRod, Section, Shape};
 
     fn straight() -> WhiskerSpec {
         WhiskerSpec {
@@ -252,20 +256,20 @@ mod tests {
 
     /// Moment at the root of a stiff straight wire, N mm.
     fn root_nmm(physics: &Physics, base_mm_s: Vector3<f64>) -> Vector3<f64> {
-        struct Nothing;
-        impl wcal_rod::Surface for Nothing {
-            fn near(&self, _: &Vector3<f64>, _: f64) -> Option<wcal_rod::Near> {
+        struct NoSurface;
+        impl wcal_rod::Surface for NoSurface {
+            fn closest_point(&self, _: &Vector3<f64>, _: f64) -> Option<wcal_rod::ClosestPoint> {
                 None
             }
         }
         let wire = straight();
         let section = Section::round(wire.diameter_mm, wire.youngs_gpa, wire.shear_gpa);
         let shape = Shape::new(&wire.rest_shape, 0.25).unwrap();
-        let mut chain = Chain::new(&section, &shape, wire.diameter_mm, 40).unwrap();
-        let rest = chain.at_rest();
+        let mut rod = DiscreteRod::new(&section, &shape, wire.diameter_mm, 40).unwrap();
+        let rest = rod.at_rest();
         let surroundings = Surroundings::new(&wire, physics).unwrap();
-        chain.loads_n_per_mm = surroundings.loads_n_per_mm(&rest, &base_mm_s, &vec![Vector3::zeros(); 41]);
-        chain.base_moment_nmm(&chain.press(&Nothing, &rest, &[], &Vector3::zeros(), 60))
+        rod.loads_n_per_mm = surroundings.loads_n_per_mm(&rest, &base_mm_s, &vec![Vector3::zeros(); 41]);
+        rod.base_moment_nmm(&rod.solve_contact(&NoSurface, &rest, &[], &Vector3::zeros(), 60))
     }
 
     /// In closed form: even load q over L gives q L^2 / 2 at the root.

@@ -4,12 +4,12 @@
 //! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
 //! which neither came to rest are marked.
 
-use crate::physics::{Surroundings, chain_of, node_velocities};
+use crate::physics::{Surroundings, node_velocities, with_physics};
 use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
 use crate::{Mesh, TwinError};
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
-use wcal_rod::{Chain, Contact, Links, Pressed, Rubbing, Section, Shape, Surface};
+use wcal_rod::{Configuration, Contact, ContactState, DiscreteRod, FrictionStep, Section, Shape, Surface};
 
 /// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/physics.rs).
 pub const LINKS: usize = 40;
@@ -20,13 +20,13 @@ const HALVINGS: u32 = 2;
 const TOUCH_MM: f64 = 0.1;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
 const NEWTON_STEPS: usize = 60;
-const SOFT_STEPS: usize = 400;
+const PENALTY_STEPS: usize = 400;
 /// How often a soft contact that did not come to rest goes on.
 const MORE_ROUNDS: usize = 5;
 /// Overlap (mm) up to which a wire that did not come to rest is followed on, marked as not settled, and the share of such samples
 /// with which a sweep is kept.
 const UNSETTLED_MM: f64 = 0.05;
-const MOST_UNSETTLED: f64 = 0.2;
+const MAX_UNSETTLED: f64 = 0.2;
 /// A node that moves by more than this (mm) beyond three times the base's step has sprung.
 const SPRING_MM: f64 = 1.5;
 /// A contact that runs faster than this many times the base's speed slips.
@@ -42,8 +42,8 @@ const SHAPE_STEP_MM: f64 = 0.25;
 #[derive(Debug, Clone)]
 pub struct RodEngine {
     whisker: WhiskerSpec,
-    chain: Chain,
-    rest: Links,
+    rod: DiscreteRod,
+    rest: Configuration,
 }
 
 /// What a sweep gave.
@@ -79,9 +79,9 @@ impl RodEngine {
         };
         let shape = Shape::new(&whisker.rest_shape, SHAPE_STEP_MM).map_err(refuse)?;
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let chain = Chain::new(&section, &shape, whisker.diameter_mm, links).map_err(refuse)?;
-        let rest = chain.at_rest();
-        Ok(Self { whisker: whisker.clone(), chain, rest })
+        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, links).map_err(refuse)?;
+        let rest = rod.at_rest();
+        Ok(Self { whisker: whisker.clone(), rod, rest })
     }
 
     /// How far the wire reaches along the straight part's direction, mm.
@@ -93,16 +93,16 @@ impl RodEngine {
     /// Runs a sweep to its end.
     #[must_use]
     pub fn run(&self, mesh: &Mesh, sweep: &Sweep, plan: &SweepPlan) -> Run {
-        let mut way = Way {
-            chain: chain_of(&self.chain, &sweep.physics),
+        let mut state = SweepState {
+            rod: with_physics(&self.rod, &sweep.physics),
             surroundings: Surroundings::new(&self.whisker, &sweep.physics),
-            nodes_mm_s: vec![Vector3::zeros(); self.chain.links() + 1],
+            nodes_mm_s: vec![Vector3::zeros(); self.rod.links() + 1],
             speed_mm_s: sweep.speed_mm_s,
             mesh,
             sweep,
             longest_mm: plan.step_mm,
             travel_mm: 0.0,
-            pressed: self.free(),
+            contact: self.free(),
             solves: 0,
             iterations: 0,
             sprung: false,
@@ -110,8 +110,8 @@ impl RodEngine {
         };
         let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
         let (mut touched, mut free_since_mm) = (false, None::<f64>);
-        way.hang();
-        if way.clearance_mm() < CLEAR_MM {
+        state.settle_free();
+        if state.clearance_mm() < CLEAR_MM {
             run.verdict = Verdict::Rejected("starts-inside");
             return run;
         }
@@ -121,13 +121,13 @@ impl RodEngine {
             if travel_mm > plan.most_mm {
                 break;
             }
-            let before = way.pressed.contacts.clone();
-            way.speed_mm_s = speed_mm_s;
-            let reached = way.go_to(travel_mm);
-            let contacts = way.pressed.contacts.clone();
-            let moment_nmm = way.chain.base_moment_nmm(&way.pressed);
+            let before = state.contact.contacts.clone();
+            state.speed_mm_s = speed_mm_s;
+            let reached = state.advance_to(travel_mm);
+            let contacts = state.contact.contacts.clone();
+            let moment_nmm = state.rod.base_moment_nmm(&state.contact);
             let step_mm = speed_mm_s / plan.rate_hz;
-            let event = event(&before, &contacts, way.sprung, step_mm);
+            let event = event(&before, &contacts, state.sprung, step_mm);
             run.samples.push(Sample {
                 t_s,
                 travel_mm,
@@ -135,13 +135,13 @@ impl RodEngine {
                 moment_nmm,
                 contacts,
                 event,
-                settled: way.settled,
+                settled: state.settled,
             });
             if !reached {
                 run.verdict = Verdict::Rejected("no-equilibrium");
                 break;
             }
-            let strain = way.chain.largest_bend_per_mm(&way.pressed.links) * way.chain.radius_mm;
+            let strain = state.rod.largest_bend_per_mm(&state.contact.links) * state.rod.radius_mm;
             if event == Event::Jump && !plan.keep_jumps {
                 run.verdict = Verdict::Rejected("contact-jump");
                 break;
@@ -150,8 +150,8 @@ impl RodEngine {
                 run.verdict = Verdict::Rejected("torque-too-high");
                 break;
             }
-            touched |= !way.pressed.contacts.is_empty();
-            if touched && way.pressed.contacts.is_empty() {
+            touched |= !state.contact.contacts.is_empty();
+            if touched && state.contact.contacts.is_empty() {
                 let since = *free_since_mm.get_or_insert(travel_mm);
                 if travel_mm - since >= plan.tail_mm {
                     break;
@@ -161,18 +161,18 @@ impl RodEngine {
             }
         }
         let unsettled = run.samples.iter().filter(|s| !s.settled).count();
-        if run.verdict == Verdict::Kept && unsettled as f64 > MOST_UNSETTLED * run.samples.len() as f64 {
+        if run.verdict == Verdict::Kept && unsettled as f64 > MAX_UNSETTLED * run.samples.len() as f64 {
             run.verdict = Verdict::Rejected("no-equilibrium");
         }
         if run.verdict == Verdict::Kept && !touched {
             run.verdict = Verdict::Rejected("no-contact");
         }
-        (run.solves, run.iterations) = (way.solves, way.iterations);
+        (run.solves, run.iterations) = (state.solves, state.iterations);
         run
     }
 
-    fn free(&self) -> Pressed {
-        Pressed {
+    fn free(&self) -> ContactState {
+        ContactState {
             links: self.rest.clone(),
             contacts: Vec::new(),
             converged: true,
@@ -183,18 +183,18 @@ impl RodEngine {
 }
 
 /// No body near.
-struct Nothing;
+struct NoSurface;
 
-impl Surface for Nothing {
-    fn near(&self, _: &Vector3<f64>, _: f64) -> Option<wcal_rod::Near> {
+impl Surface for NoSurface {
+    fn closest_point(&self, _: &Vector3<f64>, _: f64) -> Option<wcal_rod::ClosestPoint> {
         None
     }
 }
 
 /// A wire on its way.
-struct Way<'a> {
+struct SweepState<'a> {
     /// The wire with the sweep's softening and, from step to step, its loads.
-    chain: Chain,
+    rod: DiscreteRod,
     surroundings: Option<Surroundings>,
     /// Velocities of the links' ends in the base frame, mm/s, in the step before, and speed of the base.
     nodes_mm_s: Vec<Vector3<f64>>,
@@ -203,7 +203,7 @@ struct Way<'a> {
     sweep: &'a Sweep,
     longest_mm: f64,
     travel_mm: f64,
-    pressed: Pressed,
+    contact: ContactState,
     solves: usize,
     iterations: usize,
     /// Since the last sample: whether the wire sprang, and whether it came to rest everywhere.
@@ -211,7 +211,7 @@ struct Way<'a> {
     settled: bool,
 }
 
-impl Way<'_> {
+impl SweepState<'_> {
     fn at(&self, travel_mm: f64) -> Passing<'_> {
         Passing::new(self.mesh, self.sweep, travel_mm)
     }
@@ -220,50 +220,51 @@ impl Way<'_> {
     fn clearance_mm(&self) -> f64 {
         let body = self.at(self.travel_mm);
         let gap = |p: &Vector3<f64>| {
-            body.near(p, CLEARED_MM).map_or(f64::INFINITY, |n| n.distance_mm - self.chain.radius_mm)
+            body.closest_point(p, CLEARED_MM).map_or(f64::INFINITY, |n| n.distance_mm - self.rod.radius_mm)
         };
-        self.pressed.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
+        self.contact.links.nodes_mm.iter().map(gap).fold(f64::INFINITY, f64::min)
     }
 
     /// Loads of the medium, with the velocities of the step before: drag bends the wire far too little to move it on in between.
-    fn load(&mut self) {
+    fn update_loads(&mut self) {
         if let Some(surroundings) = &self.surroundings {
             let base_mm_s = Vector3::z() * self.speed_mm_s;
-            self.chain.loads_n_per_mm =
-                surroundings.loads_n_per_mm(&self.pressed.links, &base_mm_s, &self.nodes_mm_s);
+            self.rod.loads_n_per_mm =
+                surroundings.loads_n_per_mm(&self.contact.links, &base_mm_s, &self.nodes_mm_s);
         }
     }
 
     /// The free wire under its loads, before the object comes.
-    fn hang(&mut self) {
+    fn settle_free(&mut self) {
         if self.surroundings.is_none() {
             return;
         }
-        self.load();
-        let hanging = self.chain.press(&Nothing, &self.pressed.links, &[], &Vector3::zeros(), SOFT_STEPS);
-        self.iterations += hanging.iterations;
-        self.pressed = hanging;
+        self.update_loads();
+        let free =
+            self.rod.solve_contact(&NoSurface, &self.contact.links, &[], &Vector3::zeros(), PENALTY_STEPS);
+        self.iterations += free.iterations;
+        self.contact = free;
     }
 
     /// Equilibrium one step on.
-    fn press(&mut self, travel_mm: f64, moved: &Vector3<f64>, softly: bool) -> Pressed {
-        let (body, chain, from) = (self.at(travel_mm), &self.chain, &self.pressed);
-        let steps = if softly { SOFT_STEPS } else { NEWTON_STEPS };
+    fn solve_step(&mut self, travel_mm: f64, moved: &Vector3<f64>, penalty: bool) -> ContactState {
+        let (body, rod, from) = (self.at(travel_mm), &self.rod, &self.contact);
+        let steps = if penalty { PENALTY_STEPS } else { NEWTON_STEPS };
         let coefficient = self.sweep.physics.friction;
         let next = if coefficient > 0.0 {
-            let how = Rubbing { coefficient, before: &from.links, moved_mm: *moved };
-            chain.press_rubbing(&body, &from.contacts, &how, softly, steps)
-        } else if softly {
-            chain.press_softly(&body, &from.links, steps)
+            let how = FrictionStep { coefficient, before: &from.links, moved_mm: *moved };
+            rod.solve_frictional_contact(&body, &from.contacts, &how, penalty, steps)
+        } else if penalty {
+            rod.solve_penalty_contact(&body, &from.links, steps)
         } else {
-            chain.press(&body, &from.links, &from.contacts, moved, steps)
+            rod.solve_contact(&body, &from.links, &from.contacts, moved, steps)
         };
         self.iterations += next.iterations;
         next
     }
 
     /// Follows the equilibrium; false where it is lost for good.
-    fn go_to(&mut self, travel_mm: f64) -> bool {
+    fn advance_to(&mut self, travel_mm: f64) -> bool {
         (self.sprung, self.settled) = (false, true);
         let longest_mm = self.longest_mm;
         let mut halvings = 0_u32;
@@ -271,27 +272,27 @@ impl Way<'_> {
             let step_mm = (longest_mm / f64::from(1 << halvings)).min(travel_mm - self.travel_mm);
             let next_mm = self.travel_mm + step_mm;
             let moved = Vector3::new(0.0, 0.0, -step_mm);
-            self.load();
-            let mut next = self.press(next_mm, &moved, false);
+            self.update_loads();
+            let mut next = self.solve_step(next_mm, &moved, false);
             let halvable = step_mm > longest_mm / f64::from(1 << HALVINGS);
-            let softly = !next.converged && !halvable;
-            if softly {
-                next = self.press(next_mm, &moved, true);
+            let penalty = !next.converged && !halvable;
+            if penalty {
+                next = self.solve_step(next_mm, &moved, true);
                 // What slips off an edge has a long way down the energy: it goes on from where it got.
                 for _ in 0..MORE_ROUNDS {
                     if next.converged {
                         break;
                     }
-                    let begun = std::mem::replace(&mut self.pressed, next);
-                    next = self.press(next_mm, &Vector3::zeros(), true);
-                    self.pressed = begun;
+                    let begun = std::mem::replace(&mut self.contact, next);
+                    next = self.solve_step(next_mm, &Vector3::zeros(), true);
+                    self.contact = begun;
                 }
             }
             self.solves += 1;
-            let nodes = next.links.nodes_mm.iter().zip(&self.pressed.links.nodes_mm);
+            let nodes = next.links.nodes_mm.iter().zip(&self.contact.links.nodes_mm);
             let largest = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let springs = largest > SPRING_MM + 3.0 * step_mm;
-            let touched = self.pressed.contacts.is_empty() && !next.contacts.is_empty();
+            let touched = self.contact.contacts.is_empty() && !next.contacts.is_empty();
             // Smaller steps tell a spring from a step that was too long, and on which side a body is met.
             if (!next.converged || springs) && halvable || touched && step_mm > TOUCH_MM {
                 // What is left of the way may be shorter than a halved step: the same again would fail again.
@@ -307,15 +308,15 @@ impl Way<'_> {
             self.nodes_mm_s = if springs {
                 vec![Vector3::zeros(); next.links.nodes_mm.len()]
             } else {
-                node_velocities(&self.pressed.links, &next.links, step_mm / self.speed_mm_s)
+                node_velocities(&self.contact.links, &next.links, step_mm / self.speed_mm_s)
             };
-            self.pressed = next;
+            self.contact = next;
             self.travel_mm = next_mm;
             if lost {
                 return false;
             }
             // Where a hard contact hops it mostly hops on: a longer step would be tried in vain.
-            if !softly {
+            if !penalty {
                 halvings = halvings.saturating_sub(1);
             }
         }

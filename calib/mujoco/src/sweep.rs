@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::f64::consts::FRAC_PI_2;
-use wcal_rod::{Contact, Near, Surface};
+use wcal_rod::{ClosestPoint, Contact, Surface};
 
 /// How sweeps are drawn (docs/src/system.md: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -253,14 +253,14 @@ impl Surface for Passing<'_> {
         true
     }
 
-    fn near(&self, p: &Vector3<f64>, within_mm: f64) -> Option<Near> {
+    fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
         let place = self.sweep.turn.tr_mul(&(p - shift));
         let known =
             self.last.get().map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
         let found = self.mesh.near_from(&place, within_mm, known)?;
         self.last.set(Some((place, found.distance_mm)));
-        Some(Near {
+        Some(ClosestPoint {
             distance_mm: found.distance_mm,
             normal: self.sweep.turn * found.normal,
             point_mm: self.sweep.turn * found.point_mm + shift,

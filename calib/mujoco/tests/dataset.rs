@@ -1,4 +1,5 @@
 //! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again; meshes refused by name.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -163,7 +164,7 @@ fn meshes_are_refused_or_noted_by_name() {
     stl(&place("inward.stl"), &tetra(50.0), &closed.map(|[a, b, c]| [a, c, b]));
     let inward = Mesh::read(&place("inward.stl")).unwrap();
     assert!(inward.notes.iter().any(|n| n.contains("pointed inward")), "{:?}", inward.notes);
-    assert!(inward.near(&Vector3::repeat(5.0), 50.0).unwrap().distance_mm < 0.0);
+    assert!(inward.closest_point(&Vector3::repeat(5.0), 50.0).unwrap().distance_mm < 0.0);
     // Negative control: nothing is remarkable about a closed mesh in millimetres.
     stl(&place("good.stl"), &tetra(50.0), &closed);
     assert!(Mesh::read(&place("good.stl")).unwrap().notes.is_empty());
@@ -194,6 +195,7 @@ fn slab(half_mm: [f64; 3], inward: bool) -> (Vec<Vector3<f64>>, Vec<[u32; 3]>) {
     ((0..8).map(corner).collect(), turned.collect())
 }
 
+#[allow(clippy::type_complexity, reason = "used once")]
 fn together(name: &str, slabs: &[(Vec<Vector3<f64>>, Vec<[u32; 3]>)]) -> Mesh {
     let (mut points, mut triangles) = (Vec::new(), Vec::new());
     for (more, faces) in slabs {
@@ -219,7 +221,7 @@ fn bodies_that_overlap_are_one_body() {
     let (mut hidden, mut checked) = (0, 0);
     for (x, y, z) in (-12..12).flat_map(|x| (-12..12).flat_map(move |y| (-6..6).map(move |z| (x, y, z)))) {
         let p = Vector3::new(lattice(x), lattice(y), lattice(z));
-        let near = cross.near(&p, 100.0).unwrap();
+        let near = cross.closest_point(&p, 100.0).unwrap();
         let known = outside(long, &p).min(outside(across, &p));
         assert_eq!(near.distance_mm < 0.0, known < 0.0, "{p} {near:?}");
         if known > 0.0 {
@@ -233,7 +235,9 @@ fn bodies_that_overlap_are_one_body() {
     assert!(hidden > 50 && checked > 1000, "negative control: {hidden} of {checked} would be mistaken");
     // A cavity stays one, and two bodies with one are doubtful.
     let hollow = together("hollow", &[slab([20.0; 3], false), slab([10.0; 3], true)]);
-    assert!(hollow.notes.is_empty() && hollow.near(&Vector3::zeros(), 50.0).unwrap().distance_mm > 9.9);
+    assert!(
+        hollow.notes.is_empty() && hollow.closest_point(&Vector3::zeros(), 50.0).unwrap().distance_mm > 9.9
+    );
     let doubtful =
         together("doubtful", &[slab([20.0; 3], false), slab([10.0; 3], true), slab([30.0, 2.0, 2.0], false)]);
     assert!(

@@ -1,34 +1,37 @@
-//! Quasi-static Kirchhoff rod held by a V-groove: the fast twin and the oracle of wcal.
+//! Quasi-static Kirchhoff rod: the fast twin and the oracle of wcal.
 //!
-//! Inextensible wire, clamped at the root: r' = R e1, R' = R [u]x, m = R D (u - u0), m(s) = (P - r(s)) x F up to the contact at
-//! s_c, free beyond. Lengths in mm, forces in N, moments in N mm, base frame.
+//! An inextensible wire of arc length s with centre line r(s) and frame R(s) = (t, d1, d2), clamped at the root, held at s_c by the point P
+//! of a V-groove with the force F:
 //!
-//! Source of the formulation: S. S. Antman, "Nonlinear Problems of Elasticity", ch. VIII; contact as in docs/src/method.md, Rod.
+//! - kinematics: r' = R e1, R' = R [u]x, u the body curvature (torsion first);
+//! - constitutive law: R^T m = D (u - u0), D = diag(GJ, EI, EI), softening past an onset curvature ([`Softening`]);
+//! - balance: m(s) = (P - r(s)) x F for s < s_c, m = 0 beyond; with weight, its moment besides;
+//! - clamp: r(0) = 0, R(0) = R_clamp, turned by compliance times root moment where the root gives way;
+//! - contact: r(s_c) = P and t(s_c) . F = 0 (frictionless groove); the moment at the root is M = P x F.
+//!
+//! [`kirchhoff`] integrates these equations (fourth order) and solves for (F, s_c); [`discrete`] minimises the energy of rigid links
+//! with contacts to any surface; [`fit`] finds the rest shape u0 and the clamp from measured centre lines.
+//! Lengths in mm, forces in N, moments in N mm, base frame.
+//!
+//! Source: S. S. Antman, "Nonlinear Problems of Elasticity" (2005), ch. VIII.
 
-mod blocks;
-pub mod chain;
+pub mod discrete;
 pub mod dual;
-mod equilibria;
 mod error;
-pub mod integrate;
+pub mod fit;
+pub mod kirchhoff;
 pub mod material;
-pub mod near;
-pub mod path;
-pub mod pressed;
-pub mod pushed;
-pub mod rest_fit;
 pub mod shape;
-pub mod solve;
-pub mod stability;
 
-pub use chain::{Chain, Links};
+pub use discrete::{
+    ClosestPoint, Configuration, Contact, ContactState, DiscreteRod, FrictionStep, PointLoad, Surface,
+};
 pub use error::RodError;
+pub use fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
+pub use kirchhoff::broyden::Anchor;
+pub use kirchhoff::continuation::{BranchTracker, Line, Outcome, Touch};
+pub use kirchhoff::integrate;
+pub use kirchhoff::solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
+pub use kirchhoff::stability::{Hold, Loss, LossKind, StabilityScan};
 pub use material::{Section, Softening};
-pub use near::Anchor;
-pub use path::{Line, Outcome, Touch, Tracker};
-pub use pressed::{Contact, Near, Pressed, Rubbing, Surface};
-pub use pushed::Push;
-pub use rest_fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
 pub use shape::Shape;
-pub use solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
-pub use stability::{Hold, Loss, LossKind, StabilityScan};

@@ -1,4 +1,8 @@
 //! Section stiffness: bending, torsion, taper along the wire, and softening past a yield curvature.
+//!
+//! du = (m1 / GJ, m2 / EI, m3 / EI) / c(s), c(s) = (1 + (e - 1) s/L)^4 with e^4 = 1 + taper (a diameter that changes linearly).
+//! Past the onset kappa_y (change of curvature) the bending part is scaled: |M| = EI kappa_y y(x), x = |du| / kappa_y, with y(x) the
+//! [`Softening`]. The circular section's y is the integral of its stress: elastic inside |z| < q radius, flat beyond.
 
 use crate::dual::{Scalar, V3};
 use serde::{Deserialize, Serialize};

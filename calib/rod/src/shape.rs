@@ -1,4 +1,8 @@
 //! Rest shape: body curvature u0(s) along the wire, piecewise linear on a fixed mesh.
+//!
+//! Straight part and arc: u0 = (0, 1/radius, 0) past the straight part (the tangent turns toward -z). Polyline: at an inner vertex
+//! u0 = R^T theta a / l with the turning angle theta about a and l the mean length of the two edges; R is carried without twist (Bishop's
+//! frame: R. L. Bishop, Amer. Math. Monthly 82, 1975).
 
 use crate::error::RodError;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
@@ -139,7 +143,7 @@ impl Shape {
             s += length;
         }
         let mut shape = Self { intervals, length_mm: s, root, nodes_mm: Vec::new(), frames: Vec::new() };
-        let (nodes, frames) = crate::integrate::unloaded(&shape);
+        let (nodes, frames) = crate::kirchhoff::integrate::unloaded(&shape);
         shape.nodes_mm = nodes;
         shape.frames = frames;
         shape

@@ -260,7 +260,7 @@ fn an_effect_too_small_to_tell_leaves_its_rival_in_the_set() {
     let trials = 60;
     let (mut named, mut kept) = (0, 0);
     for seed in 0..trials {
-        let system = ToySystem::draw(4000 + seed, |_, x| -1.0 * x * x);
+        let system = ToySystem::draw(4000 + seed, |_, x| -x * x);
         let found = search(&system, &Weights::equal(READINGS), &options).unwrap();
         if names(&system, &found.best).is_empty() {
             continue;

@@ -11,14 +11,14 @@ use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use wcal_track::network::model::attention_bias;
-use wcal_track::network::{Attended, FeatureMaker, NetworkConfig, WhiskerNet};
+use wcal_track::network::attention_bias;
+use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, WhiskerNet};
 
 /// As in `wcal`: a step's tensors are given back and asked for again, page by page, by the system's own allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Courses in a batch and tokens in a course: the peers' case.
+/// Sweep series in a batch and tokens in a series: the peers' case.
 const BATCH: usize = 64;
 const TIME: usize = 100;
 /// Nodes of the curve that the shipped networks' inputs are made of.
@@ -33,7 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&folder)?;
     let device = Device::flex();
     device.seed(7);
-    let config = NetworkConfig { dropout: 0.0, ..NetworkConfig::paper(FeatureMaker::width(NODES, false)) };
+    let config =
+        NetworkConfig { dropout: 0.0, ..NetworkConfig::paper(FeatureExtractor::width(NODES, false)) };
     let case = Case::new(&config, &device);
     let net = WhiskerNet::new(&config, &device)?;
     let mut store = SafetensorsStore::from_file(folder.join("net.safetensors")).overwrite(true);
@@ -90,6 +91,7 @@ impl Case {
 }
 
 /// Time of each step: forward, mean square of three numbers, backward, Adam.
+#[allow(clippy::type_complexity, reason = "used once")]
 fn train(
     config: &NetworkConfig,
     case: &Case,
@@ -118,7 +120,7 @@ fn train(
 
 /// Time of each streamed token with a full cache, and CPU time a token over all, us.
 fn stream(net: &WhiskerNet, config: &NetworkConfig, tokens: usize, device: &Device) -> (Vec<f64>, f64) {
-    let mut memory = Attended::default();
+    let mut memory = KvCache::default();
     let values: Vec<f32> = (0..config.inputs).map(|k| (k as f32 * 0.37).sin()).collect();
     let mut push = |k: usize| {
         let data = TensorData::new(values.clone(), [1, 1, config.inputs]);

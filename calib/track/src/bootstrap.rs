@@ -1,83 +1,38 @@
 //! Intervals of errors by bootstrap over whole sweeps and objects: samples of one sweep are no independent draws.
+//!
+//! The n units (objects, or the sweeps of one) are drawn with replacement, `RESAMPLES` times; the interval is from the quantile a to 1 - a of
+//! the statistic, moved outward for few units (expanded percentiles):
+//!
+//! ```text
+//! a = Phi(-t_{n-1}(0.975) sqrt(n / (n - 1)))
+//! ```
+//!
+//! Sources: A. C. Davison, D. V. Hinkley, "Bootstrap Methods and their Application", 1997, 3.8; T. C. Hesterberg, "What Teachers Should Know
+//! About the Bootstrap", The American Statistician 69 (2015) 371.
 
 use crate::evaluate::ObjectScores;
-use crate::score::Compared;
+use crate::score::{SquareSum, SweepSums};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// Draws of an interval.
-const DRAWS: usize = 2000;
-
-/// Count and sum of squares, mm^2.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Sum {
-    /// Number of estimates.
-    pub count: f64,
-    /// Sum of their squared errors, mm^2.
-    pub squares_mm2: f64,
-}
-
-impl Sum {
-    fn of(values: impl Iterator<Item = f64>) -> Self {
-        values.fold(Self::default(), |s, x| Self { count: s.count + 1.0, squares_mm2: s.squares_mm2 + x * x })
-    }
-
-    fn with(self, other: Self) -> Self {
-        Self { count: self.count + other.count, squares_mm2: self.squares_mm2 + other.squares_mm2 }
-    }
-
-    fn rmse_mm(self) -> f64 {
-        (self.squares_mm2 / f64::max(self.count, 1.0)).sqrt()
-    }
-}
-
-/// Errors over one sweep.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct SweepSums {
-    /// To the surface, to the true contact, and along its way.
-    pub surface: Sum,
-    /// See `surface`.
-    pub contact: Sum,
-    /// See `surface`.
-    pub along: Sum,
-    /// Of instants that were followed for a while: to the surface, and to the true contact.
-    pub followed_surface: Sum,
-    /// See `followed_surface`.
-    pub followed_contact: Sum,
-}
-
-impl SweepSums {
-    /// Of the estimates of a sweep; `true`: followed for a while.
-    #[must_use]
-    pub fn of(pairs: &[(Compared, bool)]) -> Self {
-        let all = |value: fn(&Compared) -> f64| Sum::of(pairs.iter().map(|p| value(&p.0)));
-        let followed =
-            |value: fn(&Compared) -> f64| Sum::of(pairs.iter().filter(|p| p.1).map(|p| value(&p.0)));
-        Self {
-            surface: all(|c| c.surface_mm),
-            contact: all(|c| c.off_mm.norm()),
-            along: all(|c| c.along_mm),
-            followed_surface: followed(|c| c.surface_mm),
-            followed_contact: followed(|c| c.off_mm.norm()),
-        }
-    }
-}
+const RESAMPLES: usize = 2000;
 
 /// Which error.
-pub type Of = fn(&SweepSums) -> Sum;
+pub type ErrorOf = fn(&SweepSums) -> SquareSum;
 
 /// 95 % interval of the RMSE over one object, mm: its sweeps are drawn again; none with fewer than two.
 #[must_use]
-pub fn object_interval95(sweeps: &[SweepSums], of: Of) -> Option<[f64; 2]> {
+pub fn object_interval95(sweeps: &[SweepSums], of: ErrorOf) -> Option<[f64; 2]> {
     let n = sweeps.len();
-    interval95(n, |rng| rmse_again(sweeps, of, rng))
+    interval95(n, |rng| resampled_rmse(sweeps, of, rng))
 }
 
 /// 95 % interval of the mean over objects of their RMSE, mm: whole objects are drawn again (A. C. Davison, D. V. Hinkley, "Bootstrap Methods
 /// and their Application", 3.8); of one object its sweeps.
 #[must_use]
-pub fn mean_interval95(rows: &[ObjectScores], of: Of) -> Option<[f64; 2]> {
+pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     if let [one] = rows {
         return object_interval95(&one.sweeps, of);
     }
@@ -88,18 +43,18 @@ pub fn mean_interval95(rows: &[ObjectScores], of: Of) -> Option<[f64; 2]> {
 
 /// 95 % interval of the largest RMSE of these objects, mm: sweeps are drawn again within each.
 #[must_use]
-pub fn worst_interval95(rows: &[&ObjectScores], of: Of) -> Option<[f64; 2]> {
+pub fn worst_interval95(rows: &[&ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     let least = rows.iter().map(|r| r.sweeps.len()).min()?;
-    interval95(least, |rng| rows.iter().map(|r| rmse_again(&r.sweeps, of, rng)).fold(0.0, f64::max))
+    interval95(least, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
 }
 
-fn rmse_of(sweeps: &[SweepSums], of: Of) -> f64 {
-    sweeps.iter().map(of).fold(Sum::default(), Sum::with).rmse_mm()
+fn rmse_of(sweeps: &[SweepSums], of: ErrorOf) -> f64 {
+    sweeps.iter().map(of).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
 }
 
-fn rmse_again(sweeps: &[SweepSums], of: Of, rng: &mut ChaCha8Rng) -> f64 {
+fn resampled_rmse(sweeps: &[SweepSums], of: ErrorOf, rng: &mut ChaCha8Rng) -> f64 {
     let n = sweeps.len();
-    (0..n).map(|_| of(&sweeps[rng.random_range(0..n)])).fold(Sum::default(), Sum::with).rmse_mm()
+    (0..n).map(|_| of(&sweeps[rng.random_range(0..n)])).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
 }
 
 /// Quantiles of `draw`, moved outward as `n` units ask for (T. C. Hesterberg, "What teachers should know about the bootstrap", 2015:
@@ -109,11 +64,11 @@ fn interval95(n: usize, draw: impl Fn(&mut ChaCha8Rng) -> f64) -> Option<[f64; 2
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(n as u64);
-    let mut drawn: Vec<f64> = (0..DRAWS).map(|_| draw(&mut rng)).collect();
+    let mut drawn: Vec<f64> = (0..RESAMPLES).map(|_| draw(&mut rng)).collect();
     drawn.sort_by(f64::total_cmp);
     let t = StudentsT::new(0.0, 1.0, (n - 1) as f64).ok()?.inverse_cdf(0.975);
     let share = Normal::standard().cdf(-t * (n as f64 / (n - 1) as f64).sqrt());
-    let at = |share: f64| drawn[((DRAWS - 1) as f64 * share).round() as usize];
+    let at = |share: f64| drawn[((RESAMPLES - 1) as f64 * share).round() as usize];
     Some([at(share), at(1.0 - share)])
 }
 
@@ -124,7 +79,7 @@ mod tests {
     use rand_distr::{Distribution, LogNormal};
 
     fn object(rmse_mm: f64) -> ObjectScores {
-        let sum = Sum { count: 10.0, squares_mm2: 10.0 * rmse_mm * rmse_mm };
+        let sum = SquareSum { count: 10.0, squares_mm2: 10.0 * rmse_mm * rmse_mm };
         ObjectScores {
             name: String::new(),
             all: Scores::default(),
@@ -156,8 +111,10 @@ mod tests {
     #[test]
     fn sweeps_stay_whole() {
         // Two sweeps, one good and one bad: every draw is one of three values, however many samples they have.
-        let good = SweepSums { surface: Sum { count: 1e6, squares_mm2: 1e6 * 0.01 }, ..SweepSums::default() };
-        let bad = SweepSums { surface: Sum { count: 1e6, squares_mm2: 1e6 * 4.0 }, ..SweepSums::default() };
+        let good =
+            SweepSums { surface: SquareSum { count: 1e6, squares_mm2: 1e6 * 0.01 }, ..SweepSums::default() };
+        let bad =
+            SweepSums { surface: SquareSum { count: 1e6, squares_mm2: 1e6 * 4.0 }, ..SweepSums::default() };
         let [low, high] = object_interval95(&[good, bad], |s| s.surface).unwrap();
         assert!((low - 0.1).abs() < 1e-9 && (high - 2.0).abs() < 1e-9, "{low} {high}");
         assert_eq!(object_interval95(&[good], |s| s.surface), None, "one sweep says nothing of its like");

@@ -1,8 +1,13 @@
 //! Spread by class of object: what one touches is often known (tools, food, ...), and how well the stated spread holds differs by it.
+//!
+//! A class's factor is shrunk toward the common one in the logarithm: `log f = (n log f_own + n0 log f_common) / (n + n0)`, n the class's
+//! held-out objects, n0 = 2 (as an empirical Bayes estimate with a prior worth n0 objects: B. Efron, C. Morris, JASA 70 (1975) 311).
 
+use crate::error::TrackError;
 use crate::evaluate::held_out_regions;
-use crate::score::{CHI2_90, Compared, calibrating_factor};
-use crate::{Course, TrackError, Tracker};
+use crate::score::{CHI2_90, EstimateError, calibrating_factor};
+use crate::sweep_series::SweepSeries;
+use crate::tracker::Tracker;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,13 +24,13 @@ pub struct ClassSpread {
 }
 
 /// Objects that the factor of all classes together counts for: a class with as many of its own stands half way between.
-const COMMON_OBJECTS: f64 = 2.0;
+const PRIOR_OBJECTS: f64 = 2.0;
 
-/// Factors by class from the regions of held-out courses (base's speed not known, and known): logarithms of a class's own factor and of the
-/// common one, weighed by numbers of objects.
+/// Factors by class from the regions of held-out series (base's speed not known, and known): logarithms of a class's own factor and of the
+/// common one, contact_evidence by numbers of objects.
 #[must_use]
 pub fn spread_by_class(
-    regions: &[Vec<(String, Compared)>; 2],
+    regions: &[Vec<(String, EstimateError)>; 2],
     common: [f64; 2],
     classes: &ObjectClasses,
 ) -> BTreeMap<String, ClassSpread> {
@@ -34,8 +39,8 @@ pub fn spread_by_class(
         let own = |known: usize| regions[known].iter().filter(|r| classes.get(&r.0) == Some(class));
         let objects = own(0).map(|r| &r.0).collect::<BTreeSet<_>>().len();
         let factor = |known: usize| {
-            let own: Vec<Compared> = own(known).map(|r| r.1).collect();
-            between(calibrating_factor(&own), common[known], objects)
+            let own: Vec<EstimateError> = own(known).map(|r| r.1).collect();
+            shrunk(calibrating_factor(&own), common[known], objects)
         };
         ClassSpread { objects, sd_factors: [factor(0), factor(1)] }
     };
@@ -43,8 +48,8 @@ pub fn spread_by_class(
 }
 
 /// A class's own factor and the common one, by the number of objects that the first comes from.
-fn between(own: f64, common: f64, objects: usize) -> f64 {
-    common * (own / common).powf(objects as f64 / (objects as f64 + COMMON_OBJECTS))
+fn shrunk(own: f64, common: f64, objects: usize) -> f64 {
+    common * (own / common).powf(objects as f64 / (objects as f64 + PRIOR_OBJECTS))
 }
 
 /// Factors of a class.
@@ -72,21 +77,21 @@ pub struct ClassCoverage {
     pub by_class: [f64; 2],
 }
 
-/// Coverage over courses that were not trained on, class by class; `common` are the factors that the tracker states regions with.
+/// Coverage over series that were not trained on, class by class; `common` are the factors that the tracker states regions with.
 #[must_use]
 pub fn coverage_by_class(
     tracker: &Tracker,
-    courses: &[Course],
+    all_series: &[SweepSeries],
     classes: &ObjectClasses,
     spreads: &BTreeMap<String, ClassSpread>,
     common: [f64; 2],
 ) -> Vec<ClassCoverage> {
-    let regions = [false, true].map(|known| held_out_regions(tracker, courses, known));
+    let regions = [false, true].map(|known| held_out_regions(tracker, all_series, known));
     let mut found = Vec::new();
     for (class, spread) in spreads {
         let of_class = |object: &str| classes.get(object) == Some(class);
         let objects: BTreeSet<&str> =
-            courses.iter().map(|c| c.object.as_str()).filter(|o| of_class(o)).collect();
+            all_series.iter().map(|c| c.object.as_str()).filter(|o| of_class(o)).collect();
         let own = [0, 1].map(|known| -> Vec<f64> {
             let own = regions[known].iter().filter(|r| of_class(&r.0));
             own.filter_map(|r| r.1.mahalanobis2).collect()
@@ -116,9 +121,9 @@ mod tests {
 
     #[test]
     fn a_class_without_objects_has_the_common_factor_and_one_with_many_its_own() {
-        assert_eq!(between(1.0, 0.7, 0), 0.7);
-        assert!((between(2.0, 0.5, 2) - 1.0).abs() < 1e-12);
-        assert!((between(2.0, 0.5, 1000) - 2.0).abs() < 0.01);
+        assert_eq!(shrunk(1.0, 0.7, 0), 0.7);
+        assert!((shrunk(2.0, 0.5, 2) - 1.0).abs() < 1e-12);
+        assert!((shrunk(2.0, 0.5, 1000) - 2.0).abs() < 0.01);
         let all = BTreeMap::from([("tool".to_owned(), ClassSpread { objects: 3, sd_factors: [1.0, 2.0] })]);
         assert_eq!(of_class(&all, "tool").unwrap(), [1.0, 2.0]);
         let error = of_class(&all, "food").unwrap_err().to_string();

@@ -1,6 +1,6 @@
 //! Where networks are trained: the processor, or a GPU where the program is built with the feature `gpu`.
 
-use crate::TrackError;
+use crate::error::TrackError;
 use burn::tensor::Device;
 
 /// Device by its name: `cpu`, `gpu` (the best there is), or `gpu:N` for the discrete GPU of that number.

@@ -1,9 +1,11 @@
-//! Trackers over courses: the network and the baselines beside it, object by object. All of it is SIMULATED.
+//! Trackers over series: the network and the baselines beside it, object by object. All of it is SIMULATED.
 
-use crate::bayes::{BayesFilter, BayesSettings, Filters};
-use crate::bootstrap::SweepSums;
-use crate::score::{Compared, Detection, Scores, detection, scores};
-use crate::{Course, Sample, StaticInverse, TrackError, Tracker};
+use crate::error::TrackError;
+use crate::filter::{BayesFilter, BayesSettings, FilterBank};
+use crate::inverse::StaticInverse;
+use crate::score::{Detection, EstimateError, Scores, SweepSums, detection, scores};
+use crate::sweep_series::SweepSeries;
+use crate::tracker::{Sample, Tracker};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -35,22 +37,22 @@ pub enum Method<'a> {
 }
 
 /// Probability from which on a contact is called.
-const CALLED: f32 = 0.5;
+const CONTACT_PROBABILITY: f32 = 0.5;
 /// Moment from which on the methods without a probability call a contact, N mm.
-const CALLED_NMM: f64 = 0.01;
+const CONTACT_NMM: f64 = 0.01;
 
 impl Method<'_> {
-    /// Estimates at all instants of a course, made from what came before each.
+    /// Estimates at all instants of a series, made from what came before each.
     #[must_use]
-    pub fn run(&self, course: &Course) -> Vec<Estimate> {
+    pub fn run(&self, series: &SweepSeries) -> Vec<Estimate> {
         let size = |m: [f64; 2]| m[0].hypot(m[1]);
         match self {
-            Self::Network(tracker, known) => by_network(tracker, tracker.filters, course, *known),
+            Self::Network(tracker, known) => network_estimates(tracker, tracker.filters, series, *known),
             Self::Bayes(inverse, known, settings) => {
                 let mut filter = BayesFilter::new(inverse, **settings);
                 let mut last_s = 0.0;
-                let mut last = middle(inverse, [0.0; 2], 40.0);
-                let step = |i: &crate::Instant| {
+                let mut last = static_point(inverse, [0.0; 2], 40.0);
+                let step = |i: &crate::sweep_series::SweepSample| {
                     let dt = i.t_s - std::mem::replace(&mut last_s, i.t_s);
                     let belief = filter.step(dt, i.moment_nmm, known.then_some(i.speed_mm_s));
                     last = belief.map_or(last, |b| b.point_mm);
@@ -60,22 +62,22 @@ impl Method<'_> {
                         covariance_mm2: belief.map(|b| b.covariance_mm2),
                     }
                 };
-                course.instants.iter().map(step).collect()
+                series.samples.iter().map(step).collect()
             }
-            Self::Static(inverse, arclength_mm) => course
-                .instants
+            Self::Static(inverse, arclength_mm) => series
+                .samples
                 .iter()
                 .map(|i| Estimate {
-                    contact: size(i.moment_nmm) > CALLED_NMM,
-                    point_mm: middle(inverse, i.moment_nmm, *arclength_mm),
+                    contact: size(i.moment_nmm) > CONTACT_NMM,
+                    point_mm: static_point(inverse, i.moment_nmm, *arclength_mm),
                     covariance_mm2: None,
                 })
                 .collect(),
-            Self::Constant(point_mm) => course
-                .instants
+            Self::Constant(point_mm) => series
+                .samples
                 .iter()
                 .map(|i| Estimate {
-                    contact: size(i.moment_nmm) > CALLED_NMM,
+                    contact: size(i.moment_nmm) > CONTACT_NMM,
                     point_mm: *point_mm,
                     covariance_mm2: None,
                 })
@@ -84,31 +86,36 @@ impl Method<'_> {
     }
 }
 
-fn by_network(tracker: &Tracker, filters: Filters, course: &Course, known: bool) -> Vec<Estimate> {
-    let sample = |i: &crate::Instant| Sample {
+fn network_estimates(
+    tracker: &Tracker,
+    filters: FilterBank,
+    series: &SweepSeries,
+    known: bool,
+) -> Vec<Estimate> {
+    let sample = |i: &crate::sweep_series::SweepSample| Sample {
         t_s: i.t_s,
         moment_nmm: i.moment_nmm,
         base_mm_s: known.then_some(i.speed_mm_s),
     };
-    let samples: Vec<Sample> = course.instants.iter().map(sample).collect();
+    let samples: Vec<Sample> = series.samples.iter().map(sample).collect();
     let answer = |p: crate::network::Prediction| Estimate {
-        contact: p.contact >= CALLED,
+        contact: p.contact >= CONTACT_PROBABILITY,
         point_mm: Vector3::from(p.point_mm.map(f64::from)),
         covariance_mm2: (tracker.config.nodes > 0)
             .then(|| Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]))),
     };
-    tracker.course_told(filters, &samples).into_iter().map(answer).collect()
+    tracker.track_series_with(filters, &samples).into_iter().map(answer).collect()
 }
 
-fn middle(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
-    let mut candidates = Vec::new();
-    inverse.candidates(moment_nmm, &mut candidates);
+fn static_point(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64) -> Vector3<f64> {
+    let mut solutions = Vec::new();
+    inverse.solutions(moment_nmm, &mut solutions);
     let off = |k: &usize| (inverse.nodes[*k].arclength_mm - arclength_mm).abs();
-    let nearest = (0..candidates.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
-    candidates[nearest].point_mm
+    let nearest = (0..solutions.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0);
+    solutions[nearest].point_mm
 }
 
-/// What a method gave on the courses over one object.
+/// What a method gave on the series over one object.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ObjectScores {
     /// Object.
@@ -130,12 +137,16 @@ pub const SETTLING_MM: f64 = 2.0;
 /// Contact or not, at every instant: called and true.
 pub type Calls = Vec<(bool, bool)>;
 
-/// Estimates of a course beside the truth: where there is contact, and whether it has been followed for a while.
+/// Estimates of a series beside the truth: where there is contact, and whether it has been followed for a while.
 #[must_use]
-pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(Compared, bool)>, Calls) {
+pub fn compare_with_truth(
+    series: &SweepSeries,
+    mesh: &Mesh,
+    estimates: &[Estimate],
+) -> (Vec<(EstimateError, bool)>, Calls) {
     let (mut pairs, mut calls) = (Vec::new(), Vec::new());
     let (mut since_mm, mut before): (f64, Option<Vector3<f64>>) = (0.0, None);
-    for (now, estimate) in course.instants.iter().zip(estimates) {
+    for (now, estimate) in series.samples.iter().zip(estimates) {
         calls.push((estimate.contact, now.contact.is_some()));
         if ["onset", "jump", "slip"].contains(&now.event.as_str()) {
             since_mm = now.travel_mm;
@@ -146,9 +157,9 @@ pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(C
         };
         let way = before.map_or(Vector3::zeros(), |b| truth.point_mm - b);
         before = Some(truth.point_mm);
-        let surface_mm = course.surface_mm(mesh, now.travel_mm, &estimate.point_mm);
+        let surface_mm = series.surface_distance_mm(mesh, now.travel_mm, &estimate.point_mm);
         let off = estimate.point_mm - truth.point_mm;
-        let one = Compared::new(surface_mm, off, &way, estimate.covariance_mm2.as_ref());
+        let one = EstimateError::new(surface_mm, off, &way, estimate.covariance_mm2.as_ref());
         pairs.push((one, now.travel_mm - since_mm >= SETTLING_MM));
     }
     (pairs, calls)
@@ -156,51 +167,55 @@ pub fn compared(course: &Course, mesh: &Mesh, estimates: &[Estimate]) -> (Vec<(C
 
 /// The network's places and stated spreads beside the truth, where there is contact, with the object's name.
 #[must_use]
-pub fn held_out_regions(tracker: &Tracker, courses: &[Course], base_known: bool) -> Vec<(String, Compared)> {
-    let all = courses.par_iter().flat_map_iter(|c| regions(tracker, tracker.filters, c, base_known));
+pub fn held_out_regions(
+    tracker: &Tracker,
+    all_series: &[SweepSeries],
+    base_known: bool,
+) -> Vec<(String, EstimateError)> {
+    let all = all_series.par_iter().flat_map_iter(|c| regions(tracker, tracker.filters, c, base_known));
     all.collect()
 }
 
-/// The same over one course, the filters told of other noise.
+/// The same over one series, the filters told of other noise.
 #[must_use]
 pub fn regions(
     tracker: &Tracker,
-    filters: Filters,
-    course: &Course,
+    filters: FilterBank,
+    series: &SweepSeries,
     base_known: bool,
-) -> Vec<(String, Compared)> {
-    let estimates = by_network(tracker, filters, course, base_known);
-    let both = course.instants.iter().zip(&estimates);
+) -> Vec<(String, EstimateError)> {
+    let estimates = network_estimates(tracker, filters, series, base_known);
+    let both = series.samples.iter().zip(&estimates);
     both.filter_map(|(i, e)| Some((i.contact?, e)))
         .map(|(c, e)| {
             let off = e.point_mm - c.point_mm;
-            let one = Compared::new(0.0, off, &Vector3::zeros(), e.covariance_mm2.as_ref());
-            (course.object.clone(), one)
+            let one = EstimateError::new(0.0, off, &Vector3::zeros(), e.covariance_mm2.as_ref());
+            (series.object.clone(), one)
         })
         .collect()
 }
 
-/// Who estimates over objects, from a course to its estimates.
+/// Who estimates over objects, from a series to its estimates.
 ///
 /// # Errors
 /// Where an object's mesh is missing.
-pub fn over_objects(
-    run: &(dyn Fn(&Course) -> Vec<Estimate> + Sync),
-    courses: &BTreeMap<String, Vec<Course>>,
+pub fn score_objects(
+    run: &(dyn Fn(&SweepSeries) -> Vec<Estimate> + Sync),
+    all_series: &BTreeMap<String, Vec<SweepSeries>>,
     meshes: &BTreeMap<String, Mesh>,
 ) -> Result<Vec<ObjectScores>, TrackError> {
-    courses
+    all_series
         .iter()
-        .map(|(name, courses)| {
+        .map(|(name, all_series)| {
             let mesh = meshes
                 .get(name)
                 .ok_or_else(|| TrackError::value("meshes", name.clone(), "no such object"))?;
             let parts: Vec<_> =
-                courses.par_iter().map(|course| compared(course, mesh, &run(course))).collect();
-            let pairs: Vec<(Compared, bool)> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
+                all_series.par_iter().map(|series| compare_with_truth(series, mesh, &run(series))).collect();
+            let pairs: Vec<(EstimateError, bool)> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
             let calls: Vec<(bool, bool)> = parts.iter().flat_map(|p| p.1.iter().copied()).collect();
-            let all: Vec<Compared> = pairs.iter().map(|p| p.0).collect();
-            let followed: Vec<Compared> = pairs.iter().filter(|p| p.1).map(|p| p.0).collect();
+            let all: Vec<EstimateError> = pairs.iter().map(|p| p.0).collect();
+            let followed: Vec<EstimateError> = pairs.iter().filter(|p| p.1).map(|p| p.0).collect();
             Ok(ObjectScores {
                 name: name.clone(),
                 all: scores(&all),

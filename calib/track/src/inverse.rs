@@ -1,17 +1,26 @@
 //! Where a single contact can be, given the two transverse moments: a curve in space, one point for each arc length.
 //!
-//! A force square to the wire has two components; with the arc length that makes three unknowns for two moments. At the tip the force
-//! may lean inward: there its lean toward the root is the third unknown (what points at the root makes no moment there), and the curve goes on. The rod gives the curve; time, the base's way and what
-//! is known of objects choose the point on it.
+//! A force F across the wire at arc length s bends it; the rod gives the moments at the root:
+//!
+//! ```text
+//! m(s, F) = [M_y, M_z],   M = r(s) x F             solved for F at given m, for every s (Newton and Broyden, `force`)
+//! p(s; m) = r(s) - a n,   n = F / |F|              touched point: the axis less the wire's radius a along the force
+//! tip:  n . r / |r| = -sin(tilt),  0 <= tilt < pi/2   the force may tilt toward the root; its tilt takes the place of s
+//! p(s; m) ~ sum_ij L_i(direction) L_j(|m|) p_ij    table over direction and size of m, cubic Lagrange polynomials L
+//! dp/dm, dn/dm                                      forward differences of the interpolated table
+//! ```
+//!
+//! Two force components and s are three unknowns for two moments: the rod gives the curve; time, the base's travel and what is known of
+//! objects choose the point on it. What points at the root makes no moment there. Source of the rod: `wcal_rod`.
 
-use crate::TrackError;
-use force::{leans, moment, ray};
+use crate::error::TrackError;
+use force::{moment, solve_ray, solve_tilts};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_rod::{Chain, Section, Shape};
+use wcal_rod::{DiscreteRod, Section, Shape};
 
 mod force;
 
@@ -23,15 +32,17 @@ pub struct InverseGrid {
     pub first_mm: f64,
     /// See `first_mm`.
     pub step_mm: f64,
-    /// Nodes for each one at which the rod is solved; those between are interpolated.
+    /// Nodes for each one at which the rod is broyden; those between are interpolated.
     pub refine: usize,
     /// Leans of the force at the tip: parts of the way from square to the wire to straight at the root, less the last one.
-    pub leans: usize,
+    #[serde(alias = "leans")]
+    pub tilts: usize,
     /// Directions of the moment around the root.
     pub directions: usize,
     /// Largest moment, N mm, and its steps.
-    pub most_nmm: f64,
-    /// See `most_nmm`.
+    #[serde(alias = "most_nmm")]
+    pub max_nmm: f64,
+    /// See `max_nmm`.
     pub steps: usize,
     /// Links of the wire.
     pub links: usize,
@@ -43,9 +54,9 @@ impl Default for InverseGrid {
             first_mm: 4.0,
             step_mm: 1.0,
             refine: 4,
-            leans: 9,
+            tilts: 9,
             directions: 48,
-            most_nmm: 3.2,
+            max_nmm: 3.2,
             steps: 32,
             links: 40,
         }
@@ -54,19 +65,15 @@ impl Default for InverseGrid {
 
 /// A contact that would explain the moments.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
+pub struct InverseSolution {
     /// Point of the object, mm: the wire's axis less its radius along the force.
     pub point_mm: Vector3<f64>,
     /// Direction of the force on the wire.
     pub normal: Vector3<f64>,
-    /// Volume of places that the node and a unit square of moments stand for, mm^3/(N mm)^2.
-    pub volume: f64,
-    /// Area over which a unit square of moments moves the point at this node, as a vector square to it, mm^2/(N mm)^2.
-    pub area: Vector3<f64>,
-    /// How the point gives way along the force by the moments, mm/(N mm).
-    pub give_mm_per_nmm: f64,
-    /// How the force turns by the moments, rad/(N mm).
-    pub turn_per_nmm: f64,
+    /// Derivative of the point along the force by the moments (norm over both), mm/(N mm).
+    pub compliance_mm_per_nmm: f64,
+    /// Derivative of the force's direction by the moments (norm over both), rad/(N mm).
+    pub turn_rad_per_nmm: f64,
     /// Whether the moments can come from this arc length at all; where not, the last moments on the way that can are meant.
     pub reachable: bool,
 }
@@ -77,22 +84,22 @@ pub struct Node {
     /// Arc length, mm.
     pub arclength_mm: f64,
     /// Lean of the force: 0 square to the wire, toward 1 straight at the root; 0 but at the tip.
-    pub lean: f64,
+    pub tilt: f64,
 }
 
 /// The table.
 #[derive(Debug, Clone)]
 pub struct StaticInverse {
-    /// Nodes from the root to the tip, then the tip's leans.
+    /// Nodes from the root to the tip, then the tip's tilts.
     pub nodes: Vec<Node>,
     /// Whether the free wire lies in the plane y = 0: there a sweep's mirror image is a sweep, too.
     pub flat: bool,
     grid: InverseGrid,
     /// By arc length, direction and moment: point and normal.
-    cells: Vec<Cell>,
+    cells: Vec<TableEntry>,
 }
 
-type Cell = ([f32; 6], bool);
+type TableEntry = ([f32; 6], bool);
 
 impl StaticInverse {
     /// Solves the rod on the whole grid.
@@ -100,7 +107,7 @@ impl StaticInverse {
     /// # Errors
     /// Where the whisker cannot be used or the grid is too coarse to hold a cell.
     pub fn new(whisker: &WhiskerSpec, grid: InverseGrid) -> Result<Self, TrackError> {
-        if grid.directions < 4 || grid.steps < 2 || !(grid.most_nmm > 0.0 && grid.step_mm > 0.0) {
+        if grid.directions < 4 || grid.steps < 2 || !(grid.max_nmm > 0.0 && grid.step_mm > 0.0) {
             return Err(TrackError::value(
                 "inverse grid",
                 "4 directions, 2 steps or more",
@@ -109,86 +116,79 @@ impl StaticInverse {
         }
         let shape = Shape::new(&whisker.rest_shape, 0.25)?;
         let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let chain = Chain::new(&section, &shape, whisker.diameter_mm, grid.links)?;
+        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, grid.links)?;
         let tip_mm = shape.length_mm;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
         let along =
-            (0..=steps).map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, lean: 0.0 });
+            (0..=steps).map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, tilt: 0.0 });
         let tip =
-            (1..=grid.leans).map(|k| Node { arclength_mm: tip_mm, lean: k as f64 / (grid.leans + 1) as f64 });
-        let mut cells: Vec<Vec<Cell>> = along
+            (1..=grid.tilts).map(|k| Node { arclength_mm: tip_mm, tilt: k as f64 / (grid.tilts + 1) as f64 });
+        let mut cells: Vec<Vec<TableEntry>> = along
             .clone()
             .collect::<Vec<_>>()
             .par_iter()
             .map(|n| {
                 (0..grid.directions)
-                    .flat_map(|d| ray(&chain, n.arclength_mm, d, &grid))
+                    .flat_map(|d| solve_ray(&rod, n.arclength_mm, d, &grid))
                     .map(|s| s.0)
                     .collect()
             })
             .collect();
-        let leaned: Vec<Vec<Vec<Cell>>> = (0..grid.directions)
+        let tilted: Vec<Vec<Vec<TableEntry>>> = (0..grid.directions)
             .into_par_iter()
             .map(|d| {
-                let square = ray(&chain, tip_mm, d, &grid).into_iter().enumerate();
+                let square = solve_ray(&rod, tip_mm, d, &grid).into_iter().enumerate();
                 square
-                    .map(|(m, (_, force))| leans(&chain, tip_mm, force, moment(d, m, &grid), &grid))
+                    .map(|(m, (_, force))| solve_tilts(&rod, tip_mm, force, moment(d, m, &grid), &grid))
                     .collect()
             })
             .collect();
-        let of_lean = |k: usize| leaned.iter().flatten().map(|at| at[k]).collect();
-        cells.extend((0..grid.leans).map(of_lean));
+        let of_lean = |k: usize| tilted.iter().flatten().map(|at| at[k]).collect();
+        cells.extend((0..grid.tilts).map(of_lean));
         let nodes: Vec<Node> = along.chain(tip).collect();
         let flat = match &whisker.rest_shape {
             RestShape::StraightArc { .. } => true,
             RestShape::Polyline(points) => points.iter().all(|p| p.y == 0.0),
         };
-        Ok(refined(&nodes, &cells, flat, grid))
+        Ok(refine(&nodes, &cells, flat, grid))
     }
 
     /// Number of the nodes on the wire; those after them are the tip's.
     #[must_use]
     pub fn first_tip(&self) -> usize {
-        self.nodes.iter().position(|n| n.lean > 0.0).unwrap_or(self.nodes.len())
+        self.nodes.iter().position(|n| n.tilt > 0.0).unwrap_or(self.nodes.len())
     }
 
     /// Candidates at every node for transverse moments (N mm), written over `out`.
-    pub fn candidates(&self, moment_nmm: [f64; 2], out: &mut Vec<Candidate>) {
+    pub fn solutions(&self, moment_nmm: [f64; 2], out: &mut Vec<InverseSolution>) {
         let [y, z] = moment_nmm;
-        let here = self.around(moment_nmm);
-        let beside = [self.around([y + BESIDE_NMM, z]), self.around([y, z + BESIDE_NMM])];
+        let here = self.stencil(moment_nmm);
+        let displaced = [self.stencil([y + MOMENT_STEP_NMM, z]), self.stencil([y, z + MOMENT_STEP_NMM])];
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
-            let (values, reachable) = self.mixed(node, &here);
+            let (values, reachable) = self.interpolate(node, &here);
             let point_mm = Vector3::new(values[0], values[1], values[2]);
             let normal = Vector3::new(values[3], values[4], values[5]);
             let [by_y, by_z] = [0, 1].map(|k| {
-                let v = self.mixed(node, &beside[k]).0;
+                let v = self.interpolate(node, &displaced[k]).0;
                 let by = |at: usize, from: &Vector3<f64>| {
-                    (Vector3::new(v[at], v[at + 1], v[at + 2]) - from) / BESIDE_NMM
+                    (Vector3::new(v[at], v[at + 1], v[at + 2]) - from) / MOMENT_STEP_NMM
                 };
                 (by(0, &point_mm), by(3, &normal))
             });
-            let turn_per_nmm = by_y.1.norm().hypot(by_z.1.norm());
+            let turn_rad_per_nmm = by_y.1.norm().hypot(by_z.1.norm());
             let normal = normal.try_normalize(1e-9).unwrap_or(Vector3::z());
-            let give_mm_per_nmm = normal.dot(&by_y.0).hypot(normal.dot(&by_z.0));
-            let area = by_y.0.cross(&by_z.0);
-            Candidate { point_mm, normal, volume: 0.0, area, give_mm_per_nmm, turn_per_nmm, reachable }
+            let compliance_mm_per_nmm = normal.dot(&by_y.0).hypot(normal.dot(&by_z.0));
+            InverseSolution { point_mm, normal, compliance_mm_per_nmm, turn_rad_per_nmm, reachable }
         }));
-        let last = out.len() - 1;
-        for k in 0..=last {
-            let (low, high) = (k.saturating_sub(1), (k + 1).min(last));
-            let pitch = (out[high].point_mm - out[low].point_mm) / (high - low) as f64;
-            out[k].volume = pitch.dot(&out[k].area).abs();
-        }
     }
 
     /// Cells around a moment, as offsets within a node, with their weights: cubic through four in each direction. Nearer to rest than the
     /// first cells a parabola through three goes on.
-    fn around(&self, moment_nmm: [f64; 2]) -> Around {
+    fn stencil(&self, moment_nmm: [f64; 2]) -> Stencil {
         let g = &self.grid;
         let (size, angle) = (moment_nmm[0].hypot(moment_nmm[1]), moment_nmm[1].atan2(moment_nmm[0]));
-        let along = (size / g.most_nmm * g.steps as f64).min(g.steps as f64 - 1e-9);
+        let along = (size / g.max_nmm * g.steps as f64).min(g.steps as f64 - 1e-9);
         let around = angle.rem_euclid(TAU) / TAU * g.directions as f64;
         let (m, d) = (along as usize, around as usize);
         let (mut by_m, by_d) = (cubic(along - m as f64), cubic(around - d as f64));
@@ -215,28 +215,28 @@ impl StaticInverse {
             (at(d + 1, m), u * (1.0 - v)),
             (at(d + 1, m + 1), u * v),
         ];
-        Around { cells, inner }
+        Stencil { cells, inner }
     }
 
-    fn mixed(&self, node: usize, around: &Around) -> ([f64; 6], bool) {
+    fn interpolate(&self, node: usize, stencil: &Stencil) -> ([f64; 6], bool) {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
         let mut sum = [0.0; 6];
         let mut add = |(at, weight): &(usize, f64)| {
             sum.iter_mut().zip(&cells[*at].0).for_each(|(a, b)| *a += weight * f64::from(*b));
         };
         // Next to what cannot be reached the four innermost will do.
-        if around.cells.iter().all(|(at, weight)| *weight == 0.0 || cells[*at].1) {
-            around.cells.iter().for_each(&mut add);
+        if stencil.cells.iter().all(|(at, weight)| *weight == 0.0 || cells[*at].1) {
+            stencil.cells.iter().for_each(&mut add);
             (sum, true)
         } else {
-            around.inner.iter().for_each(&mut add);
-            (sum, around.inner.iter().all(|(at, _)| cells[*at].1))
+            stencil.inner.iter().for_each(&mut add);
+            (sum, stencil.inner.iter().all(|(at, _)| cells[*at].1))
         }
     }
 }
 
 /// Cells around a moment with their weights: sixteen, and the innermost four.
-struct Around {
+struct Stencil {
     cells: [(usize, f64); 16],
     inner: [(usize, f64); 4],
 }
@@ -251,14 +251,14 @@ fn cubic(u: f64) -> [f64; 4] {
     ]
 }
 
-/// Step of moments for the volume, N mm.
-const BESIDE_NMM: f64 = 0.02;
+/// Step of the moments for derivatives, N mm.
+const MOMENT_STEP_NMM: f64 = 0.02;
 
-fn refined(nodes: &[Node], cells: &[Vec<Cell>], flat: bool, grid: InverseGrid) -> StaticInverse {
+fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGrid) -> StaticInverse {
     let parts = grid.refine.max(1);
     let last = (nodes.len() - 1) * parts;
     let mix = |a: f64, b: f64, u: f64| a + (b - a) * u;
-    let first_tip = nodes.iter().position(|n| n.lean > 0.0).map_or(nodes.len() - 1, |k| k - 1);
+    let first_tip = nodes.iter().position(|n| n.tilt > 0.0).map_or(nodes.len() - 1, |k| k - 1);
     let (mut fine, mut fine_cells) = (Vec::with_capacity(last + 1), Vec::new());
     for k in 0..=last {
         let (from, u) = (k / parts, (k % parts) as f64 / parts as f64);
@@ -266,9 +266,9 @@ fn refined(nodes: &[Node], cells: &[Vec<Cell>], flat: bool, grid: InverseGrid) -
         let (a, b) = (nodes[from], nodes[to]);
         fine.push(Node {
             arclength_mm: mix(a.arclength_mm, b.arclength_mm, u),
-            lean: mix(a.lean, b.lean, u),
+            tilt: mix(a.tilt, b.tilt, u),
         });
-        // Cubic along the wire and along the leans, not past the end where both meet.
+        // Cubic along the wire and along the tilts, not past the end where both meet.
         let whole = from > 0
             && to + 1 < nodes.len()
             && (from < first_tip) == (from - 1 < first_tip)

@@ -2,34 +2,34 @@
 //!
 //! Base frame throughout: lengths in mm, moments in N mm, time in s.
 
-pub mod bayes;
 pub mod bootstrap;
 pub mod classes;
-pub mod course;
 mod device;
-pub mod drawn;
 mod error;
 pub mod evaluate;
+pub mod filter;
+pub mod generate_sweeps;
 pub mod inverse;
 pub mod known_motion;
-pub mod live;
-pub mod make;
 pub mod model_file;
-pub mod motion;
 pub mod network;
 pub mod score;
+pub mod sd_factors;
 pub mod segments;
-pub mod several;
-pub mod spread;
 pub mod stream;
 pub mod surface;
+pub mod sweep_series;
 mod tare;
+pub mod tracker;
 pub mod train;
+pub mod train_model;
+pub mod two_contacts;
+pub mod untrained_motion;
 
 pub use burn::tensor::Device;
-pub use course::{Contact, Course, Instant};
 pub use device::device;
 pub use error::TrackError;
-pub use inverse::{Candidate, InverseGrid, StaticInverse};
-pub use stream::{Sample, Stream, Tracker};
+pub use inverse::{InverseGrid, InverseSolution, StaticInverse};
+pub use sweep_series::{Contact, SweepSample, SweepSeries};
 pub use tare::Tare;
+pub use tracker::{Sample, Tracker, TrackerStream};

@@ -1,10 +1,12 @@
 //! A trained network on disk: `model.safetensors` with the weights and `model.json`, the card that says what it is and what made it.
 
 use crate::classes::{ClassSpread, ObjectClasses};
-use crate::network::{FeatureMaker, NetworkConfig, WhiskerNet, knots};
-use crate::spread::SdFactors;
+use crate::error::TrackError;
+use crate::inverse::{InverseGrid, StaticInverse};
+use crate::network::{FeatureExtractor, NetworkConfig, WhiskerNet, knots};
+use crate::sd_factors::SdFactors;
+use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings};
-use crate::{InverseGrid, StaticInverse, TrackError, Tracker};
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 use rand::SeedableRng;
@@ -31,7 +33,7 @@ pub struct Card {
     pub weights_sha256: String,
     /// Sizes.
     pub network: NetworkConfig,
-    /// Curve of candidates.
+    /// Curve of solutions.
     pub inverse: InverseGrid,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
@@ -112,7 +114,7 @@ impl Card {
     /// Factors on the stated standard deviations of a real sensor's stream: those of a bench where the card has them.
     #[must_use]
     pub fn sd_factors_of_stream(&self) -> [SdFactors; 2] {
-        self.sd_on_bench.clone().unwrap_or_else(|| self.sd_factors.map(SdFactors::even))
+        self.sd_on_bench.clone().unwrap_or_else(|| self.sd_factors.map(SdFactors::constant))
     }
 
     /// Whether a sweep over an object that was trained on was kept back for the evaluation.
@@ -227,7 +229,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         net,
         inverse,
         filters: card.training.filters(),
-        sd_factors: card.sd_factors.map(SdFactors::even),
+        sd_factors: card.sd_factors.map(SdFactors::constant),
         device: device.clone(),
     };
     tracker.check()?;
@@ -257,22 +259,21 @@ pub fn put_weights(net: &mut WhiskerNet, folder: &Path) -> Result<u64, TrackErro
 /// Grid of the curve that the networks are built on: a node every half millimetre.
 #[must_use]
 pub fn network_grid() -> InverseGrid {
-    InverseGrid { step_mm: 1.0, refine: 2, leans: 8, ..InverseGrid::default() }
+    InverseGrid { step_mm: 1.0, refine: 2, tilts: 8, ..InverseGrid::default() }
 }
 
-/// Sizes of a preset on a curve; default and deep ones weigh two filters.
+/// Sizes of a preset on a curve; the default one weighs two filters.
 ///
 /// # Errors
 /// Names the presets.
 pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<NetworkConfig, TrackError> {
     let nodes = inverse.nodes.len();
     let on_curve =
-        || NetworkConfig::small(FeatureMaker::width(nodes, two_filters), knots(nodes).len(), two_filters);
+        || NetworkConfig::small(FeatureExtractor::width(nodes, two_filters), knots(nodes).len(), two_filters);
     match name {
         "default" => Ok(on_curve()),
-        "deep" => Ok(NetworkConfig { layers: 5, ..on_curve() }),
-        "paper" => Ok(NetworkConfig::paper(FeatureMaker::width(nodes, false))),
+        "paper" => Ok(NetworkConfig::paper(FeatureExtractor::width(nodes, false))),
         "baseline" => Ok(NetworkConfig::baseline()),
-        _ => Err(TrackError::value("preset", "default, deep, paper or baseline", name)),
+        _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
     }
 }

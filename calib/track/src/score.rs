@@ -1,4 +1,15 @@
 //! How good tracks are: distances to the surface and to the true contact, coverage of the stated regions, detection.
+//!
+//! With estimate p of the contact c, stated covariance C, and the contact's path d over the sample:
+//!
+//! ```text
+//! RMSE        sqrt(mean e^2),  e = distance to the surface, |p - c|, or (p - c) . d / |d|
+//! region      (p - c)^T C^-1 (p - c) <= chi2_3(0.9) = 6.251          90 % region of three Gaussian numbers
+//! calibration f = sqrt(q / chi2_3(0.9)),  q the ceil(0.9 (n + 1))-th smallest of the left side      (split conformal)
+//! detection   F1 = 2 P R / (P + R),  P precision, R recall
+//! ```
+//!
+//! Source of the calibration: V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random World", 2005.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -8,23 +19,23 @@ pub const CHI2_90: f64 = 6.251_388_631_170_32;
 
 /// One estimate beside the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Compared {
+pub struct EstimateError {
     /// Distance of the estimate to the object's surface, mm.
     pub surface_mm: f64,
     /// Estimate less true contact, mm.
-    pub off_mm: Vector3<f64>,
+    pub error_mm: Vector3<f64>,
     /// Squared distance in units of the stated covariance; `None` where none is stated.
     pub mahalanobis2: Option<f64>,
     /// Root of the stated covariance's trace, mm.
-    pub stated_mm: Option<f64>,
+    pub stated_spread_mm: Option<f64>,
     /// Part of the error along the contact's way over the sample, mm (0 where it did not move).
     pub along_mm: f64,
 }
 
-impl Compared {
+impl EstimateError {
     /// Whether the truth lies in the stated 90 % region.
     #[must_use]
-    pub fn holds90(&self) -> bool {
+    pub fn in_region90(&self) -> bool {
         self.mahalanobis2.is_some_and(|m| m <= CHI2_90)
     }
 
@@ -32,14 +43,70 @@ impl Compared {
     #[must_use]
     pub fn new(
         surface_mm: f64,
-        off_mm: Vector3<f64>,
+        error_mm: Vector3<f64>,
         way: &Vector3<f64>,
         covariance: Option<&Matrix3<f64>>,
     ) -> Self {
-        let mahalanobis2 = covariance.and_then(|c| c.cholesky()).map(|c| off_mm.dot(&c.solve(&off_mm)));
-        let along_mm = way.try_normalize(1e-9).map_or(0.0, |w| w.dot(&off_mm));
-        let stated_mm = covariance.map(|c| c.trace().max(0.0).sqrt());
-        Self { surface_mm, off_mm, mahalanobis2, stated_mm, along_mm }
+        let mahalanobis2 = covariance.and_then(|c| c.cholesky()).map(|c| error_mm.dot(&c.solve(&error_mm)));
+        let along_mm = way.try_normalize(1e-9).map_or(0.0, |w| w.dot(&error_mm));
+        let stated_spread_mm = covariance.map(|c| c.trace().max(0.0).sqrt());
+        Self { surface_mm, error_mm, mahalanobis2, stated_spread_mm, along_mm }
+    }
+}
+
+/// Count and sum of squares, mm^2.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SquareSum {
+    /// Number of estimates.
+    pub count: f64,
+    /// Sum of their squared errors, mm^2.
+    pub squares_mm2: f64,
+}
+
+impl SquareSum {
+    fn of(values: impl Iterator<Item = f64>) -> Self {
+        values.fold(Self::default(), |s, x| Self { count: s.count + 1.0, squares_mm2: s.squares_mm2 + x * x })
+    }
+
+    pub(crate) fn plus(self, other: Self) -> Self {
+        Self { count: self.count + other.count, squares_mm2: self.squares_mm2 + other.squares_mm2 }
+    }
+
+    pub(crate) fn rmse_mm(self) -> f64 {
+        (self.squares_mm2 / f64::max(self.count, 1.0)).sqrt()
+    }
+}
+
+/// Errors over one sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SweepSums {
+    /// To the surface, to the true contact, and along its way.
+    pub surface: SquareSum,
+    /// See `surface`.
+    pub contact: SquareSum,
+    /// See `surface`.
+    pub along: SquareSum,
+    /// ErrorOf instants that were followed for a while: to the surface, and to the true contact.
+    pub followed_surface: SquareSum,
+    /// See `followed_surface`.
+    pub followed_contact: SquareSum,
+}
+
+impl SweepSums {
+    /// ErrorOf the estimates of a sweep; `true`: followed for a while.
+    #[must_use]
+    pub fn of(pairs: &[(EstimateError, bool)]) -> Self {
+        let all = |value: fn(&EstimateError) -> f64| SquareSum::of(pairs.iter().map(|p| value(&p.0)));
+        let followed = |value: fn(&EstimateError) -> f64| {
+            SquareSum::of(pairs.iter().filter(|p| p.1).map(|p| value(&p.0)))
+        };
+        Self {
+            surface: all(|c| c.surface_mm),
+            contact: all(|c| c.error_mm.norm()),
+            along: all(|c| c.along_mm),
+            followed_surface: followed(|c| c.surface_mm),
+            followed_contact: followed(|c| c.error_mm.norm()),
+        }
     }
 }
 
@@ -67,14 +134,15 @@ pub struct Scores {
 
 /// Scores of estimates; all 0 without any.
 #[must_use]
-pub fn scores(all: &[Compared]) -> Scores {
+pub fn scores(all: &[EstimateError]) -> Scores {
     if all.is_empty() {
         return Scores::default();
     }
     let n = all.len() as f64;
-    let rms =
-        |value: &dyn Fn(&Compared) -> f64| (all.iter().map(|c| value(c).powi(2)).sum::<f64>() / n).sqrt();
-    let quantile = |value: &dyn Fn(&Compared) -> f64, q: f64| {
+    let rms = |value: &dyn Fn(&EstimateError) -> f64| {
+        (all.iter().map(|c| value(c).powi(2)).sum::<f64>() / n).sqrt()
+    };
+    let quantile = |value: &dyn Fn(&EstimateError) -> f64, q: f64| {
         let mut sorted: Vec<f64> = all.iter().map(value).collect();
         sorted.sort_by(f64::total_cmp);
         sorted[((n - 1.0) * q).round() as usize]
@@ -86,8 +154,8 @@ pub fn scores(all: &[Compared]) -> Scores {
         rmse_mm: rms(&|c| c.surface_mm),
         mean_mm: all.iter().map(|c| c.surface_mm).sum::<f64>() / n,
         p95_mm: quantile(&|c| c.surface_mm, 0.95),
-        true_contact_rmse_mm: rms(&|c| c.off_mm.norm()),
-        true_contact_median_mm: quantile(&|c| c.off_mm.norm(), 0.5),
+        true_contact_rmse_mm: rms(&|c| c.error_mm.norm()),
+        true_contact_median_mm: quantile(&|c| c.error_mm.norm(), 0.5),
         along_track_mm: rms(&|c| c.along_mm),
         coverage90: (!stated.is_empty()).then(|| within as f64 / stated.len() as f64),
     }
@@ -96,7 +164,7 @@ pub fn scores(all: &[Compared]) -> Scores {
 /// Factor on stated standard deviations with which the 90 % region holds 90 % of these estimates (split conformal: V. Vovk et al.,
 /// "Algorithmic Learning in a Random World"); 1 without estimates.
 #[must_use]
-pub fn calibrating_factor(all: &[Compared]) -> f64 {
+pub fn calibrating_factor(all: &[EstimateError]) -> f64 {
     let mut stated: Vec<f64> = all.iter().filter_map(|c| c.mahalanobis2).collect();
     if stated.is_empty() {
         return 1.0;
@@ -134,14 +202,14 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    fn drawn(sd_mm: f64, stated_mm: f64) -> Vec<Compared> {
+    fn drawn(sd_mm: f64, stated_spread_mm: f64) -> Vec<EstimateError> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let mut normal = || sd_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
-        let stated = Matrix3::identity() * stated_mm.powi(2);
+        let stated = Matrix3::identity() * stated_spread_mm.powi(2);
         (0..4000)
             .map(|_| {
                 let off = Vector3::new(normal(), normal(), normal());
-                Compared::new(off.x.abs(), off, &Vector3::y(), Some(&stated))
+                EstimateError::new(off.x.abs(), off, &Vector3::y(), Some(&stated))
             })
             .collect()
     }

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 /// Probability at which a segment begins, and below which it ends.
-const BEGINS: f64 = 0.6;
-const ENDS: f64 = 0.4;
+const START_PROBABILITY: f64 = 0.6;
+const END_PROBABILITY: f64 = 0.4;
 /// A contact that moved farther than this beyond the base's way, mm, and beyond so many standard deviations of both ends, is another one.
 const JUMP_MM: f64 = 3.0;
 const JUMP_SDS: f64 = 3.0;
@@ -13,7 +13,7 @@ const JUMP_SDS: f64 = 3.0;
 /// Why a segment begins or ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Edge {
+pub enum SegmentBoundary {
     /// The recording begins or ends.
     Recording,
     /// Free before, touched from here on; touched, free from here on.
@@ -36,9 +36,9 @@ pub struct Segment {
     /// See `from_s`.
     pub to_s: f64,
     /// How it begins and ends.
-    pub begins: Edge,
+    pub begins: SegmentBoundary,
     /// See `begins`.
-    pub ends: Edge,
+    pub ends: SegmentBoundary,
     /// Rows.
     pub rows: u64,
     /// First and last contact, base frame, mm.
@@ -49,15 +49,15 @@ pub struct Segment {
 
 /// Finds the segments of one whisker, row by row.
 #[derive(Debug, Clone, Default)]
-pub struct Segments {
+pub struct SegmentFinder {
     whisker: String,
     open: Option<(Segment, Vector3<f64>, Matrix3<f64>)>,
     done: Vec<Segment>,
     /// What a segment that begins now begins with; none before the first row.
-    next: Option<Edge>,
+    next: Option<SegmentBoundary>,
 }
 
-impl Segments {
+impl SegmentFinder {
     /// Of a whisker.
     #[must_use]
     pub fn new(whisker: &str) -> Self {
@@ -75,15 +75,15 @@ impl Segments {
         base_way_mm: f64,
     ) -> Option<u64> {
         if let Some((segment, last, spread)) = &self.open {
-            if probability < ENDS {
-                self.close(Edge::Touch);
+            if probability < END_PROBABILITY {
+                self.close(SegmentBoundary::Touch);
                 return None;
             }
             // The object goes back as the base goes on.
             let moved = (point_mm - last + Vector3::z() * base_way_mm).norm();
             let sd = (covariance_mm2.trace() + spread.trace()).sqrt();
             if moved > base_way_mm.abs() + JUMP_MM && moved > JUMP_SDS * sd {
-                self.close(Edge::Jump);
+                self.close(SegmentBoundary::Jump);
             } else {
                 let rows = segment.rows + 1;
                 let segment = Segment { to_s: t_s, rows, last_mm: point_mm.into(), ..segment.clone() };
@@ -92,8 +92,8 @@ impl Segments {
                 return Some(number);
             }
         }
-        let begins = self.next.replace(Edge::Touch).unwrap_or(Edge::Recording);
-        if probability < BEGINS && begins != Edge::Jump {
+        let begins = self.next.replace(SegmentBoundary::Touch).unwrap_or(SegmentBoundary::Recording);
+        if probability < START_PROBABILITY && begins != SegmentBoundary::Jump {
             return None;
         }
         let number = self.done.len() as u64 + 1;
@@ -103,7 +103,7 @@ impl Segments {
             from_s: t_s,
             to_s: t_s,
             begins,
-            ends: Edge::Recording,
+            ends: SegmentBoundary::Recording,
             rows: 1,
             first_mm: point_mm.into(),
             last_mm: point_mm.into(),
@@ -114,11 +114,11 @@ impl Segments {
 
     /// Readings are missing here.
     pub fn gap(&mut self) {
-        self.close(Edge::Gap);
-        self.next = Some(Edge::Gap);
+        self.close(SegmentBoundary::Gap);
+        self.next = Some(SegmentBoundary::Gap);
     }
 
-    fn close(&mut self, ends: Edge) {
+    fn close(&mut self, ends: SegmentBoundary) {
         if let Some((segment, ..)) = self.open.take() {
             self.done.push(Segment { ends, ..segment });
         }
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     fn run(points: &[(f64, f64)], sd_mm: f64) -> Vec<Segment> {
-        let mut segments = Segments::new("a");
+        let mut segments = SegmentFinder::new("a");
         for (k, (probability, x)) in points.iter().enumerate() {
             let covariance = Matrix3::identity() * sd_mm * sd_mm;
             let point = Vector3::new(*x, 0.0, -0.4 * k as f64);
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_touch_a_jump_and_a_release_make_two_segments() {
-        let course = [
+        let series = [
             (0.0, 30.0),
             (0.9, 30.0),
             (0.5, 30.1),
@@ -158,23 +158,31 @@ mod tests {
             (0.1, 40.2),
             (0.5, 40.0),
         ];
-        let found = run(&course, 0.2);
+        let found = run(&series, 0.2);
         let edges: Vec<_> = found.iter().map(|s| (s.begins, s.ends, s.rows, s.number)).collect();
-        assert_eq!(edges, [(Edge::Touch, Edge::Jump, 3, 1), (Edge::Jump, Edge::Touch, 2, 2)], "{found:?}");
+        assert_eq!(
+            edges,
+            [
+                (SegmentBoundary::Touch, SegmentBoundary::Jump, 3, 1),
+                (SegmentBoundary::Jump, SegmentBoundary::Touch, 2, 2)
+            ],
+            "{found:?}"
+        );
         assert!((found[0].from_s - 0.1).abs() < 1e-9 && (found[1].to_s - 0.5).abs() < 1e-9);
         // Negative control: with answers that are only good to 5 mm the step says nothing.
-        assert_eq!(run(&course, 5.0).len(), 1);
+        assert_eq!(run(&series, 5.0).len(), 1);
     }
 
     #[test]
     fn a_gap_breaks_a_segment_and_an_open_one_ends_with_the_recording() {
-        let mut segments = Segments::new("");
-        let push = |s: &mut Segments, t: f64| s.push(t, 0.9, Vector3::x(), Matrix3::identity() * 0.01, 0.0);
+        let mut segments = SegmentFinder::new("");
+        let push =
+            |s: &mut SegmentFinder, t: f64| s.push(t, 0.9, Vector3::x(), Matrix3::identity() * 0.01, 0.0);
         assert_eq!(push(&mut segments, 0.0), Some(1));
         segments.gap();
         assert_eq!(push(&mut segments, 1.0), Some(2));
         let all = segments.all();
-        assert_eq!((all[0].begins, all[0].ends), (Edge::Recording, Edge::Gap));
-        assert_eq!((all[1].begins, all[1].ends), (Edge::Gap, Edge::Recording));
+        assert_eq!((all[0].begins, all[0].ends), (SegmentBoundary::Recording, SegmentBoundary::Gap));
+        assert_eq!((all[1].begins, all[1].ends), (SegmentBoundary::Gap, SegmentBoundary::Recording));
     }
 }

@@ -1,8 +1,16 @@
 //! The touched surface out of tracks: a cloud of contacts with covariance, and a Gaussian process implicit surface through it.
 //!
-//! The process is the signed distance to the surface (O. Williams, A. Fitzgibbon, "Gaussian Process Implicit Surfaces", 2006): zero at
-//! the contacts, with each contact's variance along its normal, and told a little in front of them and behind. Its mesh is cut where
-//! nothing was touched nearby.
+//! The process is the signed distance d(x) to the surface, prior mean `s0` (outside) and Matern 5/2 covariance:
+//!
+//! ```text
+//! k(r) = s0^2 (1 + u + u^2 / 3) exp(-u),  u = sqrt(5) r / l
+//! observations at p_i + h n_i, h in {0, +o, -o}:  d = h,  variance n_i^T C_i n_i + s_min^2 (+ s_o^2 for h != 0)
+//! d(x) = s0 + k(x)^T K^-1 (y - s0),   sd(x)^2 = s0^2 - |L^-1 k(x)|^2,   K = L L^T
+//! ```
+//!
+//! Each contact counts with its variance along its normal. The mesh of d = 0 is cut where nothing was touched nearby. Sources: O. Williams,
+//! A. Fitzgibbon, "Gaussian Process Implicit Surfaces", 2006; C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning",
+//! 2006, algorithm 2.1.
 
 mod mesh;
 
@@ -27,15 +35,15 @@ pub struct CloudPoint {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceSettings {
     /// Contacts whose largest standard deviation is above this are left out, mm.
-    pub most_sd_mm: f64,
+    pub max_sd_mm: f64,
     /// One contact is kept in each cube of this size, mm: the one known best.
-    pub thin_mm: f64,
-    /// Contacts at most.
-    pub most: usize,
+    pub thinning_mm: f64,
+    /// Largest number of contacts.
+    pub max_contacts: usize,
     /// Length over which the surface bends, mm.
     pub length_mm: f64,
-    /// Distance in front of a contact and behind it at which the process is told its value, mm.
-    pub beside_mm: f64,
+    /// Distance in front of a contact and behind it at which the process is given its value, mm.
+    pub offset_mm: f64,
     /// Size of the mesh's cells, mm, and how far from a contact it goes, mm.
     pub cell_mm: f64,
     /// See `cell_mm`.
@@ -45,11 +53,11 @@ pub struct SurfaceSettings {
 impl Default for SurfaceSettings {
     fn default() -> Self {
         Self {
-            most_sd_mm: 2.0,
-            thin_mm: 1.0,
-            most: 300,
+            max_sd_mm: 2.0,
+            thinning_mm: 1.0,
+            max_contacts: 300,
             length_mm: 20.0,
-            beside_mm: 2.0,
+            offset_mm: 2.0,
             cell_mm: 1.0,
             reach_mm: 3.0,
         }
@@ -57,9 +65,9 @@ impl Default for SurfaceSettings {
 }
 
 /// Standard deviation that every contact has at least, mm.
-const LEAST_SD_MM: f64 = 0.05;
-/// Standard deviation of what is told beside a contact, mm: the surface turns and bends.
-const BESIDE_SD_MM: f64 = 0.3;
+const MIN_SD_MM: f64 = 0.05;
+/// Standard deviation of the value at an offset point, mm: the surface turns and bends.
+const OFFSET_SD_MM: f64 = 0.3;
 /// Standard deviation of the signed distance where nothing is known, mm.
 const PRIOR_SD_MM: f64 = 20.0;
 
@@ -77,16 +85,17 @@ impl ImplicitSurface {
     /// Through contacts; none without a usable one.
     #[must_use]
     pub fn new(cloud: &[CloudPoint], settings: SurfaceSettings) -> Option<Self> {
-        let contacts = thinned(cloud, &settings);
-        let told = [(0.0, 0.0), (settings.beside_mm, BESIDE_SD_MM), (-settings.beside_mm, BESIDE_SD_MM)];
+        let contacts = thin_out(cloud, &settings);
+        let constraints =
+            [(0.0, 0.0), (settings.offset_mm, OFFSET_SD_MM), (-settings.offset_mm, OFFSET_SD_MM)];
         let mut places = Vec::new();
         let (mut values, mut variances) = (Vec::new(), Vec::new());
         for c in &contacts {
-            for (off_mm, sd_mm) in told {
+            for (off_mm, sd_mm) in constraints {
                 places.push(c.point_mm + c.normal * off_mm);
                 values.push(off_mm - PRIOR_SD_MM);
                 let along = c.normal.dot(&(c.covariance_mm2 * c.normal));
-                variances.push(along + LEAST_SD_MM.powi(2) + f64::powi(sd_mm, 2));
+                variances.push(along + MIN_SD_MM.powi(2) + f64::powi(sd_mm, 2));
             }
         }
         let n = places.len();
@@ -145,17 +154,17 @@ fn sd_mm(c: &CloudPoint) -> f64 {
 }
 
 /// The best known contact of every small cube, the best of them where there are too many.
-fn thinned(cloud: &[CloudPoint], settings: &SurfaceSettings) -> Vec<CloudPoint> {
+fn thin_out(cloud: &[CloudPoint], settings: &SurfaceSettings) -> Vec<CloudPoint> {
     let mut best: BTreeMap<[i64; 3], (f64, CloudPoint)> = BTreeMap::new();
     for c in cloud {
         let finite =
             [c.point_mm, c.normal].iter().flatten().chain(&c.covariance_mm2).all(|x: &f64| x.is_finite());
         let Some(normal) = c.normal.try_normalize(0.1).filter(|_| finite) else { continue };
         let sd = sd_mm(c);
-        if sd > settings.most_sd_mm {
+        if sd > settings.max_sd_mm {
             continue;
         }
-        let cube = [0, 1, 2].map(|k| (c.point_mm[k] / settings.thin_mm).floor() as i64);
+        let cube = [0, 1, 2].map(|k| (c.point_mm[k] / settings.thinning_mm).floor() as i64);
         let kept = best.entry(cube).or_insert((f64::INFINITY, *c));
         if sd < kept.0 {
             *kept = (sd, CloudPoint { normal, ..*c });
@@ -163,7 +172,7 @@ fn thinned(cloud: &[CloudPoint], settings: &SurfaceSettings) -> Vec<CloudPoint> 
     }
     let mut all: Vec<(f64, CloudPoint)> = best.into_values().collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    all.truncate(settings.most);
+    all.truncate(settings.max_contacts);
     all.into_iter().map(|(_, c)| c).collect()
 }
 

@@ -1,4 +1,5 @@
 //! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench (SIMULATED).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::Device;
@@ -7,9 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, SweepEngine, SweepPlan, objects};
-use wcal_track::bayes::{BayesFilter, BayesSettings};
+use wcal_track::filter::{BayesFilter, BayesSettings};
 use wcal_track::model_file::load;
-use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
+use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 
 const ROWS: usize = 600;
 const RATE_HZ: f64 = 10.0;
@@ -19,7 +20,7 @@ fn called(tracker: &Tracker, quiet: &[(f64, [f64; 2], f64)], noise_nmm: f64, kno
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     // Twelve even ones less their mean are as good as Gaussian here.
     let mut gauss = || (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>();
-    let mut stream = tracker.stream_told(tracker.filters.told(noise_nmm, 0.0));
+    let mut stream = tracker.stream_with(tracker.filters.with_measurement_noise(noise_nmm, 0.0));
     let one = |(t_s, moment_nmm, speed): &(f64, [f64; 2], f64)| {
         let moment_nmm = moment_nmm.map(|m| m + noise_nmm * gauss());
         let sample = Sample { t_s: *t_s, moment_nmm, base_mm_s: known.then_some(*speed) };
@@ -29,7 +30,7 @@ fn called(tracker: &Tracker, quiet: &[(f64, [f64; 2], f64)], noise_nmm: f64, kno
 }
 
 /// Sweeps over a ball, and for each instant whether the wire is clearly pressed.
-fn sweeps() -> Vec<Course> {
+fn sweeps() -> Vec<SweepSeries> {
     let folder = tempfile::tempdir().unwrap();
     let dataset = Dataset {
         engine: SweepEngine::Rod,
@@ -41,7 +42,7 @@ fn sweeps() -> Vec<Course> {
         share: [0, 1],
     };
     dataset.make(folder.path(), |_, _| {}).unwrap();
-    course::read_courses(folder.path(), &[]).unwrap().into_values().flatten().collect()
+    sweep_series::read_sweep_series(folder.path(), &[]).unwrap().into_values().flatten().collect()
 }
 
 /// At most one free row in fifty; the model without such wires in its training called one in nine at 0.003 N mm.
@@ -57,10 +58,10 @@ fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
             let free = called(&tracker, &quiet, noise, known).into_iter().filter(|c| *c).count();
             // Control: the same noise on wires that are pressed.
             let (mut pressed, mut found) = (0, 0);
-            for course in &sweeps {
+            for series in &sweeps {
                 let all: Vec<_> =
-                    course.instants.iter().map(|i| (i.t_s, i.moment_nmm, i.speed_mm_s)).collect();
-                for (i, called) in course.instants.iter().zip(called(&tracker, &all, noise, known)) {
+                    series.samples.iter().map(|i| (i.t_s, i.moment_nmm, i.speed_mm_s)).collect();
+                for (i, called) in series.samples.iter().zip(called(&tracker, &all, noise, known)) {
                     let clear = i.contact.is_some() && i.moment_nmm[0].hypot(i.moment_nmm[1]) > 10.0 * noise;
                     pressed += usize::from(clear);
                     found += usize::from(clear && called);
@@ -82,11 +83,11 @@ fn a_free_wire_under_noise_and_drift_is_not_called_touched() {
 #[test]
 fn moments_below_the_onset_have_no_direction() {
     let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();
-    let settings = BayesSettings::rough();
+    let settings = BayesSettings::multi_mu();
     let seen = |moment_nmm: [f64; 2]| {
         let mut filter = BayesFilter::new(&inverse, settings);
         let belief = filter.step(0.1, moment_nmm, Some(5.0));
-        (belief, filter.candidates().to_vec())
+        (belief, filter.solutions().to_vec())
     };
     for size_nmm in [0.0, 1e-31, 0.9 * settings.onset_nmm] {
         assert_eq!(seen([0.0, size_nmm]), seen([-size_nmm, 0.0]), "{size_nmm} N mm");

@@ -1,4 +1,5 @@
 //! Known motion on sessions of the plant (SIMULATED, physics that shares no code with the tracker's rod).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Vector3};
 use std::collections::BTreeMap;

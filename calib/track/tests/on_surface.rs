@@ -1,4 +1,5 @@
-//! Answers are trained to lie on the object's surface, too. On small SIMULATED courses.
+//! Answers are trained to lie on the object's surface, too. On small SIMULATED series.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::Device;
@@ -6,13 +7,13 @@ use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Mesh, SweepPlan, objects};
-use wcal_track::drawn::{Order, drawn};
-use wcal_track::evaluate::{Method, over_objects};
+use wcal_track::evaluate::{Method, score_objects};
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::model_file::preset;
 use wcal_track::network::NetworkConfig;
-use wcal_track::spread::SdFactors;
-use wcal_track::train::{Material, TrainSettings, train};
-use wcal_track::{Course, InverseGrid, StaticInverse, Tracker};
+use wcal_track::sd_factors::SdFactors;
+use wcal_track::train::{TrainSettings, TrainingData, train};
+use wcal_track::{InverseGrid, StaticInverse, SweepSeries, Tracker};
 
 type Meshes = BTreeMap<String, Mesh>;
 
@@ -20,44 +21,44 @@ fn meshes() -> Meshes {
     ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into()
 }
 
-fn courses(meshes: &Meshes, seed: u64, sweeps: usize) -> BTreeMap<String, Vec<Course>> {
+fn all_series(meshes: &Meshes, seed: u64, sweeps: usize) -> BTreeMap<String, Vec<SweepSeries>> {
     let (whisker, plan) =
         (WhiskerSpec::nominal(), SweepPlan { rate_hz: 10.0, most_mm: 60.0, ..SweepPlan::default() });
-    let order = Order { whisker: &whisker, plan: &plan, seed, sweeps };
-    meshes.iter().map(|(n, mesh)| (n.clone(), drawn(mesh, &order).unwrap())).collect()
+    let order = SweepRequest { whisker: &whisker, plan: &plan, seed, sweeps };
+    meshes.iter().map(|(n, mesh)| (n.clone(), generate_sweeps(mesh, &order).unwrap())).collect()
 }
 
 #[test]
 fn a_point_above_the_ball_comes_down_to_where_it_was_lifted_from() {
     let meshes = meshes();
-    let (ball, course) = (&meshes["ball"], &courses(&meshes, 3, 1)["ball"][0]);
+    let (ball, series) = (&meshes["ball"], &all_series(&meshes, 3, 1)["ball"][0]);
     let middle = Point3::from((ball.low_mm + ball.high_mm) / 2.0);
     let mut touched = 0;
-    for instant in &course.instants {
+    for instant in &series.samples {
         let Some(contact) = instant.contact else { continue };
-        let middle = course.base_from_object * middle - Vector3::z() * instant.travel_mm;
+        let middle = series.base_from_object * middle - Vector3::z() * instant.travel_mm;
         let lifted = contact.point_mm + (contact.point_mm - middle.coords).normalize() * 2.0;
-        let found = course.on_surface(ball, instant.travel_mm, &lifted);
+        let found = series.closest_surface_point(ball, instant.travel_mm, &lifted);
         // Facets of the ball are tilted by up to a tenth.
         assert!((found - contact.point_mm).norm() < 0.3, "{found} {}", contact.point_mm);
-        assert!((course.surface_mm(ball, instant.travel_mm, &lifted) - 2.0).abs() < 0.05);
-        assert!(course.surface_mm(ball, instant.travel_mm, &found) < 1e-9);
+        assert!((series.surface_distance_mm(ball, instant.travel_mm, &lifted) - 2.0).abs() < 0.05);
+        assert!(series.surface_distance_mm(ball, instant.travel_mm, &found) < 1e-9);
         // Negative control: the object has moved on.
-        let later = course.on_surface(ball, instant.travel_mm + 20.0, &lifted);
+        let later = series.closest_surface_point(ball, instant.travel_mm + 20.0, &lifted);
         assert!((later - contact.point_mm).norm() > 1.0);
         touched += 1;
     }
     assert!(touched > 20, "{touched}");
 }
 
-/// The same network on the same courses, with the true contacts alone, with the surfaces, and with each other's.
+/// The same network on the same series, with the true contacts alone, with the surfaces, and with each other's.
 #[test]
 fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let meshes = meshes();
     let grid = InverseGrid {
         step_mm: 4.0,
         refine: 1,
-        leans: 3,
+        tilts: 3,
         directions: 24,
         steps: 16,
         ..InverseGrid::default()
@@ -75,25 +76,30 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
         noise_nmm: 0.0,
         ..TrainSettings::default()
     };
-    let trained: Vec<Course> = courses(&meshes, 3, 6).into_values().flatten().collect();
-    let held_out: Vec<Course> = courses(&meshes, 4, 2).into_values().flatten().collect();
-    let judged = courses(&meshes, 5, 6);
+    let trained: Vec<SweepSeries> = all_series(&meshes, 3, 6).into_values().flatten().collect();
+    let held_out: Vec<SweepSeries> = all_series(&meshes, 4, 2).into_values().flatten().collect();
+    let judged = all_series(&meshes, 5, 6);
     let device = Device::flex();
     let surface_mm = |known: &Meshes| {
-        let material =
-            Material { courses: &trained, held_out: &held_out, inverse: &inverse, meshes: known, from: None };
+        let material = TrainingData {
+            all_series: &trained,
+            held_out: &held_out,
+            inverse: &inverse,
+            meshes: known,
+            from: None,
+        };
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
-        assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() == !known.is_empty()));
+        assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() != known.is_empty()));
         let (filters, inverse) = (settings.filters(), inverse.clone());
         let tracker = Tracker {
             config,
             net,
             inverse,
             filters,
-            sd_factors: [1.0; 2].map(SdFactors::even),
+            sd_factors: [1.0; 2].map(SdFactors::constant),
             device: device.clone(),
         };
-        let rows = over_objects(&|c: &Course| Method::Network(&tracker, true).run(c), &judged, &meshes);
+        let rows = score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes);
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64
     };

@@ -1,4 +1,5 @@
-//! The tracker on small simulated courses: gradients, order of time, streams, files, training.
+//! The tracker on small simulated series: gradients, order of time, streams, files, training.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -8,24 +9,24 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::WhiskerSpec;
 use wcal_mujoco::{Dataset, SweepPlan, objects};
-use wcal_track::bayes::{BayesFilter, BayesSettings, Filters};
-use wcal_track::drawn::{Order, drawn};
-use wcal_track::evaluate::{Method, over_objects};
+use wcal_track::evaluate::{Method, score_objects};
+use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::model_file::{Card, FORMAT, Split, load, preset, save};
-use wcal_track::motion::{Felt, MotionCheck, UntrainedMotion};
-use wcal_track::network::model::attention_bias;
+use wcal_track::network::attention_bias;
 use wcal_track::network::{NetworkConfig, WhiskerNet};
-use wcal_track::spread::SdFactors;
+use wcal_track::sd_factors::SdFactors;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
-use wcal_track::train::{Material, TrainSettings, best, train};
-use wcal_track::{Course, InverseGrid, Sample, StaticInverse, Tracker, course};
+use wcal_track::train::{TrainSettings, TrainingData, best, train};
+use wcal_track::untrained_motion::{MotionCheck, MotionSample, UntrainedMotion};
+use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()
 }
 
 fn grid() -> InverseGrid {
-    InverseGrid { step_mm: 4.0, refine: 1, leans: 3, directions: 24, steps: 16, ..InverseGrid::default() }
+    InverseGrid { step_mm: 4.0, refine: 1, tilts: 3, directions: 24, steps: 16, ..InverseGrid::default() }
 }
 
 fn inverse() -> &'static StaticInverse {
@@ -46,8 +47,8 @@ fn plan() -> SweepPlan {
 }
 
 /// Ten sweeps over two objects, made once.
-fn courses() -> &'static BTreeMap<String, Vec<Course>> {
-    static COURSES: OnceLock<BTreeMap<String, Vec<Course>>> = OnceLock::new();
+fn all_series() -> &'static BTreeMap<String, Vec<SweepSeries>> {
+    static COURSES: OnceLock<BTreeMap<String, Vec<SweepSeries>>> = OnceLock::new();
     COURSES.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let dataset = Dataset {
@@ -60,7 +61,7 @@ fn courses() -> &'static BTreeMap<String, Vec<Course>> {
             share: [0, 1],
         };
         dataset.make(folder.path(), |_, _| {}).unwrap();
-        course::read_courses(folder.path(), &[]).unwrap()
+        sweep_series::read_sweep_series(folder.path(), &[]).unwrap()
     })
 }
 
@@ -78,31 +79,31 @@ fn tracker(config: NetworkConfig) -> Tracker {
         net,
         inverse: inverse().clone(),
         filters: TrainSettings::default().filters(),
-        sd_factors: [1.0; 2].map(SdFactors::even),
+        sd_factors: [1.0; 2].map(SdFactors::constant),
         device,
     }
 }
 
-fn samples(course: &Course) -> Vec<Sample> {
-    let one = |i: &wcal_track::Instant| Sample {
+fn samples(series: &SweepSeries) -> Vec<Sample> {
+    let one = |i: &wcal_track::SweepSample| Sample {
         t_s: i.t_s,
         moment_nmm: i.moment_nmm,
         base_mm_s: Some(i.speed_mm_s),
     };
-    course.instants.iter().map(one).collect()
+    series.samples.iter().map(one).collect()
 }
 
-/// The true contact lies on the curve of candidates; that of half the moment does not pass by it.
+/// The true contact lies on the curve of solutions; that of half the moment does not pass by it.
 #[test]
 fn the_curve_of_candidates_passes_through_the_contact() {
-    let (mut off, mut wrong, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
-    for instant in courses().values().flatten().flat_map(|c| &c.instants) {
+    let (mut off, mut wrong, mut solutions) = (Vec::new(), Vec::new(), Vec::new());
+    for instant in all_series().values().flatten().flat_map(|c| &c.samples) {
         let Some(contact) = instant.contact.filter(|_| instant.contacts == 1 && instant.settled) else {
             continue;
         };
         let mut nearest = |factor: f64| {
-            fine().candidates(instant.moment_nmm.map(|m| m * factor), &mut candidates);
-            candidates.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
+            fine().solutions(instant.moment_nmm.map(|m| m * factor), &mut solutions);
+            solutions.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
         };
         off.push(nearest(1.0));
         wrong.push(nearest(0.5));
@@ -120,19 +121,19 @@ fn the_curve_of_candidates_passes_through_the_contact() {
 /// Where the tip is dragged along, its force leans toward the root: the curve's end holds it, and the wire's own part does not.
 #[test]
 fn the_curve_holds_a_tip_whose_force_leans() {
-    let (mut off, mut square, mut candidates) = (Vec::new(), Vec::new(), Vec::new());
-    let on_wire = fine().nodes.iter().take_while(|n| n.lean == 0.0).count();
-    for instant in courses().values().flatten().flat_map(|c| &c.instants) {
+    let (mut off, mut square, mut solutions) = (Vec::new(), Vec::new(), Vec::new());
+    let on_wire = fine().nodes.iter().take_while(|n| n.tilt == 0.0).count();
+    for instant in all_series().values().flatten().flat_map(|c| &c.samples) {
         let Some(contact) = instant.contact.filter(|c| c.arclength_mm > 59.99 && instant.contacts == 1)
         else {
             continue;
         };
-        fine().candidates(instant.moment_nmm, &mut candidates);
-        let nearest = |all: &[wcal_track::Candidate]| {
+        fine().solutions(instant.moment_nmm, &mut solutions);
+        let nearest = |all: &[wcal_track::InverseSolution]| {
             all.iter().map(|c| (c.point_mm - contact.point_mm).norm()).fold(f64::INFINITY, f64::min)
         };
-        off.push(nearest(&candidates));
-        square.push(nearest(&candidates[..on_wire]));
+        off.push(nearest(&solutions));
+        square.push(nearest(&solutions[..on_wire]));
     }
     let p90 = |v: &mut Vec<f64>| {
         v.sort_by(f64::total_cmp);
@@ -143,33 +144,34 @@ fn the_curve_holds_a_tip_whose_force_leans() {
     assert!(right < 0.25 && wrong > 2.0 * right, "{right} {wrong}");
 }
 
-/// A course drawn on the spot is the one that the shards hold.
+/// A series drawn on the spot is the one that the shards hold.
 #[test]
 fn drawn_courses_are_those_of_a_dataset() {
     let ball = objects::built_in("ball").unwrap();
-    let made =
-        |seed: u64| drawn(&ball, &Order { whisker: &whisker(), plan: &plan(), seed, sweeps: 2 }).unwrap();
-    let (right, other, kept) = (made(SEED), made(SEED + 1), &courses()["ball"][..2]);
+    let made = |seed: u64| {
+        generate_sweeps(&ball, &SweepRequest { whisker: &whisker(), plan: &plan(), seed, sweeps: 2 }).unwrap()
+    };
+    let (right, other, kept) = (made(SEED), made(SEED + 1), &all_series()["ball"][..2]);
     assert_eq!(right.len(), 2);
     for (one, other) in right.iter().zip(kept) {
-        assert_eq!((one.sweep, &one.instants), (other.sweep, &other.instants));
+        assert_eq!((one.sweep, &one.samples), (other.sweep, &other.samples));
     }
-    assert!(other[0].instants != kept[0].instants);
+    assert!(other[0].samples != kept[0].samples);
 }
 
 /// With the base's speed known the filter finds the contact; told another speed, it does not.
 #[test]
 fn the_bayes_filter_follows_with_the_right_speed_only() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
-    let median = |courses: &BTreeMap<String, Vec<Course>>| {
+    let median = |all_series: &BTreeMap<String, Vec<SweepSeries>>| {
         let settings = BayesSettings::default();
         let method = Method::Bayes(fine(), true, &settings);
-        let rows = over_objects(&|c: &Course| method.run(c), courses, &meshes).unwrap();
+        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
     };
-    let mut hurried = courses().clone();
-    hurried.values_mut().flatten().flat_map(|c| &mut c.instants).for_each(|i| i.speed_mm_s *= 1.6);
-    let (right, wrong) = (median(courses()), median(&hurried));
+    let mut hurried = all_series().clone();
+    hurried.values_mut().flatten().flat_map(|c| &mut c.samples).for_each(|i| i.speed_mm_s *= 1.6);
+    let (right, wrong) = (median(all_series()), median(&hurried));
     assert!(right < 1.0 && wrong > 2.0 * right, "{right} {wrong}");
 }
 
@@ -177,11 +179,11 @@ fn the_bayes_filter_follows_with_the_right_speed_only() {
 #[test]
 fn a_base_that_goes_back_leaves_answers_finite() {
     let tracker = tracker(tiny());
-    let course = &courses()["can"][0];
+    let series = &all_series()["can"][0];
     let answers = |speed: &dyn Fn(usize) -> f64| {
-        let mut all = samples(course);
+        let mut all = samples(series);
         all.iter_mut().enumerate().for_each(|(k, s)| s.base_mm_s = Some(speed(k)));
-        tracker.course(&all)
+        tracker.track_series(&all)
     };
     let back = answers(&|k| [0.0, -30.0, 5.0][k % 3]);
     assert!(back.iter().all(|p| p.contact.is_finite() && p.point_mm.iter().all(|x| x.is_finite())));
@@ -219,12 +221,12 @@ fn every_parameter_learns() {
 #[test]
 fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
     let tracker = tracker(tiny());
-    let all = samples(&courses()["ball"][0]);
-    let answers = tracker.course(&all);
+    let all = samples(&all_series()["ball"][0]);
+    let answers = tracker.track_series(&all);
     let change = |at: usize| {
         let mut changed = all.clone();
         changed[at].moment_nmm[0] += 0.3;
-        tracker.course(&changed)
+        tracker.track_series(&changed)
     };
     let middle = all.len() / 2;
     let later = change(middle);
@@ -234,19 +236,19 @@ fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
     assert!(answers[middle] != change(middle - 5)[middle]);
 }
 
-/// A filter that is handed the candidates believes what it does by itself; it is another one than the first.
+/// A filter that is handed the solutions believes what it does by itself; it is another one than the first.
 #[test]
 fn a_filter_beside_another_believes_what_it_does_alone() {
     let both = TrainSettings::default().filters();
     let filter = |settings| BayesFilter::new(inverse(), settings);
     let (mut first, mut beside, mut alone) =
-        (filter(both.first), filter(both.beside.unwrap()), filter(both.beside.unwrap()));
+        (filter(both.frictional), filter(both.frictionless.unwrap()), filter(both.frictionless.unwrap()));
     let mut apart = 0.0_f64;
-    for sample in samples(&courses()["can"][1]) {
+    for sample in samples(&all_series()["can"][1]) {
         first.step(0.1, sample.moment_nmm, sample.base_mm_s);
-        beside.step_beside(0.1, sample.moment_nmm, sample.base_mm_s, &first);
+        beside.step_sharing_solutions(0.1, sample.moment_nmm, sample.base_mm_s, &first);
         alone.step(0.1, sample.moment_nmm, sample.base_mm_s);
-        assert_eq!(beside.candidates(), alone.candidates());
+        assert_eq!(beside.solutions(), alone.solutions());
         assert_eq!(beside.posterior(), alone.posterior());
         let off = first.posterior().iter().zip(beside.posterior()).map(|(a, b)| (a - b).abs()).sum();
         apart = apart.max(off);
@@ -259,16 +261,16 @@ fn a_filter_beside_another_believes_what_it_does_alone() {
 fn a_network_that_weighs_two_filters_needs_both() {
     let both = tracker(tiny());
     both.check().unwrap();
-    let one = Tracker { filters: both.filters.first.into(), ..both.clone() };
+    let one = Tracker { filters: both.filters.frictional.into(), ..both.clone() };
     let error = one.check().unwrap_err().to_string();
     assert!(error.contains("filters below the network"), "{error}");
-    let all = samples(&courses()["can"][1]);
-    let with_beside = |beside| {
-        let filters = Filters { beside: Some(beside), ..both.filters };
-        Tracker { filters, ..both.clone() }.course(&all)
+    let all = samples(&all_series()["can"][1]);
+    let with_frictionless = |frictionless| {
+        let filters = FilterBank { frictionless: Some(frictionless), ..both.filters };
+        Tracker { filters, ..both.clone() }.track_series(&all)
     };
-    // The first filter beside itself: another answer than with the one for objects without friction.
-    let (alone, apart) = (with_beside(both.filters.first), both.course(&all));
+    // The frictional filter in both places: another answer than with the one for objects without friction.
+    let (alone, apart) = (with_frictionless(both.filters.frictional), both.track_series(&all));
     assert!(alone.iter().zip(&apart).any(|(a, b)| (a.point_mm[0] - b.point_mm[0]).abs() > 0.1));
 }
 
@@ -276,10 +278,10 @@ fn a_network_that_weighs_two_filters_needs_both() {
 fn a_stream_gives_what_the_batch_gives() {
     for config in [tiny(), NetworkConfig { nodes: 0, ..tiny() }] {
         let tracker = tracker(config);
-        let all = samples(&courses()["can"][1]);
+        let all = samples(&all_series()["can"][1]);
         assert!(all.len() > 2 * config.context);
         let mut stream = tracker.stream();
-        for (sample, batch) in all.iter().zip(tracker.course(&all)) {
+        for (sample, batch) in all.iter().zip(tracker.track_series(&all)) {
             let one = stream.push(sample);
             let off = (Vector3::from(one.point_mm) - Vector3::from(batch.point_mm)).norm();
             // 1e-5 of the wire's reach.
@@ -292,7 +294,7 @@ fn a_stream_gives_what_the_batch_gives() {
 fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
     let folder = tempfile::tempdir().unwrap();
     // Other filters than models have by default: the card says which ones.
-    let filters = Filters { first: BayesSettings::rough(), ..tracker(tiny()).filters };
+    let filters = FilterBank { frictional: BayesSettings::multi_mu(), ..tracker(tiny()).filters };
     let before = Tracker { filters, ..tracker(tiny()) };
     let mut card = Card {
         format: FORMAT.into(),
@@ -302,10 +304,10 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         inverse: grid(),
         whisker: whisker(),
         sd_factors: [1.0; 2],
-        sd_on_bench: Some([1.5; 2].map(SdFactors::even)),
+        sd_on_bench: Some([1.5; 2].map(SdFactors::constant)),
         sd_factors_by_class: BTreeMap::new(),
         object_classes: BTreeMap::new(),
-        training: TrainSettings { filter: filters.first, ..TrainSettings::default() },
+        training: TrainSettings { filter: filters.frictional, ..TrainSettings::default() },
         passes: Vec::new(),
         objects: Split::default(),
         data: BTreeMap::new(),
@@ -321,8 +323,8 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         save(folder.path(), &before.net, &mut card).unwrap();
         assert_eq!(card, read, "the same weights have one hash");
     }
-    let all = samples(&courses()["ball"][2]);
-    assert_eq!(before.course(&all), after.course(&all));
+    let all = samples(&all_series()["ball"][2]);
+    assert_eq!(before.track_series(&all), after.track_series(&all));
     let weights = folder.path().join("model.safetensors");
     let bytes = std::fs::read(&weights).unwrap();
     std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
@@ -338,10 +340,15 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
 /// All passes in one go, and the rest of them after a stop, give the same network; and it has learned something.
 #[test]
 fn training_learns_and_goes_on_where_it_stopped() {
-    let all: Vec<Course> = courses().values().flatten().cloned().collect();
+    let all: Vec<SweepSeries> = all_series().values().flatten().cloned().collect();
     let meshes = BTreeMap::new();
-    let material =
-        Material { courses: &all[..8], held_out: &all[8..], inverse: inverse(), meshes: &meshes, from: None };
+    let material = TrainingData {
+        all_series: &all[..8],
+        held_out: &all[8..],
+        inverse: inverse(),
+        meshes: &meshes,
+        from: None,
+    };
     let settings = TrainSettings {
         epochs: 10,
         batch: 4,
@@ -370,7 +377,7 @@ fn training_learns_and_goes_on_where_it_stopped() {
     let (_, resumed) = train(&tiny(), &settings, &material, Some(folder.path()), &device, |_| {}).unwrap();
     assert_eq!(resumed.len(), 10);
     assert!((resumed[9].held_out_loss - whole[9].held_out_loss).abs() < 1e-4, "{resumed:?} {whole:?}");
-    let one = TrainSettings { filter_beside: None, ..settings };
+    let one = TrainSettings { filter_frictionless: None, ..settings };
     let error = train(&tiny(), &one, &material, None, &device, |_| {}).err().unwrap();
     assert!(error.to_string().contains("filters below the network"), "{error}");
     let other = TrainSettings { rate: 1e-3, ..settings };
@@ -383,7 +390,7 @@ fn training_learns_and_goes_on_where_it_stopped() {
 fn the_shipped_models_beat_the_static_inverse_by_far() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
     let contact_mm = |method: Method<'_>| {
-        let rows = over_objects(&|c: &Course| method.run(c), courses(), &meshes).unwrap();
+        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series(), &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_rmse_mm).sum::<f64>() / rows.len() as f64
     };
     for name in ["tracker", "tracker_small"] {
@@ -402,28 +409,28 @@ fn the_shipped_models_beat_the_static_inverse_by_far() {
 fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/tracker");
     let tracker = load(&folder, &Device::flex()).unwrap().0;
-    for (name, courses) in courses() {
+    for (name, all_series) in all_series() {
         let mesh = objects::built_in(name).unwrap();
         let mut cloud = Vec::new();
-        for course in courses {
-            let answers = tracker.course(&samples(course));
-            for (i, p) in course.instants.iter().zip(answers).filter(|(_, p)| p.contact > 0.9) {
-                let turn = course.base_from_object.rotation.inverse();
+        for series in all_series {
+            let answers = tracker.track_series(&samples(series));
+            for (i, p) in series.samples.iter().zip(answers).filter(|(_, p)| p.contact > 0.9) {
+                let turn = series.base_from_object.rotation.inverse();
                 let at_start = Vector3::from(p.point_mm.map(f64::from)) + Vector3::z() * i.travel_mm;
                 let covariance = Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]));
                 let matrix = turn.to_rotation_matrix();
                 cloud.push(CloudPoint {
-                    point_mm: course.base_from_object.inverse_transform_point(&at_start.into()).coords,
+                    point_mm: series.base_from_object.inverse_transform_point(&at_start.into()).coords,
                     covariance_mm2: matrix * covariance * matrix.inverse(),
                     normal: turn * Vector3::from(p.normal.map(f64::from)),
                 });
             }
         }
         // Coarser than the default: a test has to be quick.
-        let settings = SurfaceSettings { most: 120, cell_mm: 2.0, ..SurfaceSettings::default() };
+        let settings = SurfaceSettings { max_contacts: 120, cell_mm: 2.0, ..SurfaceSettings::default() };
         let surface = ImplicitSurface::new(&cloud, settings).unwrap();
         let made = surface.mesh();
-        let off = |p: &Vector3<f64>| mesh.near(p, 100.0).unwrap().distance_mm.abs();
+        let off = |p: &Vector3<f64>| mesh.closest_point(p, 100.0).unwrap().distance_mm.abs();
         let rmse = |all: &mut dyn Iterator<Item = f64>| {
             let all: Vec<f64> = all.collect();
             (all.iter().map(|x| x * x).sum::<f64>() / all.len() as f64).sqrt()
@@ -445,17 +452,17 @@ fn tracks_of_several_sweeps_make_the_surface_that_was_touched() {
     }
 }
 
-/// Rows of a course in contact, as `MotionCheck` sees them; its moments turned by a half turn where `from` is -1: what is touched pushes the
+/// Rows of a series in contact, as `MotionCheck` sees them; its moments turned by a half turn where `from` is -1: what is touched pushes the
 /// wire along the base's way, as a groove that presses it.
-fn judged(course: &Course, known: bool, from: f64) -> Vec<Option<UntrainedMotion>> {
+fn judged(series: &SweepSeries, known: bool, from: f64) -> Vec<Option<UntrainedMotion>> {
     let mut check = MotionCheck::new(&TrainSettings::default());
-    let row = |i: &wcal_track::Instant| {
+    let row = |i: &wcal_track::SweepSample| {
         let contact = if i.contact.is_some() { 1.0 } else { 0.0 };
         let velocity_mm_s = known.then(|| Vector3::z() * i.speed_mm_s);
         let moment_nmm = i.moment_nmm.map(|m| from * m);
-        check.push(&Felt { t_s: i.t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+        check.push(&MotionSample { t_s: i.t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
     };
-    course.instants.iter().map(row).collect()
+    series.samples.iter().map(row).collect()
 }
 
 #[test]
@@ -465,17 +472,17 @@ fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
     let (mut rows, mut doubted, mut presses) = (0, Vec::new(), [0, 0]);
     for name in objects::NAMES {
         let whisker = whisker();
-        let order = Order { whisker: &whisker, plan: &plan, seed: SEED, sweeps: 12 };
-        for course in drawn(&objects::built_in(name).unwrap(), &order).unwrap() {
+        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: SEED, sweeps: 12 };
+        for series in generate_sweeps(&objects::built_in(name).unwrap(), &order).unwrap() {
             for known in [false, true] {
-                let all = judged(&course, known, 1.0);
+                let all = judged(&series, known, 1.0);
                 rows += all.len();
                 let first = all.iter().position(Option::is_some);
                 doubted.extend(
-                    first.map(|k| format!("{name}/{}, {:?}: {:?}", course.sweep, all[k], course.instants[k])),
+                    first.map(|k| format!("{name}/{}, {:?}: {:?}", series.sweep, all[k], series.samples[k])),
                 );
             }
-            presses[0] += usize::from(judged(&course, false, -1.0).contains(&Some(UntrainedMotion::Against)));
+            presses[0] += usize::from(judged(&series, false, -1.0).contains(&Some(UntrainedMotion::Against)));
             presses[1] += 1;
         }
     }
@@ -489,7 +496,7 @@ fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
         let row = |(k, v): (usize, &Vector3<f64>)| {
             let (t_s, velocity_mm_s) = (0.1 * k as f64, Some(*v));
             let moment_nmm = [0.4 * contact, 0.1 * contact];
-            check.push(&Felt { t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+            check.push(&MotionSample { t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
         };
         velocities.iter().enumerate().map(row).collect::<Vec<_>>()
     };
@@ -506,7 +513,7 @@ fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
     // Moments that stand still for long, the motion not known; control: the same for a second.
     let held = |seconds: u32| {
         let mut check = MotionCheck::new(&TrainSettings::default());
-        let row = |k| Felt {
+        let row = |k| MotionSample {
             t_s: 0.1 * f64::from(k),
             moment_nmm: [0.4, 0.1],
             sd_nmm: [0.001; 2],

@@ -1,14 +1,17 @@
 //! A pair of pictures of the bench (ray-traced, simulated) on one core: reading apart from everything else, at 1280x960 and halved.
+#![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement")]
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoCameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::pairs::PairFiles;
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes::shapes_of_pairs;
+use wcal_vision::shape::folder::shapes_of_pairs;
+use wcal_vision::stereo::StereoCameras;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/stereo_bench").join(name)
@@ -18,7 +21,8 @@ fn cameras() -> StereoCameras {
     let board =
         Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
     let side = |s: &str| fixture(&format!("board/{s}")).display().to_string();
-    let (document, _) = calibrate_folders(&side("left"), &side("right"), &board, &|_| {}).expect("board");
+    let (document, _) =
+        calibrate_folders(&side("left"), &side("right"), &board, OPENCV5, &|_| {}).expect("board");
     document.stereo_cameras().expect("cameras")
 }
 

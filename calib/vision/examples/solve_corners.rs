@@ -1,12 +1,15 @@
 //! Solves two cameras from corners given as JSON on stdin, for side-by-side measurements:
 //! `{"columns", "rows", "square", "image_size": [w, h], "repeat", "views": [{"left": [[x, y], ..], "right": [..]}]}`.
 //! Prints RMS and baseline without and with board warp, and the median time of a solve from scratch.
+#![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use nalgebra::Vector2;
 use serde_json::{Value, json};
 use std::time::Instant;
-use wcal_vision::bundle::{BoardView, BundleState, Free, solve};
-use wcal_vision::calibrate::{board_points, calibrate_stereo};
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
+use wcal_vision::calibrate::solution::calibrate_stereo;
+use wcal_vision::camera::lens::OPENCV5;
 
 fn main() -> anyhow::Result<()> {
     let input: Value = serde_json::from_reader(std::io::stdin())?;
@@ -32,10 +35,10 @@ fn main() -> anyhow::Result<()> {
         })
         .collect();
     let mut seconds = Vec::new();
-    let mut solution = calibrate_stereo(&points, views.clone(), image)?;
+    let mut solution = calibrate_stereo(&points, views.clone(), image, OPENCV5)?;
     for _ in 0..size("repeat").max(1) {
         let start = Instant::now();
-        solution = calibrate_stereo(&points, views.clone(), image)?;
+        solution = calibrate_stereo(&points, views.clone(), image, OPENCV5)?;
         seconds.push(start.elapsed().as_secs_f64());
     }
     seconds.sort_by(f64::total_cmp);

@@ -2,53 +2,22 @@
 //!
 //! Conventions: pixel centres at integers; camera axes x right, y down, z forward; lengths in mm (boards may use any unit);
 //! `right_from_left` takes left camera coordinates to right ones.
+//!
+//! Folders in the order of the work: [`calibrate`] (pictures of a board to two cameras), [`tags`] (where base and rig stand), [`wire`]
+//! (the wire found and measured in each picture), [`shape`] (one curve a pair, the groove's contact, what all pairs share).
 
-pub mod apriltag_ffi;
-mod bar;
-pub mod base_pose;
-pub mod bundle;
 pub mod calibrate;
-pub mod calibrate_folders;
 pub mod camera;
-pub mod chain;
-mod checks;
-pub mod chessboard;
-pub mod corner;
-mod describe;
-pub mod document;
-pub mod drawing;
 pub mod error;
-pub mod exchange;
-pub mod groove;
-pub mod imports;
-mod initial;
-pub mod joint;
-pub mod look;
-pub mod markers;
-pub mod overlay;
-
-pub mod pair_fit;
 pub mod pairs;
 pub mod picture;
 pub mod profile;
-pub mod reference;
-mod refinement;
-pub mod ridge;
 pub mod rig;
 pub mod rigid;
-pub mod rod;
-pub mod scene;
-mod search;
-pub mod shape_fit;
-pub mod shapes;
-pub mod shapes_document;
-mod shared_errors;
+pub mod shape;
 pub mod stages;
-mod tag_edges;
-pub mod tag_pose;
-mod tag_regions;
+pub mod stereo;
 pub mod tags;
-pub mod tip;
-pub mod trace;
 pub mod wire;
+
 pub use error::VisionError;

@@ -1,4 +1,5 @@
-//! The profile of a blurred edge.
+//! The profile of a blurred edge: `S(x) = (1 + erf(x / (s sqrt 2))) / 2`, the convolution of a step with a Gaussian of sd s; `erf` from a
+//! table with Hermite cubics. Source: Abramowitz and Stegun, 7.1 (error function) and 25.2 (interpolation).
 
 use std::sync::LazyLock;
 

@@ -1,5 +1,6 @@
 //! The fault table: every fault of the virtual bench has a named outcome, a stage that stands, a session that opens, and
 //! the documented exit code. Several runs a fault, with the fault at other moments: on the move and at rest.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod common;
 

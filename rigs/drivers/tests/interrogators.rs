@@ -1,4 +1,5 @@
 //! sm130 and Hyperion clients, and the cameras, against the virtual bench.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use std::io::{Read, Write};
 use std::net::TcpListener;

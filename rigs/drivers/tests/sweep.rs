@@ -1,4 +1,5 @@
 //! Sweeps against the virtual bench: good weather, interruptions, resuming, limits. Faults: faults.rs.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod common;
 

@@ -232,7 +232,7 @@ impl Wire {
         let base = point.cross(&force);
         let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
         let (mut frame, mut r, mut u) = (helix(&root).0, V3::zeros(), V3::zeros());
-        let mut cuts = vec![0.0, contact_mm, self.straight_mm, self.length_mm];
+        let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
         cuts.sort_by(f64::total_cmp);
         let mut line = vec![r];
         for w in cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9) {

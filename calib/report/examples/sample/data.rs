@@ -163,6 +163,7 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         leave_one_effect_out: vec![],
         identifiability: vec![],
         calibration: None,
+        groove_tracking: None,
     }
 }
 

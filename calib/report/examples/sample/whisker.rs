@@ -35,7 +35,7 @@ pub fn whisker() -> ReportInput {
         source: "replicates".into(),
         ..NoiseFloor::default()
     };
-    verify.before = Some(whisker_error(3.14, [2.81, 3.52], 0.0507, [0.041, 0.0588]));
+    verify.before = Some(whisker_error(3.15, [2.81, 3.52], 0.0507, [0.041, 0.0588]));
     verify.after = Some(whisker_error(0.648, [0.581, 0.724], 0.00893, [0.0074, 0.0102]));
     verify.coverage95 = Some(0.938);
     verify.next_measurement = Some(NextMeasurement {

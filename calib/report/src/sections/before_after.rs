@@ -4,7 +4,7 @@ use crate::input::{IndexEntry, ReportInput};
 use crate::markup::{Cell, Table};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Mark, RowChart, RowItem};
-use wcal_core::verify_document::{HeldOutError, NoiseFloor, VerifyDocument};
+use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, VerifyDocument};
 
 /// One column: an error and the floor that it is held against.
 struct Quantity {
@@ -100,6 +100,27 @@ fn ratio_text(value: f64, floor: Option<f64>) -> Option<String> {
     ratio.is_finite().then(|| format!("{ratio:.decimals$} × floor"))
 }
 
+/// The tracker on the groove: error, bound and coverage in a sentence.
+fn groove(t: &GrooveTracking) -> String {
+    let of = if t.split == "holdout" { "held-out readings" } else { "readings of the fit" };
+    let doubted = if t.doubted > 0 {
+        format!(
+            " On {} of {} trajectories moments and motion do not belong together.",
+            t.doubted, t.trajectories
+        )
+    } else {
+        String::new()
+    };
+    format!(
+        "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
+         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold {}.{doubted}</p>",
+        number(t.rmse_mm),
+        t.points,
+        number(t.bound_mm),
+        percent(t.coverage95),
+    )
+}
+
 /// Table and picture.
 pub(super) fn body(input: &ReportInput) -> String {
     let models = models(input);
@@ -115,6 +136,9 @@ pub(super) fn body(input: &ReportInput) -> String {
             "<p>The stated 95 % intervals hold <strong>{}</strong> of the held-out readings.</p>",
             percent(coverage)
         );
+    }
+    if let Some(tracked) = &input.verify.groove_tracking {
+        out += &groove(tracked);
     }
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {

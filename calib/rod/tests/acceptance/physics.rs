@@ -1,11 +1,11 @@
 //! Friction, softening and distributed loads of the links: against the continuous rod, Coulomb's law and integrals in closed form.
 
-use super::pressed::{Ball, chain};
+use super::discrete_contact::{Ball, rod};
 use super::{LENGTH_MM, bent, spec, straight_shape};
 use nalgebra::Vector3;
 use wcal_rod::{
-    Chain, Contact, Equilibrium, Guess, Pressed, Rod, Rubbing, Section, Shape, Softening, Tangential,
-    WORKING_STEP_MM,
+    Contact, ContactState, DiscreteRod, Equilibrium, FrictionStep, Guess, Rod, Section, Shape, Softening,
+    Tangential, WORKING_STEP_MM,
 };
 
 /// Steps of the ball, each half a millimetre upward; further on a rough ball throws the wire aside.
@@ -15,20 +15,20 @@ const DEEP: usize = 38;
 
 /// A ball comes from below into the straight part, `y_mm` beside the wire's plane, and goes `drag_mm` along it toward the root.
 fn rubbed(
-    chain: &Chain,
+    discrete: &DiscreteRod,
     coefficient: f64,
     [x_mm, y_mm]: [f64; 2],
     drag_mm: f64,
     steps: usize,
-) -> Vec<Pressed> {
+) -> Vec<ContactState> {
     let from = Vector3::new(x_mm + drag_mm / 2.0, y_mm, -18.0);
     let moved_mm = Vector3::new(-drag_mm, 0.0, 15.0) / 30.0;
-    let (mut links, mut known) = (chain.at_rest(), Vec::<Contact>::new());
+    let (mut links, mut known) = (discrete.at_rest(), Vec::<Contact>::new());
     let mut all = Vec::new();
     for k in 0..=steps {
         let ball = Ball { centre_mm: from + moved_mm * k as f64, radius_mm: 5.0 };
-        let how = Rubbing { coefficient, before: &links, moved_mm };
-        let pressed = chain.press_rubbing(&ball, &known, &how, false, 60);
+        let how = FrictionStep { coefficient, before: &links, moved_mm };
+        let pressed = discrete.solve_frictional_contact(&ball, &known, &how, false, 60);
         assert!(pressed.converged, "step {k}: {:?}", pressed.contacts);
         (links, known) = (pressed.links.clone(), pressed.contacts.clone());
         all.push(pressed);
@@ -37,7 +37,7 @@ fn rubbed(
 }
 
 /// The continuous rod held where the links are held.
-fn rod_at(pressed: &Pressed, rod: &Rod, tangential: Tangential) -> Equilibrium {
+fn rod_at(pressed: &ContactState, rod: &Rod, tangential: Tangential) -> Equilibrium {
     let c = pressed.contacts[0];
     let guess = Guess { force_n: c.normal * c.force_n + c.friction_n, arclength_mm: c.arclength_mm };
     rod.solve(&c.centre_mm, &guess, tangential).unwrap()
@@ -45,9 +45,9 @@ fn rod_at(pressed: &Pressed, rod: &Rod, tangential: Tangential) -> Equilibrium {
 
 #[test]
 fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
-    let chain = chain(40);
+    let discrete = rod(40);
     let mu = 0.2;
-    let before = rubbed(&chain, mu, [42.0, 0.0], 10.0, LAST);
+    let before = rubbed(&discrete, mu, [42.0, 0.0], 10.0, LAST);
     let (last, earlier) = (&before[LAST], &before[LAST - 1]);
     let c = last.contacts[0];
     assert!((c.friction_n.norm() - mu * c.force_n).abs() < 1e-3 * mu * c.force_n, "{c:?}");
@@ -57,7 +57,7 @@ fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
     let tangent = last.links.frames[(c.arclength_mm / 1.5) as usize].column(0).into_owned();
     assert!(slid_mm.abs() > 0.02 && c.friction_n.dot(&tangent) * slid_mm > 0.0, "{slid_mm} {c:?}");
     let ratio = c.friction_n.dot(&tangent).signum() * mu;
-    let (moment, force) = (chain.base_moment_nmm(&last), c.normal * c.force_n + c.friction_n);
+    let (moment, force) = (discrete.base_moment_nmm(last), c.normal * c.force_n + c.friction_n);
     let off = |ratio: f64| {
         let rod = rod_at(last, &bent(1.0), Tangential::Ratio(ratio));
         ((moment - rod.moment_nmm).norm() / moment.norm(), (force - rod.force_n).norm() / force.norm())
@@ -71,15 +71,15 @@ fn a_sliding_contact_pulls_at_the_cones_edge_and_bends_the_rod_as_it_should() {
 /// A ball that first pulls the wire along and then lets it slide back: friction turns round, and on the way the contact sticks.
 #[test]
 fn a_contact_sticks_while_friction_turns_round() {
-    let chain = chain(40);
+    let discrete = rod(40);
     let mu = 0.4;
-    let pressed = rubbed(&chain, mu, [34.0, 0.0], 2.0, DEEP);
-    let share = |p: &Pressed| {
+    let pressed = rubbed(&discrete, mu, [34.0, 0.0], 2.0, DEEP);
+    let share = |p: &ContactState| {
         let c = p.contacts[0];
-        let tangent = p.links.frames[(c.arclength_mm / chain.link_mm) as usize].column(0).into_owned();
+        let tangent = p.links.frames[(c.arclength_mm / discrete.link_mm) as usize].column(0).into_owned();
         c.friction_n.dot(&tangent) / (mu * c.force_n)
     };
-    let touching: Vec<&Pressed> = pressed.iter().filter(|p| !p.contacts.is_empty()).skip(1).collect();
+    let touching: Vec<&ContactState> = pressed.iter().filter(|p| !p.contacts.is_empty()).skip(1).collect();
     let shares: Vec<f64> = touching.iter().map(|p| share(p)).collect();
     println!("friction over its limit along the wire: {shares:.2?}");
     assert!(shares.iter().all(|x| x.abs() < 1.0 + 1e-6), "never outside the cone");
@@ -91,24 +91,24 @@ fn a_contact_sticks_while_friction_turns_round() {
     let force = c.normal * c.force_n + c.friction_n;
     assert!((force - rod.force_n).norm() < 1e-2 * force.norm(), "{force} {:?}", rod.force_n);
     assert!((rod.arclength_mm - c.arclength_mm).abs() < 0.02, "{rod:?}");
-    let moment = chain.base_moment_nmm(&stuck);
+    let moment = discrete.base_moment_nmm(stuck);
     assert!((moment - rod.moment_nmm).norm() < 6e-3 * moment.norm(), "{moment} {rod:?}");
     // Negative control: without friction there is none, and the plain equilibrium comes out.
-    let smooth = rubbed(&chain, 0.0, [34.0, 0.0], 2.0, DEEP).pop().unwrap();
+    let smooth = rubbed(&discrete, 0.0, [34.0, 0.0], 2.0, DEEP).pop().unwrap();
     assert_eq!(smooth.contacts[0].friction_n.norm(), 0.0);
     let rod = rod_at(&smooth, &bent(1.0), Tangential::Frictionless);
-    let moment = chain.base_moment_nmm(&smooth);
+    let moment = discrete.base_moment_nmm(&smooth);
     assert!((moment - rod.moment_nmm).norm() < 6e-3 * moment.norm(), "{moment} {rod:?}");
 }
 
 /// Beside the wire's plane the ball pushes the wire aside: friction then is across the wire too, still at the cone's edge.
 #[test]
 fn friction_takes_the_direction_of_the_slip() {
-    let chain = chain(40);
-    let last = rubbed(&chain, 0.1, [42.0, 1.0], 0.0, LAST).pop().unwrap();
+    let discrete = rod(40);
+    let last = rubbed(&discrete, 0.1, [42.0, 1.0], 0.0, LAST).pop().unwrap();
     let c = last.contacts[0];
     assert!((c.friction_n.norm() - 0.1 * c.force_n).abs() < 1e-3 * c.force_n, "{c:?}");
-    let moment = chain.base_moment_nmm(&last);
+    let moment = discrete.base_moment_nmm(&last);
     let applied = c.centre_mm.cross(&(c.normal * c.force_n + c.friction_n));
     assert!((moment - applied).norm() < 2e-3 * moment.norm(), "{moment} {applied}");
     let without = c.centre_mm.cross(&(c.normal * c.force_n));
@@ -119,15 +119,15 @@ fn friction_takes_the_direction_of_the_slip() {
 fn softened_links_bend_as_the_softened_rod() {
     let softening = Softening::Section { onset_per_m: 5.0, hardening: 0.1 };
     let error = |links: usize, law: Option<Softening>| {
-        let mut chain = chain(links);
-        chain.softening = Some(softening);
-        let last = rubbed(&chain, 0.0, [42.0, 0.0], 0.0, LAST).pop().unwrap();
-        let bend_per_m = 1e3 * chain.largest_bend_per_mm(&last.links);
+        let mut discrete = rod(links);
+        discrete.softening = Some(softening);
+        let last = rubbed(&discrete, 0.0, [42.0, 0.0], 0.0, LAST).pop().unwrap();
+        let bend_per_m = 1e3 * discrete.largest_bend_per_mm(&last.links);
         assert!(bend_per_m > 8.0, "the wire is to be past the onset: {bend_per_m}");
         let mut rod = bent(0.5);
         rod.section.softening = law;
         let (moment, rod) =
-            (chain.base_moment_nmm(&last), rod_at(&last, &rod, Tangential::Frictionless).moment_nmm);
+            (discrete.base_moment_nmm(&last), rod_at(&last, &rod, Tangential::Frictionless).moment_nmm);
         (moment - rod).norm() / rod.norm()
     };
     let errors = [20, 40, 80].map(|links| error(links, Some(softening)));
@@ -141,12 +141,12 @@ fn softened_links_bend_as_the_softened_rod() {
 fn the_root_carries_the_integral_of_the_loads() {
     let shape = Shape::new(&spec(straight_shape()).rest_shape, 0.25).unwrap();
     let settled = |section: &Section, load: &dyn Fn(f64) -> Vector3<f64>| {
-        let mut chain = Chain::new(section, &shape, 0.3, 40).unwrap();
-        chain.loads_n_per_mm = (0..40).map(|j| load((f64::from(j) + 0.5) * LENGTH_MM / 40.0)).collect();
+        let mut discrete = DiscreteRod::new(section, &shape, 0.3, 40).unwrap();
+        discrete.loads_n_per_mm = (0..40).map(|j| load((f64::from(j) + 0.5) * LENGTH_MM / 40.0)).collect();
         let far = Ball { centre_mm: Vector3::repeat(1e4), radius_mm: 1.0 };
-        let pressed = chain.press(&far, &chain.at_rest(), &[], &Vector3::zeros(), 60);
+        let pressed = discrete.solve_contact(&far, &discrete.at_rest(), &[], &Vector3::zeros(), 60);
         assert!(pressed.converged && pressed.contacts.is_empty());
-        chain.base_moment_nmm(&pressed)
+        discrete.base_moment_nmm(&pressed)
     };
     // A flow that grows along the wire from the clamp on: load q s / L, moment q L^2 / 3.
     let rigid = Section::round(0.3, 75e3, 28.2e3);

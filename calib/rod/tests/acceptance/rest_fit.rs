@@ -99,7 +99,7 @@ fn exact_lines_give_the_geometry_back() {
             fit.values[k]
         );
     }
-    assert!(fit.rms_mm < 1e-3 && fit.left_out.is_empty(), "{}", fit.rms_mm);
+    assert!(fit.rms_mm < 1e-3 && fit.excluded.is_empty(), "{}", fit.rms_mm);
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn an_error_common_to_all_shapes_enters_by_its_own_way() {
     // What was measured is a thousandth too large.
     let mut fit = fit_rest(&nominal(), &scaled(1.0 + scale), ARC).unwrap();
     let alone: Vec<f64> = (0..3).map(|k| fit.sd(k).unwrap()).collect();
-    fit.add_common(&nominal(), &[scaled(1.0 + 2.0 * scale)]).unwrap();
+    fit.add_common_errors(&nominal(), &[scaled(1.0 + 2.0 * scale)]).unwrap();
     let (common, names) = (fit.common.clone().unwrap(), fit.model.names());
     for k in 0..3 {
         let (off, sd) = (fit.values[k] - TRUE_MM[k], fit.sd(k).unwrap());
@@ -182,7 +182,7 @@ fn a_free_curvature_is_found_where_there_is_one() {
     let fit = fit_rest(&nominal(), &made, RestChoice::Best).unwrap();
     let n = 5;
     assert_eq!(fit.model, RestModel::FreeCurvature(n), "{:?}", fit.candidates);
-    assert!(fit.left_out.is_empty() && fit.rms_over_sd < 1.5, "{:?} {}", fit.candidates, fit.rms_over_sd);
+    assert!(fit.excluded.is_empty() && fit.rms_over_sd < 1.5, "{:?} {}", fit.candidates, fit.rms_over_sd);
     // The clamp of the true wire is turned about the wire too: the curvatures carry that.
     let roll = turn().scaled_axis().x;
     let (mut inside, mut all) = (0, 0);

@@ -1,19 +1,25 @@
 //! Causal attention in one pass, with its gradient, on plain slices.
 //!
-//! A few queries at a time go over all keys: each key and value is loaded once for all of them. Keys, values and weights come in blocks as
-//! wide as a vector; what is beyond the diagonal or the end has the weight 0. Loops instead of arrays' `map`, whose closures the compiler
-//! leaves outside, for the oldest processor.
+//! ```text
+//! p_ij = exp(s_ij) / sum_j exp(s_ij),   s_ij = q_i . k_j / sqrt(d) + b_ij,   j <= i;   o_i = sum_j p_ij v_j
+//! dv_j = sum_i p_ij do_i,   ds_ij = p_ij (do_i . v_j - sum_l p_il do_i . v_l),   dq_i = sum_j ds_ij k_j / sqrt(d),   dk_j likewise
+//! ```
+//!
+//! Sources: A. Vaswani et al., "Attention Is All You Need", 2017; the tiling is that of T. Dao et al., "FlashAttention", 2022. A few queries at
+//! a time go over all keys: each key and value is loaded once for all of them. Keys, values and weights come in blocks as wide as a vector;
+//! what is beyond the diagonal or the end has the weight 0. Loops instead of arrays' `map`, whose closures the compiler leaves outside, for the
+//! oldest processor.
 
 use super::kernels::exp;
 use super::widest::{Kernel, Simd, widest};
 use rayon::prelude::*;
 
 /// Widest head, and the tokens of a block.
-pub(super) const MOST: usize = 16;
+pub(super) const MAX_HEAD: usize = 16;
 /// Queries that go together.
 const TILE: usize = 4;
 
-type Lanes = [f32; MOST];
+type Lanes = [f32; MAX_HEAD];
 
 /// Sizes of an attention.
 #[derive(Debug, Clone, Copy)]
@@ -33,23 +39,23 @@ impl Sizes {
     }
 }
 
-/// What one head of one course works on.
+/// What one head of one series works on.
 struct Head {
     sizes: Sizes,
     /// Queries, keys and values by block, a row each token, 0 beyond the last.
-    rows: [Vec<[Lanes; MOST]>; 3],
+    rows: [Vec<[Lanes; MAX_HEAD]>; 3],
     /// Keys and values of a block of tokens by feature.
-    keys: Vec<[Lanes; MOST]>,
-    values: Vec<[Lanes; MOST]>,
-    /// Of the tile's queries by block: weights, and what pulls on them.
+    keys: Vec<[Lanes; MAX_HEAD]>,
+    values: Vec<[Lanes; MAX_HEAD]>,
+    /// Of the tile's queries by block: weights of the softmax, and gradients by its scores.
     weights: Vec<[Lanes; TILE]>,
-    slopes: Vec<[Lanes; TILE]>,
+    d_scores: Vec<[Lanes; TILE]>,
 }
 
 /// A row of features with 0 behind them.
 #[inline(always)]
 fn padded(features: &[f32]) -> Lanes {
-    let mut row = [0.0; MOST];
+    let mut row = [0.0; MAX_HEAD];
     match <&Lanes>::try_from(features) {
         Ok(whole) => row = *whole,
         Err(_) => row.iter_mut().zip(features).for_each(|(to, x)| *to = *x),
@@ -69,9 +75,9 @@ fn unpadded(to: &mut [f32], row: &Lanes) {
 /// Bias of a block of keys, of which the first `seen.len()` are seen.
 #[inline(always)]
 fn biased(seen: &[f32], block: usize) -> Lanes {
-    let from = block * MOST;
-    let mut lanes = [f32::NEG_INFINITY; MOST];
-    match seen.get(from..from + MOST).and_then(|whole| <&Lanes>::try_from(whole).ok()) {
+    let from = block * MAX_HEAD;
+    let mut lanes = [f32::NEG_INFINITY; MAX_HEAD];
+    match seen.get(from..from + MAX_HEAD).and_then(|whole| <&Lanes>::try_from(whole).ok()) {
         Some(whole) => lanes = *whole,
         None => lanes.iter_mut().zip(seen.iter().skip(from)).for_each(|(to, x)| *to = *x),
     }
@@ -91,7 +97,7 @@ fn vectors_mut<S: Simd>(row: &mut Lanes) -> &mut [S::f32s] {
 
 /// One number for a row, by an operation between vectors and one within a vector.
 #[inline(always)]
-fn reduced<S: Simd>(
+fn reduce<S: Simd>(
     simd: S,
     row: &Lanes,
     between: impl Fn(S, S::f32s, S::f32s) -> S::f32s,
@@ -107,7 +113,7 @@ fn reduced<S: Simd>(
 
 /// Vector `v` of each row.
 #[inline(always)]
-fn taken<S: Simd>(rows: &[Lanes; TILE], v: usize) -> [S::f32s; TILE] {
+fn load<S: Simd>(rows: &[Lanes; TILE], v: usize) -> [S::f32s; TILE] {
     let of = |r: usize| vectors::<S>(&rows[r])[v];
     [of(0), of(1), of(2), of(3)]
 }
@@ -115,10 +121,10 @@ fn taken<S: Simd>(rows: &[Lanes; TILE], v: usize) -> [S::f32s; TILE] {
 /// Adds to each query's sixteen numbers the products of its features with sixteen tokens' (rows the features), or of its weights with
 /// sixteen tokens' features (rows the tokens).
 #[inline(always)]
-fn add_products<S: Simd>(simd: S, onto: &mut [Lanes; TILE], by: &[Lanes; TILE], rows: &[Lanes; MOST]) {
-    for v in 0..MOST / S::F32_LANES {
-        let mut sums = taken::<S>(onto, v);
-        for k in 0..MOST {
+fn add_products<S: Simd>(simd: S, onto: &mut [Lanes; TILE], by: &[Lanes; TILE], rows: &[Lanes; MAX_HEAD]) {
+    for v in 0..MAX_HEAD / S::F32_LANES {
+        let mut sums = load::<S>(onto, v);
+        for k in 0..MAX_HEAD {
             let row = vectors::<S>(&rows[k])[v];
             for r in 0..TILE {
                 sums[r] = simd.mul_add_e_f32s(simd.splat_f32s(by[r][k]), row, sums[r]);
@@ -132,10 +138,10 @@ fn add_products<S: Simd>(simd: S, onto: &mut [Lanes; TILE], by: &[Lanes; TILE], 
 
 /// Adds to sixteen rows each query's weights of them times the query's row.
 #[inline(always)]
-fn add_outer<S: Simd>(simd: S, onto: &mut [Lanes; MOST], weights: &[Lanes; TILE], rows: &[Lanes; TILE]) {
-    for v in 0..MOST / S::F32_LANES {
-        let rows = taken::<S>(rows, v);
-        for k in 0..MOST {
+fn add_outer<S: Simd>(simd: S, onto: &mut [Lanes; MAX_HEAD], weights: &[Lanes; TILE], rows: &[Lanes; TILE]) {
+    for v in 0..MAX_HEAD / S::F32_LANES {
+        let rows = load::<S>(rows, v);
+        for k in 0..MAX_HEAD {
             let onto = &mut vectors_mut::<S>(&mut onto[k])[v];
             let mut sum = *onto;
             for r in 0..TILE {
@@ -148,14 +154,14 @@ fn add_outer<S: Simd>(simd: S, onto: &mut [Lanes; MOST], weights: &[Lanes; TILE]
 
 impl Head {
     fn new(sizes: Sizes) -> Self {
-        let blocks = sizes.time.div_ceil(MOST);
+        let blocks = sizes.time.div_ceil(MAX_HEAD);
         Self {
             sizes,
-            rows: [0; 3].map(|_| vec![[[0.0; MOST]; MOST]; blocks]),
-            keys: vec![[[0.0; MOST]; MOST]; blocks],
-            values: vec![[[0.0; MOST]; MOST]; blocks],
-            weights: vec![[[0.0; MOST]; TILE]; blocks],
-            slopes: vec![[[0.0; MOST]; TILE]; blocks],
+            rows: [0; 3].map(|_| vec![[[0.0; MAX_HEAD]; MAX_HEAD]; blocks]),
+            keys: vec![[[0.0; MAX_HEAD]; MAX_HEAD]; blocks],
+            values: vec![[[0.0; MAX_HEAD]; MAX_HEAD]; blocks],
+            weights: vec![[[0.0; MAX_HEAD]; TILE]; blocks],
+            d_scores: vec![[[0.0; MAX_HEAD]; TILE]; blocks],
         }
     }
 
@@ -182,7 +188,7 @@ impl Head {
     /// Rows of the tile that begins with `first`; what is beyond the last is 0.
     #[inline(always)]
     fn queries(&self, first: usize) -> [Lanes; TILE] {
-        let mut queries = [[0.0; MOST]; TILE];
+        let mut queries = [[0.0; MAX_HEAD]; TILE];
         for (query, row) in queries.iter_mut().zip(self.rows[0].as_flattened().iter().skip(first)) {
             *query = *row;
         }
@@ -191,10 +197,10 @@ impl Head {
 
     /// Weights of a tile's queries, not normalised, in `weights`; gives what each sums up to, and the blocks that are seen.
     #[inline(always)]
-    fn weigh<S: Simd>(&mut self, simd: S, first: usize, bias: &[f32]) -> ([f32; TILE], usize) {
+    fn scores<S: Simd>(&mut self, simd: S, first: usize, bias: &[f32]) -> ([f32; TILE], usize) {
         let time = self.sizes.time;
         let end = (first + TILE).min(time);
-        let blocks = end.div_ceil(MOST);
+        let blocks = end.div_ceil(MAX_HEAD);
         let scale = self.sizes.scale();
         let mut queries = self.queries(first);
         queries.as_flattened_mut().iter_mut().for_each(|q| *q *= scale);
@@ -202,13 +208,13 @@ impl Head {
         for (i, seen) in (first..end).zip(&mut seen) {
             *seen = &bias[i * time..=i * time + i];
         }
-        let mut most = [[f32::NEG_INFINITY; MOST]; TILE];
+        let mut most = [[f32::NEG_INFINITY; MAX_HEAD]; TILE];
         for (block, (weights, keys)) in self.weights[..blocks].iter_mut().zip(&self.keys).enumerate() {
             for (weights, seen) in weights.iter_mut().zip(&seen) {
                 *weights = biased(seen, block);
             }
             add_products(simd, weights, &queries, keys);
-            for v in 0..MOST / S::F32_LANES {
+            for v in 0..MAX_HEAD / S::F32_LANES {
                 for (most, weights) in most.iter_mut().zip(&*weights) {
                     let most = &mut vectors_mut::<S>(most)[v];
                     *most = simd.max_f32s(*most, vectors::<S>(weights)[v]);
@@ -218,21 +224,21 @@ impl Head {
         let mut totals = [0.0; TILE];
         for r in 0..TILE {
             // What is beyond the end has seen nothing.
-            let most = reduced(simd, &most[r], S::max_f32s, S::reduce_max_f32s).max(f32::MIN);
-            let mut sums = [0.0_f32; MOST];
+            let most = reduce(simd, &most[r], S::max_f32s, S::reduce_max_f32s).max(f32::MIN);
+            let mut sums = [0.0_f32; MAX_HEAD];
             for weights in &mut self.weights[..blocks] {
                 for (w, sum) in weights[r].iter_mut().zip(&mut sums) {
                     *w = exp::<S>(*w - most);
                     *sum += *w;
                 }
             }
-            totals[r] = reduced(simd, &sums, S::add_f32s, S::reduce_sum_f32s);
+            totals[r] = reduce(simd, &sums, S::add_f32s, S::reduce_sum_f32s);
         }
         (totals, blocks)
     }
 }
 
-/// One course: answers, queries with keys and values, bias.
+/// One series: answers, queries with keys and values, bias.
 struct Attend<'a> {
     head: Head,
     out: &'a mut [f32],
@@ -251,8 +257,8 @@ impl Kernel for Attend<'_> {
         for (number, bias) in (0..heads).zip(bias.chunks_exact(time * time)) {
             head.take(number, qkv);
             for first in (0..time).step_by(TILE) {
-                let (totals, blocks) = head.weigh(simd, first, bias);
-                let mut mixed = [[0.0_f32; MOST]; TILE];
+                let (totals, blocks) = head.scores(simd, first, bias);
+                let mut mixed = [[0.0_f32; MAX_HEAD]; TILE];
                 for (weights, values) in head.weights[..blocks].iter().zip(&head.rows[2]) {
                     add_products(simd, &mut mixed, weights, values);
                 }
@@ -278,14 +284,14 @@ pub(super) fn attend(sizes: Sizes, qkv: &[f32], bias: &[f32]) -> Vec<f32> {
     out
 }
 
-/// One course: gradients by queries, keys and values; those, bias, and the gradient of the answer.
+/// One series: gradients by queries, keys and values; those, bias, and the gradient of the answer.
 struct AttendBack<'a> {
     head: Head,
     out: &'a mut [f32],
     qkv: &'a [f32],
     bias: &'a [f32],
     grad: &'a [f32],
-    by: [Vec<[Lanes; MOST]>; 3],
+    by: [Vec<[Lanes; MAX_HEAD]>; 3],
 }
 
 impl Kernel for AttendBack<'_> {
@@ -298,31 +304,31 @@ impl Kernel for AttendBack<'_> {
         let d = head.sizes.head();
         for (number, bias) in (0..heads).zip(bias.chunks_exact(time * time)) {
             head.take(number, qkv);
-            by.iter_mut().for_each(|rows| rows.as_flattened_mut().fill([0.0; MOST]));
+            by.iter_mut().for_each(|rows| rows.as_flattened_mut().fill([0.0; MAX_HEAD]));
             for first in (0..time).step_by(TILE) {
-                let (totals, blocks) = head.weigh(simd, first, bias);
-                let mut pulls = [[0.0; MOST]; TILE];
-                for (i, pull) in (first..time).zip(&mut pulls) {
-                    *pull = padded(&grad[i * width + number * d..][..d]);
+                let (totals, blocks) = head.scores(simd, first, bias);
+                let mut out_grads = [[0.0; MAX_HEAD]; TILE];
+                for (i, backward) in (first..time).zip(&mut out_grads) {
+                    *backward = padded(&grad[i * width + number * d..][..d]);
                 }
-                head.pull(simd, blocks, &totals, &pulls);
+                head.backward(simd, blocks, &totals, &out_grads);
                 let queries = head.queries(first);
-                let mut by_queries = [[0.0_f32; MOST]; TILE];
+                let mut by_queries = [[0.0_f32; MAX_HEAD]; TILE];
                 let [_, by_keys, by_values] = &mut by;
-                let seen = head.weights[..blocks].iter().zip(&head.slopes).zip(&head.rows[1]);
-                for (((weights, slopes), keys), (by_keys, by_values)) in
+                let seen = head.weights[..blocks].iter().zip(&head.d_scores).zip(&head.rows[1]);
+                for (((weights, d_scores), keys), (by_keys, by_values)) in
                     seen.zip(by_keys.iter_mut().zip(by_values))
                 {
-                    add_products(simd, &mut by_queries, slopes, keys);
-                    add_outer(simd, by_keys, slopes, &queries);
-                    add_outer(simd, by_values, weights, &pulls);
+                    add_products(simd, &mut by_queries, d_scores, keys);
+                    add_outer(simd, by_keys, d_scores, &queries);
+                    add_outer(simd, by_values, weights, &out_grads);
                 }
                 let rows = by[0].as_flattened_mut()[first..].iter_mut().zip(by_queries);
                 rows.for_each(|(row, by_query)| *row = by_query);
             }
             for (t, out) in out.chunks_exact_mut(3 * width).enumerate() {
                 for (which, by) in by.iter().enumerate() {
-                    unpadded(&mut out[which * width + number * d..][..d], &by[t / MOST][t % MOST]);
+                    unpadded(&mut out[which * width + number * d..][..d], &by[t / MAX_HEAD][t % MAX_HEAD]);
                 }
             }
         }
@@ -330,32 +336,32 @@ impl Kernel for AttendBack<'_> {
 }
 
 impl Head {
-    /// Normalises a tile's weights, and writes into `slopes` how its answers' gradients pull on what the softmax takes.
+    /// Normalises a tile's weights, and writes the gradients by the scores into `d_scores`: ds = p (dp - sum p dp).
     #[inline(always)]
-    fn pull<S: Simd>(&mut self, simd: S, blocks: usize, totals: &[f32; TILE], pulls: &[Lanes; TILE]) {
+    fn backward<S: Simd>(&mut self, simd: S, blocks: usize, totals: &[f32; TILE], out_grads: &[Lanes; TILE]) {
         let scale = self.sizes.scale();
-        let mut levels = [[0.0_f32; MOST]; TILE];
-        let tiles = self.weights[..blocks].iter_mut().zip(&mut self.slopes);
-        for ((weights, slopes), values) in tiles.zip(&self.values) {
-            *slopes = [[0.0; MOST]; TILE];
-            add_products(simd, slopes, pulls, values);
+        let mut row_dots = [[0.0_f32; MAX_HEAD]; TILE];
+        let tiles = self.weights[..blocks].iter_mut().zip(&mut self.d_scores);
+        for ((weights, d_scores), values) in tiles.zip(&self.values) {
+            *d_scores = [[0.0; MAX_HEAD]; TILE];
+            add_products(simd, d_scores, out_grads, values);
             for r in 0..TILE {
                 let each = simd.splat_f32s(if totals[r] > 0.0 { 1.0 / totals[r] } else { 0.0 });
-                for v in 0..MOST / S::F32_LANES {
+                for v in 0..MAX_HEAD / S::F32_LANES {
                     let weight = &mut vectors_mut::<S>(&mut weights[r])[v];
                     *weight = simd.mul_f32s(*weight, each);
-                    let level = &mut vectors_mut::<S>(&mut levels[r])[v];
-                    *level = simd.mul_add_e_f32s(*weight, vectors::<S>(&slopes[r])[v], *level);
+                    let row_dot = &mut vectors_mut::<S>(&mut row_dots[r])[v];
+                    *row_dot = simd.mul_add_e_f32s(*weight, vectors::<S>(&d_scores[r])[v], *row_dot);
                 }
             }
         }
         for r in 0..TILE {
-            let level = simd.splat_f32s(reduced(simd, &levels[r], S::add_f32s, S::reduce_sum_f32s));
-            for (weights, slopes) in self.weights[..blocks].iter().zip(&mut self.slopes) {
-                for v in 0..MOST / S::F32_LANES {
-                    let slope = &mut vectors_mut::<S>(&mut slopes[r])[v];
+            let row_dot = simd.splat_f32s(reduce(simd, &row_dots[r], S::add_f32s, S::reduce_sum_f32s));
+            for (weights, d_scores) in self.weights[..blocks].iter().zip(&mut self.d_scores) {
+                for v in 0..MAX_HEAD / S::F32_LANES {
+                    let d_score = &mut vectors_mut::<S>(&mut d_scores[r])[v];
                     let scaled = simd.mul_f32s(simd.splat_f32s(scale), vectors::<S>(&weights[r])[v]);
-                    *slope = simd.mul_f32s(scaled, simd.sub_f32s(*slope, level));
+                    *d_score = simd.mul_f32s(scaled, simd.sub_f32s(*d_score, row_dot));
                 }
             }
         }
@@ -372,7 +378,7 @@ pub(super) fn attend_back(sizes: Sizes, qkv: &[f32], bias: &[f32], grad: &[f32])
         .zip(grad.par_chunks(time * width))
         .for_each(|(((out, qkv), bias), grad)| {
             let head = Head::new(sizes);
-            let by = [0; 3].map(|_| vec![[[0.0; MOST]; MOST]; head.keys.len()]);
+            let by = [0; 3].map(|_| vec![[[0.0; MAX_HEAD]; MAX_HEAD]; head.keys.len()]);
             widest(AttendBack { head, out, qkv, bias, grad, by });
         });
     out

@@ -1,6 +1,6 @@
 //! Layers and dropout by the products of `product`, as operations of burn, with their gradients.
 
-use super::fused::{here, made, shape, taken, values};
+use super::fused::{from_vec, into_vec, on_cpu, shape, to_slice};
 use super::product::{self, Kept};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
@@ -19,7 +19,7 @@ pub(crate) trait Dense: Backend {
         weight: FloatTensor<Self>,
         bias: FloatTensor<Self>,
     ) -> FloatTensor<Self>;
-    fn dense_dropped(
+    fn dense_dropout(
         onto: FloatTensor<Self>,
         x: FloatTensor<Self>,
         share: f32,
@@ -29,7 +29,7 @@ pub(crate) trait Dense: Backend {
 
 /// A layer.
 pub(super) fn linear(layer: &Linear, x: Tensor<3>) -> Tensor<3> {
-    let Some(bias) = layer.bias.as_ref().filter(|_| here(&x)) else { return layer.forward(x) };
+    let Some(bias) = layer.bias.as_ref().filter(|_| on_cpu(&x)) else { return layer.forward(x) };
     let (weight, bias) = (layer.weight.val(), bias.val());
     Tensor::from_dispatch(Dispatch::dense_linear(
         x.into_dispatch(),
@@ -39,15 +39,15 @@ pub(super) fn linear(layer: &Linear, x: Tensor<3>) -> Tensor<3> {
 }
 
 /// `onto + x`, x under dropout where a network is trained.
-pub(super) fn dropped(dropout: &Dropout, onto: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
+pub(super) fn dropout(dropout: &Dropout, onto: Tensor<3>, x: Tensor<3>) -> Tensor<3> {
     let share = 1.0 - dropout.prob;
-    if dropout.prob == 0.0 || !x.device().is_autodiff() || !here(&x) {
+    if dropout.prob == 0.0 || !x.device().is_autodiff() || !on_cpu(&x) {
         return onto + dropout.forward(x);
     }
     // From the device's seed, as burn's own.
     let drawn = Tensor::<1>::random([1], Distribution::Uniform(0.0, 16_777_216.0), &x.device());
     let seed = (drawn.into_scalar::<f32>() as u32).wrapping_mul(0x9e37_79b9);
-    Tensor::from_dispatch(Dispatch::dense_dropped(
+    Tensor::from_dispatch(Dispatch::dense_dropout(
         onto.into_dispatch(),
         x.into_dispatch(),
         share as f32,
@@ -60,15 +60,15 @@ impl Dense for Flex {
         let (x, weight, bias) = (x.to_contiguous(), weight.to_contiguous(), bias.to_contiguous());
         let mut to = shape(&x);
         if let Some(last) = to.last_mut() {
-            *last = values(&bias).len();
+            *last = to_slice(&bias).len();
         }
-        made(product::linear(values(&x), values(&weight), values(&bias)), to)
+        from_vec(product::linear(to_slice(&x), to_slice(&weight), to_slice(&bias)), to)
     }
 
-    fn dense_dropped(onto: FlexTensor, x: FlexTensor, share: f32, seed: u32) -> FlexTensor {
+    fn dense_dropout(onto: FlexTensor, x: FlexTensor, share: f32, seed: u32) -> FlexTensor {
         let (onto, x) = (onto.to_contiguous(), x.to_contiguous());
         let to = shape(&x);
-        made(product::dropped(taken(x), Some(values(&onto)), Kept { share, seed }), to)
+        from_vec(product::dropout(into_vec(x), Some(to_slice(&onto)), Kept { share, seed }), to)
     }
 }
 
@@ -81,20 +81,20 @@ impl Backward<Flex, 3> for LinearBack {
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<Flex>(&ops.node).to_contiguous();
         let (x, weight, bias) = ops.state;
-        let width = values(&bias).len();
-        let by = product::linear_back(values(&x), values(&weight), width, values(&grad));
+        let width = to_slice(&bias).len();
+        let by = product::linear_back(to_slice(&x), to_slice(&weight), width, to_slice(&grad));
         for ((node, by), like) in ops.parents.into_iter().zip(by).zip([&x, &weight, &bias]) {
             if let Some(node) = node {
-                grads.register::<Flex>(node.id, made(by, shape(like)));
+                grads.register::<Flex>(node.id, from_vec(by, shape(like)));
             }
         }
     }
 }
 
 #[derive(Debug)]
-struct DroppedBack;
+struct DropoutBack;
 
-impl Backward<Flex, 2> for DroppedBack {
+impl Backward<Flex, 2> for DropoutBack {
     type State = Kept;
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
@@ -103,7 +103,7 @@ impl Backward<Flex, 2> for DroppedBack {
         if let Some(x) = x {
             grads.register::<Flex>(
                 x.id,
-                made(product::dropped(values(&grad).to_vec(), None, ops.state), shape(&grad)),
+                from_vec(product::dropout(to_slice(&grad).to_vec(), None, ops.state), shape(&grad)),
             );
         }
         if let Some(onto) = onto {
@@ -132,20 +132,20 @@ impl<C: CheckpointStrategy> Dense for Autodiff<Flex, C> {
         }
     }
 
-    fn dense_dropped(
+    fn dense_dropout(
         onto: FloatTensor<Self>,
         x: FloatTensor<Self>,
         share: f32,
         seed: u32,
     ) -> FloatTensor<Self> {
         let kept = Kept { share, seed };
-        match DroppedBack.prepare::<C>([onto.node(), x.node()]).compute_bound().stateful() {
+        match DropoutBack.prepare::<C>([onto.node(), x.node()]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                let out = Flex::dense_dropped(onto.into_primitive(), x.into_primitive(), share, seed);
+                let out = Flex::dense_dropout(onto.into_primitive(), x.into_primitive(), share, seed);
                 prep.finish(kept, out)
             }
             OpsKind::UnTracked(prep) => {
-                prep.finish(Flex::dense_dropped(onto.into_primitive(), x.into_primitive(), share, seed))
+                prep.finish(Flex::dense_dropout(onto.into_primitive(), x.into_primitive(), share, seed))
             }
         }
     }
@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn what_is_dropped_gets_no_gradient_and_what_it_is_added_to_gets_all() {
-        let dropout = DropoutConfig::new(0.25).init();
+        let layer = DropoutConfig::new(0.25).init();
         let [onto, x] = [random([2, 30, 16]), random([2, 30, 16])].map(|t| t.detach().require_grad());
-        let out = dropped(&dropout, onto.clone(), x.clone());
+        let out = dropout(&layer, onto.clone(), x.clone());
         let gradients = (out.clone() * 2.0).sum().backward();
         let (by_onto, by_x) = (onto.grad(&gradients).unwrap(), x.grad(&gradients).unwrap());
         assert_eq!((by_onto - 2.0).abs().max().into_scalar::<f32>(), 0.0);
@@ -206,9 +206,9 @@ mod tests {
 
     #[test]
     fn nothing_is_dropped_where_nothing_is_learnt() {
-        let dropout = DropoutConfig::new(0.25).init();
+        let layer = DropoutConfig::new(0.25).init();
         let [onto, x] = [random([2, 3, 16]), random([2, 3, 16])].map(|t| t.inner());
-        let off = dropped(&dropout, onto.clone(), x.clone()) - (onto + x);
+        let off = dropout(&layer, onto.clone(), x.clone()) - (onto + x);
         assert_eq!(off.abs().max().into_scalar::<f32>(), 0.0);
     }
 }

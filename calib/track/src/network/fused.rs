@@ -1,6 +1,6 @@
 //! The kernels as operations of burn, with their gradients.
 
-use super::attention::{self, MOST, Sizes};
+use super::attention::{self, MAX_HEAD, Sizes};
 use super::kernels;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
@@ -24,13 +24,13 @@ pub(crate) trait Fused: Backend {
 }
 
 /// Whether the kernels, which are the processor's, take this tensor.
-pub(super) fn here<const D: usize>(x: &Tensor<D>) -> bool {
+pub(super) fn on_cpu<const D: usize>(x: &Tensor<D>) -> bool {
     cfg!(not(feature = "gpu")) || x.device() == Device::flex()
 }
 
 /// Whether they take heads of this width.
-pub(super) fn fits(qkv: &Tensor<3>, width: usize, heads: usize) -> bool {
-    width / heads <= MOST && here(qkv)
+pub(super) fn supports(qkv: &Tensor<3>, width: usize, heads: usize) -> bool {
+    width / heads <= MAX_HEAD && on_cpu(qkv)
 }
 
 /// Causal attention over `[batch, time, 3 width]`, as `attention::attend`.
@@ -40,7 +40,7 @@ pub(super) fn attend(qkv: Tensor<3>, bias: Tensor<4>, heads: usize) -> Tensor<3>
 
 /// A layer's normalisation.
 pub(super) fn norm(layer: &LayerNorm, x: Tensor<3>) -> Tensor<3> {
-    let Some(beta) = layer.beta.as_ref().filter(|_| here(&x)) else { return layer.forward(x) };
+    let Some(beta) = layer.beta.as_ref().filter(|_| on_cpu(&x)) else { return layer.forward(x) };
     let (gamma, beta) = (layer.gamma.val(), beta.val());
     Tensor::from_dispatch(Dispatch::fused_norm(
         x.into_dispatch(),
@@ -51,7 +51,7 @@ pub(super) fn norm(layer: &LayerNorm, x: Tensor<3>) -> Tensor<3> {
 
 /// x times the normal distribution function.
 pub(super) fn gelu(x: Tensor<3>) -> Tensor<3> {
-    if !here(&x) {
+    if !on_cpu(&x) {
         return burn::tensor::activation::gelu(x);
     }
     Tensor::from_dispatch(Dispatch::fused_gelu(x.into_dispatch()))
@@ -61,7 +61,7 @@ pub(super) fn shape(tensor: &FlexTensor) -> Vec<usize> {
     tensor.layout().shape().iter().copied().collect()
 }
 
-pub(super) fn made(values: Vec<f32>, shape: Vec<usize>) -> FlexTensor {
+pub(super) fn from_vec(values: Vec<f32>, shape: Vec<usize>) -> FlexTensor {
     FlexTensor::from_data(TensorData::new(values, shape))
 }
 
@@ -71,15 +71,15 @@ fn sizes(qkv: &FlexTensor, heads: usize) -> Sizes {
 }
 
 /// The values themselves where nobody else holds them, else a copy.
-pub(super) fn taken(tensor: FlexTensor) -> Vec<f32> {
+pub(super) fn into_vec(tensor: FlexTensor) -> Vec<f32> {
     if tensor.is_unique() {
         tensor.into_data().try_into_vec().unwrap_or_default()
     } else {
-        values(&tensor).to_vec()
+        to_slice(&tensor).to_vec()
     }
 }
 
-pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
+pub(super) fn to_slice(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice::<f32>().unwrap_or_default()
 }
 
@@ -88,17 +88,17 @@ impl Fused for Flex {
         let (qkv, bias) = (qkv.to_contiguous(), bias.to_contiguous());
         let sizes = sizes(&qkv, heads);
         let shape = vec![shape(&qkv)[0], sizes.time, sizes.width];
-        made(attention::attend(sizes, values(&qkv), values(&bias)), shape)
+        from_vec(attention::attend(sizes, to_slice(&qkv), to_slice(&bias)), shape)
     }
 
     fn fused_norm(x: FlexTensor, gamma: FlexTensor, beta: FlexTensor) -> FlexTensor {
         let (x, gamma, beta) = (x.to_contiguous(), gamma.to_contiguous(), beta.to_contiguous());
-        made(kernels::layer_norm(values(&x), values(&gamma), values(&beta)), shape(&x))
+        from_vec(kernels::layer_norm(to_slice(&x), to_slice(&gamma), to_slice(&beta)), shape(&x))
     }
 
     fn fused_gelu(x: FlexTensor) -> FlexTensor {
         let x = x.to_contiguous();
-        made(kernels::gelu(values(&x)), shape(&x))
+        from_vec(kernels::gelu(to_slice(&x)), shape(&x))
     }
 }
 
@@ -113,8 +113,9 @@ impl Backward<Flex, 1> for AttendBack {
         let (qkv, bias, heads) = ops.state;
         let [node] = ops.parents;
         if let Some(node) = node {
-            let back = attention::attend_back(sizes(&qkv, heads), values(&qkv), values(&bias), values(&grad));
-            grads.register::<Flex>(node.id, made(back, shape(&qkv)));
+            let back =
+                attention::attend_back(sizes(&qkv, heads), to_slice(&qkv), to_slice(&bias), to_slice(&grad));
+            grads.register::<Flex>(node.id, from_vec(back, shape(&qkv)));
         }
     }
 }
@@ -128,12 +129,13 @@ impl Backward<Flex, 3> for NormBack {
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<Flex>(&ops.node).to_contiguous();
         let (x, gamma) = ops.state;
-        let [by_x, by_gamma, by_beta] = kernels::layer_norm_back(values(&x), values(&gamma), values(&grad));
+        let [by_x, by_gamma, by_beta] =
+            kernels::layer_norm_back(to_slice(&x), to_slice(&gamma), to_slice(&grad));
         let [node_x, node_gamma, node_beta] = ops.parents;
         let all = [(node_x, by_x, &x), (node_gamma, by_gamma, &gamma), (node_beta, by_beta, &gamma)];
         for (node, by, like) in all {
             if let Some(node) = node {
-                grads.register::<Flex>(node.id, made(by, shape(like)));
+                grads.register::<Flex>(node.id, from_vec(by, shape(like)));
             }
         }
     }
@@ -149,8 +151,8 @@ impl Backward<Flex, 1> for GeluBack {
         let grad = grads.consume::<Flex>(&ops.node).to_contiguous();
         let [node] = ops.parents;
         if let Some(node) = node {
-            let back = kernels::gelu_back(values(&ops.state), taken(grad));
-            grads.register::<Flex>(node.id, made(back, shape(&ops.state)));
+            let back = kernels::gelu_back(to_slice(&ops.state), into_vec(grad));
+            grads.register::<Flex>(node.id, from_vec(back, shape(&ops.state)));
         }
     }
 }
@@ -205,7 +207,7 @@ impl<C: CheckpointStrategy> Fused for Autodiff<Flex, C> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::network::model::attention_bias;
+    use crate::network::attention_bias;
     use burn::nn::LayerNormConfig;
     use burn::tensor::activation::softmax;
     use burn::tensor::{Device, Distribution};
@@ -246,7 +248,7 @@ mod tests {
         let times: Vec<f64> = (0..TIME).map(|k| 0.1 * k as f64).collect();
         let bias = attention_bias(&vec![times; BATCH], HEADS, 9, &device());
         // Heads narrower than a vector, and as wide.
-        for width in [WIDTH, 2 * MOST] {
+        for width in [WIDTH, 2 * MAX_HEAD] {
             let plain = |qkv: Tensor<3>| {
                 let part = |k: usize| {
                     let part = qkv.clone().narrow(2, k * width, width);

@@ -1,8 +1,15 @@
 //! Normalisation and GELU in one pass each, with their gradients, on plain slices.
 //!
+//! ```text
+//! layer norm   y = g (x - mean) r + b,  r = 1 / sqrt(var + eps);   with z = (x - mean) r and u = g dy:
+//!              dx = r (u - mean u - z mean(u z)),  dg = sum dy z,  db = sum dy
+//! GELU         y = x Phi(x),  dx = dy (Phi(x) + x phi(x))
+//! ```
+//!
+//! Sources: J. L. Ba, J. R. Kiros, G. E. Hinton, "Layer Normalization", 2016; D. Hendrycks, K. Gimpel, "Gaussian Error Linear Units", 2016.
 //! Written out of small tensor operations these and attention move some twenty times the memory that they need.
 
-use super::widest::{Kernel, Simd, times_plus, widest};
+use super::widest::{Kernel, Simd, mul_add, widest};
 use rayon::prelude::*;
 
 /// As in `LayerNormConfig`.
@@ -20,13 +27,13 @@ pub(super) fn exp<S: Simd>(x: f32) -> f32 {
     // Rounds to a whole number, which the last bits hold: single precision has no more digits up there.
     let rounded = y * std::f32::consts::LOG2_E + ROUNDS;
     let n = rounded - ROUNDS;
-    let r = times_plus::<S>(n, -0.693_359_4, y);
-    let r = times_plus::<S>(n, 2.121_944_4e-4, r);
+    let r = mul_add::<S>(n, -0.693_359_4, y);
+    let r = mul_add::<S>(n, 2.121_944_4e-4, r);
     let mut p = 1.987_569_1e-4_f32;
     for c in [1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5] {
-        p = times_plus::<S>(p, r, c);
+        p = mul_add::<S>(p, r, c);
     }
-    let p = times_plus::<S>(p * r, r, r) + 1.0;
+    let p = mul_add::<S>(p * r, r, r) + 1.0;
     let scaled = p * f32::from_bits(rounded.to_bits().wrapping_add(127) << 23);
     if x < -87.3 { 0.0 } else { scaled }
 }
@@ -36,10 +43,10 @@ pub(super) fn exp<S: Simd>(x: f32) -> f32 {
 fn normal<S: Simd>(x: f32) -> (f32, f32) {
     let bell = exp::<S>(-0.5 * x * x);
     let z = x.abs() * std::f32::consts::FRAC_1_SQRT_2;
-    let t = 1.0 / times_plus::<S>(z, 0.327_591_1, 1.0);
+    let t = 1.0 / mul_add::<S>(z, 0.327_591_1, 1.0);
     let mut p = 1.061_405_4_f32;
     for c in [-1.453_152_1, 1.421_413_8, -0.284_496_72, 0.254_829_6] {
-        p = times_plus::<S>(p, t, c);
+        p = mul_add::<S>(p, t, c);
     }
     let tail = 0.5 * p * t * bell;
     (if x < 0.0 { tail } else { 1.0 - tail }, 0.398_942_3 * bell)
@@ -75,7 +82,7 @@ impl Kernel for GeluBack<'_> {
     fn run<S: Simd>(self, _: S) {
         self.0.iter_mut().zip(self.1).for_each(|(o, x)| {
             let (share, density) = normal::<S>(*x);
-            *o *= times_plus::<S>(*x, density, share);
+            *o *= mul_add::<S>(*x, density, share);
         });
     }
 }
@@ -141,7 +148,7 @@ impl Kernel for Norm<'_> {
         for (out, x) in self.out.chunks_exact_mut(width).zip(self.x.chunks_exact(width)) {
             let (mean, rate) = spread(simd, x);
             for (((out, x), gamma), beta) in out.iter_mut().zip(x).zip(self.gamma).zip(self.beta) {
-                *out = times_plus::<S>((x - mean) * rate, *gamma, *beta);
+                *out = mul_add::<S>((x - mean) * rate, *gamma, *beta);
             }
         }
     }
@@ -183,7 +190,7 @@ impl Kernel for NormBack<'_> {
                 normed.iter_mut().zip(x).zip(grad.iter().zip(&mut *by_gamma))
             {
                 *normed = (x - mean) * rate;
-                *by_gamma = times_plus::<S>(*grad, *normed, *by_gamma);
+                *by_gamma = mul_add::<S>(*grad, *normed, *by_gamma);
             }
             for ((pulled, gamma), (grad, by_beta)) in
                 pulled.iter_mut().zip(gamma).zip(grad.iter().zip(&mut *by_beta))

@@ -1,131 +1,13 @@
-//! The network's layers, for whole courses and for streams.
+//! The network's layers, for whole series and for streams.
 
-use super::{Attended, dense, fused};
-use crate::TrackError;
-use crate::bayes::Filters;
+use super::config::NetworkConfig;
+use super::kv_cache::KvCache;
+use super::{dense, fused};
+use crate::error::TrackError;
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor, TensorData};
-use serde::{Deserialize, Serialize};
-
-/// Size and kind of the network.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct NetworkConfig {
-    /// Inputs of a token.
-    pub inputs: usize,
-    /// Knots on the static inverse's curve; 0: the place itself comes out (the paper's head).
-    pub nodes: usize,
-    /// Hidden width of the encoder.
-    pub encoder: usize,
-    /// Layers, heads, width and hidden width of the feed-forward part.
-    pub layers: usize,
-    /// See `layers`.
-    pub heads: usize,
-    /// See `layers`.
-    pub width: usize,
-    /// See `layers`.
-    pub feed_forward: usize,
-    /// Dropout.
-    pub dropout: f64,
-    /// Tokens that an answer may look back on, its own included.
-    pub context: usize,
-    /// Whether there is a second filter below it, which it weighs against the first.
-    #[serde(default)]
-    pub two_filters: bool,
-}
-
-impl NetworkConfig {
-    /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
-    #[must_use]
-    pub fn paper(inputs: usize) -> Self {
-        Self {
-            inputs,
-            nodes: 0,
-            encoder: 64,
-            layers: 6,
-            heads: 8,
-            width: 128,
-            feed_forward: 512,
-            dropout: 0.1,
-            context: 128,
-            two_filters: false,
-        }
-    }
-
-    /// The default network on a curve of `nodes` knots, by one filter or two.
-    #[must_use]
-    pub fn small(inputs: usize, nodes: usize, two_filters: bool) -> Self {
-        Self {
-            inputs,
-            nodes,
-            encoder: 128,
-            layers: 3,
-            heads: 6,
-            width: 96,
-            feed_forward: 256,
-            dropout: 0.0,
-            context: 128,
-            two_filters,
-        }
-    }
-
-    /// A transformer of 40 thousand parameters that sees moments, their rates, time step and the base's speed, and nothing of the rod.
-    #[must_use]
-    pub fn baseline() -> Self {
-        Self {
-            inputs: super::features::COMMON,
-            nodes: 0,
-            encoder: 32,
-            layers: 2,
-            heads: 4,
-            width: 48,
-            feed_forward: 96,
-            dropout: 0.0,
-            context: 128,
-            two_filters: false,
-        }
-    }
-
-    /// Whether it takes nothing of the rod's curve and the filter.
-    #[must_use]
-    pub fn plain(&self) -> bool {
-        self.nodes == 0 && self.inputs <= super::features::COMMON
-    }
-
-    /// # Errors
-    /// Where the sizes do not fit each other.
-    pub fn check(&self) -> Result<(), TrackError> {
-        let sizes = [self.inputs, self.encoder, self.layers, self.heads, self.width, self.feed_forward];
-        if sizes.contains(&0) || self.context < 2 || !self.width.is_multiple_of(self.heads) {
-            return Err(TrackError::value(
-                "network",
-                "sizes above 0, width a multiple of heads",
-                format!("{self:?}"),
-            ));
-        }
-        Ok(())
-    }
-
-    /// # Errors
-    /// Where it weighs two filters and there is one, or the other way round.
-    pub fn check_filters(&self, filters: &Filters) -> Result<(), TrackError> {
-        if self.two_filters != filters.beside.is_some() {
-            let found = if self.two_filters { "one" } else { "two" };
-            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
-        }
-        Ok(())
-    }
-
-    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
-    /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
-    #[must_use]
-    pub fn outputs(&self) -> usize {
-        let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
-        self.nodes + 3 + 2 + with_knots
-    }
-}
 
 /// One layer: attention and feed-forward part, each after a normalisation.
 #[derive(Module, Debug)]
@@ -202,21 +84,21 @@ impl WhiskerNet {
         })
     }
 
-    /// A batch of courses: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
+    /// A batch of series: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
     #[must_use]
     pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
         let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
         for block in &self.blocks {
             let normed = fused::norm(&block.before_attention, x.clone());
             let qkv = dense::linear(&block.query_key_value, normed);
-            let attended = if fused::fits(&qkv, self.width(), self.heads) {
+            let attended = if fused::supports(&qkv, self.width(), self.heads) {
                 fused::attend(qkv, bias.clone(), self.heads)
             } else {
                 let (q, k, v) = self.split(qkv);
                 attend(q, k, v, bias.clone())
             };
-            x = dense::dropped(&self.dropout, x, dense::linear(&block.out, attended));
-            x = dense::dropped(&self.dropout, x.clone(), block.feed(x));
+            x = dense::dropout(&self.dropout, x, dense::linear(&block.out, attended));
+            x = dense::dropout(&self.dropout, x.clone(), block.feed(x));
         }
         dense::linear(&self.head, fused::norm(&self.norm, x))
     }
@@ -226,14 +108,14 @@ impl WhiskerNet {
     }
 
     /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
-    pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, memory: &mut Attended) -> Output {
+    pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, cache: &mut KvCache) -> Output {
         let device = inputs.device();
-        memory.arrive(t_s, context);
+        cache.advance(t_s, context);
         let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
             let normed = fused::norm(&block.before_attention, x.clone());
-            let qkv = numbers(dense::linear(&block.query_key_value, normed));
-            let attended = memory.attend(layer, &qkv, self.heads);
+            let qkv = to_vec(dense::linear(&block.query_key_value, normed));
+            let attended = cache.attend(layer, &qkv, self.heads);
             let attended = Tensor::from_data(TensorData::new(attended, [1, 1, self.width()]), &device);
             x = x + dense::linear(&block.out, attended);
             x = x.clone() + block.feed(x);
@@ -267,35 +149,7 @@ fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>, bias: Tensor<4>) -> Tensor<3
     softmax(scores, 3).matmul(v).swap_dims(1, 2).reshape([batch, time, heads * width])
 }
 
-/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter
-/// (linear biases: O. Press et al., ICLR 2022).
-pub(super) fn slope(head: usize, heads: usize) -> f32 {
-    4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
-}
-
-/// Bias of attention for courses with these times (s): later tokens and those beyond the context are out of sight.
-#[must_use]
-pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device: &Device) -> Tensor<4> {
-    let (batch, n) = (times_s.len(), times_s.first().map_or(0, Vec::len));
-    let mut bias = Vec::with_capacity(batch * heads * n * n);
-    for times in times_s {
-        for head in 0..heads {
-            let slope = slope(head, heads);
-            for (i, now) in times.iter().enumerate() {
-                bias.extend(times.iter().enumerate().map(|(j, then)| {
-                    let seen = j <= i && i - j < context;
-                    if seen { slope * (then - now) as f32 } else { HIDDEN }
-                }));
-            }
-        }
-    }
-    Tensor::from_data(TensorData::new(bias, [batch, heads, n, n]), device)
-}
-
-/// Bias of what is out of sight: its weight is 0 in single precision.
-const HIDDEN: f32 = -1e9;
-
 /// A tensor's numbers in order.
-pub(crate) fn numbers<const D: usize>(out: Tensor<D>) -> Vec<f32> {
+pub(crate) fn to_vec<const D: usize>(out: Tensor<D>) -> Vec<f32> {
     out.into_data().try_into_vec().unwrap_or_default()
 }

@@ -1,5 +1,10 @@
 //! Matrix products onto memory that is already there, and layers made of them.
 //!
+//! ```text
+//! linear    Y = X W + 1 b^T;   dX = dY W^T,  dW = X^T dY,  db = column sums of dY
+//! dropout   y = x k / q,  k = 1 with probability q (drawn by place and seed), else 0;   dx = dy k / q
+//! ```
+//!
 //! By the crate gemm, which is burn's own on a processor: called through burn, each answer is made of zeros, copied and only then written.
 //! One call here is not safe Rust; what it may touch is checked before it.
 
@@ -139,15 +144,15 @@ impl Kept {
     }
 }
 
-/// A piece of `dropped`, from the place `first` on.
-struct Dropped<'a> {
+/// A piece of `dropout`, from the place `first` on.
+struct Dropout<'a> {
     x: &'a mut [f32],
     onto: Option<&'a [f32]>,
     kept: Kept,
     first: usize,
 }
 
-impl Kernel for Dropped<'_> {
+impl Kernel for Dropout<'_> {
     type Out = ();
 
     #[inline(always)]
@@ -162,12 +167,12 @@ impl Kernel for Dropped<'_> {
 }
 
 /// `onto + x`, x under dropout, written over x; without `onto` it alone.
-pub(super) fn dropped(mut x: Vec<f32>, onto: Option<&[f32]>, kept: Kept) -> Vec<f32> {
+pub(super) fn dropout(mut x: Vec<f32>, onto: Option<&[f32]>, kept: Kept) -> Vec<f32> {
     const TASK: usize = ROWS * ROWS;
     x.par_chunks_mut(TASK).enumerate().for_each(|(k, x)| {
         let first = k * TASK;
         let onto = onto.map(|onto| &onto[first..first + x.len()]);
-        widest(Dropped { x, onto, kept, first });
+        widest(Dropout { x, onto, kept, first });
     });
     x
 }
@@ -208,7 +213,7 @@ mod tests {
     #[test]
     fn dropout_keeps_its_share_everywhere_and_draws_anew_with_each_seed() {
         const N: usize = 1 << 18;
-        let of = |seed: u32| dropped(vec![1.0; N], None, Kept { share: 0.9, seed });
+        let of = |seed: u32| dropout(vec![1.0; N], None, Kept { share: 0.9, seed });
         let (one, other) = (of(1), of(2));
         let share = |v: &[f32]| v.iter().filter(|x| **x > 0.0).count() as f64 / v.len() as f64;
         // Six standard deviations of a share.
@@ -218,7 +223,7 @@ mod tests {
         for part in one.chunks(N / 64) {
             assert!((share(part) - 0.9).abs() < most(N / 64), "{}", share(part));
         }
-        // Neighbours, places a row of the network apart, and seeds: as rarely dropped together as by chance.
+        // Neighbours, places a row of the network apart, and seeds: as rarely dropout together as by chance.
         let together = |a: &[f32], b: &[f32]| {
             a.iter().zip(b).filter(|(a, b)| **a == 0.0 && **b == 0.0).count() as f64 / b.len() as f64
         };
@@ -226,6 +231,6 @@ mod tests {
         for pair in [together(&one, &one[1..]), together(&one, &one[128..]), together(&one, &other)] {
             assert!((pair - 0.01).abs() < chance, "{pair}");
         }
-        assert_eq!(dropped(vec![1.0; 4], Some(&[2.0; 4]), Kept { share: 1.0, seed: 3 }), [3.0; 4]);
+        assert_eq!(dropout(vec![1.0; 4], Some(&[2.0; 4]), Kept { share: 1.0, seed: 3 }), [3.0; 4]);
     }
 }

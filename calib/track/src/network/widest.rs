@@ -31,7 +31,7 @@ pub(super) fn widest<K: Kernel>(kernel: K) -> K::Out {
 
 /// Product and sum, rounded once where the processor can: elsewhere `mul_add` is a slow call.
 #[inline(always)]
-pub(super) fn times_plus<S: Simd>(x: f32, factor: f32, summand: f32) -> f32 {
+pub(super) fn mul_add<S: Simd>(x: f32, factor: f32, summand: f32) -> f32 {
     // All but the plain one can.
     if TypeId::of::<S>() == TypeId::of::<pulp::Scalar>() {
         x * factor + summand
@@ -51,7 +51,7 @@ mod tests {
 
         fn run<S: Simd>(self, _: S) -> f32 {
             let [x, factor, summand] = self.0;
-            times_plus::<S>(x, factor, summand)
+            mul_add::<S>(x, factor, summand)
         }
     }
 

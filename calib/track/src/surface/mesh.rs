@@ -1,4 +1,7 @@
-//! Mesh of an implicit surface by marching tetrahedra (A. Doi, A. Koide, 1991), in the cells near contacts only.
+//! Mesh of an implicit surface by marching tetrahedra, in the cells near contacts only.
+//!
+//! Where d changes its sign along an edge of a tetrahedron, from a to b, lies a corner at `a (1 - u) + b u`, `u = d_a / (d_a - d_b)`.
+//! Source: A. Doi, A. Koide, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells", IEICE E74 (1991) 214.
 
 use super::{ImplicitSurface, SurfaceSettings};
 use nalgebra::Vector3;

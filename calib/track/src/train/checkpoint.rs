@@ -1,14 +1,15 @@
 //! What a training leaves after every pass, so that it can be taken up again.
 
-use super::{Pass, State, TrainSettings};
-use crate::TrackError;
+use super::State;
+use super::settings::{Pass, TrainSettings};
+use crate::error::TrackError;
 use crate::network::NetworkConfig;
 use burn::module::Module;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 #[derive(Serialize, Deserialize)]
-struct Standing {
+struct CheckpointState {
     network: NetworkConfig,
     settings: TrainSettings,
     passes: Vec<Pass>,
@@ -19,20 +20,20 @@ fn files(folder: &Path) -> [PathBuf; 4] {
 }
 
 /// Writes network, best network and optimizer, and last what they belong to.
-pub(super) fn keep(
+pub(super) fn save(
     folder: &Path,
     network: &NetworkConfig,
     settings: &TrainSettings,
     state: &State,
 ) -> Result<(), TrackError> {
     std::fs::create_dir_all(folder).map_err(TrackError::file("creating", folder))?;
-    let [standing, net, best, optimizer] = files(folder);
+    let [state_file, net, best, optimizer] = files(folder);
     state.net.clone().save_file(&net).map_err(TrackError::file("writing", &net))?;
     state.best.clone().save_file(&best).map_err(TrackError::file("writing", &best))?;
     state.optimizer.save(&optimizer).map_err(TrackError::file("writing", &optimizer))?;
-    let made = Standing { network: *network, settings: *settings, passes: state.passes.clone() };
-    let text = serde_json::to_string_pretty(&made).map_err(TrackError::file("writing", &standing))?;
-    std::fs::write(&standing, text).map_err(TrackError::file("writing", &standing))
+    let made = CheckpointState { network: *network, settings: *settings, passes: state.passes.clone() };
+    let text = serde_json::to_string_pretty(&made).map_err(TrackError::file("writing", &state_file))?;
+    std::fs::write(&state_file, text).map_err(TrackError::file("writing", &state_file))
 }
 
 /// The state in a folder, or the one given where there is none.
@@ -42,14 +43,15 @@ pub(super) fn resume(
     settings: &TrainSettings,
     fresh: State,
 ) -> Result<State, TrackError> {
-    let [standing, net, best, optimizer] = files(folder);
-    if !standing.exists() {
+    let [state_file, net, best, optimizer] = files(folder);
+    if !state_file.exists() {
         return Ok(fresh);
     }
-    let text = std::fs::read_to_string(&standing).map_err(TrackError::file("reading", &standing))?;
-    let made: Standing = serde_json::from_str(&text).map_err(TrackError::file("reading", &standing))?;
+    let text = std::fs::read_to_string(&state_file).map_err(TrackError::file("reading", &state_file))?;
+    let made: CheckpointState =
+        serde_json::from_str(&text).map_err(TrackError::file("reading", &state_file))?;
     if made.network != *network || made.settings != *settings {
-        let what = format!("{}: network and settings", standing.display());
+        let what = format!("{}: network and settings", state_file.display());
         return Err(TrackError::value(what, "those of this training (or another folder)", "others"));
     }
     Ok(State {

@@ -1,22 +1,30 @@
-//! What a training makes small.
+//! The loss of training.
+//!
+//! ```text
+//! L = CE(w, w*) + mean H(|p - c|^2; 2 mm) + 16 mean H(|p - q|^2; 2 mm) + CE(contact) + CE(several)
+//! H(e^2; a) = sqrt(1 + e^2 / a^2) - 1                                                            pseudo-Huber
+//! ```
+//!
+//! over the samples with contact: w the weights of the nodes, w* those of the true place between its two neighbours, c the true contact, q the
+//! point of the object's surface nearest to the answer p (held fixed: the gradient of the distance is the same), CE the cross entropy.
+//! Source of H: P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298.
 
 use super::window::Window;
-use crate::network::model::attention_bias;
-use crate::network::{DOUBT, NetworkConfig, WhiskerNet, between};
+use crate::network::{
+    INITIAL_LOG_FLOOR, NetworkConfig, PLACE_SCALE_MM, WhiskerNet, attention_bias, knot_weights,
+};
 use burn::tensor::activation::{log_sigmoid, log_softmax, sigmoid};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// Scale of a place that comes out as it is, mm.
-pub(crate) const PLACE_MM: f64 = 30.0;
 /// Errors from which on their loss grows straight and not with their square, mm: to the true contact, and to the surface.
-const STRAIGHT_MM: [f64; 2] = [2.0, 2.0];
+const PSEUDO_HUBER_MM: [f64; 2] = [2.0, 2.0];
 /// Weight of the distance to the surface.
-const SURFACE: f64 = 16.0;
+const SURFACE_WEIGHT: f64 = 16.0;
 
 /// Loss of a batch and squared errors, mm^2 (`[batch * time]`, 0 where there is no contact).
-pub(super) struct Lost {
+pub(super) struct LossTerms {
     pub loss: Tensor<1>,
     /// To the true contact.
     pub contact: Tensor<1>,
@@ -33,7 +41,7 @@ pub(super) fn loss(
     config: &NetworkConfig,
     windows: &[&Window<'_>],
     device: &Device,
-) -> Lost {
+) -> LossTerms {
     let (batch, time) = (windows.len(), windows[0].times_s.len());
     let n = batch * time;
     let gather = |values: Values, shape: [usize; 3]| {
@@ -55,18 +63,18 @@ pub(super) fn loss(
     let held = touching.clone() * counted.clone();
     let many = held.clone().sum() + 1.0;
     let (mean, choice) = if config.nodes == 0 {
-        (off_curve * PLACE_MM, Tensor::zeros([1], device))
+        (off_curve * PLACE_SCALE_MM, Tensor::zeros([1], device))
     } else {
         let k = windows[0].points.len() / (3 * time);
-        let doubt = (out.clone().narrow(1, config.nodes + 5, 1) + DOUBT).exp() / k as f32;
-        let mut believed = gather(|w| &w.believed, [n, 1, k]).reshape([n, k]);
+        let floor = (out.clone().narrow(1, config.nodes + 5, 1) + INITIAL_LOG_FLOOR).exp() / k as f32;
+        let mut posterior = gather(|w| &w.posterior, [n, 1, k]).reshape([n, k]);
         if config.two_filters {
-            let beside = gather(|w| &w.beside, [n, 1, k]).reshape([n, k]);
+            let frictionless = gather(|w| &w.posterior_frictionless, [n, 1, k]).reshape([n, k]);
             let share = sigmoid(out.clone().narrow(1, config.nodes + 6, 1));
-            believed = believed.clone() + (beside - believed) * share;
+            posterior = posterior.clone() + (frictionless - posterior) * share;
         }
-        let factors = out.narrow(1, 0, config.nodes).matmul(hats(config.nodes, k, device));
-        let log_weights = log_softmax(factors + (believed + doubt).log(), 1);
+        let factors = out.narrow(1, 0, config.nodes).matmul(hat_functions(config.nodes, k, device));
+        let log_weights = log_softmax(factors + (posterior + floor).log(), 1);
         let truth = gather(|w| &w.weights, [n, 1, k]).reshape([n, k]);
         let choice = -(log_weights.clone() * truth).sum_dim(1).reshape([n]) * held.clone();
         let points = gather(|w| &w.points, [n, k, 3]);
@@ -79,18 +87,18 @@ pub(super) fn loss(
         ((off.clone() / straight_mm.powi(2) + 1.0).sqrt() - 1.0).sum() / many.clone()
     };
     let contact = squared(place);
-    let mut total = choice + robust(&contact, STRAIGHT_MM[0]);
+    let mut total = choice + robust(&contact, PSEUDO_HUBER_MM[0]);
     // The nearest point of the surface counts as fixed: the gradient of the distance is the same.
     let surface = nearest_on_surfaces(windows, &mean, device).map(squared);
     if let Some(off) = &surface {
-        total = total + robust(off, STRAIGHT_MM[1]) * SURFACE;
+        total = total + robust(off, PSEUDO_HUBER_MM[1]) * SURFACE_WEIGHT;
     }
     let cross = |logit: Tensor<1>, truth: Tensor<1>| {
         -(log_sigmoid(logit.clone()) * truth.clone() + log_sigmoid(-logit) * (-truth + 1.0))
     };
     let called = (cross(logit, touching) * counted.clone()).sum() / (counted.sum() + 1.0);
     let several = (cross(several, flat(|w| &w.several)) * held).sum() / many;
-    Lost { loss: total + called + several, contact, surface }
+    LossTerms { loss: total + called + several, contact, surface }
 }
 
 /// The surface's points nearest to the answers, `[batch * time, 3]`; the answer itself where there is no contact. None where a mesh is not
@@ -106,7 +114,8 @@ fn nearest_on_surfaces(windows: &[&Window<'_>], answers: &Tensor<2>, device: &De
         if let (Some(mesh), true) = (window.mesh, window.touching[k] * window.counted[k] > 0.0) {
             let side = Vector3::new(1.0, if window.mirrored { -1.0 } else { 1.0 }, 1.0);
             let at = Vector3::new(point[0], point[1], point[2]).map(f64::from).component_mul(&side);
-            let near = window.course.on_surface(mesh, window.travel_mm[k], &at).component_mul(&side);
+            let near =
+                window.series.closest_surface_point(mesh, window.travel_mm[k], &at).component_mul(&side);
             point.iter_mut().zip(near.iter()).for_each(|(p, q)| *p = *q as f32);
         }
     });
@@ -115,44 +124,44 @@ fn nearest_on_surfaces(windows: &[&Window<'_>], answers: &Tensor<2>, device: &De
 }
 
 /// Linear interpolation from knots to nodes, `[knots, nodes]`.
-fn hats(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
-    let mut hats = vec![0.0_f32; knots * nodes];
-    for (node, (k, u)) in between(nodes).into_iter().enumerate() {
-        hats[k * nodes + node] += 1.0 - u;
+fn hat_functions(knots: usize, nodes: usize, device: &Device) -> Tensor<2> {
+    let mut hat_functions = vec![0.0_f32; knots * nodes];
+    for (node, (k, u)) in knot_weights(nodes).into_iter().enumerate() {
+        hat_functions[k * nodes + node] += 1.0 - u;
         if k + 1 < knots {
-            hats[(k + 1) * nodes + node] += u;
+            hat_functions[(k + 1) * nodes + node] += u;
         }
     }
-    Tensor::from_data(TensorData::new(hats, [knots, nodes]), device)
+    Tensor::from_data(TensorData::new(hat_functions, [knots, nodes]), device)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::TrainSettings;
-    use super::super::window::Windows;
+    use super::super::settings::TrainSettings;
+    use super::super::window::WindowMaker;
     use super::super::window::tests::swept;
     use super::*;
     use crate::model_file::preset;
-    use crate::spread::SdFactors;
-    use crate::stream::{Sample, Tracker};
+    use crate::sd_factors::SdFactors;
+    use crate::tracker::{Sample, Tracker};
     use std::collections::BTreeMap;
     use wcal_mujoco::objects;
 
     /// What a training makes small is the error of what a stream answers, with one filter below the network and with two.
     #[test]
     fn training_and_answers_agree() {
-        let (inverse, courses) = swept("can");
+        let (inverse, all_series) = swept("can");
         let device = Device::flex();
         device.seed(7);
         for two_filters in [true, false] {
-            let usual = TrainSettings { window: 64, ..TrainSettings::default() }.as_it_is();
-            let beside = usual.filter_beside.filter(|_| two_filters);
-            let settings = TrainSettings { filter_beside: beside, ..usual };
+            let usual = TrainSettings { window: 64, ..TrainSettings::default() }.without_disturbances();
+            let frictionless = usual.filter_frictionless.filter(|_| two_filters);
+            let settings = TrainSettings { filter_frictionless: frictionless, ..usual };
             let config = preset("default", &inverse, two_filters).unwrap();
             let net = WhiskerNet::new(&config, &device).unwrap();
             let meshes = BTreeMap::new();
-            let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
-            let window = &windows.of(&courses, &settings, 5)[0];
+            let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
+            let window = &windows.make(&all_series, &settings, 5)[0];
             let lost: Vec<f32> =
                 loss(&net, &config, &[window], &device).contact.into_data().try_to_vec().unwrap();
             let width = window.inputs.len() / window.times_s.len();
@@ -166,12 +175,14 @@ mod tests {
                     base_mm_s: (x[7] > 0.5).then_some(f64::from(x[8]) * 5.0),
                 })
                 .collect();
-            let sd_factors = [1.0; 2].map(SdFactors::even);
+            let sd_factors = [1.0; 2].map(SdFactors::constant);
             let (inverse, device) = (inverse.clone(), device.clone());
             let filters = settings.filters();
             let tracker = Tracker { config, net, inverse, filters, sd_factors, device };
             let mut touching = 0;
-            for (k, answer) in tracker.course(&samples).iter().enumerate().filter(|(k, _)| lost[*k] > 0.0) {
+            for (k, answer) in
+                tracker.track_series(&samples).iter().enumerate().filter(|(k, _)| lost[*k] > 0.0)
+            {
                 let off: f32 = (0..3).map(|i| (answer.point_mm[i] - window.place[3 * k + i]).powi(2)).sum();
                 assert!((off.sqrt() - lost[k].sqrt()).abs() < 2e-3, "{k}: {off} {}", lost[k]);
                 touching += 1;
@@ -183,11 +194,12 @@ mod tests {
     /// The surface of a mirrored window is the object's mirror image.
     #[test]
     fn a_mirrored_answer_has_a_mirrored_nearest_point() {
-        let (inverse, courses) = swept("vase");
+        let (inverse, all_series) = swept("vase");
         let config = preset("default", &inverse, true).unwrap();
         let meshes = BTreeMap::from([("vase".to_owned(), objects::built_in("vase").unwrap())]);
-        let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
-        let mut window = windows.of(&courses, &TrainSettings::default().as_it_is(), 5).swap_remove(0);
+        let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
+        let mut window =
+            windows.make(&all_series, &TrainSettings::default().without_disturbances(), 5).swap_remove(0);
         let device = Device::flex();
         let time = window.times_s.len();
         let near = |window: &Window<'_>, side: f32| -> Vec<f32> {

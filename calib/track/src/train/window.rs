@@ -1,19 +1,20 @@
-//! Windows of courses as the network takes them, with noise, gain, drift and clock that a bench would add.
+//! WindowMaker of series as the network takes them, with noise, gain, drift and clock that a bench would add.
 
-use super::TrainSettings;
-use super::bench::{Bench, between};
-use crate::network::{FeatureMaker, NetworkConfig, features};
-use crate::stream::FIRST_S;
-use crate::{Course, StaticInverse};
+use super::sensor_errors::{SensorErrors, uniform};
+use super::settings::TrainSettings;
+use crate::inverse::StaticInverse;
+use crate::network::{FeatureExtractor, NetworkConfig, features};
+use crate::sweep_series::SWEEP_STEP_S;
+use crate::sweep_series::SweepSeries;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use wcal_mujoco::Mesh;
 
-/// A window of a course, ready for the network.
+/// A window of a series, ready for the network.
 pub(super) struct Window<'a> {
-    pub course: &'a Course,
+    pub series: &'a SweepSeries,
     /// The object's.
     pub mesh: Option<&'a Mesh>,
     /// Way of the base at each token, mm.
@@ -23,9 +24,9 @@ pub(super) struct Window<'a> {
     /// Candidates' places, a token and node, mm.
     pub points: Vec<f32>,
     /// The filter's belief, a token and node.
-    pub believed: Vec<f32>,
-    /// The same of the filter beside; empty where there is none.
-    pub beside: Vec<f32>,
+    pub posterior: Vec<f32>,
+    /// The same of the filter frictionless; empty where there is none.
+    pub posterior_frictionless: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,
     /// True place, mm; what no token has is 0 and not counted.
@@ -34,7 +35,7 @@ pub(super) struct Window<'a> {
     /// Whether there are several contacts.
     pub several: Vec<f32>,
     pub counted: Vec<f32>,
-    /// Whether it is the mirror image of the course's.
+    /// Whether it is the mirror image of the series's.
     pub mirrored: bool,
 }
 
@@ -53,56 +54,62 @@ impl Window<'_> {
 
 /// What windows are made with.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Windows<'a> {
+pub(super) struct WindowMaker<'a> {
     pub config: &'a NetworkConfig,
     pub inverse: &'a StaticInverse,
     pub meshes: &'a BTreeMap<String, Mesh>,
 }
 
-/// Share of courses in which the wire stays free: what noise, drift and a bench's own motion look like alone.
-const FREE: f64 = 0.05;
+/// Share of series in which the wire stays free: what noise, drift and a bench's own motion look like alone.
+const FREE_FRACTION: f64 = 0.05;
 
-impl<'a> Windows<'a> {
-    /// Windows of courses, with what a bench adds; `seed` draws.
-    pub fn of(&self, courses: &'a [Course], settings: &TrainSettings, seed: u64) -> Vec<Window<'a>> {
-        courses
+impl<'a> WindowMaker<'a> {
+    /// WindowMaker of series, with what a bench adds; `seed` draws.
+    pub fn make(
+        &self,
+        all_series: &'a [SweepSeries],
+        settings: &TrainSettings,
+        seed: u64,
+    ) -> Vec<Window<'a>> {
+        all_series
             .par_iter()
             .enumerate()
-            .map(|(k, course)| {
+            .map(|(k, series)| {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
-                window(course, self, settings, &mut rng)
+                make_window(series, self, settings, &mut rng)
             })
             .collect()
     }
 }
 
-fn window<'a>(
-    course: &'a Course,
-    with: &Windows<'a>,
+fn make_window<'a>(
+    series: &'a SweepSeries,
+    with: &WindowMaker<'a>,
     settings: &TrainSettings,
     rng: &mut ChaCha8Rng,
 ) -> Window<'a> {
-    let Windows { config, inverse, meshes } = *with;
-    let bench = Bench::draw(settings, rng);
+    let WindowMaker { config, inverse, meshes } = *with;
+    let errors = SensorErrors::draw(settings, rng);
     let [fastest, slowest] = settings.time_factor.map(f64::ln);
-    let factor = between(rng, fastest, slowest).exp();
-    let free = between(rng, 0.0, 1.0) < FREE;
-    let known = between(rng, 0.0, 1.0) < settings.speed_known;
-    let stride = 1 + usize::from(between(rng, 0.0, 1.0) < 0.3);
-    let latest = course.instants.len().saturating_sub(settings.window * stride / 2);
-    let first = (between(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
-    let mut features = FeatureMaker::of(config, inverse, bench.told(settings.filters()));
-    let nodes = if config.plain() { 0 } else { inverse.nodes.len() };
+    let factor = uniform(rng, fastest, slowest).exp();
+    let free = uniform(rng, 0.0, 1.0) < FREE_FRACTION;
+    let known = uniform(rng, 0.0, 1.0) < settings.speed_known;
+    let stride = 1 + usize::from(uniform(rng, 0.0, 1.0) < 0.3);
+    let latest = series.samples.len().saturating_sub(settings.window * stride / 2);
+    let first = (uniform(rng, -0.3, 1.0).max(0.0) * latest as f64) as usize;
+    let mut features =
+        FeatureExtractor::for_network(config, inverse, errors.with_measurement_noise(settings.filters()));
+    let nodes = if config.moments_only() { 0 } else { inverse.nodes.len() };
     let t = settings.window;
-    let mut made = Window {
-        course,
-        mesh: meshes.get(&course.object),
+    let mut window = Window {
+        series,
+        mesh: meshes.get(&series.object),
         travel_mm: Vec::with_capacity(t),
-        inputs: Vec::with_capacity(t * FeatureMaker::width(nodes, config.two_filters)),
+        inputs: Vec::with_capacity(t * FeatureExtractor::width(nodes, config.two_filters)),
         times_s: Vec::with_capacity(t),
         points: Vec::with_capacity(t * nodes * 3),
-        believed: Vec::with_capacity(t * nodes),
-        beside: Vec::with_capacity(if config.two_filters { t * nodes } else { 0 }),
+        posterior: Vec::with_capacity(t * nodes),
+        posterior_frictionless: Vec::with_capacity(if config.two_filters { t * nodes } else { 0 }),
         weights: Vec::with_capacity(t * nodes),
         place: Vec::with_capacity(t * 3),
         touching: Vec::with_capacity(t),
@@ -111,38 +118,38 @@ fn window<'a>(
         mirrored: false,
     };
     let mut before_s = None;
-    let last = course.instants.len() - 1;
+    let last = series.samples.len() - 1;
     for k in 0..t {
         let at = first + k * stride;
-        let now = &course.instants[at.min(last)];
-        // Beyond its end a course goes on without counting.
+        let now = &series.samples[at.min(last)];
+        // Beyond its end a series goes on without counting.
         let over_s = at.saturating_sub(last) as f64 * 0.1;
         let t_s = (now.t_s + over_s) * factor;
         let pressed = if free { [0.0; 2] } else { now.moment_nmm };
-        let moment = bench.felt(pressed, t_s, rng);
+        let moment = errors.measured(pressed, t_s, rng);
         let speed = known.then_some(now.speed_mm_s / factor);
-        let token = features.push(t_s - before_s.unwrap_or(t_s - FIRST_S), moment, speed);
+        let token = features.push(t_s - before_s.unwrap_or(t_s - SWEEP_STEP_S), moment, speed);
         before_s = Some(t_s);
         let truth = now
             .contact
             .filter(|_| !free)
             .map(|c| [c.point_mm.x, c.point_mm.y, c.point_mm.z].map(|x| x as f32));
-        made.weights.extend(match truth {
+        window.weights.extend(match truth {
             Some(p) if nodes > 0 => truth_weights(&token.points_mm, p),
             _ => vec![0.0; nodes],
         });
-        made.inputs.extend(token.inputs);
-        made.points.extend(token.points_mm.iter().flatten());
-        made.believed.extend(token.believed);
-        made.beside.extend(token.beside);
-        made.times_s.push(t_s);
-        made.travel_mm.push(now.travel_mm);
-        made.place.extend(truth.unwrap_or_default());
-        made.several.push(f32::from(u8::from(now.contacts > 1 && !free)));
-        made.touching.push(f32::from(u8::from(truth.is_some())));
-        made.counted.push(f32::from(u8::from(at <= last)));
+        window.inputs.extend(token.inputs);
+        window.points.extend(token.points_mm.iter().flatten());
+        window.posterior.extend(token.posterior);
+        window.posterior_frictionless.extend(token.posterior_frictionless);
+        window.times_s.push(t_s);
+        window.travel_mm.push(now.travel_mm);
+        window.place.extend(truth.unwrap_or_default());
+        window.several.push(f32::from(u8::from(now.contacts > 1 && !free)));
+        window.touching.push(f32::from(u8::from(truth.is_some())));
+        window.counted.push(f32::from(u8::from(at <= last)));
     }
-    made
+    window
 }
 
 /// Weights of the two nodes between which the curve comes nearest to a place.
@@ -168,21 +175,21 @@ fn truth_weights(points: &[[f32; 3]], place: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::InverseGrid;
-    use crate::drawn::{Order, drawn};
+    use crate::generate_sweeps::{SweepRequest, generate_sweeps};
+    use crate::inverse::InverseGrid;
     use crate::model_file::preset;
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
     use wcal_mujoco::{SweepPlan, objects};
 
     /// A coarse table, and a sweep over a built-in object.
-    pub(in crate::train) fn swept(object: &str) -> (StaticInverse, Vec<Course>) {
+    pub(in crate::train) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {
         let whisker = WhiskerSpec::nominal();
-        let grid = InverseGrid { step_mm: 2.0, refine: 1, leans: 3, ..InverseGrid::default() };
+        let grid = InverseGrid { step_mm: 2.0, refine: 1, tilts: 3, ..InverseGrid::default() };
         let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };
-        let order = Order { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
-        let courses = drawn(&objects::built_in(object).unwrap(), &order).unwrap();
-        (StaticInverse::new(&whisker, grid).unwrap(), courses)
+        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: 3, sweeps: 1 };
+        let all_series = generate_sweeps(&objects::built_in(object).unwrap(), &order).unwrap();
+        (StaticInverse::new(&whisker, grid).unwrap(), all_series)
     }
 
     /// Negative control of the mirror: a wire that leaves the plane is none.
@@ -193,7 +200,7 @@ pub(super) mod tests {
         let grid = InverseGrid {
             step_mm: 20.0,
             refine: 1,
-            leans: 1,
+            tilts: 1,
             directions: 4,
             steps: 2,
             ..InverseGrid::default()
@@ -204,21 +211,24 @@ pub(super) mod tests {
     /// What the wire feels of a mirrored object has a mirrored window, also in what filters and rod make of it.
     #[test]
     fn the_window_of_a_mirrored_course_is_the_mirrored_window() {
-        let (inverse, courses) = swept("vase");
+        let (inverse, all_series) = swept("vase");
         assert!(inverse.flat);
-        let mut turned = courses.clone();
-        for i in turned.iter_mut().flat_map(|c| &mut c.instants) {
+        let mut turned = all_series.clone();
+        for i in turned.iter_mut().flat_map(|c| &mut c.samples) {
             i.moment_nmm[1] = -i.moment_nmm[1];
             i.contact.iter_mut().for_each(|c| c.point_mm.y = -c.point_mm.y);
         }
         let config = preset("default", &inverse, true).unwrap();
         let meshes = BTreeMap::new();
-        let windows = Windows { config: &config, inverse: &inverse, meshes: &meshes };
-        let settings = TrainSettings::default().as_it_is();
-        let (mut here, there) = (windows.of(&courses, &settings, 5), windows.of(&turned, &settings, 5));
+        let windows = WindowMaker { config: &config, inverse: &inverse, meshes: &meshes };
+        let settings = TrainSettings::default().without_disturbances();
+        let (mut here, there) =
+            (windows.make(&all_series, &settings, 5), windows.make(&turned, &settings, 5));
         let off = |a: &Window<'_>, b: &Window<'_>| {
-            let pairs = [(&a.inputs, &b.inputs), (&a.points, &b.points), (&a.believed, &b.believed)];
-            let pairs = pairs.into_iter().chain([(&a.beside, &b.beside), (&a.place, &b.place)]);
+            let pairs = [(&a.inputs, &b.inputs), (&a.points, &b.points), (&a.posterior, &b.posterior)];
+            let pairs = pairs
+                .into_iter()
+                .chain([(&a.posterior_frictionless, &b.posterior_frictionless), (&a.place, &b.place)]);
             let mean = |(a, b): (&Vec<f32>, &Vec<f32>)| {
                 a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32
             };

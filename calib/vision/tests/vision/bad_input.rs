@@ -1,10 +1,12 @@
 //! Pictures and files that cannot be used: one clear reason each, the rest of the batch goes on.
 
 use crate::common;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoDocument;
-use wcal_vision::imports::read_cameras;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::import::read_cameras;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::picture::Picture;
 
 fn board() -> Board {
@@ -22,7 +24,7 @@ fn copy_pairs(to: &std::path::Path, names: &[&str]) {
 
 fn run(folder: &std::path::Path) -> Result<StereoDocument, String> {
     let side = |s: &str| folder.join(format!("{s}*")).display().to_string();
-    calibrate_folders(&side("left"), &side("right"), &board(), &|_| {})
+    calibrate_folders(&side("left"), &side("right"), &board(), OPENCV5, &|_| {})
         .map(|r| r.0)
         .map_err(|e| e.to_string())
 }

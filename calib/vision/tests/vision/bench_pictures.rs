@@ -5,14 +5,16 @@ use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
 use std::sync::OnceLock;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoCameras;
+use wcal_core::shapes_document::ShapesDocument;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shapes::shapes_of_pairs;
-use wcal_vision::shapes_document::ShapesDocument;
+use wcal_vision::shape::folder::shapes_of_pairs;
+use wcal_vision::stereo::StereoCameras;
 
 fn folder(name: &str) -> String {
     common::fixture("stereo_bench").join(name).display().to_string()
@@ -25,7 +27,8 @@ fn stereo() -> &'static StereoCameras {
         let board =
             Board { size: BoardSize { columns: 9, rows: 6 }, square_mm: 6.0, pattern: Pattern::Chessboard };
         let (document, _) =
-            calibrate_folders(&folder("board/left"), &folder("board/right"), &board, &|_| {}).unwrap();
+            calibrate_folders(&folder("board/left"), &folder("board/right"), &board, OPENCV5, &|_| {})
+                .unwrap();
         document.stereo_cameras().unwrap()
     })
 }

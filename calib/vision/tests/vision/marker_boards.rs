@@ -7,11 +7,13 @@ use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use rayon::prelude::*;
-use wcal_vision::apriltag_ffi::draw_tag;
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::camera::Camera;
-use wcal_vision::chessboard::BoardSize;
-use wcal_vision::document::StereoDocument;
+use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::tags::apriltag_ffi::draw_tag;
 
 const WIDTH: usize = 1280;
 const HEIGHT: usize = 960;
@@ -100,7 +102,9 @@ fn write_pairs(folder: &std::path::Path, print: &Print) {
 
 fn calibrated(folder: &std::path::Path, board: &Board) -> Result<StereoDocument, String> {
     let side = |s: &str| folder.join(format!("{s}*")).display().to_string();
-    calibrate_folders(&side("left"), &side("right"), board, &|_| {}).map(|r| r.0).map_err(|e| e.to_string())
+    calibrate_folders(&side("left"), &side("right"), board, OPENCV5, &|_| {})
+        .map(|r| r.0)
+        .map_err(|e| e.to_string())
 }
 
 fn assert_as_drawn(document: &StereoDocument) {

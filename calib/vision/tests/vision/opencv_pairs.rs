@@ -2,10 +2,13 @@
 
 use crate::common;
 use nalgebra::Vector2;
-use wcal_vision::bundle::BoardView;
-use wcal_vision::calibrate::{board_points, calibrate_stereo};
-use wcal_vision::calibrate_folders::{Board, Pattern, calibrate_folders};
-use wcal_vision::chessboard::{BoardSize, Finder, Refinement, find_chessboard, refine};
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::bundle::BoardView;
+use wcal_vision::calibrate::chessboard::{BoardSize, Finder, Refinement, find_chessboard, refine};
+use wcal_vision::calibrate::folders::calibrate_folders;
+use wcal_vision::calibrate::solution::calibrate_stereo;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 
@@ -34,7 +37,7 @@ fn views(how: Refinement) -> Vec<BoardView> {
 fn from_the_pictures_alone_all_pairs_fit_better_than_by_any_hand_tuned_window() {
     let [left, right] = sides();
     let board = Board { size: SIZE, square_mm: 1.0, pattern: Pattern::Chessboard };
-    let (document, solution) = calibrate_folders(&left, &right, &board, &|_| {}).unwrap();
+    let (document, solution) = calibrate_folders(&left, &right, &board, OPENCV5, &|_| {}).unwrap();
     assert_eq!(document.views.len(), 13, "{:?}", document.rejected_views);
     // BENCHMARKS: per-corner RMS 0.2150 px is the best hand-tuned result of cv2 on these pictures.
     assert!(document.rms_px <= 0.215, "{}", document.rms_px);
@@ -46,10 +49,10 @@ fn from_the_pictures_alone_all_pairs_fit_better_than_by_any_hand_tuned_window() 
 
 #[test]
 fn with_opencvs_corners_the_result_is_that_of_cv2_and_of_mrcal() {
-    use wcal_vision::bundle::{BundleState, Free, solve};
+    use wcal_vision::calibrate::bundle::{BundleState, Free, solve};
     let points = board_points(9, 6, 1.0);
     let views = views(Refinement::Gradient(5));
-    let solution = calibrate_stereo(&points, views, [640, 480]).unwrap();
+    let solution = calibrate_stereo(&points, views, [640, 480], OPENCV5).unwrap();
     // mrcal with board warp: 0.2076 px.
     assert!(solution.warp_used && solution.bundle.rms_px() <= 0.2076 + 1e-4, "{}", solution.bundle.rms_px());
     let flat_start = BundleState { warp: [0.0; 2], ..solution.bundle.state.clone() };
@@ -66,7 +69,7 @@ fn a_swapped_pair_and_a_foreign_pair_are_left_out_with_the_reason() {
     let (left, right) = (views[2].left.clone(), views[2].right.clone());
     (views[2].left, views[2].right) = (right, left);
     views[7].right = views[9].right.clone();
-    let solution = calibrate_stereo(&board_points(9, 6, 1.0), views, [640, 480]).unwrap();
+    let solution = calibrate_stereo(&board_points(9, 6, 1.0), views, [640, 480], OPENCV5).unwrap();
     let why = |name: &str| solution.rejected.iter().find(|r| r.view == name).map(|r| r.why.clone());
     assert!(why("left03").unwrap().contains("swapped"), "{:?}", solution.rejected);
     assert!(why("left08").unwrap().contains("belongs to another pair"), "{:?}", solution.rejected);
@@ -81,7 +84,7 @@ fn swapped_cameras_are_warned_of_and_mirrored_or_shifted_pictures_refused() {
         .iter()
         .map(|v| BoardView { name: v.name.clone(), left: v.right.clone(), right: v.left.clone() })
         .collect();
-    let solution = calibrate_stereo(&points, swapped, [640, 480]).unwrap();
+    let solution = calibrate_stereo(&points, swapped, [640, 480], OPENCV5).unwrap();
     assert!(solution.warnings.iter().any(|w| w.contains("swapped")), "{:?}", solution.warnings);
     let mut mirrored = good.clone();
     for v in &mut mirrored {
@@ -91,20 +94,20 @@ fn swapped_cameras_are_warned_of_and_mirrored_or_shifted_pictures_refused() {
             .flat_map(|row| row.iter().rev().map(|c| c.map(|c| Vector2::new(639.0 - c.x, c.y))))
             .collect();
     }
-    let error = calibrate_stereo(&points, mirrored, [640, 480]).unwrap_err().to_string();
+    let error = calibrate_stereo(&points, mirrored, [640, 480], OPENCV5).unwrap_err().to_string();
     assert!(error.contains("mirrored"), "{error}");
     let mut shifted = good.clone();
     for k in 0..shifted.len() {
         shifted[k].right = good[(k + 1) % good.len()].right.clone();
     }
-    let error = calibrate_stereo(&points, shifted, [640, 480]).unwrap_err().to_string();
+    let error = calibrate_stereo(&points, shifted, [640, 480], OPENCV5).unwrap_err().to_string();
     assert!(error.contains("shifted"), "{error}");
 }
 
 #[test]
 fn one_view_again_and_again_is_refused() {
     let one = views(Refinement::Model(0.3)).remove(0);
-    let error = calibrate_stereo(&board_points(9, 6, 1.0), vec![one; 5], [640, 480]);
+    let error = calibrate_stereo(&board_points(9, 6, 1.0), vec![one; 5], [640, 480], OPENCV5);
     assert!(error.is_err(), "a single view cannot fix two cameras: {error:?}");
 }
 
@@ -113,10 +116,10 @@ fn a_wrong_board_size_is_named() {
     let [left, right] = sides();
     let board =
         Board { size: BoardSize { columns: 8, rows: 6 }, square_mm: 1.0, pattern: Pattern::Chessboard };
-    let error = calibrate_folders(&left, &right, &board, &|_| {}).unwrap_err().to_string();
+    let error = calibrate_folders(&left, &right, &board, OPENCV5, &|_| {}).unwrap_err().to_string();
     assert!(error.contains("wrong board size"), "{error}");
     let board =
         Board { size: BoardSize { columns: 10, rows: 6 }, square_mm: 1.0, pattern: Pattern::Chessboard };
-    let error = calibrate_folders(&left, &right, &board, &|_| {}).unwrap_err().to_string();
+    let error = calibrate_folders(&left, &right, &board, OPENCV5, &|_| {}).unwrap_err().to_string();
     assert!(error.contains("9x6"), "{error}");
 }

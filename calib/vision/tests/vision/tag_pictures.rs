@@ -2,9 +2,9 @@
 
 use crate::common;
 use nalgebra::Vector2;
-use wcal_vision::apriltag_ffi::{RawTag, draw_tag};
 use wcal_vision::picture::Picture;
-use wcal_vision::tags::{Search, detect_tags, find_tags};
+use wcal_vision::tags::apriltag_ffi::{RawTag, draw_tag};
+use wcal_vision::tags::detection::{Search, detect_tags, find_tags};
 
 /// Tags of all the picture as the library gives them.
 fn raw_tags(picture: &Picture) -> Vec<RawTag> {

@@ -5,15 +5,17 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use rayon::prelude::*;
-use wcal_vision::bundle::{BoardView, BundleState, Free, solve};
-use wcal_vision::calibrate::board_points;
+use wcal_vision::calibrate::board::board_points;
+use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;
+use wcal_vision::camera::lens::OPENCV5;
 
 fn truth() -> BundleState {
     let camera = |fx: f64, cx: f64| Camera {
         image_size_px: [1280, 960],
         focal_px: [fx, fx + 2.0],
         centre_px: [cx, 470.0],
+        lens: OPENCV5,
         distortion: [-0.14, 0.2, 2e-4, -1e-4, 0.0],
     };
     let turn = |x: f64, y: f64, z: f64| UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z));

@@ -2,10 +2,10 @@
 
 use crate::common;
 use nalgebra::{DMatrix, DVector, Vector2};
-use wcal_vision::look::fit_look;
 use wcal_vision::picture::Picture;
 use wcal_vision::profile::blurred_step;
-use wcal_vision::wire::{Look, PIECE_PX, Piece, Station, fit_piece};
+use wcal_vision::wire::appearance::fit_appearance;
+use wcal_vision::wire::piece::{Appearance, PIECE_PX, Piece, Station, fit_piece};
 
 const ANGLE: f64 = 0.37;
 const WIDTHS: [f64; 3] = [2.0, 3.0, 6.0];
@@ -21,7 +21,7 @@ fn line(width: f64, noise: f64, right: f64, texture: f64, seed: u64) -> Picture 
     })
 }
 
-fn pieces(picture: &Picture, width: f64, look: Look) -> Vec<Piece> {
+fn pieces(picture: &Picture, width: f64, appearance: Appearance) -> Vec<Piece> {
     let along = Vector2::new(ANGLE.cos(), ANGLE.sin());
     (-30..=30)
         .filter_map(|k| {
@@ -32,15 +32,15 @@ fn pieces(picture: &Picture, width: f64, look: Look) -> Vec<Piece> {
                 bend_per_px: 0.0,
                 width_px: width,
             };
-            fit_piece(picture, &station, look, 1.5)
+            fit_piece(picture, &station, appearance, 1.5)
         })
         .collect()
 }
 
 fn fitted(picture: &Picture, width: f64) -> Vec<Piece> {
-    let start = Look { blur_px: 1.2, width_scale: 1.0 };
-    let look = fit_look(picture, &pieces(picture, width, start), start);
-    pieces(picture, width, look)
+    let start = Appearance { blur_px: 1.2, width_scale: 1.0 };
+    let appearance = fit_appearance(picture, &pieces(picture, width, start), start);
+    pieces(picture, width, appearance)
 }
 
 fn rms(pieces: &[Piece]) -> f64 {
@@ -101,8 +101,8 @@ fn unequal_sides_and_uneven_background_stay_below_a_twentieth_of_a_pixel() {
 #[test]
 fn where_there_is_no_line_there_is_no_evidence() {
     let empty = common::draw(320, 240, 0.9, 3.0, 3, |_, _| 150.0);
-    let look = Look { blur_px: 0.9, width_scale: 1.0 };
-    let found = pieces(&empty, 3.0, look);
+    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
+    let found = pieces(&empty, 3.0, appearance);
     let seen = found.iter().filter(|p| p.evidence > 0.0).count();
     assert!(seen * 20 <= found.len(), "{seen} of {}", found.len());
 }

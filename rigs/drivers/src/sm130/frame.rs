@@ -147,7 +147,7 @@ pub(crate) mod tests {
     fn a_frame_decodes_to_nanometres_seconds_and_channels() {
         let frame = decode(&sample_frame(7)).unwrap();
         assert_eq!((frame.serial, frame.device_s), (7, 1000.5));
-        assert_eq!(frame.peaks_nm, [vec![1535.758, 1541.174], vec![], vec![1537.267_123], vec![]]);
+        assert_eq!(frame.peaks_nm, [vec![1535.758, 1541.174], vec![], vec![1_537.267_123], vec![]]);
         assert!(frame.health.faults().is_empty());
     }
 

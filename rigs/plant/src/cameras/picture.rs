@@ -142,12 +142,15 @@ fn bounds(lens: &Lens, base_from_plane: &nalgebra::Isometry3<f64>, corners: &[[f
     [limit(low.x - pad, 0), limit(low.y - pad, 1), limit(high.x + pad, 0), limit(high.y + pad, 1)]
 }
 
+/// A point of the image, px, and its depth, mm; none behind the camera.
+type ImagePoint = Option<(Vector2<f64>, f64)>;
+
 /// Image of the wire, piece by piece.
 fn wire_pieces(lens: &Lens, view: &View) -> Vec<Piece> {
     let focal = 0.5 * (lens.focal_px[0] + lens.focal_px[1]);
     let seen: Vec<_> = view.wire.iter().map(|p| lens.project(p)).collect();
     let count = seen.len().saturating_sub(1);
-    let piece = |(k, w): (usize, &[Option<(Vector2<f64>, f64)>])| {
+    let piece = |(k, w): (usize, &[ImagePoint])| {
         let ((from, z0), (to, z1)) = (w[0]?, w[1]?);
         let depth_mm = 0.5 * (z0 + z1);
         let half_px = 0.5 * view.diameter_mm * focal / depth_mm;

@@ -122,7 +122,7 @@ mod tests {
             y: 0.0,
             t_s: None,
             temperature_degc: None,
-            direction: Some(if k % 2 == 0 { 1.0 } else { -1.0 }),
+            direction: Some(if k.is_multiple_of(2) { 1.0 } else { -1.0 }),
             cycle: None,
             covariates: Vec::new(),
             place: None,

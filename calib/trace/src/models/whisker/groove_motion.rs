@@ -7,6 +7,7 @@ use super::physical::PhysicalModel;
 use super::rod_tables::RodParameters;
 use super::system::WhiskerSystem;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use wcal_map::{MapArtefact, MapPredictor};
 use wcal_rod::Rod;
 
 /// The wire with the mechanics that the calibration carries.
@@ -22,7 +23,7 @@ pub struct AcceptedWire {
     pub offset_mm: Vector3<f64>,
 }
 
-/// A reading with the groove's way, none of whose numbers comes from the groove's place.
+/// A reading with the groove's way; none of its numbers comes from the groove's place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MovedReading {
     /// Index in the system's path.
@@ -51,75 +52,106 @@ pub struct MovedReading {
     pub visit: u32,
 }
 
-/// Wire of a system under a calibration; none where it cannot be bent.
-#[must_use]
-pub fn accepted_wire(system: &WhiskerSystem, model: &PhysicalModel) -> Option<AcceptedWire> {
-    let mut mechanics = RodParameters::default();
-    for active in model.terms() {
-        active.effect.rod(&active.values(), &mut mechanics);
-    }
-    Some(AcceptedWire {
-        rod: system.rod_tables.rod(&mechanics)?,
-        friction: mechanics.friction,
-        moving_share: mechanics.moving_share,
-        offset_mm: Vector3::from(mechanics.offset_mm),
-    })
+/// A session through a calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GrooveMotion {
+    /// Wire.
+    pub wire: AcceptedWire,
+    /// Readings on trajectories, in order of time.
+    pub readings: Vec<MovedReading>,
 }
 
-/// Readings on trajectories, in order of time; none where the sensitivity cannot be inverted. `poses` are those of a system whose rows have a
-/// stage position.
+/// Moments of a reading: mean, own noise, common unknowns, whether the calibration vouches for them.
+type Sensed = ([f64; 2], Matrix2<f64>, Vec<[f64; 2]>, bool);
+
+/// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
+/// position would take theirs from the groove's place: the system must have none.
 #[must_use]
-pub fn moved_readings(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Vec<MovedReading>> {
+pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let path = &system.path;
     let inverse = model.sensitivity().try_inverse()?;
     let terms = model.terms();
+    let mut mechanics = RodParameters::default();
     let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
     for active in &terms {
+        active.effect.rod(&active.values(), &mut mechanics);
         active.effect.pose(&active.values(), path, &mut xs);
     }
-    let mut effective = vec![0.0; path.readings.len()];
-    for (node, x) in path.nodes.iter().zip(&xs) {
-        if let Some(i) = node.reading {
-            effective[i] = *x;
-        }
-    }
     let inferred = model.infer(path, None);
-    let sensed = model.sensed(&terms, path, &inverse);
-    let columns = model.columns(&terms, path, &sensed);
+    let columns = model.columns(&terms, path, &model.sensed(&terms, path, &inverse));
     let factor = factor(model);
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
     let count = model.coefficients.len();
-    let shared = |i: usize| -> Vec<[f64; 2]> {
+    let felt = |i: usize| -> Sensed {
         let of = |j: usize| -> [f64; 2] {
             let shift = |c: usize| (0..count).map(|k| columns[k][i] * factor[(c * count + k, j)]).sum();
             (inverse * Vector2::new(shift(0), shift(1))).into()
         };
-        (0..factor.ncols()).map(of).collect()
+        let m = &inferred[i];
+        (m.moment_nmm, noise_nmm2, (0..factor.ncols()).map(of).collect(), m.valid)
     };
+    let wire = AcceptedWire {
+        rod: system.rod_tables.rod(&mechanics)?,
+        friction: mechanics.friction,
+        moving_share: mechanics.moving_share,
+        offset_mm: Vector3::from(mechanics.offset_mm),
+    };
+    Some(GrooveMotion { wire, readings: readings(system, &xs, felt) })
+}
+
+/// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
+#[must_use]
+pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
+    let mut predictor = MapPredictor::new(map).ok()?;
+    let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
+    let felt = |i: usize| -> Sensed {
+        let p = predictor.predict(system.path.readings[i].shift_pm);
+        let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
+        let shared = vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]];
+        (p.moment_nmm, Matrix2::from_diagonal(&Vector2::from(noise)), shared, p.is_valid())
+    };
+    let rod = system.rod_tables.rod(&RodParameters::default())?;
+    let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
+    Some(GrooveMotion { wire, readings: readings(system, &xs, felt) })
+}
+
+/// Readings on trajectories; `xs_mm` are the nodes' stage positions.
+fn readings(
+    system: &WhiskerSystem,
+    xs_mm: &[f64],
+    mut felt: impl FnMut(usize) -> Sensed,
+) -> Vec<MovedReading> {
+    let path = &system.path;
+    let mut stage_mm = vec![0.0; path.readings.len()];
+    for (node, x) in path.nodes.iter().zip(xs_mm) {
+        if let Some(i) = node.reading {
+            stage_mm[i] = *x;
+        }
+    }
     let mut out: Vec<MovedReading> = Vec::with_capacity(path.readings.len());
     let (mut visit, mut last) = (0, None);
     for (i, r) in path.readings.iter().enumerate() {
-        if last.is_some_and(|before| before != (r.line, r.seating)) || r.rest {
-            visit += 1;
-        }
-        last = Some((r.line, r.seating));
+        let here = (r.line, r.seating);
+        visit += u32::from(r.rest || last.is_some_and(|before| before != here));
+        last = Some(here);
         let Some(line) = r.line else { continue };
+        let (moment_nmm, noise_nmm2, shared_nmm, valid) = felt(i);
         out.push(MovedReading {
             reading: i,
             line,
             t_s: r.t_s,
-            moment_nmm: inferred[i].moment_nmm,
-            valid: inferred[i].valid,
+            moment_nmm,
+            valid,
             noise_nmm2,
-            shared_nmm: shared(i),
-            stage_mm: effective[i],
-            added_mm: effective[i] - r.x_mm,
+            shared_nmm,
+            stage_mm: stage_mm[i],
+            added_mm: stage_mm[i] - r.x_mm,
             velocity_mm_s: r.velocity_mm_s,
             rest: r.rest,
             visit,
         });
     }
-    Some(out)
+    out
 }
 
 /// F with cov(b) = F F': the eigenvectors that matter, scaled.

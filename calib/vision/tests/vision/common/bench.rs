@@ -6,9 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use std::collections::HashMap;
-use wcal_vision::apriltag_ffi::draw_tag;
 use wcal_vision::camera::Camera;
+use wcal_vision::camera::lens::OPENCV5;
 use wcal_vision::picture::Picture;
+use wcal_vision::tags::apriltag_ffi::draw_tag;
 
 pub const WIDTH: usize = 1280;
 pub const HEIGHT: usize = 960;
@@ -65,6 +66,7 @@ pub fn cameras() -> [Camera; 2] {
         image_size_px: [WIDTH, HEIGHT],
         focal_px: [f, f + 2.0],
         centre_px: [cx, 470.0],
+        lens: OPENCV5,
         distortion: [-0.14, 0.2, 2e-4, -1e-4, 0.0],
     };
     [camera(3450.0, 650.0), camera(3465.0, 636.0)]

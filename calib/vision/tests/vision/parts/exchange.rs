@@ -1,15 +1,27 @@
 //! Exports come back; malformed files are refused.
 
-use wcal_vision::document::StereoDocument;
-use wcal_vision::exchange::exports;
-use wcal_vision::imports::{import_kalibr, import_opencv, import_ros, imported, read_cameras};
-use wcal_vision::reference::differences;
+use wcal_vision::calibrate::document::StereoDocument;
+use wcal_vision::calibrate::export::exports;
+use wcal_vision::calibrate::import::{
+    ImportedCamera, import_kalibr, import_opencv, import_ros, imported, read_cameras,
+};
+use wcal_vision::calibrate::reference::differences;
+use wcal_vision::camera::lens::{FISHEYE, Lens, OPENCV5, lenses};
 
-fn document() -> StereoDocument {
+fn document_with(lens: &'static dyn Lens) -> StereoDocument {
     let pose =
         [[0.96, 0.0, -0.28, -118.0], [0.0, 1.0, 0.0, 2.0], [0.28, 0.0, 0.96, 25.0], [0.0, 0.0, 0.0, 1.0]];
-    let camera = ([3450.0, 3452.0, 650.5, 470.25], [-0.14, 0.2, 1e-4, -2e-4, 0.03]);
-    imported("here", [1280, 960], [camera, camera], pose).unwrap()
+    let camera = match lens.model() {
+        "fisheye" => vec![-0.03, 4e-3, -2e-3, 5e-4],
+        _ => vec![-0.14, 0.2, 1e-4, -2e-4, 0.03],
+    };
+    let camera =
+        || ImportedCamera { pinhole: [3450.0, 3452.0, 650.5, 470.25], lens, coefficients: camera.clone() };
+    imported("here", [1280, 960], [camera(), camera()], pose).unwrap()
+}
+
+fn document() -> StereoDocument {
+    document_with(OPENCV5)
 }
 
 fn same(a: &StereoDocument, b: &StereoDocument) -> bool {
@@ -22,16 +34,24 @@ fn same(a: &StereoDocument, b: &StereoDocument) -> bool {
             .all(|(x, y)| near(*x, *y))
         && a.cameras.iter().zip(&b.cameras).all(|(x, y)| {
             x.k.iter().flatten().zip(y.k.iter().flatten()).all(|(p, q)| near(*p, *q))
+                && x.distortion.model == y.distortion.model
+                && x.distortion.coefficients.len() == y.distortion.coefficients.len()
                 && x.distortion.coefficients.iter().zip(&y.distortion.coefficients).all(|(p, q)| near(*p, *q))
         })
 }
 
 #[test]
 fn what_is_exported_is_imported_again() {
+    for lens in lenses() {
+        let document = document_with(lens);
+        let files = exports(&document).unwrap();
+        assert!(same(&import_opencv("opencv.yml", &files[0].1).unwrap(), &document), "{}", lens.model());
+        assert!(same(&import_kalibr("camchain.yaml", &files[1].1).unwrap(), &document), "{}", lens.model());
+        assert!(same(&import_ros("ros", [&files[2].1, &files[3].1]).unwrap(), &document), "{}", lens.model());
+    }
+    // Negative control: the models are not taken for each other.
+    assert!(!same(&document_with(FISHEYE), &document()));
     let files = exports(&document()).unwrap();
-    assert!(same(&import_opencv("opencv.yml", &files[0].1).unwrap(), &document()));
-    assert!(same(&import_kalibr("camchain.yaml", &files[1].1).unwrap(), &document()));
-    assert!(same(&import_ros("ros", [&files[2].1, &files[3].1]).unwrap(), &document()));
     // The stereo sample of OpenCV writes two files and calls the cameras M.
     let (first, second) = files[0].1.split_once("R: ").unwrap();
     let text = format!("{}R: {second}", first.replace("K1", "M1").replace("K2", "M2"));
@@ -108,7 +128,8 @@ fn malformed_files_are_refused_with_the_key() {
         assert!(error.contains(word), "{error}");
     }
     for (from, to, word) in [
-        ("plumb_bob", "equidistant", "plumb_bob"),
+        ("plumb_bob", "rational_polynomial", "plumb_bob"),
+        ("plumb_bob", "equidistant", "distortion_coefficients with 4 numbers"),
         ("projection_matrix", "p", "projection_matrix"),
         ("image_height: 960", "image_height: 480", "one size"),
     ] {
@@ -121,4 +142,21 @@ fn malformed_files_are_refused_with_the_key() {
         let error = import_kalibr("k.yaml", &files[1].1.replace(from, to)).unwrap_err().to_string();
         assert!(error.contains(word), "{error}");
     }
+}
+
+#[test]
+fn an_unknown_lens_in_stereo_json_is_refused_by_name() {
+    let mut value = serde_json::to_value(document()).unwrap();
+    let parse = |v: &serde_json::Value| StereoDocument::parse("stereo.json", &v.to_string());
+    assert!(parse(&value).is_ok());
+    value["cameras"][1]["distortion"]["model"] = "double-sphere".into();
+    let error = parse(&value).unwrap_err().to_string();
+    for word in ["stereo.json", "camera right", "double-sphere", "opencv5, fisheye"] {
+        assert!(error.contains(word), "{word}: {error}");
+    }
+    // Five coefficients are no fisheye's, and the two cameras' lenses are of one model.
+    value["cameras"][1]["distortion"]["model"] = "fisheye".into();
+    assert!(parse(&value).unwrap_err().to_string().contains("4 coefficients expected, 5 found"));
+    value["cameras"][1]["distortion"]["coefficients"] = serde_json::json!([0.0, 0.0, 0.0, 0.0]);
+    assert!(parse(&value).unwrap_err().to_string().contains("lenses of one model"));
 }

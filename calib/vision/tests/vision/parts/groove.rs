@@ -1,8 +1,8 @@
 //! Kinds of contact.
 
 use nalgebra::{Matrix3, Vector3};
-use wcal_vision::groove::Place;
 use wcal_vision::rig::RigGroove;
+use wcal_vision::shape::groove::Place;
 
 fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -> &'static str {
     let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 1e-4, 1e-4));

@@ -2,12 +2,12 @@
 
 use nalgebra::Vector3;
 use wcal_vision::rig::RigWhisker;
-use wcal_vision::rod::{ROOT, RodModel};
+use wcal_vision::shape::curve::{CurveModel, ROOT};
 
-fn model() -> RodModel {
+fn model() -> CurveModel {
     let whisker =
         RigWhisker { diameter_mm: 0.3, length_mm: 60.0, straight_mm: 30.0, arc_curvature_per_mm: 0.05 };
-    RodModel::new(&whisker, 60.0, 3.0, true)
+    CurveModel::new(&whisker, 60.0, 3.0, true)
 }
 
 #[test]

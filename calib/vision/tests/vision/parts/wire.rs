@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use wcal_vision::picture::Picture;
 use wcal_vision::profile::blurred_step;
-use wcal_vision::wire::{Look, Station, fit_piece};
+use wcal_vision::wire::piece::{Appearance, Station, fit_piece};
 
 /// A bar of 3.6 px across unequal backgrounds, drawn by its own formula (simulated).
 fn drawn(centre: f64, right: f64, width: f64) -> Picture {
@@ -31,9 +31,9 @@ fn station() -> Station {
 
 #[test]
 fn unequal_sides_do_not_move_the_centre() {
-    let look = Look { blur_px: 0.9, width_scale: 1.0 };
+    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
     for right in [180.0, 120.0] {
-        let piece = fit_piece(&drawn(30.37, right, 3.6), &station(), look, 2.0).unwrap();
+        let piece = fit_piece(&drawn(30.37, right, 3.6), &station(), appearance, 2.0).unwrap();
         // The normal of a downward tangent points to -x.
         assert!((30.0 - piece.offset_px - 30.37).abs() < 0.01, "{right}: {}", piece.offset_px);
         assert!(piece.evidence > 0.0);
@@ -42,9 +42,10 @@ fn unequal_sides_do_not_move_the_centre() {
 
 #[test]
 fn an_edge_is_no_wire() {
-    let look = Look { blur_px: 0.9, width_scale: 1.0 };
+    let appearance = Appearance { blur_px: 0.9, width_scale: 1.0 };
     let edge = drawn(30.0, 80.0, 3.6);
     assert!(
-        fit_piece(&edge, &station(), look, 2.0).is_none_or(|p| p.evidence < 0.0 || p.depth[1].abs() < 3.0)
+        fit_piece(&edge, &station(), appearance, 2.0)
+            .is_none_or(|p| p.evidence < 0.0 || p.depth[1].abs() < 3.0)
     );
 }

@@ -1,0 +1,207 @@
+//! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
+
+use anyhow::{Result, bail};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use wcal_core::verify_document::GrooveTracking;
+use wcal_core::{Role, WhiskerData, WhiskerRow};
+use wcal_trace::whisker::WhiskerSystem;
+use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
+use wcal_track::known_motion::contact_path::ContactPath;
+use wcal_track::known_motion::{
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Settings, bound_mm, locate,
+};
+
+/// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
+///
+/// # Errors
+/// Where a loaded row has no stage position, or stands on a trajectory that the session does not describe.
+pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData> {
+    let mut blind = data.clone();
+    for row in &mut blind.rows {
+        let place = |row: &WhiskerRow| format!("{}: line {}", row.source, row.line);
+        if row.role != Role::Rest {
+            if row.stage_mm.is_none() {
+                bail!("{}: stage_mm: expected a position (the way of the groove), found none", place(row));
+            }
+            if row.trajectory.and_then(|id| data.trajectory(id)).is_none() {
+                bail!(
+                    "{}: trajectory: expected one with a direction in session.toml, found none",
+                    place(row)
+                );
+            }
+        }
+        row.groove_mm = None;
+    }
+    Ok(blind)
+}
+
+/// A trajectory's readings with what was found.
+pub struct TrackedTrajectory {
+    /// Identifier of the session.
+    pub id: u32,
+    /// Readings in order of time.
+    pub readings: Vec<MovedReading>,
+    /// What they tell.
+    pub found: Located,
+    episode: Episode,
+}
+
+/// A session whose contact was located.
+pub struct TrackedSession {
+    field: MomentField,
+    wire: AcceptedWire,
+    /// Trajectories in the session's order.
+    pub trajectories: Vec<TrackedTrajectory>,
+}
+
+/// Locates the contact on each trajectory; `chosen` tells which readings of the system's path are used.
+///
+/// # Errors
+/// Where moments or motion cannot be used.
+pub fn track(
+    system: &WhiskerSystem,
+    motion: GrooveMotion,
+    chosen: impl Fn(usize) -> bool,
+) -> Result<TrackedSession> {
+    let GrooveMotion { wire, readings } = motion;
+    let friction = match wire.friction {
+        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+        _ => Friction::NONE,
+    };
+    let field = MomentField::new(&wire.rod, &system.data.moments, friction);
+    let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
+    for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
+        by_line.entry(reading.line).or_default().push(reading);
+    }
+    let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory> {
+        let trajectory = &system.data.trajectories[line];
+        let direction = trajectory.direction;
+        let rows = readings
+            .iter()
+            .map(|r| MotionRow {
+                t_s: r.t_s,
+                moment_nmm: r.moment_nmm,
+                noise_nmm2: r.noise_nmm2,
+                shared_nmm: r.shared_nmm.clone(),
+                moved_mm: direction * r.stage_mm,
+                velocity_mm_s: direction * r.velocity_mm_s,
+                moved_sd_mm: 0.0,
+                free: r.rest,
+                visit: r.visit,
+            })
+            .collect();
+        let episode = Episode { rows, push: Some(direction) };
+        let found = locate(&field, &episode, &Settings::default())?;
+        Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
+    };
+    let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>>>()?;
+    Ok(TrackedSession { field, wire, trajectories })
+}
+
+impl TrackedSession {
+    /// Place at a reading of the system's path, with the trajectory's disagreement.
+    pub fn places(&self) -> BTreeMap<usize, (Place, Option<Disagreement>)> {
+        let of = |t: &TrackedTrajectory| -> Vec<(usize, (Place, Option<Disagreement>))> {
+            let at = |(r, p): (&MovedReading, &Place)| (r.reading, (p.clone(), t.found.disagreement));
+            t.readings.iter().zip(&t.found.places).map(at).collect()
+        };
+        self.trajectories.iter().flat_map(of).collect()
+    }
+
+    /// The places beside the groove's, which `groove` gives by reading where it is known; none where none of them is, or nothing was found.
+    ///
+    /// # Errors
+    /// Where the bound cannot be computed.
+    pub fn beside_groove(
+        &self,
+        system: &WhiskerSystem,
+        groove: impl Fn(usize) -> Option<Vector3<f64>>,
+        split: &str,
+    ) -> Result<Option<GrooveTracking>> {
+        let settings = Settings::default();
+        let (mut squared, mut bounds, mut held, mut points) = (0.0, 0.0, 0_usize, 0_usize);
+        let (mut trajectories, mut doubted) = (0, 0);
+        for t in &self.trajectories {
+            let Some(posterior) = &t.found.posterior else { continue };
+            let Some(path) = ContactPath::new(&self.field, &t.episode) else { continue };
+            let mut compared = false;
+            let mut bound = None;
+            for (k, (reading, place)) in t.readings.iter().zip(&t.found.places).enumerate() {
+                let (Some(groove), Some(at)) = (groove(reading.reading), place.place_mm) else { continue };
+                if reading.rest {
+                    continue;
+                }
+                let direction = system.data.trajectories[reading.line].direction;
+                let truth = groove + direction * reading.added_mm + self.wire.offset_mm;
+                let near = system.data.trajectories[reading.line].nominal_arclength_mm;
+                let Some(state) = path.state_of(&truth, k, near) else { continue };
+                if bound.is_none() {
+                    bound = bound_mm(&self.field, &t.episode, &settings, &state)?;
+                }
+                let Some(bound) = bound else { continue };
+                squared += (at - truth).norm_squared();
+                bounds += bound * bound;
+                held += usize::from(posterior.holds(&state));
+                points += 1;
+                compared = true;
+            }
+            trajectories += usize::from(compared);
+            doubted += usize::from(compared && t.found.disagreement.is_some());
+        }
+        let n = points as f64;
+        Ok((points > 0).then(|| GrooveTracking {
+            rmse_mm: (squared / n).sqrt(),
+            bound_mm: (bounds / n).sqrt(),
+            coverage95: held as f64 / n,
+            points,
+            trajectories,
+            doubted,
+            split: split.to_owned(),
+        }))
+    }
+
+    /// What was found on each trajectory, for track.json.
+    pub fn summary(&self) -> Vec<Value> {
+        self.trajectories
+            .iter()
+            .map(|t| {
+                let i = &t.found.innovations;
+                json!({
+                    "trajectory": t.id, "readings": t.readings.len(),
+                    "regions": t.found.posterior.as_ref().map(|p| p.regions()),
+                    "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
+                    "disagreement": t.found.disagreement.map(Disagreement::name),
+                })
+            })
+            .collect()
+    }
+
+    /// What speaks against motion and moments, trajectory by trajectory.
+    pub fn disagreements(&self) -> Vec<String> {
+        let of = |t: &TrackedTrajectory| {
+            let i = &t.found.innovations;
+            let said = t.found.disagreement?.sentence();
+            Some(format!(
+                "trajectory {}: {said} (chi2 {:.0} for {:.0} degrees of freedom)",
+                t.id, i.plain, i.dof
+            ))
+        };
+        self.trajectories.iter().filter_map(of).collect()
+    }
+}
+
+/// For people.
+pub fn groove_sentence(t: &GrooveTracking) -> String {
+    let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
+    format!(
+        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold {:.0} %",
+        t.rmse_mm,
+        t.points,
+        t.bound_mm,
+        t.rmse_mm / t.bound_mm,
+        100.0 * t.coverage95
+    )
+}

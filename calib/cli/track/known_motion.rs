@@ -1,0 +1,134 @@
+//! Tracks of a session whose groove moves in a known way: no network.
+
+use super::groove::at_most;
+use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::trust::{TrustIssues, calibration_issues};
+use super::{Outcome, TrackArgs, exit_code};
+use crate::known_motion::{groove_sentence, track as locate, without_groove};
+use anyhow::{Result, anyhow, bail};
+use nalgebra::Vector3;
+use serde_json::json;
+use std::path::Path;
+use std::process::ExitCode;
+use wcal_calibration::{TrustIssue, of_whisker};
+use wcal_core::stream::{Flags, StreamMoments};
+use wcal_core::{SessionData, WhiskerRow};
+use wcal_trace::whisker::WhiskerSystem;
+use wcal_track::known_motion::Place;
+use wcal_track::known_motion::posterior::REGION;
+use wcal_track::network::Prediction;
+
+/// Tracks the readings of a session's points table.
+///
+/// # Errors
+/// Where session or calibration cannot be used, or the session does not say how the groove moves.
+pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
+    let session = wcal_session::load(folder)?;
+    let SessionData::Whisker(data) = &session.data else {
+        bail!("{}: expected a whisker session, found another kind", folder.display());
+    };
+    let [place] = &args.calibration[..] else {
+        bail!("--calibration: expected one for a session, found {}", args.calibration.len());
+    };
+    let place = Path::new(place);
+    let (file, mut issues) = calibration_issues(place)?;
+    let differs = file.whisker.as_ref().and_then(|w| w.difference(&data.whisker));
+    issues.extend(differs.map(TrustIssue::OtherSession));
+    let issues = TrustIssues::of(issues);
+    for issue in issues.messages() {
+        eprintln!("{}: {issue}", if args.force { "warning" } else { "refused" });
+    }
+    if !issues.none() && !args.force {
+        return Ok(ExitCode::from(4));
+    }
+    // From here on nobody knows where the groove is.
+    let blind = without_groove(data)?;
+    let rows: Vec<&WhiskerRow> = blind.rows.iter().collect();
+    let system = WhiskerSystem::new(&blind, &rows)?;
+    let motion = of_whisker(place, &file)?
+        .groove_motion(&system)
+        .ok_or_else(|| anyhow!("{}: the calibration gives no moments for this session", place.display()))?;
+    let readings = motion.readings.clone();
+    let tracked = locate(&system, motion, |_| true)?;
+    let places = tracked.places();
+    let codes = issues.codes();
+    let mut files = TrackFiles::create(&args.out, false)?;
+    let (mut outside, mut flagged) = (0_u64, 0_u64);
+    for r in &readings {
+        let row = system.row(r.reading);
+        let (found, disagreement) = places[&r.reading].clone();
+        let flags = disagreement.map_or_else(Flags::default, |_| Flags::MOTION_DISAGREES);
+        outside += u64::from(!r.valid);
+        flagged += u64::from(!flags.none());
+        let sd = |c: usize| {
+            let shared: f64 = r.shared_nmm.iter().map(|h| h[c] * h[c]).sum();
+            (r.noise_nmm2[(c, c)] + shared).sqrt()
+        };
+        files.row(&TrackRow {
+            point: row.point,
+            t_s: r.t_s,
+            whisker: "",
+            flags,
+            doubts: &codes,
+            moments: Some(StreamMoments { moment_nmm: r.moment_nmm, sd_nmm: [sd(0), sd(1)], valid: r.valid }),
+            answer: answer(&found).as_ref(),
+            base_mm_s: None,
+            base: None,
+            touching: None,
+            segment: None,
+        })?;
+    }
+    // The groove's place enters here, after every answer.
+    let known = |reading: usize| -> Option<Vector3<f64>> { data.rows[system.path.rows[reading]].groove_mm };
+    let groove = tracked.beside_groove(&system, known, "fit")?;
+    let simulated = session.simulated || file.provenance.simulated;
+    if simulated {
+        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
+    }
+    let summary = json!({
+        "format": FORMAT, "source": folder, "simulated": simulated, "out": args.out, "rows": readings.len(), "flagged_rows": flagged,
+        "unusable_rows": 0, "outside_valid_region": outside, "doubts": issues.messages(), "method": "known-motion",
+        "calibration_sha256": file.content_sha256, "place": "axis of the wire at the contact, base frame",
+        "trajectories": tracked.summary(), "groove_tracking": groove,
+    });
+    files.finish(&summary, args.json)?;
+    if outside > 0 {
+        eprintln!(
+            "{outside} of {} readings lie outside the valid region; marked in outside_valid_region",
+            readings.len()
+        );
+    }
+    let disagreements = tracked.disagreements();
+    for said in &disagreements {
+        eprintln!("{said}; marked motion-disagrees in status");
+    }
+    if let Some(groove) = &groove {
+        eprintln!("{}", groove_sentence(groove));
+    }
+    // Readings of a trajectory have one error: the trajectories are what may be counted.
+    let misstated = groove.as_ref().is_some_and(|g| {
+        let held = (g.coverage95 * g.trajectories as f64).round() as usize;
+        at_most(held, g.trajectories, REGION) < MISSTATED
+    });
+    Ok(exit_code(
+        args,
+        Outcome { outside: outside > 0, misstated, lost: false, untrained: !disagreements.is_empty() },
+    ))
+}
+
+/// Chance below which too few regions that hold are no accident.
+const MISSTATED: f64 = 0.01;
+
+/// A place as a row of the track has it; none where nothing was found.
+fn answer(place: &Place) -> Option<Prediction> {
+    let at = place.place_mm?;
+    let c = place.covariance_mm2;
+    Some(Prediction {
+        contact: place.contact as f32,
+        several: 0.0,
+        point_mm: [0, 1, 2].map(|k| at[k] as f32),
+        covariance_mm2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| c[(i, j)] as f32)),
+        weights: Vec::new(),
+        normal: [0.0; 3],
+    })
+}

@@ -1,0 +1,178 @@
+//! What speaks against tracking with a calibration and a model.
+
+use anyhow::{Result, bail};
+use std::path::{Path, PathBuf};
+use wcal_calibration::{
+    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
+};
+use wcal_core::{CalibrationFile, VerificationStatus};
+use wcal_track::filter::FilterBank;
+use wcal_track::model_file::Card;
+use wcal_track::tracker::trained_steps_s;
+use wcal_track::{Tracker, TrackerStream};
+
+/// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
+#[derive(Debug, Clone, Default)]
+pub struct TrustIssues(Vec<TrustIssue>);
+
+impl TrustIssues {
+    /// These.
+    pub fn of(issues: Vec<TrustIssue>) -> Self {
+        Self(issues)
+    }
+
+    /// Whether there are none.
+    pub fn none(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Codes with `|` between them.
+    pub fn codes(&self) -> String {
+        self.0.iter().map(TrustIssue::code).collect::<Vec<_>>().join("|")
+    }
+
+    /// Sentences.
+    pub fn messages(&self) -> Vec<String> {
+        self.0.iter().map(ToString::to_string).collect()
+    }
+}
+
+/// A whisker's calibration and model.
+pub struct WhiskerModel<'a> {
+    /// Name in the rig.
+    pub name: String,
+    /// Where the calibration lies.
+    pub place: PathBuf,
+    /// Calibration.
+    pub file: CalibrationFile<CalibrationModel>,
+    /// Model.
+    pub tracker: &'a Tracker,
+    /// Its card.
+    pub card: Card,
+    /// What speaks against them.
+    pub doubts: TrustIssues,
+}
+
+/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
+const WHITE: f64 = 0.2;
+/// Share by which the zero may be off in a recording. An assumption too.
+const ZERO: f64 = 0.5;
+
+/// FilterBank told of the moments that come through a calibration.
+pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {
+    let noise_nmm = model.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
+    filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
+}
+
+impl WhiskerModel<'_> {
+    /// Its calibration from wavelengths to moments.
+    ///
+    /// # Errors
+    /// Where it is of another kind of session.
+    pub fn calibration(&self) -> Result<&dyn WhiskerCalibration> {
+        Ok(of_whisker(&self.place, &self.file)?)
+    }
+
+    /// A stream whose filters are told of the calibration's noise.
+    pub fn stream(&self) -> TrackerStream<'_> {
+        self.tracker.stream_with(filters_for(self.tracker.filters, &self.file.model))
+    }
+}
+
+/// Why `verify` wrote no calibration at this place; none where there is one, or no `verify.json` beside it.
+fn never_written(place: &Path) -> Option<String> {
+    if place.exists() {
+        return None;
+    }
+    let beside = place.with_file_name("verify.json");
+    let document: serde_json::Value = serde_json::from_slice(&std::fs::read(&beside).ok()?).ok()?;
+    let text = |key: &str| document[key].as_str().unwrap_or_default().to_owned();
+    let ids = document["effects"].as_array().into_iter().flatten().filter_map(|e| e["id"].as_str());
+    let ids = ids.collect::<Vec<_>>().join(", ");
+    let verdict = text("verdict");
+    let accepted = match (verdict.as_str(), ids.as_str()) {
+        ("ambiguous", _) => {
+            "several explanations are left and none was accepted (--accept chooses one)".to_owned()
+        }
+        ("unknown-effect", "") => {
+            "it accepted no effect: nothing in its catalogue explains what is left".to_owned()
+        }
+        ("unknown-effect", some) => {
+            format!("it accepted {some}, and nothing in its catalogue explains what is left")
+        }
+        _ => "it accepted none".to_owned(),
+    };
+    let (place, beside) = (place.display(), beside.display());
+    Some(format!(
+        "{place}: not there: the verdict of verify is \"{verdict}\" ({beside}); {accepted}. So it wrote no calibration. {}",
+        text("reason")
+    ))
+}
+
+/// A whisker's calibration, and what speaks against it by itself.
+///
+/// # Errors
+/// Where the file cannot be read, or was changed so that its content means nothing any more.
+pub fn calibration_issues(place: &Path) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>)> {
+    if let Some(why) = never_written(place) {
+        bail!(why);
+    }
+    let (file, changed) = read_unsealed(place)?;
+    of_whisker(place, &file)?;
+    let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
+    issues.extend(standing(&file, jiff::Timestamp::now())?);
+    if file.verification == VerificationStatus::Unverified {
+        issues.push(TrustIssue::NeverVerified);
+    }
+    Ok((file, issues))
+}
+
+/// A whisker's calibration judged beside a model's card, before the model itself is loaded.
+pub struct CheckedCalibration {
+    name: String,
+    place: PathBuf,
+    file: CalibrationFile<CalibrationModel>,
+    card: Card,
+    /// What speaks against them.
+    pub doubts: TrustIssues,
+}
+
+impl CheckedCalibration {
+    /// Name in the rig.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// With its model.
+    pub fn with(self, tracker: &Tracker) -> WhiskerModel<'_> {
+        let Self { name, place, file, card, doubts } = self;
+        WhiskerModel { name, place, file, tracker, card, doubts }
+    }
+
+    /// Reads a calibration and judges it beside the model.
+    ///
+    /// # Errors
+    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
+    pub fn read(name: &str, place: &Path, card: Card) -> Result<Self> {
+        let (file, mut issues) = calibration_issues(place)?;
+        match file.whisker.as_ref().map(|w| w.difference(&card.whisker)) {
+            Some(Some(found)) => issues.push(TrustIssue::OtherWhisker(found)),
+            Some(None) => {}
+            None => eprintln!(
+                "warning: {}: it does not say of which whisker; the model is taken to fit",
+                place.display()
+            ),
+        }
+        let doubts = TrustIssues(issues);
+        Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
+    }
+
+    /// Judges the time between readings (s) by those that the network was trained with.
+    pub fn check_step(&mut self, step_s: Option<f64>) {
+        let trained_s = trained_steps_s(self.card.training.time_factor);
+        let [low, high] = trained_s;
+        if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
+            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
+        }
+    }
+}

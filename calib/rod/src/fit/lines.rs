@@ -1,0 +1,107 @@
+//! The rod under a shape's load, and how far a measured line is from it.
+
+use super::MeasuredShape;
+use super::model::RestModel;
+use crate::kirchhoff::integrate::unloaded;
+use crate::{Guess, Rod, Tangential, WORKING_STEP_MM};
+use nalgebra::{DVector, Matrix3, Vector3};
+use wcal_core::observation::WhiskerSpec;
+
+/// Parts in which the groove is brought to its place.
+const LEGS: usize = 8;
+
+/// A shape and where Newton starts for it: the equilibrium at the nominal geometry, if it is held.
+#[derive(Clone, Copy)]
+pub(super) struct GuessedShape<'a> {
+    pub shape: &'a MeasuredShape,
+    pub guess: Option<Guess>,
+}
+
+/// Nodes of a wire: arc length, position, frame; base frame.
+pub(super) type Nodes = Vec<(f64, Vector3<f64>, Matrix3<f64>)>;
+
+/// The wire under a shape's load, and its equilibrium.
+pub(super) fn loaded_nodes(
+    nominal: &WhiskerSpec,
+    model: RestModel,
+    v: &DVector<f64>,
+    held: &GuessedShape<'_>,
+) -> Result<(Nodes, Option<Guess>), String> {
+    let mut rod = Rod::new(nominal, WORKING_STEP_MM).map_err(|e| e.to_string())?;
+    rod.shape = model.shape(v, WORKING_STEP_MM).map_err(|e| e.to_string())?;
+    let (turn, offset) = model.root(v);
+    let Some((point, arclength_mm)) = &held.shape.groove else {
+        let (positions, frames) = unloaded(&rod.shape);
+        let ends = rod.shape.intervals.iter().map(|i| i.start_mm).chain([rod.shape.length_mm]);
+        let nodes = ends.zip(positions).zip(frames).map(|((s, p), f)| (s, turn * p + offset, turn * f));
+        return Ok((nodes.collect(), None));
+    };
+    let point = turn.inverse() * (point - offset);
+    let solve = |at: &Vector3<f64>, guess: &Guess| rod.solve(at, guess, Tangential::Frictionless);
+    let near = held.guess.and_then(|guess| solve(&point, &guess).ok());
+    let found = match near {
+        Some(found) => found,
+        None => {
+            let from = rod.shape.rest_point(*arclength_mm);
+            let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: *arclength_mm };
+            for leg in 1..LEGS {
+                let at = from + (point - from) * (leg as f64 / LEGS as f64);
+                guess = Guess::from(&solve(&at, &guess).map_err(unreached)?);
+            }
+            solve(&point, &guess).map_err(unreached)?
+        }
+    };
+    let nodes = rod.loaded_shape(&found).into_iter().map(|(s, p, f)| (s, turn * p + offset, turn * f));
+    Ok((nodes.collect(), Some(Guess::from(&found))))
+}
+
+fn unreached(failure: crate::Failure) -> String {
+    format!("the rod does not reach the groove ({failure:?})")
+}
+
+/// Of every measured point: arc length and distances along the rod's two transverse axes, mm.
+pub(super) fn distances(
+    nominal: &WhiskerSpec,
+    model: RestModel,
+    v: &DVector<f64>,
+    held: &GuessedShape<'_>,
+) -> Result<Vec<(f64, [f64; 2])>, String> {
+    let (shape, (nodes, _)) = (held.shape, loaded_nodes(nominal, model, v, held)?);
+    let mut s_mm = 0.0;
+    let mut out = Vec::with_capacity(shape.centreline_mm.len());
+    for (k, p) in shape.centreline_mm.iter().enumerate() {
+        if k > 0 {
+            s_mm += (p - shape.centreline_mm[k - 1]).norm();
+        }
+        // The nearest place: from equal arc length along the tangent, twice.
+        let mut s = s_mm;
+        let mut at = on_curve(&nodes, s);
+        for _ in 0..2 {
+            s += (p - at.0).dot(&at.1.column(0));
+            at = on_curve(&nodes, s);
+        }
+        let off = p - at.0;
+        out.push((s_mm, [off.dot(&at.1.column(1)), off.dot(&at.1.column(2))]));
+    }
+    Ok(out)
+}
+
+/// Place and frame at an arc length: a cubic through two nodes and their tangents, straight on beyond the ends.
+fn on_curve(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> (Vector3<f64>, Matrix3<f64>) {
+    let after = nodes.partition_point(|n| n.0 < s_mm).clamp(1, nodes.len() - 1);
+    let ((s0, p0, f0), (s1, p1, f1)) = (&nodes[after - 1], &nodes[after]);
+    let h = s1 - s0;
+    if s_mm < *s0 {
+        return (p0 + f0.column(0) * (s_mm - s0), *f0);
+    }
+    if s_mm > *s1 {
+        return (p1 + f1.column(0) * (s_mm - s1), *f1);
+    }
+    let t = if h > 0.0 { (s_mm - s0) / h } else { 0.0 };
+    let (t2, t3) = (t * t, t * t * t);
+    let position = p0 * (2.0 * t3 - 3.0 * t2 + 1.0)
+        + f0.column(0) * (h * (t3 - 2.0 * t2 + t))
+        + p1 * (3.0 * t2 - 2.0 * t3)
+        + f1.column(0) * (h * (t3 - t2));
+    (position, if t < 0.5 { *f0 } else { *f1 })
+}

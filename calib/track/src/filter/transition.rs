@@ -1,0 +1,472 @@
+//! Transition and likelihood: how a contact gets from one node to another between two samples, and how well that explains the moments.
+//!
+//! Between samples the base travels by `z = u dt`. From a contact (p_j, n_j) to node k, with `d = p_k - p_j + z e_z` the path on the object
+//! and n the mean direction of the force:
+//!
+//! ```text
+//! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
+//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
+//! path           e_2 = (s_k - s_j) - v_i z,   r_2 = var_i      i: constant velocity, perturbed, reset
+//! turn           about the wire: Laplace mixture of smooth and sharp objects
+//! likelihood     p(m) = p(e_1, e_2) p(turn) c_k b_k            c_k = |dg/dm|, b_k = |dturn/dm| (change of variables to the moments)
+//! jump           rate per mm of travel; against the force, exponential along the wire or uniform
+//! first contact  p(k) ~ length_k  (l + exp(-((s_k / L - a) / sd)^2 / 2))  c_k  Phi(-n . (p_k - p_k^rest + z e_z) / sd_g)
+//! ```
+//!
+//! `s_m`: noise of the moments, `c`: compliance of the point along the force by the moments. Source of the scheme: see `filter`; the mixture
+//! of outliers is that of G. E. P. Box, G. C. Tiao, Biometrika 55 (1968) 119.
+
+use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MomentSums};
+use super::sample_geometry::{ContactState, SampleGeometry};
+use super::settings::BayesSettings;
+use crate::inverse::{InverseSolution, StaticInverse};
+use nalgebra::Vector3;
+use statrs::function::erf::erfc;
+use std::f64::consts::SQRT_2;
+
+/// Paths along the wire beyond so many standard deviations are left to jumps.
+const MAX_PATH_SDS: f64 = 5.0;
+/// Length of the wire that a contact may jump to when it goes anywhere, mm.
+const WIRE_MM: f64 = 56.0;
+/// Probability that a tip under a square force moves on to the wire, and how fast it falls with the tilt, rad.
+const TIP_TO_WIRE: f64 = 0.1;
+const TIP_TO_WIRE_TILT: f64 = 0.05;
+/// Least share of a first contact's probability where wires are hardly touched first.
+const MIN_FIRST_CONTACT: f64 = 0.02;
+/// Length of wire that the tip stands for at a first contact, mm.
+const TIP_MM: f64 = 1.0;
+/// Weights below this share of all are dropped.
+const MIN_WEIGHT: f64 = 5e-5;
+/// Share of the posterior from which on a place can be jumped from.
+const MIN_JUMP_WEIGHT: f64 = 1e-3;
+
+/// Inverse solutions of two samples, with their derivatives.
+pub(super) struct TransitionModel<'a> {
+    settings: &'a BayesSettings,
+    inverse: &'a StaticInverse,
+    before: SampleGeometry<'a>,
+    now: SampleGeometry<'a>,
+    /// Nodes from here on are the tip's.
+    first_tip: usize,
+}
+
+/// What one step of the base allows.
+struct BaseStep {
+    /// Travel of the base along +z, mm, and its variance where the speed is one of several.
+    travel_mm: f64,
+    travel_variance_mm2: f64,
+    /// Part of the force along the surface against a slip, f = mu / sqrt(1 + mu^2), and its variance.
+    drag: f64,
+    drag_variance: f64,
+    /// Variances of the path along the wire, mm^2, and of the turn at the tip, rad^2: constant velocity, perturbed, reset.
+    path_variances: [f64; 3],
+    tip_variances: [f64; 3],
+    /// Reach along the wire, mm, and scale of paths beyond its end, mm.
+    reach_mm: f64,
+    path_sd_mm: f64,
+}
+
+/// Residual of the rigid-body constraint from a contact before to a node now.
+struct ConstraintResidual {
+    /// First measurement: distance by which the touched point leaves the object's surface.
+    pair: LinearGaussianPair,
+    /// Its variance in an outlier, mm^2.
+    outlier_variance: f64,
+    slip_mm: Vector3<f64>,
+}
+
+impl<'a> TransitionModel<'a> {
+    pub(super) fn new(
+        settings: &'a BayesSettings,
+        inverse: &'a StaticInverse,
+        before: &'a [InverseSolution],
+        now: &'a [InverseSolution],
+    ) -> Self {
+        let first_tip = inverse.first_tip();
+        let geometry = |all| SampleGeometry::new(all, first_tip);
+        Self { settings, inverse, before: geometry(before), now: geometry(now), first_tip }
+    }
+
+    /// Prior of a first contact: as probable along the wire and round it everywhere, but no deeper than the base went since the wire was at
+    /// rest (mm; `None`: unknown).
+    pub(super) fn first_contact_prior(&self, travel_mm: Option<f64>, travel_sd_mm: f64) -> Vec<GridCell> {
+        let now = &self.now;
+        let tip_turn: f64 = now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
+        let pitch_mm = self.node_mm();
+        let end_mm = self.inverse.nodes.last().map_or(1.0, |n| n.arclength_mm);
+        let one = |(j, c): (usize, &InverseSolution)| {
+            if !c.reachable {
+                return GridCell::default();
+            }
+            // Length of wire that the node stands for; the tip's nodes share its own by their turn.
+            let length_mm = if j < self.first_tip {
+                pitch_mm
+            } else {
+                TIP_MM * now.normal_slopes[j].norm() / tip_turn.max(1e-12)
+            };
+            let [mean, sd] = self.settings.first_contact_at;
+            let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
+            let along = MIN_FIRST_CONTACT + (-0.5 * off * off).exp();
+            // Probability that the wire is bent no further than the base went.
+            let depth = travel_mm.map_or(1.0, |travel_mm| {
+                let off = c
+                    .normal
+                    .dot(&(c.point_mm - self.before.solutions[j].point_mm + Vector3::z() * travel_mm));
+                let variance = self.constraint_variance(travel_mm)
+                    + (self.settings.noise_nmm * c.compliance_mm_per_nmm).powi(2)
+                    + (c.normal.z * travel_sd_mm).powi(2);
+                0.5 * erfc(off / (SQRT_2 * variance.sqrt()))
+            });
+            GridCell::uniform(length_mm * along * c.compliance_mm_per_nmm * depth)
+        };
+        now.solutions.iter().enumerate().map(one).collect()
+    }
+
+    /// Distance of two nodes on the wire, mm.
+    fn node_mm(&self) -> f64 {
+        match self.inverse.nodes[..] {
+            [a, b, ..] => b.arclength_mm - a.arclength_mm,
+            _ => 1.0,
+        }
+    }
+
+    /// Weights after a travel of the base, mm, with its standard deviation, under a coefficient of friction, from those before, which are
+    /// part of all that sum to `total`.
+    pub(super) fn predict(
+        &self,
+        row: &[GridCell],
+        total: f64,
+        travel: [f64; 2],
+        friction: f64,
+    ) -> Vec<GridCell> {
+        let s = self.settings;
+        let [travel_mm, travel_sd_mm] = travel;
+        // Of a force at the edge of the friction cone the part along the surface: sin(atan(mu)).
+        let along = |mu: f64| mu / (1.0 + mu * mu).sqrt();
+        let travel = travel_mm.abs().max(1e-3);
+        let variance = |sd: [f64; 2]| (sd[0] + sd[1] * travel).powi(2);
+        let path_variances = [s.constant_velocity, s.perturbed, s.reset].map(variance);
+        let step = BaseStep {
+            travel_mm,
+            travel_variance_mm2: travel_sd_mm * travel_sd_mm,
+            drag: along(friction),
+            drag_variance: if friction > 0.0 { s.friction_sd * s.friction_sd } else { 0.0 },
+            path_variances,
+            tip_variances: [s.tip_constant_velocity, s.tip_perturbed, s.tip_reset].map(variance),
+            reach_mm: (1.0 + s.reset_mean.abs()) * travel + MAX_PATH_SDS * path_variances[2].sqrt(),
+            path_sd_mm: path_variances[2].sqrt(),
+        };
+        let mut new = vec![MomentSums::default(); self.now.solutions.len()];
+        let jump_share = (s.jump_per_mm * travel).min(0.5);
+        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
+            let from = self.before.contact(k, cell);
+            self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
+            self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
+            if cell.weight > MIN_JUMP_WEIGHT * total {
+                self.jump_density(k, jump_share * cell.weight, &from, &step, &mut new);
+            }
+        }
+        let both = new.iter().zip(self.now.solutions);
+        both.map(|(w, c)| if c.reachable { w.cell() } else { GridCell::default() }).collect()
+    }
+
+    /// To nodes that a contact jumps to: against the force, away from what held it; not far along the wire as a rule, rarely anywhere.
+    fn jump_density(
+        &self,
+        k: usize,
+        weight: f64,
+        from: &ContactState<'_>,
+        step: &BaseStep,
+        new: &mut [MomentSums],
+    ) {
+        let s = self.settings;
+        let node_mm = self.node_mm();
+        let at_tip = k >= self.first_tip;
+        let to_tip = if at_tip { s.jump_at_tip_fraction } else { s.jump_to_tip_fraction };
+        let from_mm = self.inverse.nodes[k].arclength_mm;
+        let [inward, outward] = s.jump_path_mm;
+        let tip_turn: f64 = self.now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
+        for (j, new) in new.iter_mut().enumerate() {
+            let c = &self.now.solutions[j];
+            if !c.reachable {
+                continue;
+            }
+            // Along the wire: two-sided exponential about where it was, or uniform over the wire.
+            let share = if j < self.first_tip {
+                let along = self.inverse.nodes[j].arclength_mm - from_mm;
+                let scale = if along > 0.0 { outward } else { inward };
+                let near = (-along.abs() / scale).exp() / (inward + outward);
+                let uniform = s.jump_anywhere_fraction;
+                (1.0 - to_tip) * node_mm * ((1.0 - uniform) * near + uniform / WIRE_MM)
+            } else {
+                to_tip * self.now.normal_slopes[j].norm() / tip_turn.max(1e-9)
+            };
+            // Off the surface: the wire springs back against the force, a short or a long way; now and then the other way.
+            let normal = (from.normal + c.normal).try_normalize(0.1).unwrap_or(c.normal);
+            let off = normal.dot(&(c.point_mm - from.point_mm + Vector3::z() * step.travel_mm));
+            let off_density = if off < 0.0 {
+                let one = |mm: f64| (off / mm).exp() / mm;
+                0.5 * (1.0 - s.jump_back_fraction) * (one(s.jump_off_mm[0]) + one(s.jump_off_mm[1]))
+            } else {
+                s.jump_back_fraction * (-off / s.jump_off_mm[0]).exp() / s.jump_off_mm[0]
+            };
+            let turn = self.now.turn_axes[j]
+                .map_or(0.0, |axis| laplace_pdf(axis.dot(&(c.normal - from.normal)), s.jump_turn_rad));
+            // Jacobian from distance and turn to the moments.
+            new.add(
+                &MomentSums::uniform(
+                    weight * share * off_density * turn * c.compliance_mm_per_nmm * c.turn_rad_per_nmm,
+                ),
+                1.0,
+            );
+        }
+    }
+
+    /// To nodes on the wire. From the tip only where its force is about square to the wire: there both meet.
+    fn wire_transition(
+        &self,
+        k: usize,
+        weight: f64,
+        from: &ContactState<'_>,
+        step: &BaseStep,
+        new: &mut [MomentSums],
+    ) {
+        let mut weight = weight;
+        let at_tip = k >= self.first_tip;
+        if at_tip {
+            let tilt = (from.normal - self.before.solutions[self.first_tip - 1].normal).norm();
+            weight *= TIP_TO_WIRE * (-tilt / (TIP_TO_WIRE_TILT + step.tip_variances[2].sqrt())).exp();
+            if weight < 1e-12 {
+                return;
+            }
+        }
+        let node_mm = self.node_mm();
+        let nearest = k.min(self.first_tip - 1);
+        let from_mm =
+            self.inverse.nodes[nearest].arclength_mm + if at_tip { 0.0 } else { from.cell.offset * node_mm };
+        let nodes = (step.reach_mm / node_mm).ceil() as usize;
+        let modes = self.velocity_modes(&step.path_variances, from.cell, step, self.settings.reset_mean);
+        for (j, new) in new
+            .iter_mut()
+            .enumerate()
+            .take((nearest + nodes + 1).min(self.first_tip))
+            .skip(nearest.saturating_sub(nodes))
+        {
+            if !self.now.solutions[j].reachable {
+                continue;
+            }
+            let along = self.inverse.nodes[j].arclength_mm - from_mm;
+            let by_before = if at_tip { 0.0 } else { -node_mm };
+            let residual = self.constraint(from, j, step);
+            let path = [along, by_before, node_mm];
+            self.accumulate(from, j, weight * node_mm, step, &residual, &modes, path, new);
+        }
+    }
+
+    /// Predicted path along the curve and its variance: constant velocity, perturbed, reset.
+    fn velocity_modes(
+        &self,
+        variances: &[f64; 3],
+        cell: &GridCell,
+        step: &BaseStep,
+        reset_mean: f64,
+    ) -> [(f64, f64); 3] {
+        let travel = step.travel_mm.abs();
+        let carried = cell.velocity_variance * travel * travel;
+        let mean = cell.velocity * travel;
+        [(mean, variances[0] + carried), (mean, variances[1] + carried), (reset_mean * travel, variances[2])]
+    }
+
+    /// Adds what comes from a contact to node `j`, whose path along the curve, and its derivatives by the offset before and now, are `path`.
+    #[allow(clippy::too_many_arguments)]
+    fn accumulate(
+        &self,
+        from: &ContactState<'_>,
+        j: usize,
+        weight: f64,
+        step: &BaseStep,
+        residual: &ConstraintResidual,
+        modes: &[(f64, f64); 3],
+        path: [f64; 3],
+        new: &mut MomentSums,
+    ) {
+        let (s, c, pair) = (self.settings, &self.now.solutions[j], &residual.pair);
+        // What no offset in the node and about the one before can take up.
+        let taken_up = 0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
+        let left = (pair.residual[0].abs() - taken_up).max(0.0).powi(2);
+        if left > MAX_MAHALANOBIS2 * residual.outlier_variance {
+            return;
+        }
+        let travel = step.travel_mm.abs().max(1e-3);
+        let [perturbed, reset] = [s.perturbed_fraction, s.reset_fraction];
+        let shares = [1.0 - perturbed - reset, perturbed, reset];
+        let mut sums = MomentSums::default();
+        let mut add = |share: f64, noise: f64, (mean, variance): (f64, f64)| {
+            let joint = LinearGaussianPair {
+                residual: [pair.residual[0], path[0] - mean],
+                by_before: [pair.by_before[0], path[1]],
+                by_now: [pair.by_now[0], path[2]],
+                noise: [noise, variance],
+                variance: pair.variance,
+            };
+            sums.add(&MomentSums::of_pair(&joint, mean, travel), share);
+        };
+        // Mixture over velocity modes, and over outliers, whose velocity is reset.
+        let inliers = shares.into_iter().zip(modes).filter(|_| left < MAX_MAHALANOBIS2 * pair.noise[0]);
+        for (share, mode) in inliers {
+            add(share * (1.0 - s.outlier_fraction), pair.noise[0], *mode);
+        }
+        add(s.outlier_fraction, residual.outlier_variance, modes[2]);
+        if sums.weight > 0.0 {
+            let turn = self.turn_density(from, j, step);
+            let slip = self.excess_slip(&residual.slip_mm, step);
+            // Jacobian from distance and turn to the moments.
+            new.add(&sums, weight * turn * slip * c.compliance_mm_per_nmm * c.turn_rad_per_nmm);
+        }
+    }
+
+    /// Density of the force's turn about the wire, 1/rad.
+    fn turn_density(&self, from: &ContactState<'_>, j: usize, step: &BaseStep) -> f64 {
+        let (s, c) = (self.settings, &self.now.solutions[j]);
+        let Some(axis) = &self.now.turn_axes[j] else { return 0.0 };
+        let turn = axis.dot(&(c.normal - from.normal));
+        let noise = s.noise_nmm * root_sum_square(from.turn_rad_per_nmm, c.turn_rad_per_nmm);
+        let scale = |of: [f64; 2]| root_sum_square(of[0] + of[1] * step.travel_mm.abs(), noise);
+        let [smooth, sharp] = [scale(s.turn), scale(s.sharp_turn)];
+        (1.0 - s.sharp_fraction) * laplace_pdf(turn, smooth) + s.sharp_fraction * laplace_pdf(turn, sharp)
+    }
+
+    /// Factor against a slip on the surface that is longer than the base's travel.
+    fn excess_slip(&self, slip_mm: &Vector3<f64>, step: &BaseStep) -> f64 {
+        let over = slip_mm.norm() - 1.2 * step.travel_mm.abs();
+        if over > 0.0 { (-over / step.path_sd_mm).exp() } else { 1.0 }
+    }
+
+    /// To the tip: past the wire's end the path on the surface goes on as a turn of the force.
+    fn tip_transition(
+        &self,
+        k: usize,
+        weight: f64,
+        from: &ContactState<'_>,
+        step: &BaseStep,
+        new: &mut [MomentSums],
+    ) {
+        if self.first_tip == self.now.solutions.len() {
+            return;
+        }
+        let nodes = &self.inverse.nodes;
+        let at_tip = k >= self.first_tip;
+        // Probability to run off the end of the wire.
+        let past = if at_tip {
+            1.0
+        } else {
+            let left_mm = nodes[self.first_tip].arclength_mm - nodes[k].arclength_mm;
+            0.5 * (-left_mm / step.path_sd_mm).exp()
+        };
+        if past < 1e-6 {
+            return;
+        }
+        let tip_turn: f64 = self.now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
+        let unknown = GridCell { weight: 0.0, ..GridCell::default() };
+        let cell = if at_tip { from.cell } else { &unknown };
+        let modes = self.velocity_modes(&step.tip_variances, cell, step, 0.0);
+        let uniform = self.settings.tip_uniform_fraction;
+        for (j, new) in new.iter_mut().enumerate().skip(self.first_tip) {
+            let c = &self.now.solutions[j];
+            let pitch = self.now.normal_slopes[j].norm();
+            if !c.reachable || pitch < 1e-6 {
+                continue;
+            }
+            // Path: the turn of the force along the tip's part of the curve, rad.
+            let direction = self.now.normal_slopes[j] / pitch;
+            let path = [
+                direction.dot(&(c.normal - from.normal)),
+                if at_tip { -direction.dot(&from.normal_slope) } else { 0.0 },
+                pitch,
+            ];
+            let residual = self.constraint(from, j, step);
+            let onward = weight * past * (1.0 - uniform) * pitch;
+            self.accumulate(from, j, onward, step, &residual, &modes, path, new);
+            // At an edge the force turns to anywhere: the constraint alone counts.
+            let anywhere = MomentSums::of_first(&residual.pair);
+            if anywhere.weight > 0.0 {
+                let turn = self.turn_density(from, j, step) * self.excess_slip(&residual.slip_mm, step);
+                let share = uniform * pitch / tip_turn.max(1e-9);
+                new.add(
+                    &anywhere,
+                    weight * past * share * turn * c.compliance_mm_per_nmm * c.turn_rad_per_nmm,
+                );
+            }
+        }
+    }
+
+    fn constraint_variance(&self, travel_mm: f64) -> f64 {
+        self.settings.constraint_sd_mm.powi(2) + (self.settings.constraint_sd_share * travel_mm).powi(2)
+    }
+
+    /// D, mm: slip over the object across the wire times its share of the whole slip. By D times the force's part along the surface that
+    /// force, and not the surface's normal, finds the touched point to move.
+    fn friction_shift_mm(
+        &self,
+        from: &ContactState<'_>,
+        j: usize,
+        path: &Vector3<f64>,
+        normal: &Vector3<f64>,
+    ) -> f64 {
+        let slope = self.now.point_slopes[j];
+        let Some(along) = (slope - normal * normal.dot(&slope)).try_normalize(1e-9) else { return 0.0 };
+        let across = path.dot(&along.cross(normal));
+        // What the wire itself went along with is no slip.
+        let nodes = &self.inverse.nodes;
+        let last = self.first_tip - 1;
+        let gone = nodes[j.min(last)].arclength_mm
+            - nodes[from.node.min(last)].arclength_mm
+            - from.cell.offset * self.node_mm();
+        let slip = root_sum_square(across, path.dot(&along) - gone);
+        if slip > 1e-9 { across * across / slip } else { 0.0 }
+    }
+
+    /// Residual e_1 of the rigid-body constraint from a contact before to node `j` now, with derivatives and variance.
+    fn constraint(&self, from: &ContactState<'_>, j: usize, step: &BaseStep) -> ConstraintResidual {
+        let (s, to, travel_mm) = (self.settings, &self.now.solutions[j], step.travel_mm);
+        let (point_slope, normal_slope) = (self.now.point_slopes[j], self.now.normal_slopes[j]);
+        // Path of the contact on the object, which goes back as the base goes on.
+        let path = to.point_mm - from.point_mm + Vector3::z() * travel_mm;
+        let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
+        let shift = if step.drag > 0.0 { self.friction_shift_mm(from, j, &path, &normal) } else { 0.0 };
+        let out = normal.dot(&path);
+        let off = out + step.drag * shift;
+        // Derivatives by the offsets: of the point, and of the mean normal, half of whose turn counts.
+        let by_now = normal.dot(&point_slope) + 0.5 * normal_slope.dot(&path);
+        let by_before = -normal.dot(&from.point_slope) + 0.5 * from.normal_slope.dot(&path);
+        let compliances = from.compliance_mm_per_nmm.powi(2) + to.compliance_mm_per_nmm.powi(2);
+        let slip_mm = path - normal * out;
+        // On a bent surface the path before the middle and that behind it count half the turn, one for and one against.
+        let bent =
+            (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
+        let noise = self.constraint_variance(travel_mm)
+            + s.noise_nmm.powi(2) * compliances
+            + normal.z * normal.z * step.travel_variance_mm2
+            + step.drag_variance * shift * shift
+            + bent;
+        let pair = LinearGaussianPair {
+            residual: [off, 0.0],
+            by_before: [by_before, 0.0],
+            by_now: [by_now, 0.0],
+            noise: [noise, 1.0],
+            variance: from.cell.variance,
+        };
+        let outlier_variance =
+            noise + s.outlier_sd_mm.powi(2) + s.outlier_sd_share.powi(2) * slip_mm.norm_squared();
+        ConstraintResidual { pair, outlier_variance, slip_mm }
+    }
+}
+
+fn root_sum_square(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
+}
+
+/// Laplace density.
+fn laplace_pdf(x: f64, scale: f64) -> f64 {
+    (-x.abs() / scale).exp() / (2.0 * scale)
+}

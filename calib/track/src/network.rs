@@ -1,0 +1,23 @@
+//! WhiskerNet: a causal transformer over the whisker's signals.
+//!
+//! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
+//! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on what the Bayes filter believes.
+
+mod attention;
+mod attention_bias;
+mod config;
+mod dense;
+pub mod features;
+mod fused;
+mod kernels;
+mod kv_cache;
+pub mod model;
+mod product;
+mod widest;
+
+pub use attention_bias::attention_bias;
+pub(crate) use config::PLACE_SCALE_MM;
+pub use config::{COMMON_INPUTS, NetworkConfig};
+pub use features::{FeatureExtractor, INITIAL_LOG_FLOOR, Token, knot_weights, knots};
+pub use kv_cache::KvCache;
+pub use model::{Output, Prediction, WhiskerNet};

@@ -1,0 +1,35 @@
+//! Bias of the attention: relative positions by time.
+//!
+//! `b_ij = a_h (t_j - t_i)` for the last `context` tokens j <= i, minus infinity for all others, with the slope
+//! `a_h = 4 * 0.02^(h / (H - 1))` 1/s of head h of H: attention falls with the age of a token, in each head at another rate.
+//! Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with Linear Biases", ICLR 2022.
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter
+/// (linear biases: O. Press et al., ICLR 2022).
+pub(super) fn time_bias_slope(head: usize, heads: usize) -> f32 {
+    4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
+}
+
+/// Bias of attention for series with these times (s): later tokens and those beyond the context are out of sight.
+#[must_use]
+pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device: &Device) -> Tensor<4> {
+    let (batch, n) = (times_s.len(), times_s.first().map_or(0, Vec::len));
+    let mut bias = Vec::with_capacity(batch * heads * n * n);
+    for times in times_s {
+        for head in 0..heads {
+            let slope = time_bias_slope(head, heads);
+            for (i, now) in times.iter().enumerate() {
+                bias.extend(times.iter().enumerate().map(|(j, then)| {
+                    let seen = j <= i && i - j < context;
+                    if seen { slope * (then - now) as f32 } else { MASKED }
+                }));
+            }
+        }
+    }
+    Tensor::from_data(TensorData::new(bias, [batch, heads, n, n]), device)
+}
+
+/// Bias of what is out of sight: its weight is 0 in single precision.
+const MASKED: f32 = -1e9;

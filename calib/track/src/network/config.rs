@@ -1,0 +1,128 @@
+//! Sizes of the network.
+
+use crate::error::TrackError;
+use crate::filter::FilterBank;
+use serde::{Deserialize, Serialize};
+
+/// Inputs that do not belong to a node; they come first.
+pub const COMMON_INPUTS: usize = 9;
+/// Scale of a place that comes out of the network as it is, mm.
+pub(crate) const PLACE_SCALE_MM: f64 = 30.0;
+
+/// Size and kind of the network.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Inputs of a token.
+    pub inputs: usize,
+    /// Knots on the static inverse's curve; 0: the place itself comes out (the paper's head).
+    pub nodes: usize,
+    /// Hidden width of the encoder.
+    pub encoder: usize,
+    /// Layers, heads, width and hidden width of the feed-forward part.
+    pub layers: usize,
+    /// See `layers`.
+    pub heads: usize,
+    /// See `layers`.
+    pub width: usize,
+    /// See `layers`.
+    pub feed_forward: usize,
+    /// Dropout.
+    pub dropout: f64,
+    /// Tokens that an answer may look back on, its own included.
+    pub context: usize,
+    /// Whether there is a second filter below it, which it weighs against the first.
+    #[serde(default)]
+    pub two_filters: bool,
+}
+
+impl NetworkConfig {
+    /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
+    #[must_use]
+    pub fn paper(inputs: usize) -> Self {
+        Self {
+            inputs,
+            nodes: 0,
+            encoder: 64,
+            layers: 6,
+            heads: 8,
+            width: 128,
+            feed_forward: 512,
+            dropout: 0.1,
+            context: 128,
+            two_filters: false,
+        }
+    }
+
+    /// The default network on a curve of `nodes` knots, by one filter or two.
+    #[must_use]
+    pub fn small(inputs: usize, nodes: usize, two_filters: bool) -> Self {
+        Self {
+            inputs,
+            nodes,
+            encoder: 128,
+            layers: 3,
+            heads: 6,
+            width: 96,
+            feed_forward: 256,
+            dropout: 0.0,
+            context: 128,
+            two_filters,
+        }
+    }
+
+    /// A transformer of 40 thousand parameters that sees moments, their rates, time step and the base's speed, and nothing of the rod.
+    #[must_use]
+    pub fn baseline() -> Self {
+        Self {
+            inputs: COMMON_INPUTS,
+            nodes: 0,
+            encoder: 32,
+            layers: 2,
+            heads: 4,
+            width: 48,
+            feed_forward: 96,
+            dropout: 0.0,
+            context: 128,
+            two_filters: false,
+        }
+    }
+
+    /// Whether it takes nothing of the rod's curve and the filter.
+    #[must_use]
+    pub fn moments_only(&self) -> bool {
+        self.nodes == 0 && self.inputs <= COMMON_INPUTS
+    }
+
+    /// # Errors
+    /// Where the sizes do not fit each other.
+    pub fn check(&self) -> Result<(), TrackError> {
+        let sizes = [self.inputs, self.encoder, self.layers, self.heads, self.width, self.feed_forward];
+        if sizes.contains(&0) || self.context < 2 || !self.width.is_multiple_of(self.heads) {
+            return Err(TrackError::value(
+                "network",
+                "sizes above 0, width a multiple of heads",
+                format!("{self:?}"),
+            ));
+        }
+        Ok(())
+    }
+
+    /// # Errors
+    /// Where it weighs two filters and there is one, or the other way round.
+    pub fn check_filters(&self, filters: &FilterBank) -> Result<(), TrackError> {
+        if self.two_filters != filters.frictionless.is_some() {
+            let found = if self.two_filters { "one" } else { "two" };
+            return Err(TrackError::value("filters below the network", "as many as it weighs", found));
+        }
+        Ok(())
+    }
+
+    /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
+    /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
+        self.nodes + 3 + 2 + with_knots
+    }
+}

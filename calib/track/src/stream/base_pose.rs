@@ -1,0 +1,107 @@
+//! Where the whisker's base is in the world, and how fast it moves.
+//!
+//! `p_world = R p + t`, `C_world = R C R^T`; on a stage `t(t) = t_0 + R_0 a x(t)` along the direction a, x linear between two readings.
+
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use std::collections::VecDeque;
+
+/// Pose and velocity of the base at an instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BasePose {
+    /// Base coordinates to the world's, mm.
+    pub world_from_base: Isometry3<f64>,
+    /// Velocity, base frame, mm/s, where it is known.
+    pub velocity_mm_s: Option<Vector3<f64>>,
+}
+
+impl BasePose {
+    /// Speed along the base's +z, mm/s, where it is known.
+    #[must_use]
+    pub fn along_z_mm_s(&self) -> Option<f64> {
+        self.velocity_mm_s.map(|v| v.z)
+    }
+
+    /// A point (mm) and its covariance (mm^2) in the world frame.
+    #[must_use]
+    pub fn to_world(
+        &self,
+        point_mm: &Vector3<f64>,
+        covariance_mm2: &Matrix3<f64>,
+    ) -> (Vector3<f64>, Matrix3<f64>) {
+        let turn = self.world_from_base.rotation.to_rotation_matrix();
+        let point = self.world_from_base.rotation * point_mm + self.world_from_base.translation.vector;
+        (point, turn * covariance_mm2 * turn.inverse())
+    }
+}
+
+/// A base that stands still or is carried along a line by a stage whose position is read now and then.
+#[derive(Debug, Clone)]
+pub struct BaseMotion {
+    at_zero: Isometry3<f64>,
+    along: Option<Vector3<f64>>,
+    way: VecDeque<(f64, f64)>,
+}
+
+/// Positions farther apart than this say nothing of what is between them, s.
+const MAX_GAP_S: f64 = 0.5;
+/// Positions that are kept, s.
+const KEPT_S: f64 = 10.0;
+
+impl BaseMotion {
+    /// `along`: direction of the stage's way in the base frame; none where the base stands still.
+    #[must_use]
+    pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
+        Self { at_zero, along: along.and_then(|a| a.try_normalize(1e-9)), way: VecDeque::new() }
+    }
+
+    /// Takes a position of the stage (mm from its zero).
+    pub fn push(&mut self, t_s: f64, way_mm: f64) {
+        if self.way.back().is_some_and(|last| !(t_s > last.0)) {
+            return;
+        }
+        self.way.push_back((t_s, way_mm));
+        while self.way.front().is_some_and(|first| first.0 < t_s - KEPT_S) {
+            self.way.pop_front();
+        }
+    }
+
+    /// The pose at a time between two positions that are near enough; none where there are none.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> Option<BasePose> {
+        let Some(along) = self.along else {
+            return Some(BasePose { world_from_base: self.at_zero, velocity_mm_s: Some(Vector3::zeros()) });
+        };
+        let after = self.way.partition_point(|p| p.0 <= t_s);
+        let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
+        if b.0 - a.0 > MAX_GAP_S {
+            return None;
+        }
+        let speed = (b.1 - a.1) / (b.0 - a.0);
+        let moved = along * (a.1 + speed * (t_s - a.0));
+        let world_from_base = self.at_zero * Isometry3::translation(moved.x, moved.y, moved.z);
+        Some(BasePose { world_from_base, velocity_mm_s: Some(along * speed) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_carried_base_is_where_the_stage_is_and_nowhere_without_it() {
+        let at_zero = Isometry3::new(Vector3::new(5.0, 0.0, 0.0), Vector3::z() * std::f64::consts::FRAC_PI_2);
+        let mut motion = BaseMotion::new(at_zero, Some(Vector3::new(0.0, 0.0, 2.0)));
+        (0..20).for_each(|k| motion.push(0.05 * f64::from(k), 0.2 * f64::from(k)));
+        let pose = motion.at(0.525).unwrap();
+        assert!((pose.along_z_mm_s().unwrap() - 4.0).abs() < 1e-9);
+        let spread = Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0));
+        let (point, spread) = pose.to_world(&Vector3::new(1.0, 0.0, 0.0), &spread);
+        assert!((point - Vector3::new(5.0, 1.0, 2.1)).norm() < 1e-9, "{point}");
+        assert!((spread[(0, 0)] - 4.0).abs() < 1e-9 && (spread[(1, 1)] - 1.0).abs() < 1e-9);
+        // Outside what was read, and across a hole, there is no pose.
+        assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
+        motion.push(2.0, 0.0);
+        assert!(motion.at(1.5).is_none());
+        assert_eq!(BaseMotion::new(at_zero, None).at(7.0).unwrap().along_z_mm_s(), Some(0.0));
+    }
+}

@@ -1,0 +1,210 @@
+//! Tracks sample by sample, and whole series at once; both give the same answers.
+//!
+//! With outputs f_k (interpolated from the knots), o (3 numbers), floor e and mixture g of the network, and posteriors b, b' of the two filters:
+//!
+//! ```text
+//! w_k ~ exp(f_k) (b_k + sigmoid(g) (b'_k - b_k) + exp(e - 4) / K),   sum w = 1
+//! p = sum w_k p_k + o,   C = f(t)^2 (sum w_k (p_k - p)(p_k - p)^T + s_min^2 I),   t = sqrt(trace)        (`sd_factors`)
+//! n ~ sum w_k n_k,   P(contact) = sigmoid,   P(several contacts) = sigmoid
+//! ```
+//!
+//! so that the answer stays on what the moments allow; the network corrects the filters' posterior.
+
+use crate::error::TrackError;
+use crate::filter::FilterBank;
+use crate::inverse::StaticInverse;
+use crate::network::model::to_vec;
+use crate::network::{
+    COMMON_INPUTS, FeatureExtractor, INITIAL_LOG_FLOOR, KvCache, NetworkConfig, PLACE_SCALE_MM, Prediction,
+    Token, WhiskerNet, attention_bias, knot_weights, knots,
+};
+use crate::sd_factors::SdFactors;
+use crate::sweep_series::SWEEP_STEP_S;
+use burn::tensor::{Device, Tensor, TensorData};
+
+/// A trained network with what it needs to answer.
+#[derive(Debug, Clone)]
+pub struct Tracker {
+    /// Sizes.
+    pub config: NetworkConfig,
+    /// Layers.
+    pub net: WhiskerNet,
+    /// Curve of solutions.
+    pub inverse: StaticInverse,
+    /// The filters below the network.
+    pub filters: FilterBank,
+    /// Factors on the stated standard deviations: base's speed not known, and known.
+    pub sd_factors: [SdFactors; 2],
+    /// Where it runs.
+    pub device: Device,
+}
+
+/// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known (mm/s).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Time, s.
+    pub t_s: f64,
+    /// Moments y and z, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Speed, mm/s.
+    pub base_mm_s: Option<f64>,
+}
+
+impl Tracker {
+    /// # Errors
+    /// Where network and curve do not fit each other.
+    pub fn check(&self) -> Result<(), TrackError> {
+        let nodes = self.inverse.nodes.len();
+        let (nodes, width) = (knots(nodes).len(), FeatureExtractor::width(nodes, self.config.two_filters));
+        self.config.check_filters(&self.filters)?;
+        let plain = self.config.inputs == COMMON_INPUTS && self.config.nodes == 0;
+        if !plain && (self.config.inputs != width || ![0, nodes].contains(&self.config.nodes)) {
+            let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
+            return Err(TrackError::value("network", format!("{width} inputs, {nodes} knots"), found));
+        }
+        Ok(())
+    }
+
+    /// A stream from its beginning.
+    #[must_use]
+    pub fn stream(&self) -> TrackerStream<'_> {
+        self.stream_with(self.filters)
+    }
+
+    /// A stream from its beginning whose filters are told of other noise.
+    #[must_use]
+    pub fn stream_with(&self, filters: FilterBank) -> TrackerStream<'_> {
+        TrackerStream {
+            tracker: self,
+            features: FeatureExtractor::for_network(&self.config, &self.inverse, filters),
+            cache: KvCache::default(),
+            last_s: None,
+        }
+    }
+
+    /// All answers of a series in one pass.
+    #[must_use]
+    pub fn track_series(&self, samples: &[Sample]) -> Vec<Prediction> {
+        self.track_series_with(self.filters, samples)
+    }
+
+    /// The same with the filters told of other noise.
+    #[must_use]
+    pub fn track_series_with(&self, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
+        let mut features = FeatureExtractor::for_network(&self.config, &self.inverse, filters);
+        let mut last_s = None;
+        let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
+        if tokens.is_empty() {
+            return Vec::new();
+        }
+        let inputs: Vec<f32> =
+            tokens.iter().flat_map(|t| t.inputs[..self.config.inputs].iter().copied()).collect();
+        let shape = [1, tokens.len(), self.config.inputs];
+        let inputs = Tensor::<3>::from_data(TensorData::new(inputs, shape), &self.device);
+        let times = vec![samples.iter().map(|s| s.t_s).collect()];
+        let bias = attention_bias(&times, self.config.heads, self.config.context, &self.device);
+        let out = to_vec(self.net.forward(inputs, bias));
+        let both = tokens.iter().zip(samples).zip(out.chunks(self.config.outputs()));
+        both.map(|((t, s), o)| self.answer(t, o, s.base_mm_s.is_some())).collect()
+    }
+
+    fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
+        let k = self.config.nodes;
+        let off = &out[k..k + 3];
+        let [contact, several] = [k + 3, k + 4].map(|at| 1.0 / (1.0 + (-out[at]).exp()));
+        if k == 0 {
+            // The paper's head states no spread.
+            let point_mm = [0, 1, 2].map(|i| off[i] * PLACE_SCALE_MM as f32);
+            return Prediction {
+                contact,
+                several,
+                point_mm,
+                covariance_mm2: [[0.0; 3]; 3],
+                weights: Vec::new(),
+                normal: [0.0; 3],
+            };
+        }
+        let floor = (out[k + 5] + INITIAL_LOG_FLOOR).exp() / token.posterior.len() as f32;
+        let factors =
+            knot_weights(token.posterior.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
+                Some(next) => out[knot] * (1.0 - u) + next * u,
+                None => out[knot],
+            });
+        let mut posterior = token.posterior.clone();
+        if self.config.two_filters {
+            let share = 1.0 / (1.0 + (-out[k + 6]).exp());
+            posterior
+                .iter_mut()
+                .zip(&token.posterior_frictionless)
+                .for_each(|(b, frictionless)| *b += (frictionless - *b) * share);
+        }
+        let mut weights: Vec<f32> = factors.zip(&posterior).map(|(f, b)| f + (b + floor).ln()).collect();
+        let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        weights.iter_mut().for_each(|w| *w = (*w - most).exp());
+        let total: f32 = weights.iter().sum();
+        weights.iter_mut().for_each(|w| *w /= total);
+        let mut mean = [0.0_f32; 3];
+        for (w, p) in weights.iter().zip(&token.points_mm) {
+            (0..3).for_each(|i| mean[i] += w * p[i]);
+        }
+        let mut normal = [0.0_f32; 3];
+        for (w, n) in weights.iter().zip(&token.normals) {
+            (0..3).for_each(|i| normal[i] += w * n[i]);
+        }
+        let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
+        let normal = normal.map(|x| x / size);
+        let mut covariance = [[0.0; 3]; 3];
+        for (w, p) in weights.iter().zip(&token.points_mm) {
+            for i in 0..3 {
+                for j in 0..3 {
+                    covariance[i][j] += w * (p[i] - mean[i]) * (p[j] - mean[j]);
+                }
+            }
+        }
+        let mut trace = 0.0;
+        for (i, row) in covariance.iter_mut().enumerate() {
+            row[i] += MIN_SD_MM * MIN_SD_MM;
+            trace += row[i];
+        }
+        let factor = self.sd_factors[usize::from(base_known)].at(f64::from(trace).sqrt()).powi(2) as f32;
+        covariance.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+        let point_mm = [0, 1, 2].map(|i| mean[i] + off[i]);
+        Prediction { contact, several, point_mm, covariance_mm2: covariance, weights, normal }
+    }
+}
+
+/// Spread that the curve's nodes do not tell, mm.
+const MIN_SD_MM: f32 = 0.1;
+
+/// The stream of one whisker.
+#[derive(Debug, Clone)]
+pub struct TrackerStream<'a> {
+    tracker: &'a Tracker,
+    features: FeatureExtractor<'a>,
+    cache: KvCache,
+    last_s: Option<f64>,
+}
+
+impl TrackerStream<'_> {
+    /// The answer at a sample.
+    pub fn push(&mut self, sample: &Sample) -> Prediction {
+        let token = token(&mut self.features, &mut self.last_s, sample);
+        let config = &self.tracker.config;
+        let data = TensorData::new(token.inputs[..config.inputs].to_vec(), [1, 1, config.inputs]);
+        let inputs = Tensor::<3>::from_data(data, &self.tracker.device);
+        let out = self.tracker.net.step(inputs, sample.t_s, config.context, &mut self.cache);
+        self.tracker.answer(&token, &to_vec(out), sample.base_mm_s.is_some())
+    }
+}
+
+fn token(features: &mut FeatureExtractor<'_>, last_s: &mut Option<f64>, sample: &Sample) -> Token {
+    let dt_s = last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
+    *last_s = Some(sample.t_s);
+    features.push(dt_s, sample.moment_nmm, sample.base_mm_s)
+}
+
+/// Shortest and longest time between samples that a network was trained with, s, from the factors of its training.
+#[must_use]
+pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
+    time_factor.map(|f| f * SWEEP_STEP_S)
+}

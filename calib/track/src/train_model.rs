@@ -1,0 +1,192 @@
+//! From a folder of sweeps to a trained model with its card.
+
+use crate::classes::{ObjectClasses, spread_by_class};
+use crate::error::TrackError;
+use crate::evaluate::{held_out_regions, regions};
+use crate::filter::{BayesSettings, FilterBank};
+use crate::inverse::StaticInverse;
+use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
+use crate::network::NetworkConfig;
+use crate::score::{EstimateError, calibrating_factor};
+use crate::sd_factors::SdFactors;
+use crate::sweep_series;
+use crate::sweep_series::SweepSeries;
+use crate::tracker::Tracker;
+use crate::train::{Pass, TrainSettings, TrainingData, train};
+use burn::tensor::Device;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::Mesh;
+use wcal_mujoco::read::manifests;
+
+mod shifted_sweeps;
+
+use shifted_sweeps::on_shifted_sensors;
+
+/// What is made of what.
+#[derive(Debug, Clone)]
+pub struct TrainingRequest<'a> {
+    /// Folder of shards.
+    pub sweeps: &'a Path,
+    /// Other folders: sweeps with other physics or seeds over the same objects, which are trained on only.
+    pub additional: &'a [PathBuf],
+    /// The objects' meshes, where they are known.
+    pub meshes: &'a BTreeMap<String, Mesh>,
+    /// Folder of a model with which to begin.
+    pub from: Option<&'a Path>,
+    /// Whisker of the sweeps.
+    pub whisker: WhiskerSpec,
+    /// default, paper or baseline.
+    pub preset: &'a str,
+    /// How it is trained.
+    pub settings: TrainSettings,
+    /// Objects held out, and kept unseen; an eighth of all where it is not given.
+    pub held_out: Option<usize>,
+    /// See `held_out`.
+    pub unseen: Option<usize>,
+    /// What is split.
+    pub split: SplitBy,
+    /// Classes of the objects, for a spread of each.
+    pub classes: ObjectClasses,
+    /// Folder for model and checkpoint.
+    pub out: &'a Path,
+}
+
+/// Share of the sweeps over an object that are trained on; the rest judges objects that were seen.
+const TRAINED: f64 = 0.9;
+
+/// Trains, states the spread from the held-out objects, and writes the model; taken up again where it stopped.
+///
+/// # Errors
+/// Where the sweeps cannot be used or the model cannot be written.
+pub fn train_model(
+    request: &TrainingRequest<'_>,
+    device: &Device,
+    on_pass: impl FnMut(&Pass),
+) -> Result<Card, TrackError> {
+    let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
+    let eighth = (all.len() / 8).max(1);
+    let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
+    let mut objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
+    let most = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+    let sweeps_trained = (most as f64 * TRAINED) as u64;
+    let mut of = |names: &[String]| -> Vec<SweepSeries> {
+        names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
+    };
+    let (mut all_series, mut held_out) = (of(&objects.training), of(&objects.held_out));
+    match request.split {
+        SplitBy::Objects => all_series.retain(|c| c.sweep < sweeps_trained),
+        SplitBy::Sweeps => {
+            objects.training.append(&mut objects.held_out);
+            objects.training.sort_unstable();
+            all_series.append(&mut held_out);
+            let used = |c: &SweepSeries| Use::draw(&c.object, c.sweep, request.settings.seed);
+            held_out = all_series.iter().filter(|c| used(c) == Use::HeldOut).cloned().collect();
+            all_series.retain(|c| used(c) == Use::Training);
+        }
+    }
+    for folder in request.additional {
+        let more = sweep_series::read_sweep_series(folder, &objects.training)?;
+        all_series.extend(more.into_values().flatten());
+    }
+    let inverse = StaticInverse::new(&request.whisker, network_grid())?;
+    let network = preset(request.preset, &inverse, request.settings.filter_frictionless.is_some())?;
+    let mut settings = request.settings;
+    if !network.two_filters && settings.filter_frictionless.is_some() {
+        // What weighs none against another has one for all objects.
+        (settings.filter, settings.filter_frictionless) = (BayesSettings::multi_mu(), None);
+    }
+    let request = &TrainingRequest { settings, ..request.clone() };
+    let from = request
+        .from
+        .map(|folder| check_start_model(folder, &network, &objects, sweeps_trained))
+        .transpose()?;
+    let (meshes, from_folder) = (request.meshes, request.from);
+    let material = TrainingData {
+        all_series: &all_series,
+        held_out: &held_out,
+        inverse: &inverse,
+        meshes,
+        from: from_folder,
+    };
+    let checkpoint = request.out.join("checkpoint");
+    let (net, passes) = train(&network, &request.settings, &material, Some(&checkpoint), device, on_pass)?;
+    let tracker = Tracker {
+        config: network,
+        net,
+        inverse,
+        filters: settings.filters(),
+        sd_factors: [1.0; 2].map(SdFactors::constant),
+        device: device.clone(),
+    };
+    // A network without knots states no spread.
+    let shifted_sweeps = if network.nodes > 0 {
+        on_shifted_sensors(request, &objects.held_out, &held_out)?
+    } else {
+        Vec::new()
+    };
+    let on_bench = [false, true].map(|known| {
+        let of = |(series, filters): &(SweepSeries, FilterBank)| regions(&tracker, *filters, series, known);
+        let all: Vec<EstimateError> = shifted_sweeps.par_iter().flat_map_iter(of).map(|r| r.1).collect();
+        SdFactors::calibrated(&all)
+    });
+    let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
+    // With which the 90 % regions hold on what was not trained on.
+    let sd_factors =
+        held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
+    let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
+        Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
+    };
+    let mut card = Card {
+        format: FORMAT.to_owned(),
+        trained_on_simulation: true,
+        weights_sha256: String::new(),
+        network,
+        inverse: network_grid(),
+        whisker: request.whisker.clone(),
+        sd_factors,
+        sd_on_bench: (!shifted_sweeps.is_empty()).then_some(on_bench),
+        sd_factors_by_class: spread_by_class(&held_out_regions, sd_factors, &request.classes),
+        object_classes: request.classes.clone(),
+        training: request.settings,
+        passes,
+        objects,
+        data: made_from(request.sweeps)?,
+        data_beside: request.additional.iter().map(|f| made_from(f)).collect::<Result<_, _>>()?,
+        began_with: from,
+        sweeps_trained,
+        split: request.split,
+    };
+    save(request.out, &tracker.net, &mut card)?;
+    Ok(card)
+}
+
+/// SHA-256 of the weights of a model with which a training may begin: what is kept for the evaluation must not have been trained on.
+fn check_start_model(
+    folder: &Path,
+    network: &NetworkConfig,
+    objects: &Split,
+    sweeps_trained: u64,
+) -> Result<String, TrackError> {
+    let card = read_card(folder)?;
+    let refuse = |what: &str, expected: &str, found: String| {
+        Err(TrackError::value(format!("{}: {what}", folder.display()), expected, found))
+    };
+    if card.network != *network {
+        return refuse("network", "that of this training", format!("{:?}", card.network));
+    }
+    if card.objects != *objects || card.split != SplitBy::Objects {
+        return refuse(
+            "objects",
+            "split as in this training",
+            format!("unseen: {}", card.objects.unseen.join(", ")),
+        );
+    }
+    if card.sweeps_trained > sweeps_trained {
+        let expected = format!("{sweeps_trained} trained on or fewer");
+        return refuse("sweeps", &expected, card.sweeps_trained.to_string());
+    }
+    Ok(card.weights_sha256)
+}

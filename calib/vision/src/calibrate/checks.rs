@@ -1,0 +1,262 @@
+//! Why a calibration is refused, why a view is left out, and what makes a result weak.
+
+use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
+use crate::calibrate::initial::{Corners, MonoEstimate, board_pose, both_rms, consensus, median};
+use crate::camera::{Camera, PINHOLE_NAMES};
+use crate::error::VisionError;
+use nalgebra::{Vector2, Vector3};
+
+/// Explains a pair that contradicts the others; tries what usually goes wrong.
+pub(crate) fn explain_view(
+    points: &[Vector3<f64>],
+    state: &BundleState,
+    views: &[BoardView],
+    view: usize,
+    rms_px: f64,
+    typical_px: f64,
+) -> String {
+    let this = &views[view];
+    let fits = |left: &Corners, right: &Corners| {
+        let trial = BoardView { name: String::new(), left: left.clone(), right: right.clone() };
+        both_rms(points, state, &trial) < 3.0 * typical_px
+    };
+    let others = || views.iter().enumerate().filter(|(w, _)| *w != view).map(|o| o.1);
+    let reversed = |c: &Corners| c.iter().rev().copied().collect::<Corners>();
+    let found = if fits(&this.right, &this.left) {
+        "the left and the right picture are swapped".to_string()
+    } else if fits(&this.left, &reversed(&this.right)) {
+        "the corners run in opposite order in the two pictures".to_string()
+    } else if let Some(other) = others().find(|o| fits(&this.left, &o.right)) {
+        format!("its right picture belongs to another pair; the right picture of {} fits", other.name)
+    } else if let Some(other) = others().find(|o| fits(&o.left, &this.right)) {
+        format!("its right picture belongs to another pair: it fits the left picture of {}", other.name)
+    } else {
+        match skew(points, state, this) {
+            Some((distance, angle_deg)) => format!(
+                "each picture shows the board, but not in one place: it moved by {distance:.3} board units and {angle_deg:.2} deg between left and right (pictures not taken together?)"
+            ),
+            None => "the corners fit no pose of the stated board".to_string(),
+        }
+    };
+    format!("RMS {rms_px:.2} px against {typical_px:.2} px of the typical view: {found}")
+}
+
+/// How far the board moved between the two pictures of a pair, board units and degrees.
+fn skew(points: &[Vector3<f64>], state: &BundleState, view: &BoardView) -> Option<(f64, f64)> {
+    let left = board_pose(&state.cameras[0], points, &view.left).ok()?;
+    let right = board_pose(&state.cameras[1], points, &view.right).ok()?;
+    let moved = left.inverse() * state.right_from_left.inverse() * right;
+    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let shift = moved * nalgebra::Point3::from(centre) - nalgebra::Point3::from(centre);
+    Some((shift.norm(), moved.rotation.angle().to_degrees()))
+}
+
+/// The error for pairs of which no majority agrees on one relative pose.
+pub(crate) fn explain_disagreement(
+    points: &[Vector3<f64>],
+    views: &[BoardView],
+    mono: &[MonoEstimate],
+    mono_rms_px: f64,
+    joint_rms_px: f64,
+) -> VisionError {
+    let right: Vec<Corners> = views.iter().map(|v| v.right.clone()).collect();
+    let n = views.len();
+    let (image_size_px, lens) = (mono[0].camera.image_size_px, mono[0].camera.lens);
+    let score = |left: &MonoEstimate, right: &MonoEstimate, corners: &[Corners]| {
+        median(&consensus(points, left, right, corners).1)
+    };
+    let now = score(&mono[0], &mono[1], &right);
+    let mut causes: Vec<(f64, String)> = Vec::new();
+    for shift in [1usize, n - 1] {
+        let rotated: Vec<usize> = (0..n).map(|k| (k + shift) % n).collect();
+        let other = MonoEstimate {
+            camera: mono[1].camera.clone(),
+            camera_from_board: rotated.iter().map(|&k| mono[1].camera_from_board[k]).collect(),
+            view_rms_px: mono[1].view_rms_px.clone(),
+        };
+        let corners: Vec<Corners> = rotated.iter().map(|&k| right[k].clone()).collect();
+        let frames = if shift == 1 { "one picture late" } else { "one picture early" };
+        causes.push((
+            score(&mono[0], &other, &corners),
+            format!("the pairs are shifted: the left pictures are {frames} against the right ones"),
+        ));
+    }
+    let mirrored: Vec<Corners> = right.iter().map(|c| mirror(points, c, image_size_px[0] as f64)).collect();
+    if let Ok(other) = crate::calibrate::initial::calibrate_alone(points, &mirrored, image_size_px, lens) {
+        causes.push((
+            score(&mono[0], &other, &mirrored),
+            "one camera's pictures are mirrored left to right".into(),
+        ));
+    }
+    let best = causes.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).filter(|b| b.0 < 0.3 * now);
+    let why = best.map_or_else(
+        || "board moved between left and right, wrong pairing, or mirrored pictures".to_string(),
+        |b| b.1,
+    );
+    VisionError::result(
+        "calibrate two cameras",
+        format!(
+            "pairs that agree on one relative pose of the cameras (each camera alone fits to {mono_rms_px:.2} px)"
+        ),
+        format!("pairs that contradict each other (joint fit {joint_rms_px:.2} px): {why}"),
+    )
+}
+
+/// Corners as in the mirrored picture: x flipped, and each row of the grid read from its other end.
+fn mirror(points: &[Vector3<f64>], corners: &Corners, width: f64) -> Corners {
+    let columns = points.iter().take_while(|p| p.y == points[0].y).count().max(1);
+    corners
+        .chunks(columns)
+        .flat_map(|row| row.iter().rev().map(|c| c.map(|c| Vector2::new(width - 1.0 - c.x, c.y))))
+        .collect()
+}
+
+/// Refuses what no lens and no pair of cameras can be, whatever its RMS.
+pub(crate) fn refuse_unphysical(
+    points: &[Vector3<f64>],
+    solution: &BundleSolution,
+    views: &[BoardView],
+) -> Result<(), VisionError> {
+    let refuse = |expected: String, found: String| {
+        Err(VisionError::result(
+            "accept the calibration",
+            expected,
+            format!("{found} (RMS {:.3} px all the same)", solution.rms_px()),
+        ))
+    };
+    if !solution.converged {
+        return refuse("a solve that converges".into(), "one that does not".into());
+    }
+    for (name, camera) in ["left", "right"].iter().zip(&solution.state.cameras) {
+        let [w, h] = camera.image_size_px.map(|v| v as f64);
+        let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.centre_px);
+        if !(fx > 0.1 * w && fy > 0.1 * w && fx < 100.0 * w && fy < 100.0 * w) {
+            return refuse(
+                format!("{name} camera: focal lengths of 0.1 to 100 picture widths"),
+                format!("{fx:.1} and {fy:.1} px at {w} px width"),
+            );
+        }
+        if (fx / fy - 1.0).abs() > 0.2 {
+            return refuse(format!("{name} camera: nearly square pixels"), format!("fx/fy = {:.3}", fx / fy));
+        }
+        if !(cx > -0.5 * w && cx < 1.5 * w && cy > -0.5 * h && cy < 1.5 * h) {
+            return refuse(
+                format!("{name} camera: principal point in or near the picture"),
+                format!("({cx:.1}, {cy:.1})"),
+            );
+        }
+        if let Some(radius_px) = fold_radius(camera, views, *name == "left") {
+            return refuse(
+                format!("{name} camera: a distortion that does not fold over where the corners lie"),
+                format!("one that folds at {radius_px:.0} px from the centre"),
+            );
+        }
+    }
+    let baseline = solution.state.right_from_left.translation.vector.norm();
+    let depth = mean_depth(points, &solution.state);
+    let turn = solution.state.right_from_left.rotation.angle();
+    if baseline < 0.002 * depth && turn < 0.002 {
+        return refuse(
+            "two cameras in different places".into(),
+            format!(
+                "a baseline of {baseline:.4} board units at a depth of {depth:.1} (the same pictures twice?)"
+            ),
+        );
+    }
+    if solution.shared_covariance.iter().any(|v| !v.is_finite()) {
+        return refuse(
+            "views that determine every parameter".into(),
+            "a singular system (all boards parallel, or the same view again and again?)".into(),
+        );
+    }
+    for (side, name) in [(0, "left"), (1, "right")] {
+        let relative = solution.variance_of(side, 0).sqrt() / solution.state.cameras[side].focal_px[0];
+        if relative > 0.1 {
+            return refuse(
+                format!("{name} camera: a focal length known to 10 %"),
+                format!("known to {:.0} % only (boards too parallel?)", 100.0 * relative),
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Radius (px) at which the distorted radius stops growing, if that lies within the corners.
+fn fold_radius(camera: &Camera, views: &[BoardView], left: bool) -> Option<f64> {
+    let reach = views
+        .iter()
+        .flat_map(|v| if left { &v.left } else { &v.right })
+        .flatten()
+        .filter_map(|c| camera.undistort(c).map(|n| n.norm()).or(Some(f64::INFINITY)))
+        .fold(0.0, f64::max);
+    let limit = reach.min(3.0);
+    (1..=200).map(|k| f64::from(k) / 200.0 * limit).find_map(|r| {
+        (camera.lens.radial_slope(&camera.distortion, r) <= 0.0).then_some(r * camera.focal_px[0])
+    })
+}
+
+fn mean_depth(points: &[Vector3<f64>], state: &BundleState) -> f64 {
+    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let depths: Vec<f64> =
+        state.left_from_board.iter().map(|p| (p * nalgebra::Point3::from(centre)).z).collect();
+    depths.iter().sum::<f64>() / depths.len().max(1) as f64
+}
+
+/// Remarks on geometry that leaves parameters weak.
+pub(crate) fn weak_geometry(
+    points: &[Vector3<f64>],
+    solution: &BundleSolution,
+    views: &[BoardView],
+) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let state = &solution.state;
+    if views.len() < 8 {
+        warnings.push(format!("only {} views: 8 or more average the corners' errors better", views.len()));
+    }
+    let normals: Vec<Vector3<f64>> =
+        state.left_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
+    let spread = normals
+        .iter()
+        .flat_map(|a| normals.iter().map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()))
+        .fold(0.0, f64::max);
+    if spread < 20.0 {
+        warnings.push(format!("few tilts: the boards' normals differ by at most {spread:.1} deg; 20 deg or more fix the focal length"));
+    }
+    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let depths: Vec<f64> = state
+        .left_from_board
+        .iter()
+        .flat_map(|p| points.iter().map(move |q| (p * nalgebra::Point3::from(*q)).z))
+        .collect();
+    let (near, far) = depths.iter().fold((f64::MAX, 0.0f64), |(n, f), &d| (n.min(d), f.max(d)));
+    let middle = (state.left_from_board[0] * nalgebra::Point3::from(centre)).z;
+    if (far - near) < 0.05 * middle {
+        warnings.push(format!("one depth: all corners lie between {near:.1} and {far:.1} board units"));
+    }
+    for (name, side) in [("left", 0), ("right", 1)] {
+        let [w, h] = state.cameras[side].image_size_px.map(|v| v as f64);
+        let mut cells = [false; 48];
+        for c in views.iter().flat_map(|v| if side == 0 { &v.left } else { &v.right }).flatten() {
+            let (i, j) = ((c.x / w * 8.0) as usize, (c.y / h * 6.0) as usize);
+            cells[j.min(5) * 8 + i.min(7)] = true;
+        }
+        let covered = cells.iter().filter(|&&c| c).count();
+        if covered < 24 {
+            warnings.push(format!("{name} camera: corners cover {covered} of 48 fields of the picture; the distortion is a guess elsewhere"));
+        }
+        for k in 0..4 {
+            let sd = solution.variance_of(side, k).sqrt();
+            let focal = state.cameras[side].focal_px[0];
+            if sd > 0.01 * focal {
+                warnings.push(format!("{name} camera: {} is known to {sd:.1} px only", PINHOLE_NAMES[k]));
+            }
+        }
+    }
+    if state.right_from_left.translation.x > 0.0 {
+        let t = state.right_from_left.translation.vector;
+        if t.x.abs() >= t.y.abs().max(t.z.abs()) {
+            warnings.push("swapped cameras, or both mirrored left to right? the right camera stands to the left of the left one".into());
+        }
+    }
+    warnings
+}

@@ -1,0 +1,256 @@
+//! Finds a chessboard's inner corners, in an order that the pattern itself fixes, and refines them.
+
+use crate::calibrate::corner::{Corner, fit_corner};
+use crate::error::{OpenCvContext, VisionError};
+use crate::picture::Picture;
+use nalgebra::{DMatrix, Vector2};
+use opencv::core::{Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
+use opencv::{calib3d, imgproc};
+use rayon::prelude::*;
+
+/// Inner corners of a board: columns and rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BoardSize {
+    /// Inner corners along a row.
+    pub columns: usize,
+    /// Inner corners along a column.
+    pub rows: usize,
+}
+
+impl BoardSize {
+    /// Whether the colours tell a turn by 180 degrees: one side even, the other odd.
+    #[must_use]
+    pub fn orientation_is_unique(&self) -> bool {
+        (self.columns + self.rows) % 2 == 1
+    }
+}
+
+impl std::fmt::Display for BoardSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.columns, self.rows)
+    }
+}
+
+/// How corners are refined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Refinement {
+    /// [`fit_corner`] with a window of this fraction of the distance to the nearest neighbour.
+    Model(f64),
+    /// OpenCV's `cornerSubPix` with this half window, px.
+    Gradient(i32),
+}
+
+impl std::fmt::Display for Refinement {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Model(fraction) => {
+                write!(f, "edge model, radius {fraction:.2} of the corner distance")
+            }
+            Self::Gradient(half) => write!(f, "gradient, half window {half} px"),
+        }
+    }
+}
+
+/// Which of OpenCV's finders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finder {
+    /// Quads of thresholded pictures: quick, also where there is no board.
+    Classic,
+    /// Sectors: copes with blur and light that the classic one does not; seconds where there is no board.
+    Sectors,
+}
+
+/// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
+/// the board's colours tell. None where the board is not found whole.
+///
+/// # Errors
+/// Where OpenCV fails.
+pub fn find_chessboard(
+    picture: &Picture,
+    board: BoardSize,
+    finder: Finder,
+) -> Result<Option<Vec<Vector2<f64>>>, VisionError> {
+    let mat = picture.to_mat()?;
+    let size = Size::new(board.columns as i32, board.rows as i32);
+    let mut found = Vector::<Point2f>::new();
+    let ok = match finder {
+        Finder::Classic => {
+            let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
+                | calib3d::CALIB_CB_NORMALIZE_IMAGE
+                | calib3d::CALIB_CB_FAST_CHECK;
+            calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?
+        }
+        Finder::Sectors => {
+            let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+            calib3d::find_chessboard_corners_sb(&mat, size, &mut found, flags)
+                .doing("findChessboardCornersSB")?
+        }
+    };
+    if !ok || found.len() != board.columns * board.rows {
+        return Ok(None);
+    }
+    let points: Vec<_> = found.iter().map(|p| Vector2::new(f64::from(p.x), f64::from(p.y))).collect();
+    Ok(Some(normalise_order(picture, board, points)))
+}
+
+/// The two finders start at opposite ends and may run either way round; the pattern decides.
+fn normalise_order(picture: &Picture, board: BoardSize, mut points: Vec<Vector2<f64>>) -> Vec<Vector2<f64>> {
+    let (c, r) = (board.columns, board.rows);
+    let (u, v) = (points[c - 1] - points[0], points[(r - 1) * c] - points[0]);
+    if u.perp(&v) < 0.0 {
+        points = (0..r).flat_map(|j| (0..c).rev().map(move |i| j * c + i)).map(|k| points[k]).collect();
+    }
+    if board.orientation_is_unique() {
+        // Dark minus light over the inner squares, the first one counted as the colour of the first outer square.
+        let mut sum = 0.0;
+        for j in 0..r - 1 {
+            for i in 0..c - 1 {
+                let k = j * c + i;
+                let centre = (points[k] + points[k + 1] + points[k + c] + points[k + c + 1]) / 4.0;
+                let sign = if (i + j) % 2 == 0 { 1.0 } else { -1.0 };
+                sum += sign * picture.sample(centre.x, centre.y);
+            }
+        }
+        if sum > 0.0 {
+            points.reverse();
+        }
+    } else {
+        // Ambiguous by 180 degrees: the end nearer to the top comes first, for both cameras alike.
+        if (points[0].y, points[0].x) > (points[c * r - 1].y, points[c * r - 1].x) {
+            points.reverse();
+        }
+    }
+    points
+}
+
+/// Distance (px) to the nearest neighbour in the grid, and the directions of the grid's rows and columns at a corner.
+fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [Vector2<f64>; 2]) {
+    let (c, i, j) = (board.columns, k % board.columns, k / board.columns);
+    let mut nearest = f64::INFINITY;
+    let mut along = |here: usize, count: usize, stride: usize| {
+        let before = if here > 0 { points[k - stride] } else { points[k] };
+        let after = if here + 1 < count { points[k + stride] } else { points[k] };
+        for d in [(before - points[k]).norm(), (after - points[k]).norm()] {
+            if d > 0.0 {
+                nearest = nearest.min(d);
+            }
+        }
+        after - before
+    };
+    let sides = [along(i, c, 1), along(j, board.rows, c)];
+    (nearest, sides)
+}
+
+/// Refined corners; a corner that cannot be refined is none.
+///
+/// # Errors
+/// Where OpenCV fails.
+pub fn refine(
+    picture: &Picture,
+    board: BoardSize,
+    coarse: &[Vector2<f64>],
+    how: Refinement,
+) -> Result<Vec<Option<Corner>>, VisionError> {
+    match how {
+        Refinement::Model(fraction) => Ok((0..coarse.len())
+            .into_par_iter()
+            .map(|k| {
+                let (distance, sides) = neighbourhood(board, coarse, k);
+                let radius = (fraction * distance).max(3.0);
+                fit_corner(picture, &coarse[k], sides, radius)
+            })
+            .collect()),
+        Refinement::Gradient(half) => {
+            let mat = picture.to_mat()?;
+            let mut corners: Vector<Point2f> =
+                coarse.iter().map(|p| Point2f::new(p.x as f32, p.y as f32)).collect();
+            let until =
+                TermCriteria::new(TermCriteria_Type::EPS as i32 + TermCriteria_Type::COUNT as i32, 60, 1e-4)
+                    .doing("TermCriteria")?;
+            imgproc::corner_sub_pix(&mat, &mut corners, Size::new(half, half), Size::new(-1, -1), until)
+                .doing("cornerSubPix")?;
+            Ok(corners
+                .iter()
+                .map(|p| {
+                    Some(Corner {
+                        position_px: Vector2::new(f64::from(p.x), f64::from(p.y)),
+                        sd_px: f64::NAN,
+                        blur_px: f64::NAN,
+                    })
+                })
+                .collect())
+        }
+    }
+}
+
+/// Whether the pattern goes on beyond the corners that were found: then the board is larger than stated. Names the side.
+#[must_use]
+pub fn continues_beyond(
+    picture: &Picture,
+    board: BoardSize,
+    points: &[Vector2<f64>],
+) -> Option<&'static str> {
+    let (c, r) = (board.columns as i64, board.rows as i64);
+    let homography = grid_homography(board, points)?;
+    let at = |x: f64, y: f64| {
+        let p = &homography * nalgebra::DVector::from_row_slice(&[x, y, 1.0]);
+        (p[0] / p[2], p[1] / p[2])
+    };
+    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it; of the
+    // squares on one side of it only where `out` says so.
+    let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
+        let mut sum = 0.0;
+        for (dx, dy, sign) in
+            [(-0.35, -0.35, 1.0), (0.35, 0.35, 1.0), (-0.35, 0.35, -1.0), (0.35, -0.35, -1.0)]
+        {
+            if dx * out[0] + dy * out[1] < 0.0 {
+                continue;
+            }
+            let (x, y) = at(i as f64 + dx, j as f64 + dy);
+            if !picture.contains(x, y, 1.0) {
+                return None;
+            }
+            sum += sign * picture.sample(x, y);
+        }
+        Some(if (i + j).rem_euclid(2) == 0 { sum } else { -sum })
+    };
+    let typical = |cells: Vec<(i64, i64)>, out: [f64; 2]| -> Option<f64> {
+        let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| contrast(i, j, out)).collect();
+        (2 * values.len() >= cells.len().max(2)).then(|| crate::calibrate::initial::median(&values))
+    };
+    let inside = 0.5 * typical((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(), [0.0; 2])?;
+    let sides = [
+        ("left", [-1.0, 0.0], (0..r).map(|j| (-1, j)).collect::<Vec<_>>()),
+        ("right", [1.0, 0.0], (0..r).map(|j| (c, j)).collect()),
+        ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
+        ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
+    ];
+    // Outside a true board lies its even margin or something that does not alternate with the squares: no contrast, against all of it.
+    sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
+}
+
+/// Homography from grid indices to pixels, by the direct linear transformation.
+fn grid_homography(board: BoardSize, points: &[Vector2<f64>]) -> Option<DMatrix<f64>> {
+    let n = points.len();
+    let centre = points.iter().sum::<Vector2<f64>>() / n as f64;
+    let scale = points.iter().map(|p| (p - centre).norm()).sum::<f64>() / n as f64;
+    let mut a = DMatrix::<f64>::zeros(2 * n, 9);
+    for (k, p) in points.iter().enumerate() {
+        let (x, y) = ((k % board.columns) as f64, (k / board.columns) as f64);
+        let q = (p - centre) / scale;
+        let rows = [
+            [x, y, 1.0, 0.0, 0.0, 0.0, -q.x * x, -q.x * y, -q.x],
+            [0.0, 0.0, 0.0, x, y, 1.0, -q.y * x, -q.y * y, -q.y],
+        ];
+        for (d, row) in rows.iter().enumerate() {
+            for (col, value) in row.iter().enumerate() {
+                a[(2 * k + d, col)] = *value;
+            }
+        }
+    }
+    let eigen = (a.transpose() * a).symmetric_eigen();
+    let smallest = eigen.eigenvalues.imin();
+    let h = DMatrix::from_row_iterator(3, 3, eigen.eigenvectors.column(smallest).iter().copied());
+    let back = DMatrix::from_row_slice(3, 3, &[scale, 0.0, centre.x, 0.0, scale, centre.y, 0.0, 0.0, 1.0]);
+    Some(back * h)
+}

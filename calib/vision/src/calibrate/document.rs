@@ -1,0 +1,215 @@
+//! `stereo.json` (format `wcal-stereo/1`): written by `stereo-calibrate`, read by `stereo-shape`.
+
+use crate::camera::lens::{MAX_COEFFICIENTS, OPENCV5, lens_named};
+use crate::camera::{Camera, PINHOLE_NAMES};
+use crate::error::VisionError;
+use crate::rigid::pose_from_rows;
+use crate::stereo::StereoCameras;
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Format tag of `stereo.json`.
+pub const STEREO_FORMAT: &str = "wcal-stereo/1";
+
+/// Lens distortion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DistortionDocument {
+    /// Model of the lens: `opencv5` or `fisheye`.
+    pub model: String,
+    /// `opencv5`: k1, k2, p1, p2, k3; `fisheye`: k1, k2, k3, k4.
+    pub coefficients: Vec<f64>,
+}
+
+/// One camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraDocument {
+    /// `left` or `right`.
+    pub name: String,
+    /// Camera matrix, px.
+    #[serde(rename = "K")]
+    pub k: [[f64; 3]; 3],
+    /// Distortion.
+    pub distortion: DistortionDocument,
+    /// Standard deviation of fx, fy, cx, cy (px) and of the coefficients by their names.
+    #[serde(default)]
+    pub sd: BTreeMap<String, f64>,
+}
+
+/// A view that was left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RejectedView {
+    /// Name of the left picture (or of the right where only that exists).
+    pub view: String,
+    /// Reason.
+    pub why: String,
+}
+
+/// Epipolar distances of corners in views that were left out of the solve, one pair at a time.
+/// The distance of a corner is the mean of its distances to the two epipolar lines, in the undistorted pictures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct HeldOut {
+    /// Mean, px.
+    pub epipolar_mean_px: f64,
+    /// 95 % quantile, px.
+    pub epipolar_p95_px: f64,
+    /// Corners counted.
+    #[serde(default)]
+    pub corners: usize,
+}
+
+/// The board.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct BoardDocument {
+    /// `chessboard`, `charuco` or `aprilgrid`.
+    pub pattern: String,
+    /// Inner corners a row.
+    pub columns: usize,
+    /// Inner corners a column.
+    pub rows: usize,
+    /// Side of a square, mm.
+    pub square_mm: f64,
+    /// Bulge along x and y, mm; 0 where the data did not ask for it.
+    pub warp_mm: [f64; 2],
+    /// Standard deviations of the bulge, mm.
+    pub warp_sd_mm: [f64; 2],
+}
+
+/// `stereo.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StereoDocument {
+    /// Always [`STEREO_FORMAT`].
+    pub format: String,
+    /// Columns and rows, px.
+    pub image_size_px: [usize; 2],
+    /// Left, right.
+    pub cameras: Vec<CameraDocument>,
+    /// Takes left coordinates to right ones, mm.
+    pub right_from_left: [[f64; 4]; 4],
+    /// Standard deviations: rotation (rad, about the right camera's axes), translation (mm).
+    #[serde(default)]
+    pub right_from_left_sd: Vec<f64>,
+    /// Per-corner RMS over both cameras, px.
+    pub rms_px: f64,
+    /// Per-corner RMS of every view used, left and right, px.
+    pub per_view_rms_px: Vec<[f64; 2]>,
+    /// Names of the views used.
+    #[serde(default)]
+    pub views: Vec<String>,
+    /// Views left out.
+    pub rejected_views: Vec<RejectedView>,
+    /// Held-out error.
+    pub held_out: HeldOut,
+    /// Board.
+    #[serde(default)]
+    pub board: BoardDocument,
+    /// How the corners were refined, and the RMS of each way that was tried, px.
+    #[serde(default)]
+    pub refinement: BTreeMap<String, f64>,
+    /// Way that was chosen.
+    #[serde(default)]
+    pub refinement_chosen: String,
+    /// Sd of the projection of a point at the board's mean depth over a 3x3 grid of the picture (rows from the top), left and right, px.
+    #[serde(default)]
+    pub projection_sd_px: Vec<Vec<f64>>,
+    /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24; 22 x 22 for `fisheye`), units as above.
+    #[serde(default)]
+    pub covariance: Vec<Vec<f64>>,
+    /// Remarks that matter.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// What made it.
+    #[serde(default)]
+    pub provenance: wcal_core::Provenance,
+}
+
+impl StereoDocument {
+    /// Checks the text of a file of this name.
+    ///
+    /// # Errors
+    /// Where it is no such document, or not physical.
+    pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
+        let document: Self = serde_json::from_str(text)
+            .map_err(|e| VisionError::content(name, "a stereo.json document", e.to_string()))?;
+        if document.format != STEREO_FORMAT {
+            return Err(VisionError::content(name, format!("format \"{STEREO_FORMAT}\""), document.format));
+        }
+        document.stereo_cameras().map_err(|why| VisionError::content(name, "physical cameras", why))?;
+        Ok(document)
+    }
+
+    /// The cameras, or why they make no sense.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn stereo_cameras(&self) -> Result<StereoCameras, String> {
+        if self.cameras.len() != 2 {
+            return Err(format!("2 cameras expected, {} found", self.cameras.len()));
+        }
+        let camera = |c: &CameraDocument| -> Result<Camera, String> {
+            let lens = lens_named(&c.distortion.model, |lens| lens.model())
+                .map_err(|why| format!("camera {}: distortion.model: {why}", c.name))?;
+            let (given, count) = (&c.distortion.coefficients, lens.coefficient_names().len());
+            // OpenCV's four coefficients are its five without k3.
+            let without_k3 = lens == OPENCV5 && given.len() == 4;
+            if given.len() != count && !without_k3 {
+                return Err(format!(
+                    "camera {}: distortion \"{}\" with {count} coefficients expected, {} found",
+                    c.name,
+                    lens.model(),
+                    given.len()
+                ));
+            }
+            let mut distortion = [0.0; MAX_COEFFICIENTS];
+            distortion[..given.len()].copy_from_slice(given);
+            let camera = Camera {
+                image_size_px: self.image_size_px,
+                focal_px: [c.k[0][0], c.k[1][1]],
+                centre_px: [c.k[0][2], c.k[1][2]],
+                lens,
+                distortion,
+            };
+            let p = camera.parameters();
+            if p.iter().any(|v| !v.is_finite()) || p[0] <= 0.0 || p[1] <= 0.0 {
+                return Err(format!(
+                    "camera {}: positive focal lengths expected, {} and {} found",
+                    c.name, p[0], p[1]
+                ));
+            }
+            Ok(camera)
+        };
+        let mut stereo = StereoCameras {
+            cameras: [camera(&self.cameras[0])?, camera(&self.cameras[1])?],
+            right_from_left: pose_from_rows(&self.right_from_left)
+                .ok_or("right_from_left: a rigid 4x4 transform expected")?,
+            covariance: None,
+        };
+        let [left, right] = [0, 1].map(|k| stereo.cameras[k].lens);
+        if left != right {
+            return Err(format!(
+                "lenses of one model expected, {} and {} found",
+                left.model(),
+                right.model()
+            ));
+        }
+        let n = stereo.parameters();
+        let square = self.covariance.len() == n && self.covariance.iter().all(|r| r.len() == n);
+        stereo.covariance = square.then(|| DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
+        Ok(stereo)
+    }
+}
+
+/// A camera as a document.
+#[must_use]
+pub fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocument {
+    let k = camera.matrix();
+    CameraDocument {
+        name: name.into(),
+        k: std::array::from_fn(|i| std::array::from_fn(|j| k[(i, j)])),
+        distortion: DistortionDocument {
+            model: camera.lens.model().into(),
+            coefficients: camera.parameters().split_off(PINHOLE_NAMES.len()),
+        },
+        sd: camera.parameter_names().zip(sd).map(|(n, s)| (n.to_string(), *s)).collect(),
+    }
+}

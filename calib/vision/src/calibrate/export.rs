@@ -1,0 +1,125 @@
+//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `imports` reads them.
+
+use crate::calibrate::document::StereoDocument;
+use crate::camera::lens::FISHEYE;
+use crate::error::{OpenCvContext, VisionError};
+use crate::stereo::StereoCameras;
+use nalgebra::Matrix3;
+use opencv::calib3d;
+use opencv::core::{Mat, Size};
+use opencv::prelude::*;
+use std::fmt::Write as _;
+
+fn numbers(values: impl IntoIterator<Item = f64>) -> String {
+    values.into_iter().map(|v| format!("{v:e}")).collect::<Vec<_>>().join(", ")
+}
+
+fn matrix(name: &str, rows: usize, columns: usize, values: impl IntoIterator<Item = f64>) -> String {
+    format!(
+        "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {} ]\n",
+        numbers(values)
+    )
+}
+
+/// Names and contents of the export files. OpenCV: K1, D1, K2, D2, R, T (mm) as its stereo sample writes them; Kalibr: metres.
+///
+/// # Errors
+/// Where the document is no calibration of two cameras.
+pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, VisionError> {
+    let stereo = document
+        .stereo_cameras()
+        .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
+    let t = &document.right_from_left;
+    let [w, h] = document.image_size_px;
+    let mark = if document.provenance.simulated {
+        "# SIMULATED: the pictures are rendered, not taken\n"
+    } else {
+        ""
+    };
+    let lens = stereo.cameras[0].lens;
+    let mut opencv = format!("%YAML:1.0\n---\n{mark}image_width: {w}\nimage_height: {h}\n");
+    // OpenCV's own functions take D as five coefficients; those of its module fisheye take four.
+    if lens == FISHEYE {
+        let _ = writeln!(opencv, "distortion_model: {}", lens.model());
+    }
+    for (k, camera) in document.cameras.iter().enumerate() {
+        opencv += &matrix(&format!("K{}", k + 1), 3, 3, camera.k.iter().flatten().copied());
+        let d = &camera.distortion.coefficients;
+        opencv += &matrix(&format!("D{}", k + 1), 1, d.len(), d.iter().copied());
+    }
+    opencv += &matrix("R", 3, 3, (0..9).map(|k| t[k / 3][k % 3]));
+    opencv += &matrix("T", 3, 1, (0..3).map(|k| t[k][3]));
+    let mut kalibr = mark.to_owned();
+    for (k, camera) in document.cameras.iter().enumerate() {
+        let d = &camera.distortion.coefficients;
+        let _ = writeln!(kalibr, "cam{k}:");
+        if k == 1 {
+            let _ = writeln!(kalibr, "  T_cn_cnm1:");
+            for row in t {
+                let metres = [row[0], row[1], row[2], row[3] * if row == &t[3] { 1.0 } else { 1e-3 }];
+                let _ = writeln!(kalibr, "  - [{}]", numbers(metres));
+            }
+        }
+        let _ = writeln!(kalibr, "  camera_model: pinhole");
+        let _ = writeln!(kalibr, "  distortion_model: {}", lens.kalibr_model());
+        let _ = write!(kalibr, "  distortion_coeffs: [{}]", numbers(d[..4].iter().copied()));
+        // Kalibr's radtan has no k3: it is written beside, and a reader that ignores it is warned by the comment.
+        let _ = match d.get(4) {
+            Some(k3) => writeln!(kalibr, " # k3 = {k3:e} has no place in radtan\n  k3: {k3:e}"),
+            None => writeln!(kalibr),
+        };
+        let _ = writeln!(
+            kalibr,
+            "  intrinsics: [{}]",
+            numbers([camera.k[0][0], camera.k[1][1], camera.k[0][2], camera.k[1][2]])
+        );
+        let _ = writeln!(kalibr, "  resolution: [{w}, {h}]");
+        let _ = writeln!(kalibr, "  rostopic: /{}/image_raw", camera.name);
+    }
+    let mut files = vec![("opencv.yml".to_string(), opencv), ("kalibr-camchain.yaml".to_string(), kalibr)];
+    let rectified = rectify(document, &stereo)?;
+    for (camera, (rotation, projection)) in document.cameras.iter().zip(rectified) {
+        let ros_matrix = |name: &str, rows: usize, columns: usize, values: Vec<f64>| {
+            format!("{name}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n", numbers(values))
+        };
+        let mut text = format!("{mark}image_width: {w}\nimage_height: {h}\ncamera_name: {}\n", camera.name);
+        text += &ros_matrix("camera_matrix", 3, 3, camera.k.iter().flatten().copied().collect());
+        let d = camera.distortion.coefficients.clone();
+        let _ = writeln!(text, "distortion_model: {}", lens.ros_model());
+        text += &ros_matrix("distortion_coefficients", 1, d.len(), d);
+        text += &ros_matrix("rectification_matrix", 3, 3, rotation);
+        text += &ros_matrix("projection_matrix", 3, 4, projection);
+        files.push((format!("ros-{}.yaml", camera.name), text));
+    }
+    Ok(files)
+}
+
+/// Rotation (3x3) and projection (3x4, metres) of a rectified camera, row by row.
+type Rectified = (Vec<f64>, Vec<f64>);
+
+/// Both rectified cameras as OpenCV makes them (Bouguet).
+fn rectify(document: &StereoDocument, stereo: &StereoCameras) -> Result<[Rectified; 2], VisionError> {
+    let right_from_left = &stereo.right_from_left;
+    let doing = "rectify the cameras";
+    let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
+    let [d1, d2] = [0, 1].map(|c| &document.cameras[c].distortion.coefficients);
+    let (d1, d2) = (Mat::from_slice(d1).doing(doing)?, Mat::from_slice(d2).doing(doing)?);
+    let turn: Matrix3<f64> = right_from_left.rotation.to_rotation_matrix().into_inner();
+    let r = Mat::from_slice_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| turn[(i, j)]))).doing(doing)?;
+    let t: [f64; 3] = (right_from_left.translation.vector * 1e-3).into();
+    let t = Mat::from_slice_2d(&t.map(|v| [v])).doing(doing)?;
+    let [w, h] = document.image_size_px.map(|n| n as i32);
+    let mut out: [Mat; 5] = std::array::from_fn(|_| Mat::default());
+    let [r1, r2, p1, p2, q] = &mut out;
+    let (k1, k2) = (k1.doing(doing)?, k2.doing(doing)?);
+    let size = Size::new(w, h);
+    if stereo.cameras[0].lens == FISHEYE {
+        calib3d::fisheye_stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q, 0)
+            .doing(doing)?;
+    } else {
+        calib3d::stereo_rectify_def(&k1, &d1, &k2, &d2, size, &r, &t, r1, r2, p1, p2, q).doing(doing)?;
+    }
+    let values = |m: &Mat| Ok(m.data_typed::<f64>().doing(doing)?.to_vec());
+    let [r1, r2, p1, p2, _] = &out;
+    Ok([(values(r1)?, values(p1)?), (values(r2)?, values(p2)?)])
+}

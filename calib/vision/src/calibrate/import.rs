@@ -1,0 +1,255 @@
+//! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `exchange` writes them.
+
+use crate::calibrate::document::{
+    BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
+};
+use crate::camera::lens::{Lens, OPENCV5, lens_named};
+use crate::error::VisionError;
+use nalgebra::{Matrix3, Vector3};
+use std::path::PathBuf;
+
+/// ImportedCamera between the brackets that follow `key:` (OpenCV and ROS write matrices so).
+fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>, VisionError> {
+    let missing = |found: &str| {
+        VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
+    };
+    let start = text
+        .lines()
+        .scan(0, |at, line| {
+            let here = *at;
+            *at += line.len() + 1;
+            Some((here, line))
+        })
+        .find(|(_, line)| line.trim_start().trim_start_matches("- ").starts_with(&format!("{key}:")))
+        .map(|(at, _)| at)
+        .ok_or_else(|| missing("no such key"))?;
+    let rest = &text[start..];
+    let open = rest.find('[').ok_or_else(|| missing("no bracket"))?;
+    let close = rest[open..].find(']').ok_or_else(|| missing("no closing bracket"))? + open;
+    let values: Result<Vec<f64>, _> =
+        rest[open + 1..close].split(',').map(|t| t.trim().parse::<f64>()).collect();
+    let values = values.map_err(|e| missing(&e.to_string()))?;
+    if values.len() != count || values.iter().any(|v| !v.is_finite()) {
+        return Err(missing(&format!("{} numbers", values.len())));
+    }
+    Ok(values)
+}
+
+/// The text that follows `key:` on a line.
+fn named<'t>(text: &'t str, key: &str) -> Option<&'t str> {
+    text.lines().find_map(|l| Some(l.trim().strip_prefix(key)?.strip_prefix(':')?.trim()))
+}
+
+fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
+    named(text, key)
+        .and_then(|v| v.parse().ok())
+        .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
+}
+
+/// ImportedCamera of an imported camera.
+#[derive(Debug, Clone)]
+pub struct ImportedCamera {
+    /// `fx, fy, cx, cy`, px.
+    pub pinhole: [f64; 4],
+    /// Model of the lens.
+    pub lens: &'static dyn Lens,
+    /// Its coefficients.
+    pub coefficients: Vec<f64>,
+}
+
+/// A document from imported numbers; nothing is known of its errors.
+///
+/// # Errors
+/// Where the pose is not rigid, or the lenses are of two models.
+pub fn imported(
+    name: &str,
+    image_size_px: [usize; 2],
+    cameras: [ImportedCamera; 2],
+    right_from_left: [[f64; 4]; 4],
+) -> Result<StereoDocument, VisionError> {
+    let camera = |which: &str, numbers: ImportedCamera| {
+        let [fx, fy, cx, cy] = numbers.pinhole;
+        CameraDocument {
+            name: which.into(),
+            k: [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+            distortion: DistortionDocument {
+                model: numbers.lens.model().into(),
+                coefficients: numbers.coefficients,
+            },
+            sd: std::collections::BTreeMap::new(),
+        }
+    };
+    let [left, right] = cameras;
+    let document = StereoDocument {
+        format: STEREO_FORMAT.into(),
+        image_size_px,
+        cameras: vec![camera("left", left), camera("right", right)],
+        right_from_left,
+        right_from_left_sd: Vec::new(),
+        rms_px: 0.0,
+        per_view_rms_px: Vec::new(),
+        views: Vec::new(),
+        rejected_views: Vec::new(),
+        held_out: HeldOut::default(),
+        board: BoardDocument::default(),
+        refinement: std::collections::BTreeMap::new(),
+        refinement_chosen: String::new(),
+        projection_sd_px: Vec::new(),
+        covariance: Vec::new(),
+        warnings: vec![format!("imported from {name}: no residuals, no uncertainty")],
+        provenance: wcal_core::Provenance::default(),
+    };
+    document.stereo_cameras().map_err(|found| VisionError::content(name, "two physical cameras", found))?;
+    Ok(document)
+}
+
+/// Reads calibrated cameras: a stereo.json, an OpenCV file (or its intrinsics and its extrinsics), a Kalibr camchain, or the two
+/// camera_info files of ROS, left first.
+///
+/// # Errors
+/// Where a file is missing, is none of these, or its cameras are not physical.
+pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
+    let texts = paths
+        .iter()
+        .map(|path| {
+            std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+                action: "read",
+                path: path.display().to_string(),
+                source,
+            })
+        })
+        .collect::<Result<Vec<String>, _>>()?;
+    let name = paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(" and ");
+    match texts.as_slice() {
+        [text] if text.trim_start().starts_with('{') => StereoDocument::parse(&name, text),
+        [text] if text.contains("cam0:") => import_kalibr(&name, text),
+        [left, right] if [left, right].iter().all(|t| t.contains("rectification_matrix:")) => {
+            import_ros(&name, [left, right])
+        }
+        [_] | [_, _] if texts.iter().all(|t| t.contains("opencv-matrix")) => {
+            import_opencv(&name, &texts.join("\n"))
+        }
+        _ => Err(VisionError::content(
+            name,
+            "a stereo.json, an OpenCV file (or intrinsics and extrinsics), a Kalibr camchain, or two camera_info files of ROS",
+            format!("{} files that are none of these", texts.len()),
+        )),
+    }
+}
+
+/// Reads an OpenCV file with K1, D1, K2, D2 (or M1, M2, as its stereo sample names them), R, T (mm) and the image size.
+///
+/// # Errors
+/// Where a key is missing or malformed, or the cameras are not physical.
+pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
+    let model = named(text, "distortion_model").unwrap_or_else(|| OPENCV5.model());
+    let lens = lens_named(model, |lens| lens.model())
+        .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+    let camera = |k: usize| -> Result<ImportedCamera, VisionError> {
+        let m = bracketed(name, text, &format!("M{k}"), 9)
+            .or_else(|_| bracketed(name, text, &format!("K{k}"), 9))?;
+        let coefficients = bracketed(name, text, &format!("D{k}"), lens.coefficient_names().len())?;
+        Ok(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients })
+    };
+    let (r, t) = (bracketed(name, text, "R", 9)?, bracketed(name, text, "T", 3)?);
+    let pose = std::array::from_fn(|i| {
+        std::array::from_fn(|j| match (i, j) {
+            (3, j) => f64::from(u8::from(j == 3)),
+            (i, 3) => t[i],
+            (i, j) => r[3 * i + j],
+        })
+    });
+    let size = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
+    imported(name, size, [camera(1)?, camera(2)?], pose)
+}
+
+/// Reads a Kalibr camchain with two pinhole cameras, both radtan or both equidistant (metres).
+///
+/// # Errors
+/// As [`import_opencv`]; other camera or distortion models are refused by name.
+pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionError> {
+    let (first, second) =
+        text.split_once("cam1:").ok_or_else(|| VisionError::content(name, "cam0 and cam1", "no cam1"))?;
+    let camera = |part: &str| -> Result<ImportedCamera, VisionError> {
+        let found = named(part, "camera_model").unwrap_or("none");
+        if found != "pinhole" {
+            return Err(VisionError::content(name, "camera_model: pinhole", found));
+        }
+        let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| lens.kalibr_model())
+            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+        let i = bracketed(name, part, "intrinsics", 4)?;
+        let mut coefficients = bracketed(name, part, "distortion_coeffs", 4)?;
+        // Ours stands beside Kalibr's four.
+        if lens == OPENCV5 {
+            coefficients.push(named(part, "k3").and_then(|v| v.parse().ok()).unwrap_or(0.0));
+        }
+        Ok(ImportedCamera { pinhole: [i[0], i[1], i[2], i[3]], lens, coefficients })
+    };
+    let size = bracketed(name, first, "resolution", 2)?;
+    let after = second
+        .split_once("T_cn_cnm1:")
+        .ok_or_else(|| VisionError::content(name, "T_cn_cnm1 of cam1", "none"))?
+        .1;
+    let mut pose = [[0.0; 4]; 4];
+    let mut lines = after.lines().filter(|l| l.trim_start().starts_with('-'));
+    for row in &mut pose {
+        let line = lines.next().unwrap_or_default();
+        let values: Vec<f64> = line
+            .trim()
+            .trim_start_matches("- [")
+            .trim_end_matches(']')
+            .split(',')
+            .filter_map(|v| v.trim().parse().ok())
+            .collect();
+        *row = values.try_into().map_err(|v: Vec<f64>| {
+            VisionError::content(name, "4 rows of 4 numbers under T_cn_cnm1", format!("{} numbers", v.len()))
+        })?;
+    }
+    for row in pose.iter_mut().take(3) {
+        row[3] *= 1e3;
+    }
+    imported(name, [size[0] as usize, size[1] as usize], [camera(first)?, camera(second)?], pose)
+}
+
+/// Reads the two camera_info files of ROS, left and right (metres): the relative pose is in the rectification and the right projection.
+///
+/// # Errors
+/// As [`import_opencv`]; other distortion models are refused by name.
+pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, VisionError> {
+    let mut sizes = [[0; 2]; 2];
+    let mut cameras = Vec::with_capacity(2);
+    let mut rotations = [Matrix3::zeros(); 2];
+    for (k, text) in texts.iter().enumerate() {
+        let lens = lens_named(named(text, "distortion_model").unwrap_or("none"), |lens| lens.ros_model())
+            .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
+        sizes[k] = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
+        let m = bracketed(name, text, "camera_matrix", 9)?;
+        let count = lens.coefficient_names().len();
+        let coefficients = bracketed(name, text, "distortion_coefficients", count)?;
+        cameras.push(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients });
+        rotations[k] = Matrix3::from_row_slice(&bracketed(name, text, "rectification_matrix", 9)?);
+    }
+    if sizes[0] != sizes[1] {
+        return Err(VisionError::content(
+            name,
+            "pictures of one size",
+            format!("{:?} and {:?}", sizes[0], sizes[1]),
+        ));
+    }
+    let p = bracketed(name, texts[1], "projection_matrix", 12)?;
+    let baseline_mm = Vector3::new(p[3] / p[0], p[7] / p[5], 0.0) * 1e3;
+    if !(baseline_mm.norm() > 0.0) {
+        return Err(VisionError::content(name, "a right projection_matrix with a baseline", "none"));
+    }
+    let (r, t) = (rotations[1].transpose() * rotations[0], rotations[1].transpose() * baseline_mm);
+    let pose = std::array::from_fn(|i| {
+        std::array::from_fn(|j| match (i, j) {
+            (3, j) => f64::from(u8::from(j == 3)),
+            (i, 3) => t[i],
+            (i, j) => r[(i, j)],
+        })
+    });
+    let [right, left] = [cameras.pop(), cameras.pop()];
+    let cameras = left.zip(right).ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
+    imported(name, sizes[0], cameras.into(), pose)
+}

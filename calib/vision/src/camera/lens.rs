@@ -1,0 +1,66 @@
+//! What a lens does to the pinhole's picture: the trait, and the models by their names in documents.
+//!
+//! A lens takes the direction `n = (X/Z, Y/Z)` of a point before the camera to distorted normalised coordinates `d(n; c)`; the pixel is
+//! `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from the axis and beyond have no such `n` and are not seen.
+
+use crate::camera::brown_conrady::BrownConrady;
+use crate::camera::kannala_brandt::KannalaBrandt;
+use nalgebra::{Matrix2, Vector2};
+use std::fmt::Debug;
+
+/// Most coefficients that a model has.
+pub const MAX_COEFFICIENTS: usize = 5;
+
+/// Coefficients in the order of [`Lens::coefficient_names`]; what a model does not have is 0.
+pub type Coefficients = [f64; MAX_COEFFICIENTS];
+
+/// A model of a lens. The models are constants, so that a camera refers to one and carries its coefficients.
+pub trait Lens: Debug + Sync {
+    /// Name in `stereo.json` (`distortion.model`) and of `--lens`.
+    fn model(&self) -> &'static str;
+    /// Name in Kalibr's camchain (`distortion_model`).
+    fn kalibr_model(&self) -> &'static str;
+    /// Name in ROS's camera_info (`distortion_model`).
+    fn ros_model(&self) -> &'static str;
+    /// Names of the coefficients, as OpenCV names and orders them.
+    fn coefficient_names(&self) -> &'static [&'static str];
+    /// Distorted coordinates of a direction with their derivative by it.
+    fn distort(&self, c: &Coefficients, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>);
+    /// Derivative of the distorted coordinates by each coefficient.
+    fn by_coefficients(&self, c: &Coefficients, n: &Vector2<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS];
+    /// Derivative of the distorted radius by the undistorted one at radius `r` (decentring left out): at 0 the picture folds over.
+    fn radial_slope(&self, c: &Coefficients, r: f64) -> f64;
+    /// Direction of distorted coordinates; none where the model folds over or the direction is not before the camera.
+    fn undistort(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector2<f64>>;
+}
+
+impl PartialEq for dyn Lens {
+    fn eq(&self, other: &Self) -> bool {
+        self.model() == other.model()
+    }
+}
+
+/// OpenCV's five coefficients (Brown-Conrady).
+pub static OPENCV5: &dyn Lens = &BrownConrady;
+/// OpenCV's fisheye (Kannala-Brandt).
+pub static FISHEYE: &dyn Lens = &KannalaBrandt;
+
+/// All models.
+#[must_use]
+pub fn lenses() -> [&'static dyn Lens; 2] {
+    [OPENCV5, FISHEYE]
+}
+
+/// The model for which `name` is true of its name; an error that lists the names where there is none.
+///
+/// # Errors
+/// A sentence with the names that are known.
+pub fn lens_named(
+    found: &str,
+    name: impl Fn(&'static dyn Lens) -> &'static str,
+) -> Result<&'static dyn Lens, String> {
+    let known = lenses();
+    known.into_iter().find(|lens| name(*lens) == found).ok_or_else(|| {
+        format!("one of the lens models {} expected, \"{found}\" found", known.map(name).join(", "))
+    })
+}

@@ -1,0 +1,159 @@
+//! The camera model: a pinhole with a lens before it, axes x right, y down, z forward, pixel centres at integers.
+//!
+//! ```text
+//! n = (X/Z, Y/Z),   d = lens(n; c),   u = fx d_x + cx,  v = fy d_y + cy
+//! ```
+//! Source: OpenCV documentation, module calib3d, "Detailed Description"; the lens models cite theirs.
+
+mod brown_conrady;
+mod kannala_brandt;
+pub mod lens;
+
+use lens::{Coefficients, Lens, MAX_COEFFICIENTS};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
+
+/// Parameters of a camera beside its lens: fx, fy, cx, cy.
+pub const PINHOLE_NAMES: [&str; 4] = ["fx", "fy", "cx", "cy"];
+
+/// Most intrinsic parameters that a camera has.
+pub const MAX_INTRINSICS: usize = PINHOLE_NAMES.len() + MAX_COEFFICIENTS;
+
+/// A calibrated camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    /// Columns and rows, px.
+    pub image_size_px: [usize; 2],
+    /// Focal lengths, px.
+    pub focal_px: [f64; 2],
+    /// Principal point, px.
+    pub centre_px: [f64; 2],
+    /// Model of the lens.
+    pub lens: &'static dyn Lens,
+    /// Its coefficients.
+    pub distortion: Coefficients,
+}
+
+impl Camera {
+    /// Number of intrinsic parameters: those of the pinhole and of the lens.
+    #[must_use]
+    pub fn intrinsics(&self) -> usize {
+        PINHOLE_NAMES.len() + self.lens.coefficient_names().len()
+    }
+
+    /// Names of the intrinsic parameters, in the order of [`Camera::parameters`].
+    pub fn parameter_names(&self) -> impl Iterator<Item = &'static str> {
+        PINHOLE_NAMES.into_iter().chain(self.lens.coefficient_names().iter().copied())
+    }
+
+    /// The parameters: fx, fy, cx, cy, coefficients of the lens.
+    #[must_use]
+    pub fn parameters(&self) -> Vec<f64> {
+        let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
+        let coefficients = &self.distortion[..self.lens.coefficient_names().len()];
+        [fx, fy, cx, cy].iter().chain(coefficients).copied().collect()
+    }
+
+    /// The same camera with other parameters.
+    #[must_use]
+    pub fn with_parameters(&self, p: &[f64]) -> Self {
+        let mut distortion = [0.0; MAX_COEFFICIENTS];
+        distortion[..self.intrinsics() - 4].copy_from_slice(&p[4..self.intrinsics()]);
+        Self { focal_px: [p[0], p[1]], centre_px: [p[2], p[3]], distortion, ..self.clone() }
+    }
+
+    /// The 3x3 camera matrix.
+    #[must_use]
+    pub fn matrix(&self) -> Matrix3<f64> {
+        let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
+        Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Distorted normalised coordinates of a direction with their derivative by it.
+    #[must_use]
+    pub fn distort(&self, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        self.lens.distort(&self.distortion, n)
+    }
+
+    /// Pixel of (distorted) normalised coordinates.
+    #[must_use]
+    pub fn pixel(&self, d: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(self.focal_px[0] * d.x + self.centre_px[0], self.focal_px[1] * d.y + self.centre_px[1])
+    }
+
+    /// (Distorted) normalised coordinates of a pixel.
+    fn normalised(&self, px: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(
+            (px.x - self.centre_px[0]) / self.focal_px[0],
+            (px.y - self.centre_px[1]) / self.focal_px[1],
+        )
+    }
+
+    /// Pixel of a point in camera coordinates; none behind the camera.
+    #[must_use]
+    pub fn project(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
+        if p.z <= 0.0 {
+            return None;
+        }
+        let (d, _) = self.distort(&Vector2::new(p.x / p.z, p.y / p.z));
+        Some(self.pixel(&d))
+    }
+
+    /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond [`Camera::intrinsics`] are 0); none behind
+    /// the camera.
+    #[must_use]
+    pub fn project_with_jacobian(
+        &self,
+        p: &Vector3<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2x3<f64>, SMatrix<f64, 2, MAX_INTRINSICS>)> {
+        if p.z <= 0.0 {
+            return None;
+        }
+        let [fx, fy] = self.focal_px;
+        let (iz, x, y) = (1.0 / p.z, p.x / p.z, p.y / p.z);
+        let n = Vector2::new(x, y);
+        let (d, jd) = self.distort(&n);
+        let dn = Matrix2x3::new(iz, 0.0, -x * iz, 0.0, iz, -y * iz);
+        let mut by_point = jd * dn;
+        by_point.row_mut(0).scale_mut(fx);
+        by_point.row_mut(1).scale_mut(fy);
+        let mut by_camera = SMatrix::<f64, 2, MAX_INTRINSICS>::zeros();
+        by_camera[(0, 0)] = d.x;
+        by_camera[(1, 1)] = d.y;
+        by_camera[(0, 2)] = 1.0;
+        by_camera[(1, 3)] = 1.0;
+        for (k, by) in self.lens.by_coefficients(&self.distortion, &n).iter().enumerate() {
+            by_camera[(0, 4 + k)] = fx * by.x;
+            by_camera[(1, 4 + k)] = fy * by.y;
+        }
+        Some((self.pixel(&d), by_point, by_camera))
+    }
+
+    /// Undistorted normalised coordinates of a pixel; none where the distortion folds over.
+    #[must_use]
+    pub fn undistort(&self, px: &Vector2<f64>) -> Option<Vector2<f64>> {
+        self.lens.undistort(&self.distortion, &self.normalised(px))
+    }
+
+    /// The pixel at which the same camera without distortion shows what this pixel shows: straight edges are straight there; none where
+    /// the distortion folds over.
+    #[must_use]
+    pub fn undistorted_px(&self, p: &Vector2<f64>) -> Option<Vector2<f64>> {
+        Some(self.pixel(&self.undistort(p)?))
+    }
+
+    /// The inverse of [`Camera::undistorted_px`].
+    #[must_use]
+    pub fn distorted_px(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        self.pixel(&self.distort(&self.normalised(p)).0)
+    }
+}
+
+/// [`Camera::undistorted_px`]; the pixel itself where no camera is known or its distortion folds over.
+pub(crate) fn undistorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera.and_then(|c| c.undistorted_px(p)).unwrap_or(*p)
+}
+
+/// [`Camera::distorted_px`]; the pixel itself where no camera is known.
+pub(crate) fn distorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
+    camera.map_or(*p, |c| c.distorted_px(p))
+}

@@ -1,0 +1,342 @@
+//! The wire's shape of one pair: pieces measured in both pictures, a curve of known kind through all of them at once.
+//! Every piece says where the wire is across its own image line only; parts along epipolar lines need no match of their own.
+//!
+//! ```text
+//! r_i = n_i . (observed_i - pi_c(T exp(x) p(s_i; c))),   weight_i = (nu + 1) / (nu + (r_i / sd_i)^2) / sd_i^2     (Student, nu = 4)
+//! (J^T W J + P) step = J^T W r - P state,                P: tags' information on x, root, smoothing * roughness
+//! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - least penalised squares) / 2
+//! ```
+//! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989; MacKay, "Bayesian Interpolation",
+//! 1992 (evidence).
+
+use crate::picture::Picture;
+use crate::rigid::{hat, updated};
+use crate::shape::curve::{CurveModel, CurveState, ROOT};
+use crate::stereo::StereoCameras;
+use crate::wire::piece::{Appearance, PIECE_PX, Piece, Station, fit_piece};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
+
+/// Systematic error of a piece that neighbouring pieces share, px: speckle of the surface and of the background.
+const PIECE_FLOOR_PX: f64 = 0.01;
+/// Degrees of freedom of the Student weights: one piece in twenty lies on an edge or in a crossing.
+const STUDENT_DOF: f64 = 4.0;
+
+/// Predicted stations of one camera, one every piece length, with the node index (fractional) of each.
+#[derive(Debug, Clone)]
+pub struct Line {
+    /// Stations.
+    pub stations: Vec<Station>,
+}
+
+/// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel by the point in the left frame.
+pub(crate) fn in_camera(
+    stereo: &StereoCameras,
+    camera: usize,
+    left: &Vector3<f64>,
+) -> Option<(Vector2<f64>, Matrix2x3<f64>, f64)> {
+    let (x, turn) = if camera == 0 {
+        (*left, Matrix3::identity())
+    } else {
+        let pose = &stereo.right_from_left;
+        ((pose * Point3::from(*left)).coords, *pose.rotation.to_rotation_matrix().matrix())
+    };
+    let (px, by_point, _) = stereo.cameras[camera].project_with_jacobian(&x)?;
+    Some((px, by_point * turn, x.z))
+}
+
+/// Stations along the image of a curve (base frame nodes) up to `length_mm`.
+#[must_use]
+pub fn image_line(
+    stereo: &StereoCameras,
+    left_from_base: &Isometry3<f64>,
+    camera: usize,
+    points: &[Vector3<f64>],
+    step_mm: f64,
+    length_mm: f64,
+    diameter_mm: f64,
+) -> Line {
+    let pixels: Vec<Option<(Vector2<f64>, f64)>> = points
+        .iter()
+        .map(|p| {
+            in_camera(stereo, camera, &(left_from_base * Point3::from(*p)).coords).map(|(px, _, z)| (px, z))
+        })
+        .collect();
+    let mut stations = Vec::new();
+    let mut due = 0.5 * PIECE_PX;
+    let mut run = 0.0;
+    for i in 0..pixels.len().saturating_sub(1) {
+        let (Some((a, z)), Some((b, _))) = (pixels[i], pixels[i + 1]) else { continue };
+        let long = (b - a).norm();
+        let tangent = match (b - a).try_normalize(1e-9) {
+            Some(t) => t,
+            None => continue,
+        };
+        // Bend from the neighbours' directions.
+        let bend = match (i.checked_sub(4).and_then(|k| pixels[k]), pixels.get(i + 5).copied().flatten()) {
+            (Some((before, _)), Some((after, _))) => {
+                let (d1, d2) = (a - before, after - b);
+                let turn = d1.perp(&d2).atan2(d1.dot(&d2));
+                turn / (0.5 * (d1.norm() + d2.norm()) + long).max(1.0)
+            }
+            _ => 0.0,
+        };
+        while due <= run + long {
+            let f = (due - run) / long;
+            let arc_mm = (i as f64 + f) * step_mm;
+            if arc_mm > length_mm {
+                return Line { stations };
+            }
+            // Across the curve's own bend the chord lies inside by the sagitta.
+            let sag = -0.5 * bend * (f * long) * (long - f * long);
+            let normal = Vector2::new(-tangent.y, tangent.x);
+            let turned = (tangent + normal * (bend * (f - 0.5) * long)).normalize();
+            stations.push(Station {
+                arc_mm,
+                position_px: a + (b - a) * f + normal * sag,
+                tangent: turned,
+                bend_per_px: bend,
+                width_px: diameter_mm * stereo.cameras[camera].focal_px[0] / z,
+            });
+            due += PIECE_PX;
+        }
+        run += long;
+    }
+    Line { stations }
+}
+
+/// Measures all stations of a line.
+#[must_use]
+pub fn measure(picture: &Picture, line: &Line, appearance: Appearance, search_px: f64) -> Vec<Piece> {
+    line.stations.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
+}
+
+/// Pieces that show the wire: a bar is likelier than an edge, both sides differ from it in the same sense as most do.
+#[must_use]
+pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
+    pieces
+        .iter()
+        .map(|p| p.evidence > 0.0 && polarity * p.depth[0] > 0.0 && polarity * p.depth[1] > 0.0)
+        .collect()
+}
+
+/// A measured place: camera, arc length, observed point, normal, sd.
+#[derive(Debug, Clone, Copy)]
+pub struct LineObservation {
+    /// 0 left, 1 right.
+    pub camera: usize,
+    /// Arc length, mm.
+    pub arc_mm: f64,
+    /// Observed centre, px.
+    pub observed_px: Vector2<f64>,
+    /// Unit normal of the image line.
+    pub normal: Vector2<f64>,
+    /// Standard deviation along the normal, px.
+    pub sd_px: f64,
+}
+
+/// Sights from measured pieces.
+#[must_use]
+pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineObservation> {
+    pieces
+        .iter()
+        .zip(seen)
+        .filter(|(p, s)| **s && p.sd_px.is_finite())
+        .map(|(p, _)| LineObservation {
+            camera,
+            arc_mm: p.station.arc_mm,
+            observed_px: p.station.position_px + p.station.normal() * p.offset_px,
+            normal: p.station.normal(),
+            sd_px: p.sd_px.hypot(PIECE_FLOOR_PX),
+        })
+        .collect()
+}
+
+/// The linearised problem of one pair: base correction (6: rotation, translation in the base frame) then curve parameters.
+#[derive(Debug, Clone)]
+pub struct PairSystem {
+    /// Information of the observations alone.
+    pub data: DMatrix<f64>,
+    /// Right-hand side of the observations alone.
+    pub rhs: DVector<f64>,
+    /// Weighted sum of squares of the observations.
+    pub chi2: f64,
+    /// Sights.
+    pub count: usize,
+    /// Residuals, px, in order of the observations.
+    pub residuals_px: Vec<f64>,
+    /// Student weights, in order of the observations.
+    pub weights: Vec<f64>,
+    /// Derivatives of the predicted offsets along the normal times their weights, one column a sight.
+    pub rows_weighted: DMatrix<f64>,
+}
+
+/// Residuals of observations for given cameras, base pose and curve: observed minus predicted along the normal, px.
+#[must_use]
+pub fn observation_residuals(
+    stereo: &StereoCameras,
+    left_from_base: &Isometry3<f64>,
+    points: &[Vector3<f64>],
+    step_mm: f64,
+    observations: &[LineObservation],
+) -> Vec<f64> {
+    observations
+        .iter()
+        .map(|s| {
+            let (i, f) = node(s.arc_mm, step_mm, points.len());
+            let p = points[i] * (1.0 - f) + points[i + 1] * f;
+            in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
+                .map_or(0.0, |(px, _, _)| s.normal.dot(&(s.observed_px - px)))
+        })
+        .collect()
+}
+
+pub(crate) fn node(arc_mm: f64, step_mm: f64, nodes: usize) -> (usize, f64) {
+    let x = (arc_mm / step_mm).clamp(0.0, nodes as f64 - 1.001);
+    (x.floor() as usize, x.fract())
+}
+
+/// Linearises the observations about a state. `noise` scales their standard deviations.
+#[must_use]
+pub fn linearise(
+    stereo: &StereoCameras,
+    left_from_base: &Isometry3<f64>,
+    model: &CurveModel,
+    state: &CurveState,
+    observations: &[LineObservation],
+    noise: f64,
+) -> PairSystem {
+    let shape = model.shape(state);
+    let by_parameters = model.jacobian(state);
+    let n = 6 + model.parameters();
+    let turn = left_from_base.rotation.to_rotation_matrix();
+    let (mut columns, mut weighted) =
+        (DMatrix::<f64>::zeros(n, observations.len()), DMatrix::<f64>::zeros(n, observations.len()));
+    let (mut chi2, mut residuals_px, mut weights) = (0.0, Vec::new(), Vec::new());
+    let mut pull = DVector::zeros(observations.len());
+    for (index, s) in observations.iter().enumerate() {
+        let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
+        let p = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
+        let Some((px, by_left, _)) = in_camera(stereo, s.camera, &(left_from_base * Point3::from(p)).coords)
+        else {
+            residuals_px.push(f64::NAN);
+            weights.push(0.0);
+            continue;
+        };
+        let residual = s.normal.dot(&(s.observed_px - px));
+        let by_base = s.normal.transpose() * by_left * turn.matrix();
+        let by_turn = -by_base * hat(&p);
+        let mut column = columns.column_mut(index);
+        for k in 0..3 {
+            column[k] = by_turn[k];
+            column[3 + k] = by_base[k];
+        }
+        let mut curve = column.rows_mut(6, n - 6);
+        for k in 0..3 {
+            curve.axpy(by_base[k] * (1.0 - f), &by_parameters.column(3 * i + k), 1.0);
+            curve.axpy(by_base[k] * f, &by_parameters.column(3 * i + 3 + k), 1.0);
+        }
+        let sd = s.sd_px * noise;
+        let z2 = (residual / sd).powi(2);
+        let student = (STUDENT_DOF + 1.0) / (STUDENT_DOF + z2);
+        let weight = student / (sd * sd);
+        weighted.column_mut(index).axpy(weight, &columns.column(index), 0.0);
+        pull[index] = residual;
+        chi2 += student * z2;
+        residuals_px.push(residual);
+        weights.push(student);
+    }
+    PairSystem {
+        data: &weighted * columns.transpose(),
+        rhs: &weighted * pull,
+        chi2,
+        count: observations.len(),
+        residuals_px,
+        weights,
+        rows_weighted: weighted,
+    }
+}
+
+/// Applies a step (base correction and curve parameters).
+#[must_use]
+pub fn stepped(
+    left_from_base: &Isometry3<f64>,
+    state: &CurveState,
+    step: &DVector<f64>,
+) -> (Isometry3<f64>, CurveState) {
+    let correction = updated(&Isometry3::identity(), &nalgebra::Vector6::from_fn(|k, _| step[k]));
+    let mut next = state.clone();
+    next.add(&step.as_slice()[6..]);
+    (left_from_base * correction, next)
+}
+
+/// What is known besides the observations.
+#[derive(Debug, Clone)]
+pub struct Prior {
+    /// Information on the base correction about `base_offset`.
+    pub base: nalgebra::Matrix6<f64>,
+    /// Where that information has its centre: correction from the current pose.
+    pub base_offset: nalgebra::Vector6<f64>,
+    /// Standard deviations of the root's offsets (mm) and tilts (rad).
+    pub root_sd: [f64; 2],
+    /// Weight of the roughness.
+    pub smoothing: f64,
+}
+
+/// Parameters of the curve as one vector, root offsets left at zero: what the penalty acts on.
+fn bends(state: &CurveState, n: usize) -> DVector<f64> {
+    DVector::from_fn(n, |k, _| if k < ROOT { 0.0 } else { state.coefficients[k - ROOT] })
+}
+
+/// Information matrix and right-hand side with the prior.
+#[must_use]
+pub fn with_prior(
+    system: &PairSystem,
+    prior: &Prior,
+    state: &CurveState,
+    model: &CurveModel,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let (mut h, mut g) = (system.data.clone(), system.rhs.clone());
+    let mut base = h.fixed_view_mut::<6, 6>(0, 0);
+    base += prior.base;
+    let mut pull = g.fixed_rows_mut::<6>(0);
+    pull += prior.base * prior.base_offset;
+    for k in 0..ROOT {
+        let w = 1.0 / prior.root_sd[k / 2].powi(2);
+        h[(6 + k, 6 + k)] += w;
+        g[6 + k] -= w * state.root[k];
+    }
+    let n = model.parameters();
+    let mut block = h.view_mut((6, 6), (n, n));
+    block.zip_apply(model.penalty(), |a, p| *a += prior.smoothing * p);
+    let mut rows = g.rows_mut(6, n);
+    rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
+    for k in 0..n {
+        // Splines beyond the tip see no data and little penalty: kept near where they are.
+        h[(6 + k, 6 + k)] += 1e-3;
+    }
+    (h, g)
+}
+
+/// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of factors of 3.
+#[must_use]
+pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &CurveState, model: &CurveModel) -> f64 {
+    let rank = model.penalty_rank() as f64;
+    let theta = bends(state, model.parameters());
+    let rough_now = theta.dot(&(model.penalty() * &theta));
+    let mut best = (f64::NEG_INFINITY, prior.smoothing);
+    for k in 0..28 {
+        let smoothing = 1e2 * 3f64.powi(k);
+        let trial = Prior { smoothing, ..prior.clone() };
+        let (h, g) = with_prior(system, &trial, state, model);
+        let Some(cholesky) = h.cholesky() else { continue };
+        let step = cholesky.solve(&g);
+        let log_det = 2.0 * cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
+        // Minimum of the penalised sum of squares: value at the current state less what the step gains.
+        let least = system.chi2 + smoothing * rough_now - step.dot(&g);
+        let evidence = 0.5 * (rank * smoothing.ln() - log_det - least);
+        if evidence > best.0 {
+            best = (evidence, smoothing);
+        }
+    }
+    best.1
+}

@@ -1,0 +1,97 @@
+//! One pair's entry of `shapes.json`: points and their region, gaps, residuals, tags.
+
+use crate::rigid::rows;
+use crate::shape::joint::{PairUncertainty, node_covariance, planar_sd};
+use crate::shape::pair_fit::PairFit;
+use nalgebra::{Matrix3, Vector3};
+use wcal_core::shapes_document::{Gap, PairDocument, TagDocument};
+
+/// Fills in what the fit found.
+pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&PairUncertainty>) {
+    document.status = "ok".into();
+    document.left_from_base = rows(&fit.left_from_base).to_vec();
+    document.length_mm = fit.length_mm;
+    document.length_sd_mm = fit.length_sd_mm;
+    document.warnings.clone_from(&fit.warnings);
+    let shape = fit.model.shape(&fit.state);
+    let jacobian = fit.model.jacobian(&fit.state);
+    for (_, i, f) in places(fit) {
+        let p: Vector3<f64> = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
+        document.centreline_mm.push([p.x, p.y, p.z]);
+        let sd = uncertain.map_or(f64::NAN, |u| {
+            let c = node_covariance(fit, &jacobian, i + usize::from(f > 0.5), u);
+            let t = shape.tangents[i];
+            let across = Matrix3::identity() - t * t.transpose();
+            let e = (across * c * across).symmetric_eigenvalues();
+            let mut e: Vec<f64> = e.iter().copied().collect();
+            e.sort_by(f64::total_cmp);
+            planar_sd(e[2].max(0.0), e[1].max(0.0))
+        });
+        document.centreline_sd_mm.push(sd);
+    }
+    document.gaps = gaps(fit);
+    for camera in 0..2 {
+        let (mut n, mut sum) = (0.0, 0.0);
+        for (s, r) in fit.observations.iter().zip(&fit.system.residuals_px) {
+            if s.camera == camera && r.is_finite() {
+                n += 1.0;
+                sum += r * r;
+            }
+        }
+        document.residual_rms_px[camera] = f64::sqrt(sum / f64::max(n, 1.0));
+    }
+}
+
+/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the share of the way to the next.
+pub(crate) fn places(fit: &PairFit) -> impl Iterator<Item = (f64, usize, f64)> + '_ {
+    let last = fit.model.nodes as f64 - 1.001;
+    let count = (fit.length_mm / 0.5).round().max(1.0) as usize;
+    (0..=count).map(move |k| {
+        let s = fit.length_mm * k as f64 / count as f64;
+        let x = (s / fit.model.step_mm).min(last);
+        (s, x.floor() as usize, x.fract())
+    })
+}
+
+/// Stretches of more than a millimetre that one or both pictures do not show.
+fn gaps(fit: &PairFit) -> Vec<Gap> {
+    let cell = 0.25;
+    let n = (fit.length_mm / cell).ceil() as usize;
+    let mut hidden = vec![[true; 2]; n];
+    for (camera, (pieces, seen)) in fit.pieces.iter().enumerate() {
+        for (p, s) in pieces.iter().zip(seen) {
+            let k = (p.station.arc_mm / cell) as usize;
+            if *s {
+                for h in hidden.iter_mut().take((k + 2).min(n)).skip(k.saturating_sub(1)) {
+                    h[camera] = false;
+                }
+            }
+        }
+    }
+    let mut gaps = Vec::new();
+    let mut from = 0;
+    while from < n {
+        let kind = hidden[from];
+        let to = (from..n).find(|&k| hidden[k] != kind).unwrap_or(n);
+        if kind != [false; 2] && (to - from) as f64 * cell >= 1.0 {
+            let names = ["left", "right"];
+            gaps.push(Gap {
+                from_mm: from as f64 * cell,
+                to_mm: (to as f64 * cell).min(fit.length_mm),
+                hidden_in: (0..2).filter(|&c| kind[c]).map(|c| names[c].to_string()).collect(),
+            });
+        }
+        from = to;
+    }
+    gaps
+}
+
+/// A tag of one picture.
+pub(crate) fn tag_document(camera: usize, tag: &crate::tags::detection::Tag) -> TagDocument {
+    TagDocument {
+        id: tag.id,
+        camera: if camera == 0 { "left" } else { "right" }.into(),
+        corners_px: tag.corners_px.map(|c| [c.x, c.y]),
+        corners_sd_px: tag.covariances_px2.map(|c| (0.5 * c.trace()).sqrt()),
+    }
+}

@@ -1,0 +1,331 @@
+//! `stereo-shape`: tags, the base's pose over the folder, one curve a pair, the joint correction of the base, groove and uncertainties.
+
+use crate::pairs::PairFiles;
+use crate::picture::Picture;
+use crate::rig::Rig;
+use crate::shape::curve_fit::Prior;
+use crate::shape::describe::{describe, tag_document};
+use crate::shape::groove::groove_document;
+use crate::shape::joint::{Joint, uncertainties};
+use crate::shape::pair_fit::{PairFit, ROOT_FREE, fit_pair};
+use crate::shape::shared_errors::{camera_errors, shared_errors};
+use crate::stages::{Stage, StageClock};
+use crate::stereo::StereoCameras;
+use crate::tags::base_pose::{
+    FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
+};
+use crate::tags::detection::{Search, Tag, find_tags};
+use crate::tags::pose as tag_pose;
+use nalgebra::Vector6;
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
+
+/// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few micrometres.
+const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
+/// chi2 of 6 beyond which tags and wire disagree; the chance of more is 4e-5.
+const DISAGREEMENT: f64 = 30.0;
+/// Length from the root without a piece in either picture at which the root counts as not seen, mm.
+const UNSEEN_MM: f64 = 3.0;
+/// Part of the wire that counts as near its root, mm.
+const NEAR_ROOT_MM: f64 = 6.0;
+/// Surface strain beyond which NiTi no longer springs back; a bench does not bend it so far at the clamp.
+const MAX_STRAIN: f64 = 0.015;
+
+/// A corner is good to hundredths of a pixel: whole pixels are no noise.
+const TAG_MISFIT_PX: f64 = 1.0;
+
+/// Side of a tag that a search at half size cannot miss, px.
+const LARGE_TAG_PX: f64 = 48.0;
+
+/// A pair: pictures in which to look for the wire (background taken off, where there is one), and tags.
+struct Loaded {
+    name: String,
+    pictures: [Picture; 2],
+    tags: PairTags,
+}
+
+/// Everything that `stereo-shape` found, for the document and for overlays.
+pub struct ShapesResult {
+    /// `shapes.json`.
+    pub document: ShapesDocument,
+    /// Fits by pair index; none for rejected pairs.
+    pub fits: Vec<Option<PairFit>>,
+    /// Cameras used.
+    pub stereo: StereoCameras,
+    /// Processor time by stage.
+    pub times: StageClock,
+}
+
+/// Runs all pairs. `background`: the scene of both cameras without the wire; what it shows is no wire. `progress` is told each pair's
+/// name when it is done.
+#[must_use]
+pub fn shapes_of_pairs(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    files: &[PairFiles],
+    background: Option<&[Picture; 2]>,
+    progress: &(dyn Fn(&str) + Sync),
+) -> ShapesResult {
+    let times = StageClock::default();
+    let load = |f| load(stereo, rig, f, background, &times);
+    let loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
+    let tags: Vec<PairTags> =
+        loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
+    let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
+    let mut warnings = Vec::new();
+    let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
+        loaded
+            .par_iter()
+            .enumerate()
+            .map(|(k, l)| {
+                let l = l.as_ref().map_err(Clone::clone)?;
+                let start = match earlier.get(k) {
+                    None => None,
+                    Some(Ok(fit)) => Some(fit),
+                    Some(Err(why)) => return Err(why.clone()),
+                };
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, &times);
+                // Once a pair, though it may be looked at again.
+                if start.is_none() && root_sd == ROOT_CLAMPED {
+                    progress(&l.name);
+                }
+                fit
+            })
+            .collect()
+    };
+    let mut root_sd = ROOT_CLAMPED;
+    let mut fits = attempt(root_sd, &[]);
+    // A root that stands elsewhere than the tags say is not seen at all, or most wires are lost from it: look for it where the rest of
+    // the wire points.
+    let sound = |fits: &[Result<PairFit, String>]| fits.iter().flatten().count();
+    let most_lost = 2 * sound(&fits) < loaded.iter().flatten().count();
+    let free = (most_lost || root_misplaced(&fits, rig.whisker.diameter_mm))
+        .then(|| attempt(ROOT_FREE, &[]))
+        .filter(|free| !most_lost || sound(free) > sound(&fits));
+    let mut joint = base.as_ref().map(|b| Joint::new(b, free.as_ref().unwrap_or(&fits), ROOT_CLAMPED));
+    if let Some(j) = &joint
+        && j.disagreement > DISAGREEMENT
+    {
+        warnings.push(format!(
+            "tags and wire disagree on the base's frame (chi2 {:.0} of 6): base_from_tag in the rig file seems off; the frame follows the tags, the root is measured",
+            j.disagreement
+        ));
+        root_sd = ROOT_FREE;
+        fits = free.unwrap_or_else(|| attempt(root_sd, &fits));
+        joint = base.as_ref().map(|b| Joint::new(b, &fits, root_sd));
+    }
+    if let (Some(j), Some(b)) = (&joint, &base) {
+        times.time_alone(Stage::Joint, || {
+            fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
+                if let Ok(fit) = fit
+                    && !b.moved.contains(&k)
+                {
+                    j.apply(stereo, fit, root_sd);
+                }
+            })
+        });
+    }
+    let uncertain = base.as_ref().map_or_else(
+        || files.iter().map(|_| None).collect(),
+        |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),
+    );
+    let errors = times.time_alone(Stage::Joint, || camera_errors(stereo, &fits, &uncertain));
+    let (rigs, shared) = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
+    if rigs.iter().flatten().count() > 1 && !shared {
+        warnings
+            .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
+    }
+    let pairs = (0..files.len())
+        .map(|k| times.time(Stage::Joint, || {
+            let mut document = PairDocument { name: files[k].name.clone(), ..PairDocument::default() };
+            if let Ok(l) = &loaded[k] {
+                document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
+            }
+            match &fits[k] {
+                Err(why) => {
+                    document.status = "rejected".into();
+                    document.why.clone_from(why);
+                }
+                Ok(fit) => {
+                    describe(&mut document, fit, uncertain[k].as_ref());
+                    if let Some(u) = &uncertain[k] {
+                        document.shared_errors = shared_errors(stereo, fit, u, &errors);
+                    }
+                    document.groove = rigs[k]
+                        .as_ref()
+                        .zip(rig.groove.as_ref())
+                        .zip(uncertain[k].as_ref())
+                        .map(|((pose, groove), u)| groove_document(stereo, fit, pose, groove, u, rig.whisker.diameter_mm));
+                    if base.as_ref().is_some_and(|b| b.moved.contains(&k)) {
+                        document.warnings.push("the base stands elsewhere than in the other pairs; its pose is from this pair alone".into());
+                    }
+                }
+            }
+            document
+        }))
+        .collect();
+    let document =
+        ShapesDocument { format: SHAPES_FORMAT.into(), pairs, warnings, ..ShapesDocument::default() };
+    ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
+}
+
+/// In most pairs the curve from the stated root is no wire's: another root shows far more of one, its first millimetres are seen in neither picture, or it bends there
+/// as no wire bears.
+fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
+    let misplaced = |f: &PairFit| {
+        let first = f.observations.iter().map(|s| s.arc_mm).fold(f64::INFINITY, f64::min);
+        let points = f.model.shape(&f.state).points;
+        let near = ((NEAR_ROOT_MM / f.model.step_mm) as usize).min(points.len());
+        let bend = points[..near]
+            .windows(3)
+            .map(|w| (w[1] - w[0]).angle(&(w[2] - w[1])) / f.model.step_mm)
+            .fold(0.0, f64::max);
+        f.root_aside_mm > 0.0 || first > UNSEEN_MM || 0.5 * diameter_mm * bend > MAX_STRAIN
+    };
+    let votes: Vec<bool> = fits.iter().flatten().map(misplaced).collect();
+    2 * votes.iter().filter(|v| **v).count() > votes.len()
+}
+
+fn load(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    files: &PairFiles,
+    background: Option<&[Picture; 2]>,
+    times: &StageClock,
+) -> Result<Loaded, String> {
+    let (Some(left), Some(right)) = (&files.left, &files.right) else {
+        return Err(format!(
+            "the {} picture is missing",
+            if files.left.is_none() { "left" } else { "right" }
+        ));
+    };
+    let read = |path: &std::path::PathBuf, camera: usize| {
+        let picture = times.time(Stage::Reading, || Picture::read(path)).map_err(|e| e.to_string())?;
+        let expected = stereo.cameras[camera].image_size_px;
+        if [picture.width, picture.height] != expected {
+            return Err(format!(
+                "{}: expected {}x{} px as calibrated, found {}x{}",
+                path.display(),
+                expected[0],
+                expected[1],
+                picture.width,
+                picture.height
+            ));
+        }
+        match picture.unusable() {
+            Some(why) => Err(format!("{}: {why}", path.display())),
+            None => Ok(picture),
+        }
+    };
+    let pictures = [read(left, 0)?, read(right, 1)?];
+    if pictures[0] == pictures[1] {
+        return Err("the left and the right picture are the same".into());
+    }
+    let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
+    let mut tags = Vec::new();
+    for (camera, picture) in pictures.iter().enumerate() {
+        for family in &families {
+            let search = |search| {
+                let found = times
+                    .time(Stage::Tags, || find_tags(picture, family, Some(&stereo.cameras[camera]), search));
+                found.map_err(|e| e.to_string())
+            };
+            let mut found = search(Search::StrongContrast)?;
+            for wider in [Search::Halved, Search::Whole] {
+                let mut wanted = rig.tags.iter().filter(|t| t.family == **family);
+                let all = wanted.all(|t| found.iter().any(|f| f.id == t.id));
+                // Where the tags that are seen are large, one that is not seen at half size is not there.
+                let large = |f: &Tag| (f.corners_px[1] - f.corners_px[0]).norm() > LARGE_TAG_PX;
+                if all || (wider == Search::Whole && found.iter().any(large)) {
+                    break;
+                }
+                found = search(wider)?;
+            }
+            tags.extend(found.into_iter().map(|t| (camera, t)));
+        }
+    }
+    let pictures = match background {
+        Some(empty) => std::array::from_fn(|k| pictures[k].less(&empty[k])),
+        None => pictures,
+    };
+    Ok(Loaded { name: files.name.clone(), pictures, tags })
+}
+
+/// How freely the root may lie, and an earlier fit to go on from.
+struct Attempt<'a> {
+    root_sd: [f64; 2],
+    start: Option<&'a PairFit>,
+}
+
+fn fit_one(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    loaded: &Loaded,
+    base: Option<&FolderBase>,
+    index: usize,
+    Attempt { root_sd, start }: Attempt<'_>,
+    times: &StageClock,
+) -> Result<PairFit, String> {
+    let own = base_observations(rig, &loaded.tags);
+    let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
+    // A pair without its base tag cannot show that the base still stood where it was.
+    if own.is_empty() {
+        return Err(missing_tag(rig, loaded));
+    }
+    let pose = if base.moved.contains(&index) {
+        tag_pose::body_pose(stereo, &own).ok_or("the base tag's pose has no solution")?
+    } else {
+        base.pose.clone()
+    };
+    let off_px = tag_pose::residual_rms_px(stereo, &own, &pose.left_from_body);
+    if off_px > TAG_MISFIT_PX {
+        return Err(exchanged_or_foreign(base, &own, off_px));
+    }
+    for tag in rig.tags.iter().filter(|t| t.base_from_tag.is_none()) {
+        let seen = observations_of(tag, &loaded.tags);
+        let moved = tag_pose::body_pose(stereo, &seen)
+            .map(|own| tag_pose::residual_rms_px(stereo, &seen, &own.left_from_body))
+            .filter(|off_px| *off_px > TAG_MISFIT_PX);
+        if let Some(off_px) = moved {
+            return Err(format!(
+                "tag {} {} lies {off_px:.1} px from any pose that both cameras share: pictures not taken together, or another tag size",
+                tag.family, tag.id
+            ));
+        }
+    }
+    let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
+    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start, times)
+}
+
+/// Why the base tag's corners fit no pose.
+fn exchanged_or_foreign(base: &FolderBase, own: &[tag_pose::TagObservation], off_px: f64) -> String {
+    let as_in_the_other_camera = own.iter().all(|s| {
+        base.observations.iter().any(|b| {
+            let near = |k: usize| (b.tag.corners_px[k] - s.tag.corners_px[k]).norm() < 3.0 * TAG_MISFIT_PX;
+            b.camera != s.camera && b.tag.id == s.tag.id && (0..4).all(near)
+        })
+    });
+    let cause = if as_in_the_other_camera {
+        "the left and the right picture are swapped"
+    } else {
+        "left and right swapped, pictures not taken together, cameras moved since they were calibrated, or another tag size"
+    };
+    format!("the base tag's corners lie {off_px:.1} px from any pose that both cameras share: {cause}")
+}
+
+fn missing_tag(rig: &Rig, loaded: &Loaded) -> String {
+    let wanted: Vec<String> = rig
+        .tags
+        .iter()
+        .filter(|t| t.base_from_tag.is_some())
+        .map(|t| format!("{} {}", t.family, t.id))
+        .collect();
+    let found: BTreeSet<String> = loaded.tags.iter().map(|(_, t)| format!("{} {}", t.family, t.id)).collect();
+    let found = if found.is_empty() {
+        "no tag".to_string()
+    } else {
+        found.into_iter().collect::<Vec<_>>().join(", ")
+    };
+    format!("expected the base tag ({}), found {found}", wanted.join(", "))
+}

@@ -1,0 +1,253 @@
+//! The base's correction that all pairs of a folder agree on, and the covariance of each pair's curve: the pictures' noise, the
+//! base that they share, and the calibration's own uncertainty.
+//!
+//! ```text
+//! pair i: [B_i  K_i] [x]   [g_i]     M_i = B_i - K_i C_i^-1 K_i^T,  h_i = g_i - K_i C_i^-1 f_i      x: base,  c_i: curve
+//!         [K_i' C_i] [c] = [f_i]     (I_tags + sum M_i) x = sum h_i
+//! covariance_i = N_i^-1 + G_i C_cal G_i^T,   G_i = N_i^-1 d(gradient) / d(calibration)
+//! ```
+//! N_i: pair i's normal matrix with what tags and other pairs say about the base. G_i is the implicit function theorem at the minimum:
+//! the calibration is no parameter of the fit but moves its solution. Sources: JCGM 102:2011, 6.2 (propagation through a fitted model);
+//! Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
+
+use crate::rigid::updated;
+use crate::shape::curve_fit::{Prior, linearise, observation_residuals, stepped, with_prior};
+use crate::shape::pair_fit::PairFit;
+use crate::stereo::StereoCameras;
+use crate::tags::base_pose::FolderBase;
+use crate::tags::pose as tag_pose;
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
+use rayon::prelude::*;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+/// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the camera's tone curve on unequal sides.
+const LINE_FLOOR_WIDTHS: f64 = 0.004;
+/// Width in blurs above which a picture resolves the light across the wire, and that shift grows with the width.
+const RESOLVED_BLURS: f64 = 3.5;
+
+/// The base correction shared by the folder.
+pub(crate) struct Joint {
+    /// Base correction that all agree on.
+    step: Vector6<f64>,
+    /// How far the wires pull the base off its tags, in chi2 of 6 degrees of freedom.
+    pub(crate) disagreement: f64,
+}
+
+impl Joint {
+    pub(crate) fn new(base: &FolderBase, fits: &[Result<PairFit, String>], root_sd: [f64; 2]) -> Self {
+        let mut information = base.pose.information;
+        let mut rhs = Vector6::zeros();
+        for (k, fit) in fits.iter().enumerate() {
+            if let Ok(fit) = fit
+                && !base.moved.contains(&k)
+                && let Some(part) = SchurComplement::new(fit, root_sd)
+            {
+                information += part.information;
+                rhs += part.rhs;
+            }
+        }
+        let step = information.cholesky().map_or_else(Vector6::zeros, |c| c.solve(&rhs));
+        let disagreement = (step.transpose() * base.pose.information * step)[0];
+        Self { step, disagreement }
+    }
+
+    /// Moves a pair to the joint base and lets its curve follow.
+    pub(crate) fn apply(&self, stereo: &StereoCameras, fit: &mut PairFit, root_sd: [f64; 2]) {
+        let moved = fit.left_from_base * updated(&Isometry3::identity(), &self.step);
+        fit.left_from_base = moved;
+        for _ in 0..3 {
+            let system = linearise(stereo, &moved, &fit.model, &fit.state, &fit.observations, fit.noise);
+            let (mut h, g) = with_prior(&system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+            for k in 0..6 {
+                h[(k, k)] += 1e15;
+            }
+            let Some(c) = h.cholesky() else { return };
+            fit.state = stepped(&moved, &fit.state, &c.solve(&g)).1;
+        }
+        fit.system = linearise(stereo, &moved, &fit.model, &fit.state, &fit.observations, fit.noise);
+    }
+}
+
+/// Covariance of base correction and curve parameters, and their derivative by the calibration.
+pub struct PairUncertainty {
+    /// (6 + parameters) square.
+    pub covariance: DMatrix<f64>,
+    /// Rows as above, a column for each parameter of the cameras.
+    pub by_calibration: DMatrix<f64>,
+    /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
+    pub shared_mm: f64,
+}
+
+/// The left camera's axis in the base frame.
+pub(crate) fn depth_axis(fit: &PairFit) -> nalgebra::Vector3<f64> {
+    fit.left_from_base.inverse().rotation * nalgebra::Vector3::z()
+}
+
+/// Uncertainty of every fitted pair.
+pub(crate) fn uncertainties(
+    stereo: &StereoCameras,
+    base: &FolderBase,
+    fits: &[Result<PairFit, String>],
+    root_sd: [f64; 2],
+) -> Vec<Option<PairUncertainty>> {
+    type Part = (SchurComplement, DMatrix<f64>, DMatrix<f64>);
+    let parts: Vec<Option<Part>> = fits
+        .par_iter()
+        .map(|fit| {
+            let fit = fit.as_ref().ok()?;
+            let part = SchurComplement::new(fit, root_sd)?;
+            let full = sensitivity(stereo, fit);
+            let reduced = part.eliminate(&full);
+            Some((part, full, reduced))
+        })
+        .collect();
+    let tags = tag_sensitivity(stereo, base);
+    let mut information = base.pose.information;
+    let mut pull = tags.clone();
+    for (k, part) in parts.iter().enumerate() {
+        if let Some((part, _, reduced)) = part
+            && !base.moved.contains(&k)
+        {
+            information += part.information;
+            pull += reduced;
+        }
+    }
+    fits.par_iter()
+        .enumerate()
+        .map(|(k, fit)| {
+            let fit = fit.as_ref().ok()?;
+            let (part, full, reduced) = parts[k].as_ref()?;
+            // What others say about the base. One that stands elsewhere has its own tags only, seen by the same cameras.
+            let (others, their_pull) = if base.moved.contains(&k) {
+                (fit.base_information, tags.clone())
+            } else {
+                (information - part.information, &pull - reduced)
+            };
+            covariance(stereo, fit, root_sd, &others, &their_pull, full.clone())
+        })
+        .collect()
+}
+
+fn covariance(
+    stereo: &StereoCameras,
+    fit: &PairFit,
+    root_sd: [f64; 2],
+    others: &Matrix6<f64>,
+    their_pull: &DMatrix<f64>,
+    mut by_calibration: DMatrix<f64>,
+) -> Option<PairUncertainty> {
+    let (mut full, _) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+    let mut of_base = full.fixed_view_mut::<6, 6>(0, 0);
+    of_base += others;
+    let mut pull = by_calibration.rows_mut(0, 6);
+    pull += their_pull;
+    let mut covariance = full.cholesky()?.inverse();
+    let response = &covariance * by_calibration;
+    if let Some(c) = &stereo.covariance {
+        covariance += &response * c * response.transpose();
+    }
+    // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b), and a width is f d / z pixels.
+    let depth_mm = fit.left_from_base.translation.vector.norm();
+    let baseline_mm = stereo.right_from_left.translation.vector.norm();
+    let by_width_mm = fit.diameter_mm * depth_mm / baseline_mm;
+    let width_px = fit.diameter_mm * stereo.cameras[0].focal_px[0] / depth_mm;
+    let blur_px = 0.5 * (fit.appearances[0].blur_px + fit.appearances[1].blur_px);
+    let resolved = (width_px / (RESOLVED_BLURS * blur_px)).max(1.0);
+    Some(PairUncertainty {
+        covariance,
+        by_calibration: response,
+        shared_mm: LINE_FLOOR_WIDTHS * resolved * by_width_mm,
+    })
+}
+
+fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
+    Prior { base: Matrix6::zeros(), base_offset: Vector6::zeros(), root_sd, smoothing }
+}
+
+/// A pair's information on the base with the curve eliminated.
+struct SchurComplement {
+    information: Matrix6<f64>,
+    rhs: Vector6<f64>,
+    /// 6 x parameters: what the curve carries over to the base.
+    carried: DMatrix<f64>,
+}
+
+impl SchurComplement {
+    fn new(fit: &PairFit, root_sd: [f64; 2]) -> Option<Self> {
+        let (h, g) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
+        let n = h.nrows() - 6;
+        let cross = h.view((0, 6), (6, n)).into_owned();
+        let own = h.view((6, 6), (n, n)).into_owned().cholesky()?;
+        let carried = own.solve(&cross.transpose()).transpose();
+        let information = h.view((0, 0), (6, 6)) - &carried * cross.transpose();
+        let rhs = g.rows(0, 6) - &carried * g.rows(6, n);
+        Some(Self {
+            information: Matrix6::from_iterator(information.iter().copied()),
+            rhs: Vector6::from_iterator(rhs.iter().copied()),
+            carried,
+        })
+    }
+
+    /// The base's rows of right-hand sides with the curve eliminated.
+    fn eliminate(&self, full: &DMatrix<f64>) -> DMatrix<f64> {
+        full.rows(0, 6) - &self.carried * full.rows(6, full.nrows() - 6)
+    }
+}
+
+/// Derivative of the observations' right-hand side by the calibration.
+fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
+    let points = fit.model.shape(&fit.state).points;
+    let residuals = |s: &StereoCameras| {
+        observation_residuals(s, &fit.left_from_base, &points, fit.model.step_mm, &fit.observations)
+    };
+    let now = residuals(stereo);
+    let mut out = DMatrix::zeros(fit.system.data.nrows(), stereo.parameters());
+    for k in 0..stereo.parameters() {
+        let h = stereo.difference_step(k);
+        let there = residuals(&stereo.moved(k, h));
+        let change = DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
+        out.set_column(k, &(&fit.system.rows_weighted * change));
+    }
+    out
+}
+
+/// Derivative of the base tags' right-hand side by the calibration.
+fn tag_sensitivity(stereo: &StereoCameras, base: &FolderBase) -> DMatrix<f64> {
+    let pose = &base.pose.left_from_body;
+    let gradient = |s: &StereoCameras| {
+        tag_pose::linearise(s, &base.observations, pose).map_or_else(Vector6::zeros, |l| l.2)
+    };
+    let now = gradient(stereo);
+    let mut out = DMatrix::zeros(6, stereo.parameters());
+    for k in 0..stereo.parameters() {
+        let h = stereo.difference_step(k);
+        out.set_column(k, &((gradient(&stereo.moved(k, h)) - now) / h));
+    }
+    out
+}
+
+/// Radius over sqrt(chi2_2(0.95)) that holds 95 % of a plane Gaussian with these variances (Satterthwaite's approximation).
+pub(crate) fn planar_sd(a: f64, b: f64) -> f64 {
+    let mean = a + b;
+    if !(mean > 0.0) || !mean.is_finite() {
+        return f64::NAN;
+    }
+    let variance = 2.0 * (a * a + b * b);
+    let degrees = 2.0 * mean * mean / variance;
+    let quantile = ChiSquared::new(degrees).map_or(5.991, |c| c.inverse_cdf(0.95));
+    (variance / (2.0 * mean) * quantile / 5.991_464_547).sqrt()
+}
+
+/// Position covariance of a node, base frame.
+pub(crate) fn node_covariance(
+    fit: &PairFit,
+    jacobian: &DMatrix<f64>,
+    node: usize,
+    u: &PairUncertainty,
+) -> Matrix3<f64> {
+    let n = fit.model.parameters();
+    let j = jacobian.columns(3 * node, 3);
+    let c = u.covariance.view((6, 6), (n, n));
+    let m = j.tr_mul(&(c * j));
+    Matrix3::from_iterator(m.iter().copied()) + Matrix3::identity() * u.shared_mm * u.shared_mm
+}

@@ -1,0 +1,248 @@
+//! A safe face for the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of the project with `unsafe` code.
+#![allow(unsafe_code)]
+
+use crate::error::VisionError;
+use crate::picture::Picture;
+use apriltag_sys as sys;
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+/// A detection as the library states it, its corners moved to pixel centres at integers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RawTag {
+    /// Family, e.g. `tag36h11`.
+    pub family: String,
+    /// Number.
+    pub id: u32,
+    /// Bits that had to be corrected.
+    pub hamming: u32,
+    /// Contrast of the decision, DN; larger is safer.
+    pub decision_margin: f64,
+    /// Corners, px, in the tag's frame (x right, y down): (-,+), (+,+), (+,-), (-,-).
+    pub corners_px: [[f64; 2]; 4],
+}
+
+type Create = unsafe extern "C" fn() -> *mut sys::apriltag_family_t;
+type Destroy = unsafe extern "C" fn(*mut sys::apriltag_family_t);
+
+/// Names of the families that can be detected.
+pub const FAMILIES: [&str; 6] =
+    ["tag36h11", "tag25h9", "tag16h5", "tagStandard41h12", "tagStandard52h13", "tagCircle21h7"];
+
+fn family(name: &str) -> Option<(Create, Destroy)> {
+    Some(match name {
+        "tag36h11" => (sys::tag36h11_create, sys::tag36h11_destroy),
+        "tag25h9" => (sys::tag25h9_create, sys::tag25h9_destroy),
+        "tag16h5" => (sys::tag16h5_create, sys::tag16h5_destroy),
+        "tagStandard41h12" => (sys::tagStandard41h12_create, sys::tagStandard41h12_destroy),
+        "tagStandard52h13" => (sys::tagStandard52h13_create, sys::tagStandard52h13_destroy),
+        "tagCircle21h7" => (sys::tagCircle21h7_create, sys::tagCircle21h7_destroy),
+        _ => return None,
+    })
+}
+
+/// AprilTag's origin is the corner of the first pixel; here it is the pixel's centre.
+const CENTRE_OFFSET: f64 = 0.5;
+
+struct Handles {
+    detector: *mut sys::apriltag_detector_t,
+    family: *mut sys::apriltag_family_t,
+    destroy_family: Destroy,
+}
+
+impl Drop for Handles {
+    fn drop(&mut self) {
+        // SAFETY: both come from their `_create` functions, are not null and are destroyed once; the detector goes first,
+        // since it frees the quick-decode table that it hung on the family.
+        unsafe {
+            sys::apriltag_detector_destroy(self.detector);
+            (self.destroy_family)(self.family);
+        }
+    }
+}
+
+thread_local! {
+    /// A family's table of codes with up to two wrong bits takes longer to make than a picture to search: each thread keeps its own.
+    static DETECTORS: RefCell<HashMap<&'static str, Handles>> = RefCell::default();
+}
+
+impl Handles {
+    fn new(create: Create, destroy_family: Destroy) -> Option<Self> {
+        // SAFETY: both are checked before use; `add_family_bits` takes a detector and a family that outlive it in `Handles`.
+        unsafe {
+            let (family, detector) = (create(), sys::apriltag_detector_create());
+            if family.is_null() || detector.is_null() {
+                return None;
+            }
+            (*detector).nthreads = 1;
+            sys::apriltag_detector_add_family_bits(detector, family, 2);
+            Some(Self { detector, family, destroy_family })
+        }
+    }
+}
+
+/// A part of a picture: the first column and row in it and the first beyond, px; and how coarsely it is searched.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// First column and row.
+    pub low: [usize; 2],
+    /// Column and row after the last.
+    pub high: [usize; 2],
+    /// Quads are sought in a picture smaller by this factor, 1 or more (above 1 their edges are fitted at full size).
+    pub decimate: f32,
+}
+
+impl Region {
+    /// All of a picture.
+    #[must_use]
+    pub fn whole(picture: &Picture) -> Self {
+        Self { low: [0, 0], high: [picture.width, picture.height], decimate: 1.0 }
+    }
+
+    /// The smallest region that holds both, searched as the finer one.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        Self {
+            low: [0, 1].map(|k| self.low[k].min(other.low[k])),
+            high: [0, 1].map(|k| self.high[k].max(other.high[k])),
+            decimate: self.decimate.min(other.decimate),
+        }
+    }
+
+    /// Pixels.
+    #[must_use]
+    pub fn area(&self) -> usize {
+        [0, 1].map(|k| self.high[k].saturating_sub(self.low[k])).iter().product()
+    }
+}
+
+/// Contrast of a border below which the library does not look, DN: its own value.
+pub const MIN_CONTRAST: u8 = 5;
+
+/// Detects the tags of one family in regions of a picture, with borders of at least this contrast (DN). The corners are those of the quad.
+/// A tag in two regions is listed twice.
+///
+/// # Errors
+/// Where the family is unknown or the library gives no detector.
+pub fn detect(
+    picture: &Picture,
+    family_name: &str,
+    regions: &[Region],
+    min_contrast: u8,
+) -> Result<Vec<RawTag>, VisionError> {
+    let known = FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
+    let (name, (create, destroy_family)) = known.ok_or_else(|| {
+        VisionError::result(
+            "detect tags",
+            format!("one of the families {}", FAMILIES.join(", ")),
+            family_name,
+        )
+    })?;
+    // Rows are copied to a stride of a multiple of 96: the library reads past the row otherwise for some widths.
+    let stride = picture.width.div_ceil(96) * 96;
+    // A row more, since a region's last row may begin anywhere in its own.
+    let mut buffer = vec![0u8; stride * (picture.height + 1)];
+    for (row, source) in buffer.chunks_exact_mut(stride).zip(picture.data.chunks_exact(picture.width)) {
+        row[..picture.width].copy_from_slice(source);
+    }
+    DETECTORS.with_borrow_mut(|all| {
+        let handles = match all.entry(name) {
+            Entry::Occupied(kept) => kept.into_mut(),
+            Entry::Vacant(place) => {
+                place.insert(Handles::new(create, destroy_family).ok_or_else(|| {
+                    VisionError::result("detect tags", "a detector", "none (out of memory?)")
+                })?)
+            }
+        };
+        let size = [picture.width, picture.height];
+        let inside = |r: &&Region| (0..2).all(|k| r.low[k] < r.high[k] && r.high[k] <= size[k]);
+        let found = regions.iter().filter(inside).flat_map(|r| {
+            let mut image = sys::image_u8_t {
+                width: (r.high[0] - r.low[0]) as i32,
+                height: (r.high[1] - r.low[1]) as i32,
+                stride: stride as i32,
+                buf: buffer[r.low[1] * stride + r.low[0]..].as_mut_ptr(),
+            };
+            handles.detect(name, &mut image, r, min_contrast)
+        });
+        Ok(found.collect())
+    })
+}
+
+impl Handles {
+    /// Tags of a region whose header points to its first pixel in a buffer of at least `stride * height` bytes from there.
+    fn detect(
+        &mut self,
+        family_name: &str,
+        image: &mut sys::image_u8_t,
+        region: &Region,
+        min_contrast: u8,
+    ) -> Vec<RawTag> {
+        // SAFETY: the detector lives as long as `self`; the picture's buffer outlives the call, which keeps no pointer to it;
+        // every detection is read before the array is destroyed.
+        unsafe {
+            (*self.detector).quad_decimate = region.decimate.max(1.0);
+            // At full size this loses small tags, and `tags` fits the edges better.
+            (*self.detector).refine_edges = region.decimate > 1.0;
+            (*self.detector).qtp.min_white_black_diff = i32::from(min_contrast);
+            // The library makes no quad of fewer points, but sorts them first.
+            (*self.detector).qtp.min_cluster_pixels = 24;
+            let found = sys::apriltag_detector_detect(self.detector, image);
+            if found.is_null() {
+                return Vec::new();
+            }
+            let mut tags = Vec::with_capacity((*found).size.max(0) as usize);
+            for k in 0..(*found).size {
+                let element =
+                    (*found).data.add(k as usize * (*found).el_sz).cast::<*mut sys::apriltag_detection_t>();
+                let detection = &**element;
+                tags.push(RawTag {
+                    family: family_name.to_string(),
+                    id: detection.id.max(0) as u32,
+                    hamming: detection.hamming.max(0) as u32,
+                    decision_margin: f64::from(detection.decision_margin),
+                    corners_px: detection
+                        .p
+                        .map(|p| [0, 1].map(|k| region.low[k] as f64 + p[k] - CENTRE_OFFSET)),
+                });
+            }
+            sys::apriltag_detections_destroy(found);
+            tags
+        }
+    }
+}
+
+/// The picture of a tag, one pixel a cell, its white margin included.
+///
+/// # Errors
+/// Where the family or the number is unknown.
+pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
+    let unknown =
+        || VisionError::result("draw a tag", "a tag of a known family", format!("{family_name} {id}"));
+    let (create, destroy) = family(family_name).ok_or_else(unknown)?;
+    // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
+    // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
+    unsafe {
+        let family = create();
+        if family.is_null() {
+            return Err(unknown());
+        }
+        if id >= (*family).ncodes {
+            destroy(family);
+            return Err(unknown());
+        }
+        let image = sys::apriltag_to_image(family, id);
+        let (width, height, stride) =
+            ((*image).width as usize, (*image).height as usize, (*image).stride as usize);
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                data.push(*(*image).buf.add(y * stride + x));
+            }
+        }
+        sys::image_u8_destroy(image);
+        destroy(family);
+        Picture::new(width, height, data)
+    }
+}

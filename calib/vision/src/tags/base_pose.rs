@@ -1,0 +1,174 @@
+//! The base's pose from its tags in all pairs of a folder: the base stands still, so that corners may be averaged over pairs.
+//!
+//! The rig only shifts, so that its orientation is shared as well: pair i's information on a turn w, its shift eliminated, is
+//! `M_i = I_ww - I_wt I_tt^-1 I_tw`; the shared turn is `(sum M_i)^-1 sum M_i w_i`, accepted where `chi2 = sum (w_i - w)' M_i (w_i - w)` is
+//! no more than noise explains, and each shift follows it by `-I_tt^-1 I_tw w`.
+//! Source: block elimination of normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6).
+
+use crate::calibrate::initial::median;
+use crate::rig::{Rig, RigTag};
+use crate::stereo::StereoCameras;
+use crate::tags::detection::Tag;
+use crate::tags::pose::{BodyPose, TagObservation, body_pose};
+use nalgebra::{Isometry3, Vector2};
+use std::collections::BTreeMap;
+
+/// Corners that differ from the folder's by more than this many sd belong to a base that has moved.
+const MOVED_SD: f64 = 6.0;
+/// Repeatability of a corner between pictures beyond its stated sd, px.
+const REPEAT_PX: f64 = 0.04;
+
+/// Tags of one pair: camera (0 left, 1 right) and tag.
+pub type PairTags = Vec<(usize, Tag)>;
+
+/// The folder's base.
+#[derive(Debug, Clone)]
+pub struct FolderBase {
+    /// Pose from the averaged corners.
+    pub pose: BodyPose,
+    /// The averaged observations.
+    pub observations: Vec<TagObservation>,
+    /// Pairs in which the base stands elsewhere.
+    pub moved: Vec<usize>,
+}
+
+fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
+    let known = rig.tags.iter().find(|t| t.id == tag.id && t.family == tag.family)?;
+    Some(TagObservation {
+        camera,
+        tag: tag.clone(),
+        size_mm: known.size_mm,
+        body_from_tag: known.base_from_tag?,
+    })
+}
+
+/// Base tags of one pair alone.
+#[must_use]
+pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
+    tags.iter().filter_map(|(camera, tag)| observation(rig, *camera, tag)).collect()
+}
+
+/// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair shows a base tag.
+#[must_use]
+pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Option<FolderBase> {
+    let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
+    for (k, tags) in pairs.iter().enumerate() {
+        for (camera, tag) in tags.iter().filter(|(c, t)| observation(rig, *c, t).is_some()) {
+            groups.entry((*camera, tag.id)).or_default().push((k, tag.clone()));
+        }
+    }
+    let mut moved = Vec::new();
+    let mut averaged = Vec::new();
+    for ((camera, _), seen) in &groups {
+        let typical: [Vector2<f64>; 4] = std::array::from_fn(|c| {
+            let axis = |d: usize| median(&seen.iter().map(|(_, t)| t.corners_px[c][d]).collect::<Vec<_>>());
+            Vector2::new(axis(0), axis(1))
+        });
+        let (still, other): (Vec<_>, Vec<_>) = seen.iter().partition(|(_, t)| {
+            (0..4).all(|c| {
+                let sd = (0.5 * t.covariances_px2[c].trace()).sqrt().hypot(REPEAT_PX);
+                (t.corners_px[c] - typical[c]).norm() < MOVED_SD * sd
+            })
+        });
+        moved.extend(other.iter().map(|(k, _)| *k));
+        let Some((_, first)) = still.first() else { continue };
+        let n = still.len() as f64;
+        let mut mean = first.clone();
+        for c in 0..4 {
+            mean.corners_px[c] = still.iter().map(|(_, t)| t.corners_px[c]).sum::<Vector2<f64>>() / n;
+            mean.covariances_px2[c] =
+                still.iter().map(|(_, t)| t.covariances_px2[c]).sum::<nalgebra::Matrix2<f64>>() / (n * n);
+        }
+        averaged.extend(observation(rig, *camera, &mean));
+    }
+    moved.sort_unstable();
+    moved.dedup();
+    let pose = body_pose(stereo, &averaged)?;
+    Some(FolderBase { pose, observations: averaged, moved })
+}
+
+/// Poses of the rig tag in every pair that shows it, the orientation shared where the pictures allow it: the stage only shifts the rig.
+#[derive(Debug, Clone)]
+pub struct RigPose {
+    /// Pose in the left camera's frame.
+    pub left_from_tag: Isometry3<f64>,
+    /// Information on a correction in the tag's frame; the rotation's part is that of the shared orientation.
+    pub information: nalgebra::Matrix6<f64>,
+    /// Sightings.
+    pub observations: Vec<TagObservation>,
+}
+
+/// Rig tag poses, one entry a pair. The second value says whether the orientation was shared.
+#[must_use]
+pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> (Vec<Option<RigPose>>, bool) {
+    let Some(groove) = &rig.groove else { return (vec![None; pairs.len()], false) };
+    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else {
+        return (vec![None; pairs.len()], false);
+    };
+    let alone: Vec<Option<RigPose>> = pairs
+        .iter()
+        .map(|tags| {
+            let observations = observations_of(known, tags);
+            let pose = body_pose(stereo, &observations)?;
+            Some(RigPose { left_from_tag: pose.left_from_body, information: pose.information, observations })
+        })
+        .collect();
+    share_orientation(alone)
+}
+
+/// Sightings of one tag in its own frame.
+#[must_use]
+pub fn observations_of(known: &RigTag, tags: &PairTags) -> Vec<TagObservation> {
+    tags.iter()
+        .filter(|(_, t)| t.id == known.id && t.family == known.family)
+        .map(|(camera, tag)| TagObservation {
+            camera: *camera,
+            tag: tag.clone(),
+            size_mm: known.size_mm,
+            body_from_tag: Isometry3::identity(),
+        })
+        .collect()
+}
+
+fn share_orientation(mut poses: Vec<Option<RigPose>>) -> (Vec<Option<RigPose>>, bool) {
+    use nalgebra::{Matrix3, Vector3};
+    let Some(reference) = poses.iter().flatten().next().map(|p| p.left_from_tag.rotation) else {
+        return (poses, false);
+    };
+    let blocks = |p: &RigPose| {
+        let i = &p.information;
+        let ww: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
+        let wt: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();
+        let tt: Matrix3<f64> = i.fixed_view::<3, 3>(3, 3).into_owned();
+        let inverse = tt.try_inverse()?;
+        Some((ww - wt * inverse * wt.transpose(), wt, tt, inverse))
+    };
+    let (mut total, mut pull, mut turns) = (Matrix3::zeros(), Vector3::zeros(), Vec::new());
+    for p in poses.iter().flatten() {
+        let Some((marginal, ..)) = blocks(p) else { return (poses, false) };
+        let turn = (reference.inverse() * p.left_from_tag.rotation).scaled_axis();
+        total += marginal;
+        pull += marginal * turn;
+        turns.push((marginal, turn));
+    }
+    let Some(mean) = total.try_inverse().map(|t| t * pull) else { return (poses, false) };
+    let chi2: f64 = turns.iter().map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0]).sum();
+    let degrees = 3.0 * (turns.len() as f64 - 1.0);
+    // Twice the noise stated is still noise; a rig that turns differs by far more.
+    if turns.len() < 2 || chi2 > 4.0 * degrees + 12.0 {
+        return (poses, false);
+    }
+    let shared = reference * nalgebra::UnitQuaternion::from_scaled_axis(mean);
+    for p in poses.iter_mut().flatten() {
+        let Some((_, wt, tt, inverse)) = blocks(p) else { continue };
+        let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
+        // The position that goes with the shared orientation.
+        let shift = -(inverse * wt.transpose() * turn);
+        let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * shift;
+        p.left_from_tag = Isometry3::from_parts(moved.into(), shared);
+        let ww = total + wt * inverse * wt.transpose();
+        p.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&ww);
+        p.information.fixed_view_mut::<3, 3>(3, 3).copy_from(&tt);
+    }
+    (poses, true)
+}

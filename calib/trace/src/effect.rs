@@ -120,7 +120,7 @@ impl<'a> Values<'a> {
 
 /// An effect of a catalogue.
 pub trait Effect: Send + Sync {
-    /// Identifier of FORMATS.md.
+    /// Identifier of docs/src/formats.md.
     fn id(&self) -> &'static str;
     /// Laws, the plainest first.
     fn laws(&self) -> Vec<EffectModel>;

@@ -23,7 +23,7 @@ use crate::effect::{EffectModel, Parameter, Role};
 use crate::whisker::WhiskerEffect;
 use std::sync::Arc;
 
-/// Every effect of FORMATS.md for kind "whisker".
+/// Every effect of docs/src/formats.md for kind "whisker".
 #[must_use]
 pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
     vec![

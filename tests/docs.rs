@@ -200,7 +200,9 @@ fn keys(table: &toml::Table, out: &mut BTreeSet<String>) {
 
 /// Whether the reference has a key or table in backticks.
 fn names(reference: &str, key: &str) -> bool {
-    [format!("`{key}`"), format!("`[{key}]`"), format!("`[[{key}]]`")].iter().any(|name| reference.contains(name))
+    [format!("`{key}`"), format!("`[{key}]`"), format!("`[[{key}]]`")]
+        .iter()
+        .any(|name| reference.contains(name))
 }
 
 /// Keys of a text that the reference does not have.

@@ -72,7 +72,7 @@ fn dead_links(name: &str, page: &str) -> Vec<String> {
         }
         let (path, anchor) = target.split_once('#').map_or((target.as_str(), None), |(p, a)| (p, Some(a)));
         let file = if path.is_empty() { repository(name) } else { folder.join(path) };
-        let lacks = |a: &str| fs::read_to_string(&file).map_or(true, |text| !anchors(&text).contains(a));
+        let lacks = |a: &str| !fs::read_to_string(&file).is_ok_and(|text| anchors(&text).contains(a));
         !file.exists() || anchor.is_some_and(lacks)
     };
     targets.filter(dead).collect()
@@ -147,7 +147,8 @@ fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<Stri
 fn every_command_and_option_that_a_page_names_is_there() {
     let commands = commands();
     assert!(commands.len() > 18, "{:?}", commands.keys());
-    for (name, page) in pages() {
+    // The changelog tells of what went.
+    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
         assert_eq!(unknown_commands(&page, &commands), Vec::<String>::new(), "{name}");
     }
     let bad = "`wcal verify S --out D` `wcal brew tea`\n```sh\nwcal verify S --sugar 2\n```\n";

@@ -83,10 +83,7 @@ pub fn documents(folder: &Path) -> Vec<Written> {
         let mut all: Vec<Written> = parts.into_iter().flat_map(|p| p.join().unwrap()).collect();
         // Needs a calibration of the first and a recording of the third.
         place.run(&format!("track session {TRACK} stream.csv"), &[3, 4, 0]);
-        place.run(
-            &format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv --surface"),
-            &[3, 4, 0],
-        );
+        place.run(&format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv"), &[3, 4, 0]);
         all.extend([place.file("track", "stream.json"), place.file("track", "table.json")]);
         all
     })

@@ -7,12 +7,15 @@
 
 #[path = "schemas/page.rs"]
 mod page;
+#[path = "schemas/validator.rs"]
+mod validator;
 #[path = "schemas/written.rs"]
 mod written;
 
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use validator::{errors, faults};
 
 /// Schemas whose documents are not written here, and why; a document by hand stands for them below.
 const BY_HAND: [(&str, &str); 2] =
@@ -48,12 +51,6 @@ fn closed(schema: &Value) -> Value {
         Value::Array(items) => items.iter().map(closed).collect(),
         other => other.clone(),
     }
-}
-
-/// What in a document is not as its schema says.
-fn errors(schema: &Value, document: &Value) -> Vec<String> {
-    let validator = jsonschema::draft202012::new(schema).unwrap();
-    validator.iter_errors(document).map(|e| format!("{}: {e}", e.instance_path())).collect()
 }
 
 /// A value that is none of what stands there: a number for what holds others, an empty object for the rest.
@@ -92,17 +89,61 @@ fn the_schemas_are_schemas_and_name_their_format() {
     let all = schemas();
     assert!(all.len() > 20, "{}", all.len());
     for (name, schema) in &all {
-        assert!(jsonschema::meta::is_valid(schema), "{name}: {:?}", jsonschema::meta::validate(schema).err());
+        assert_eq!(faults(schema), Vec::<String>::new(), "{name}");
         assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema", "{name}");
         assert!(closed(schema).to_string().contains("\"additionalProperties\":false"), "{name} is closed");
     }
-    assert!(!jsonschema::meta::is_valid(&json!({"type": "nothing"})), "negative control");
+    let bad = json!({"type": "nothing", "properties": {"a": {"multipleOf": 2}, "b": {"$ref": "#/$defs/none"}}, "pattern": "x+"});
+    assert_eq!(faults(&bad).len(), 4, "negative control: {:?}", faults(&bad));
+}
+
+/// Each rule of the validator on a value that keeps it and on one that does not.
+#[test]
+fn the_validator_holds_values_against_every_keyword() {
+    let sha = "0".repeat(64);
+    let rules = [
+        (json!({"type": "integer"}), json!(2.0), json!(2.5)),
+        (json!({"type": ["string", "null"]}), json!(null), json!(1)),
+        (json!({"const": 1}), json!(1.0), json!("1")),
+        (json!({"enum": ["a", "b"]}), json!("b"), json!("c")),
+        (json!({"pattern": "^[0-9a-f]{64}$"}), json!(sha), json!(sha.replace('0', "G"))),
+        (json!({"minimum": 0}), json!(0), json!(-1)),
+        (json!({"maximum": 1}), json!(1), json!(1.5)),
+        (json!({"exclusiveMinimum": 0}), json!(0.1), json!(0)),
+        (json!({"minItems": 2, "maxItems": 2}), json!([1, 2]), json!([1])),
+        (json!({"minItems": 2, "maxItems": 2}), json!([1, 2]), json!([1, 2, 3])),
+        (json!({"minProperties": 1, "maxProperties": 1}), json!({"a": 1}), json!({})),
+        (json!({"minProperties": 1, "maxProperties": 1}), json!({"a": 1}), json!({"a": 1, "b": 2})),
+        (json!({"required": ["a"]}), json!({"a": null}), json!({"b": 1})),
+        (json!({"items": {"type": "number"}}), json!([1, 2.5]), json!([1, "2"])),
+        (json!({"properties": {"a": {"type": "number"}}}), json!({"a": 1, "b": "c"}), json!({"a": "1"})),
+        (json!({"additionalProperties": {"type": "number"}}), json!({"a": 1}), json!({"a": "1"})),
+        (json!({"properties": {"a": {}}, "additionalProperties": false}), json!({"a": "1"}), json!({"b": 1})),
+        (json!({"anyOf": [{"type": "null"}, {"type": "number"}]}), json!(1), json!("1")),
+        (json!({"oneOf": [{"minimum": 1}, {"maximum": 3}]}), json!(4), json!(2)),
+        (json!({"$ref": "#/$defs/a", "$defs": {"a": {"type": "null"}}}), json!(null), json!(0)),
+    ];
+    for (schema, good, bad) in rules {
+        assert_eq!(faults(&schema), Vec::<String>::new(), "{schema}");
+        assert_eq!(errors(&schema, &good), Vec::<String>::new(), "{schema}");
+        assert_eq!(errors(&schema, &bad).len(), 1, "{schema} {bad}");
+    }
+}
+
+/// Every table that was written with the documents.
+fn columns_stand_in_the_reference(folder: &Path) {
+    let reference = std::fs::read_to_string(repository("docs/src/formats.md")).unwrap();
+    for (table, header) in written::tables(folder) {
+        assert_eq!(unnamed(&header, &reference), Vec::<&str>::new(), "{table}");
+    }
+    assert_eq!(unnamed("point,shoe_size\n", &reference), ["shoe_size"], "negative control");
 }
 
 #[test]
-fn what_the_program_writes_is_as_the_schemas_say() {
+fn what_the_program_writes_is_as_schemas_and_reference_say() {
     let (all, folder) = (schemas(), written::folder());
     let documents = written::documents(folder.path());
+    columns_stand_in_the_reference(folder.path());
     let mut wrong = Vec::new();
     for (name, from, document) in &documents {
         let found = errors(&closed(&all[*name]), document);
@@ -142,16 +183,6 @@ fn what_the_program_writes_is_as_the_schemas_say() {
 /// Columns that a reference does not name, as `column` in backticks.
 fn unnamed<'a>(header: &'a str, reference: &str) -> Vec<&'a str> {
     header.trim().split(',').filter(|c| !reference.contains(&format!("`{c}`"))).collect()
-}
-
-#[test]
-fn every_column_that_the_program_writes_stands_in_the_reference() {
-    let reference = std::fs::read_to_string(repository("docs/src/formats.md")).unwrap();
-    let folder = written::folder();
-    for (table, header) in written::tables(folder.path()) {
-        assert_eq!(unnamed(&header, &reference), Vec::<&str>::new(), "{table}");
-    }
-    assert_eq!(unnamed("point,shoe_size\n", &reference), ["shoe_size"], "negative control");
 }
 
 #[test]

@@ -84,7 +84,8 @@ pub fn documents(folder: &Path) -> Vec<Written> {
         // Needs a calibration of the first and a recording of the third.
         place.run(&format!("track session {TRACK} stream.csv"), &[3, 4, 0]);
         place.run(&format!("track fixtures/practice/case-004/points.csv {TRACK} table.csv"), &[3, 4, 0]);
-        all.extend([place.file("track", "stream.json"), place.file("track", "table.json")]);
+        place.run("track held --calibration held-verified/calibration.json --out groove.csv", &[0, 3, 4]);
+        all.extend(["stream.json", "table.json", "groove.json"].map(|name| place.file("track", name)));
         all
     })
 }
@@ -99,6 +100,11 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
     all.extend(place.verify("fixtures/whiskerfbg", "whisker-verified", &[4]));
     all.extend(place.verify("held", "held-verified", &[0]));
     all.push(place.file("unsealed", "held/unsealed.json"));
+    place.run(
+        "predict held/points.csv --calibration held-verified/calibration.json --out moments.csv",
+        &[0, 4],
+    );
+    place.run("twin fixtures/whiskerfbg --engine rod --out twin.csv", &[0, 3]);
     // A calibration that is judged, and data that are refused.
     place.run("verify held --calibration held-verified/calibration.json --out judged", &[0, 1, 3, 4]);
     all.push(place.file("verify", "judged/verify.json"));
@@ -168,7 +174,7 @@ impl Drop for Bench {
     }
 }
 
-const SCENARIO: &str = "format = \"wcal-scenario/1\"\nseed = 7\nspeed = 20\n[interrogator]\nrate_hz = 250\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
+const SCENARIO: &str = "format = \"wcal-scenario/1\"\nseed = 7\nspeed = 20\n[interrogator]\nrate_hz = 250\n[fbg]\nnominal_nm = [1545.249, 1543.606]\nreference_nominal_nm = 1542.461\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
 const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\n[settle]\ntimeout_s = 2\n[[block]]\nrole = \"calibration\"\ntrajectories = [1]\ndepths_mm = [1, 2]\n\
     [[block]]\nrole = \"holdout\"\ntrajectories = [1]\ndepths_mm = [1.5]\n";
 
@@ -178,7 +184,18 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
     write("scenario.toml", SCENARIO);
     write("plan.toml", PLAN);
     let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
-    write("rig.toml", &rig.replace("rate_hz = 2000.0", "rate_hz = 250.0"));
+    // The gratings of the calibration that the recording is tracked with.
+    let changes = [
+        ("rate_hz = 2000.0", "rate_hz = 250.0"),
+        ("nominal_nm = 1537.3, window_nm = 0.7", "nominal_nm = 1542.461, window_nm = 0.5"),
+        ("nominal_nm = 1541.2, window_nm = 1.5", "nominal_nm = 1545.249, window_nm = 0.8"),
+        ("nominal_nm = 1535.8, window_nm = 0.7", "nominal_nm = 1543.606, window_nm = 0.6"),
+    ];
+    let changed = changes.iter().fold(rig, |rig, (from, to)| {
+        assert!(rig.contains(from), "{from}");
+        rig.replace(from, to)
+    });
+    write("rig.toml", &changed);
     let mut child = Command::new(env!("CARGO_BIN_EXE_wcal"))
         .args(["virtual-bench", "--scenario", "scenario.toml"])
         .current_dir(place.0)
@@ -204,25 +221,9 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
     ]
 }
 
-/// Tables with their first lines.
+/// First lines of the tables that [`documents`] left in the folder.
 pub fn tables(folder: &Path) -> Vec<(String, String)> {
     let place = Place(folder);
-    place.copy("fixtures/practice/case-004", "held");
-    place.run(IMPORT, &[0]);
-    place.run("verify cell --out cell-verified", &[0]);
-    place.run("verify held --out held-verified", &[0]);
-    place.run(
-        "predict cell/points.csv --calibration cell-verified/calibration.json --out predicted.csv",
-        &[0],
-    );
-    place.run(
-        "predict held/points.csv --calibration held-verified/calibration.json --out moments.csv",
-        &[0, 4],
-    );
-    place.run("twin fixtures/whiskerfbg --engine rod --out twin.csv", &[0, 3]);
-    place.run(&format!("track held/points.csv {TRACK} table.csv"), &[0, 3, 4]);
-    swept(&place);
-    place.run(&format!("track session {TRACK} stream.csv"), &[0, 3, 4]);
     let names = [
         "cell/points.csv",
         "cell-verified/predictions.csv",
@@ -231,6 +232,7 @@ pub fn tables(folder: &Path) -> Vec<(String, String)> {
         "moments.csv",
         "twin.csv",
         "table.csv",
+        "groove.csv",
         "stream.csv",
         "stream-events.csv",
         "session/points.csv",

@@ -4,7 +4,7 @@ use super::groove::at_most;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::{TrustIssues, calibration_issues};
 use super::{Outcome, TrackArgs, exit_code};
-use crate::known_motion::{groove_sentence, track as locate, without_groove};
+use crate::known_motion::{groove_sentence, groove_tracking, track as locate, without_groove};
 use anyhow::{Result, anyhow, bail};
 use nalgebra::Vector3;
 use serde_json::json;
@@ -80,7 +80,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
     }
     // The groove's place enters here, after every answer.
     let known = |reading: usize| -> Option<Vector3<f64>> { data.rows[system.path.rows[reading]].groove_mm };
-    let groove = tracked.beside_groove(&system, known, "fit")?;
+    let groove = groove_tracking(&tracked.compared(&system, known)?, "fit");
     let simulated = session.simulated || file.provenance.simulated;
     if simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");

@@ -57,6 +57,7 @@ fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
             moment_nmm: [m.x, m.y],
             noise_nmm2: inverse * inverse.transpose() * noise_pm * noise_pm,
             shared_nmm: Vec::new(),
+            shared_way_mm: Vec::new(),
             moved_mm: direction * p.stage_mm,
             velocity_mm_s: direction * (p.speed_mm_s * f64::from(p.direction)),
             moved_sd_mm: 0.0,

@@ -62,6 +62,11 @@ impl<'a> ContactPath<'a> {
         Some(Self { field, rows, push, reference_mm, onset_mm: [lowest - BEFORE_MM, deepest] })
     }
 
+    /// The same motion past another wire.
+    pub(crate) fn past(&self, field: &'a MomentField) -> Self {
+        Self { field, ..*self }
+    }
+
     /// Way along the push of a reading, mm, from the reference.
     pub(crate) fn along(&self, row: usize) -> f64 {
         (self.rows[row].moved_mm - self.reference_mm).dot(&self.push)

@@ -20,8 +20,8 @@ pub struct Likelihood {
 }
 
 impl Likelihood {
-    /// With a state, what depends on it is taken there: clock, noise of the motion, and which readings are gross (from the residuals under
-    /// the likelihood before).
+    /// With a state, what depends on it is taken there: clock, noise of the motion, common unknowns of stage and wire, and which readings
+    /// are gross (from the residuals under the likelihood before).
     ///
     /// # Errors
     /// Where the covariance is not positive definite.
@@ -41,9 +41,9 @@ impl Likelihood {
             covariance.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
         }
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
-        let modes = DMatrix::from_fn(2 * n, shared, |i, j| rows[i / 2].shared_nmm[j][i % 2]);
-        covariance += &modes * modes.transpose();
+        let mut modes = DMatrix::from_fn(2 * n, shared, |i, j| rows[i / 2].shared_nmm[j][i % 2]);
         if let Some((state, _)) = at {
+            by_other_wires(path, state, &mut modes);
             let mut clock = DVector::zeros(2 * n);
             for (k, row) in rows.iter().enumerate().filter(|(k, _)| path.held(state, *k)) {
                 let Some(rate) = rate_by_place(path, state, k) else { continue };
@@ -52,9 +52,14 @@ impl Likelihood {
                 block += by_motion;
                 let drift = rate * row.velocity_mm_s * settings.clock_sd_s;
                 (clock[2 * k], clock[2 * k + 1]) = (drift[0], drift[1]);
+                for (j, way) in row.shared_way_mm.iter().enumerate() {
+                    let by_way = rate * way;
+                    (0..2).for_each(|c| modes[(2 * k + c, j)] += by_way[c]);
+                }
             }
             covariance += &clock * clock.transpose();
         }
+        covariance += &modes * modes.transpose();
         let fails = || TrackError::value("covariance of the moments", "positive definite", "one that is not");
         let factor = covariance.cholesky().ok_or_else(fails)?.unpack();
         let ln_determinant = 2.0 * factor.diagonal().iter().map(|v| v.ln()).sum::<f64>();
@@ -116,6 +121,17 @@ impl Likelihood {
         let n = moments.len();
         let off = DVector::from_fn(2 * n, |i, _| path.rows[i / 2].moment_nmm[i % 2] - moments[i / 2][i % 2]);
         ((&self.whitening * off).norm_squared(), (2.0 * n as f64 - 3.0).max(1.0))
+    }
+}
+
+/// Adds to the common unknowns (columns) what another wire changes in the moments of every reading, `m_j(P_k) - m(P_k)`.
+fn by_other_wires(path: &ContactPath<'_>, state: &State, modes: &mut DMatrix<f64>) {
+    let Some(here) = path.moments(state).filter(|_| !path.field.changed.is_empty()) else { return };
+    for (field, mut mode) in path.field.changed.iter().zip(modes.column_iter_mut()) {
+        let Some(there) = path.past(field).moments(state) else { continue };
+        for (k, (a, b)) in here.iter().zip(&there).enumerate() {
+            (0..2).for_each(|c| mode[2 * k + c] += b[c] - a[c]);
+        }
     }
 }
 

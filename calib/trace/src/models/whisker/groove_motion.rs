@@ -8,7 +8,7 @@
 //! F is triangular with the values of the wire's effects first, so that only the first columns need another wire. What is left is the
 //! reading's own noise, `K^-1 s^2 K^-T`.
 
-use super::physical::{Inferred, PhysicalModel};
+use super::physical::PhysicalModel;
 use super::rod_tables::RodParameters;
 use super::system::{ActiveEffect, WhiskerSystem};
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
@@ -79,56 +79,60 @@ struct Sensed {
     shared_way_mm: Vec<f64>,
 }
 
-/// A session under one set of coefficients and values.
-struct Reduced {
-    moments: Vec<Inferred>,
+/// Stage and wire under one set of values.
+struct Mechanics {
     /// Stage positions of the nodes, mm.
     xs_mm: Vec<f64>,
     wire: AcceptedWire,
 }
 
-fn reduced(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Reduced> {
+fn mechanics(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Mechanics> {
     let path = &system.path;
-    let mut mechanics = RodParameters::default();
+    let mut rod = RodParameters::default();
     let mut xs_mm: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
     for active in &model.terms() {
-        active.effect.rod(&active.values(), &mut mechanics);
+        active.effect.rod(&active.values(), &mut rod);
         active.effect.pose(&active.values(), path, &mut xs_mm);
     }
     let wire = AcceptedWire {
-        rod: system.rod_tables.rod(&mechanics)?,
-        friction: mechanics.friction,
-        moving_share: mechanics.moving_share,
-        offset_mm: Vector3::from(mechanics.offset_mm),
+        rod: system.rod_tables.rod(&rod)?,
+        friction: rod.friction,
+        moving_share: rod.moving_share,
+        offset_mm: Vector3::from(rod.offset_mm),
     };
-    Some(Reduced { moments: model.infer(path, None), xs_mm, wire })
+    Some(Mechanics { xs_mm, wire })
 }
 
 /// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
 /// position would take theirs from the groove's place: the system must have none.
 #[must_use]
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
+    let path = &system.path;
     let inverse = model.sensitivity().try_inverse()?;
-    let Reduced { moments, xs_mm, wire } = reduced(system, model)?;
+    let Mechanics { xs_mm, wire } = mechanics(system, model)?;
+    let inferred = model.infer(path, None);
+    let terms = model.terms();
+    let felt = model.sensed(&terms, path, &inverse);
+    let noise_pm = vec![model.noise_sd_pm; felt.len()];
+    let (gradients, _) = model.gradients(&terms, path, &felt, &inverse, &noise_pm);
     let (factor, mechanical) = factor(model);
-    let others = factor.column_iter().map(|f| reduced(system, &moved(model, f.as_slice())));
-    let others = others.collect::<Option<Vec<Reduced>>>()?;
+    let others = factor.column_iter().map(|f| mechanics(system, &with_values(model, f.as_slice())));
+    let others = others.collect::<Option<Vec<Mechanics>>>()?;
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
-    let nodes = &system.path.nodes;
-    let mut node_of = vec![0; system.path.readings.len()];
-    for (n, node) in nodes.iter().enumerate() {
+    let mut node_of = vec![0; path.readings.len()];
+    for (n, node) in path.nodes.iter().enumerate() {
         if let Some(i) = node.reading {
             node_of[i] = n;
         }
     }
     let sensed = |i: usize| {
-        let (m, n) = (&moments[i], node_of[i]);
-        let off = |o: &Reduced| [0, 1].map(|c| m.moment_nmm[c] - o.moments[i].moment_nmm[c]);
+        let (m, n) = (&inferred[i], node_of[i]);
+        let common = &gradients[i] * &factor;
         Sensed {
             moment_nmm: m.moment_nmm,
             noise_nmm2,
             valid: m.valid,
-            shared_nmm: others.iter().map(off).collect(),
+            shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
             shared_way_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
         }
     };
@@ -198,17 +202,13 @@ fn readings(
     out
 }
 
-/// The model whose coefficients and values are off by `by` (coefficients channel by channel, then values); values stay in their ranges.
-fn moved(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
+/// The model whose values are off by what stands behind the coefficients in `by`; they stay in their ranges.
+fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
     let mut moved = model.clone();
-    let count = moved.coefficients.len();
-    for (k, row) in moved.coefficients.iter_mut().enumerate() {
-        (0..2).for_each(|c| row[c] += by[c * count + k]);
-    }
     let laws = model.terms();
-    let ranges = laws.iter().flat_map(|t| t.ranges());
+    let ranges = laws.iter().flat_map(ActiveEffect::ranges);
     let values = moved.effects.iter_mut().flat_map(|e| &mut e.values);
-    for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * count..]) {
+    for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * model.coefficients.len()..]) {
         *value = (*value + by).clamp(low, high);
     }
     moved
@@ -299,12 +299,11 @@ mod tests {
             let row = [1.0, 0.4, -0.2];
             let inverse = model.sensitivity().try_inverse().unwrap();
             let mut sum = inverse * inverse.transpose() * 0.25;
-            for j in 0..f.ncols() {
-                let shift = |c: usize| (0..3).map(|k| row[k] * f[(c * 3 + k, j)]).sum::<f64>();
-                let m = inverse * Vector2::new(shift(0), shift(1));
-                sum += m * m.transpose();
+            let gradient = model.of_coefficients(&inverse, &row);
+            for u in (&gradient * &f).column_iter() {
+                sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
             }
-            let sd = model.sd_nmm(&inverse, &row, 0.5);
+            let sd = model.sd_nmm(&inverse, &gradient, 0.5);
             assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
         }
     }
@@ -312,9 +311,8 @@ mod tests {
     #[test]
     fn values_stay_in_their_ranges() {
         let model = model(vec![effect("groove-friction", "coulomb", vec![0.01])]);
-        let by = |v: f64| moved(&model, &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, v]);
-        assert_eq!(by(-5.0).effects[0].values, [0.0]);
-        assert!((by(0.1).effects[0].values[0] - 0.11).abs() < 1e-12);
-        assert_eq!(by(0.1).coefficients[0], [0.0, 1.0]);
+        let by = |v: f64| with_values(&model, &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, v]).effects[0].values[0];
+        assert_eq!(by(-5.0), 0.0);
+        assert!((by(0.1) - 0.11).abs() < 1e-12);
     }
 }

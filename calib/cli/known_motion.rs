@@ -3,8 +3,9 @@
 #[cfg(test)]
 mod tests;
 
+use crate::track::at_most;
 use anyhow::{Result, bail};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,6 +14,7 @@ use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
 use wcal_track::known_motion::contact_path::ContactPath;
+use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
     Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Settings, bound_mm, locate,
 };
@@ -113,6 +115,7 @@ pub fn track(
                 moved_mm: direction * r.stage_mm,
                 velocity_mm_s: direction * r.velocity_mm_s,
                 moved_sd_mm: 0.0,
+                turn: Rotation3::identity(),
                 free: r.rest,
                 visit: r.visit,
             })
@@ -205,6 +208,21 @@ impl TrackedSession {
     }
 }
 
+/// Trajectories of which fewer than half of the readings lie in their regions.
+fn lost(compared: &[Compared]) -> usize {
+    let mut by_trajectory: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for c in compared {
+        by_trajectory.entry(c.trajectory).or_default()[usize::from(c.held)] += 1;
+    }
+    by_trajectory.values().filter(|[outside, inside]| inside < outside).count()
+}
+
+/// Whether the stated regions hold too few trajectories for an accident.
+pub fn misstated(t: &GrooveTracking) -> bool {
+    const LEVEL: f64 = 0.01;
+    at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
+}
+
 /// Errors, bound and coverage over readings; none where nothing was compared.
 pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
     let n = compared.len() as f64;
@@ -218,6 +236,7 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
         coverage95: compared.iter().filter(|c| c.held).count() as f64 / n,
         points: compared.len(),
         trajectories: trajectories(|_| true),
+        trajectories_held: trajectories(|_| true) - lost(compared),
         doubted: trajectories(|c| c.doubted),
         split: split.to_owned(),
     })
@@ -227,11 +246,12 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
 pub fn groove_sentence(t: &GrooveTracking) -> String {
     let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
     format!(
-        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold {:.0} %",
+        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold the groove on {} of {} trajectories",
         t.rmse_mm,
         t.points,
         t.bound_mm,
         t.rmse_mm / t.bound_mm,
-        100.0 * t.coverage95
+        t.trajectories_held,
+        t.trajectories
     )
 }

@@ -5,9 +5,9 @@
 //!
 //! State of an episode, theta = (s, x, g): the free wire is first met at arc length s when the way along the push u is x, and passed at a gap g,
 //!
-//! `P_k = r0(s) + g n(s) + (d_k - d_ref) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`.
+//! `P_ref = r0(s) + g n(s) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`, `P_k = Q_k P_ref + d_k` (Q_k the turn, 1 where the base does not).
 //!
-//! Transition: none but the motion. Holds, reversals and turns are d_k itself; before first touch, `(d_k - d_ref) . u <= x - x_ref`, the wire is
+//! Transition: none but the motion. Holds and reversals are d_k itself; before first touch, `(P_k - r0(s) - g n(s)) . u <= 0`, the wire is
 //! free and m = 0. With friction the contact's arc length s_c plays between the two slip branches of the rod,
 //! `s_c(k) = clamp(s_c(k-1), s(P, -mu), s(P, +mu))`.
 //!
@@ -43,7 +43,7 @@ pub use posterior::{Posterior, Region};
 use crate::TrackError;
 use contact_path::ContactPath;
 use likelihood::Likelihood;
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
 
 /// One reading with the motion at its time.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,8 +59,10 @@ pub struct MotionRow {
     pub shared_nmm: Vec<[f64; 2]>,
     /// By how much it makes the way longer, base frame, mm; as many, or none where the way is none of them.
     pub shared_way_mm: Vec<Vector3<f64>>,
-    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode.
+    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode: a point of it is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
+    /// Turn of the object with respect to the base, up to a constant.
+    pub turn: Rotation3<f64>,
     /// Its velocity, mm/s; zero in a hold.
     pub velocity_mm_s: Vector3<f64>,
     /// Standard deviation of the way in each coordinate, mm.

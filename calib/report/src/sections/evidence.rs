@@ -116,7 +116,7 @@ fn ambiguity(input: &ReportInput) -> String {
         rules: Vec::new(),
     };
     figure(
-        input,
+        input.verify.simulated,
         "forest",
         &chart.svg(),
         "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
@@ -132,7 +132,7 @@ fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
         outline_from: SAME_CLASS,
     };
     figure(
-        input,
+        input.verify.simulated,
         "wide",
         &format!(
             "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"Isolability matrix\">{}</div>",

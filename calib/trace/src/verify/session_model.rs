@@ -4,7 +4,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::Weights;
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::Noise;
+use crate::method::noise::{Estimated, Noise};
 use crate::method::search::{Hypothesis, SearchResult};
 use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
@@ -176,6 +176,10 @@ pub trait SessionModel: MeasurementModel + Sized {
         after: &Self::Predictions,
         at: &Record,
     ) -> Vec<ResidualRecord>;
+    /// How the zero varies from session to session, where several were joined.
+    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
+        None
+    }
     /// Remarks of this kind of session.
     fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()

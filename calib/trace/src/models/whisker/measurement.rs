@@ -15,7 +15,7 @@ use crate::method::fit::Weights;
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
 use crate::method::linear::stack;
-use crate::method::noise::Noise;
+use crate::method::noise::{Estimated, Noise};
 use crate::method::search::{Hypothesis, SearchResult, declared};
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
@@ -205,6 +205,10 @@ impl SessionModel for WhiskerSystem {
             covariates: at.covariates.clone(),
         };
         (0..2).map(of_channel).collect()
+    }
+
+    fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
+        spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {

@@ -49,7 +49,8 @@ fn calibrated(seed: u64) -> StereoCameras {
         left_from_board: (0..12)
             .map(|k| {
                 let t = f64::from(k);
-                let place = V3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 292.0 + 8.0 * (0.7 * t).sin());
+                let place =
+                    V3::new(8.0 * (1.3 * t).sin(), 6.0 * (2.1 * t).cos(), 292.0 + 8.0 * (0.7 * t).sin());
                 let tilt = turn(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.2 * (t - 6.0).sin());
                 Isometry3::from_parts(place.into(), tilt) * Isometry3::translation(-24.0, -15.0, 0.0)
             })
@@ -90,7 +91,7 @@ struct Truth {
     line_mm: Vec<V3>,
 }
 
-/// Draws `count` pushes at random places, directions and depths, and finds their shapes.
+/// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair that is rejected says why and is left out.
 fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     let place = tempfile::tempdir().unwrap();
     let (rig, look, lenses) = (RigGeometry::default(), Look::default(), default_pair(SIZE));
@@ -113,18 +114,35 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
         let groove = Groove { position_mm: at, axis: found.tangent, push: direction };
         let view = rig.scene(line_mm.clone(), Some(&groove));
         let side = |camera: usize| {
-            let grey = exposed(&clean(&lenses[camera], &view, &look), &look, 100 * seed + 2 * k as u64 + camera as u64);
+            let grey = exposed(
+                &clean(&lenses[camera], &view, &look),
+                &look,
+                100 * seed + 2 * k as u64 + camera as u64,
+            );
             let file = place.path().join(format!("{camera}-{k:02}.pgm"));
             let head = format!("P5 {} {} 255\n", SIZE[0], SIZE[1]);
             std::fs::write(&file, [head.as_bytes(), &grey].concat()).unwrap();
             Some(file)
         };
-        files.push(PairFiles { name: format!("{k:02}"), left: side(0), right: side(1) });
+        files.push(PairFiles {
+            name: format!("{k:02}"),
+            left: side(0),
+            right: side(1),
+            ..PairFiles::default()
+        });
         truths.push(Truth { groove_mm: at, arclength_mm: found.arclength_mm, line_mm });
     }
     let rig_file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/stereo_bench/rig.toml");
-    let document =
+    let mut document =
         shapes_of_pairs(&calibrated(seed), &Rig::read(&rig_file).unwrap(), &files, None, &|_| {}).document;
+    let good: Vec<bool> = document.pairs.iter().map(|p| p.status == "ok").collect();
+    for pair in document.pairs.iter().filter(|p| p.status != "ok") {
+        println!("folder {seed}: {} rejected: {}", pair.name, pair.why);
+    }
+    let mut kept = good.iter();
+    document.pairs.retain(|_| *kept.next().unwrap());
+    let mut kept = good.iter();
+    truths.retain(|_| *kept.next().unwrap());
     (document, truths)
 }
 
@@ -139,7 +157,6 @@ fn stacked(document: &ShapesDocument, truths: &[Truth]) -> (DVector<f64>, DMatri
     let mut own = DMatrix::zeros(n, n);
     let mut shared = DMatrix::zeros(n, document.shared_parameters.len());
     for (k, (pair, truth)) in document.pairs.iter().zip(truths).enumerate() {
-        assert_eq!(pair.status, "ok", "{}: {}", pair.name, pair.why);
         let (groove, stated) = (pair.groove.as_ref().unwrap(), pair.errors.as_ref().unwrap());
         let off = V3::from(groove.position_mm) - truth.groove_mm;
         errors.rows_mut(4 * k, 3).copy_from(&off);
@@ -190,13 +207,15 @@ struct Survey {
     ratio: [f64; 4],
     /// RMS error, mm.
     rms_mm: [f64; 4],
+    /// Share of pairs that were not rejected.
+    used: f64,
     /// Share of centre line points inside their 95 % circle, and with a third of the standard deviation.
     inside: [f64; 2],
 }
 
 fn survey(seeds: std::ops::Range<u64>, count: usize) -> Survey {
     let mut s = Survey::default();
-    let (mut points, folders) = (0.0, (seeds.end - seeds.start) as f64);
+    let (mut points, mut values, folders) = (0.0, 0.0, (seeds.end - seeds.start) as f64);
     for seed in seeds {
         let (document, truths) = folder(seed, count);
         let (errors, own, shared) = stacked(&document, &truths);
@@ -206,9 +225,10 @@ fn survey(seeds: std::ops::Range<u64>, count: usize) -> Survey {
         println!("folder {seed}: chi2 a value {:.2}, without what pairs share {:.1}", found[0], found[1]);
         (0..2).for_each(|k| s.reduced[k] += found[k] / folders);
         for (k, e) in errors.iter().enumerate() {
-            s.ratio[k % 4] += e * e / together[(k, k)] / (folders * n / 4.0);
-            s.rms_mm[k % 4] += e * e / (folders * n / 4.0);
+            s.ratio[k % 4] += e * e / together[(k, k)];
+            s.rms_mm[k % 4] += e * e;
         }
+        values += n / 4.0;
         for (pair, truth) in document.pairs.iter().zip(&truths) {
             same_as_stated(pair, &document);
             for (p, sd) in pair.centreline_mm.iter().zip(&pair.centreline_sd_mm) {
@@ -220,8 +240,9 @@ fn survey(seeds: std::ops::Range<u64>, count: usize) -> Survey {
         }
     }
     s.inside = s.inside.map(|v| v / points);
-    s.ratio = s.ratio.map(f64::sqrt);
-    s.rms_mm = s.rms_mm.map(f64::sqrt);
+    s.used = values / (folders * count as f64);
+    s.ratio = s.ratio.map(|v| (v / values).sqrt());
+    s.rms_mm = s.rms_mm.map(|v| (v / values).sqrt());
     println!("{s:.4?}");
     s
 }
@@ -254,7 +275,7 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
 #[test]
 fn stated_errors_hold_on_the_plants_pictures() {
     let s = survey(0..3, 4);
-    assert!(s.reduced[0] < 2.5, "{s:?}");
+    assert!(s.reduced[0] < 2.5 && s.used > 0.9, "{s:?}");
     assert!(s.ratio.iter().all(|r| *r < 2.0), "{s:?}");
     assert!(s.inside[0] > 0.8, "{s:?}");
     // Negative controls: the pair's own errors alone do not explain what was found, nor does a third of the line's.
@@ -266,7 +287,7 @@ fn stated_errors_hold_on_the_plants_pictures() {
 #[ignore = "draws and searches some 500 pictures: minutes; run with --ignored --nocapture"]
 fn survey_of_stated_errors() {
     let s = survey(100..130, 8);
-    assert!((0.7..1.4).contains(&s.reduced[0]), "{s:?}");
-    assert!(s.ratio.iter().all(|r| (0.7..1.4).contains(r)), "{s:?}");
+    assert!((0.5..1.2).contains(&s.reduced[0]) && s.used > 0.97, "{s:?}");
+    assert!(s.ratio.iter().all(|r| (0.6..1.3).contains(r)), "{s:?}");
     assert!(s.inside[0] > 0.93, "{s:?}");
 }

@@ -15,6 +15,7 @@ pub mod monitor;
 pub mod path_text;
 pub mod pictures;
 pub mod plan;
+pub mod pose_pictures;
 pub mod record;
 pub mod recorder;
 pub mod reduce;

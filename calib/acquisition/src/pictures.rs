@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use wcal_core::device::CameraFrame;
 use wcal_core::files::write_atomic;
+use wcal_core::provenance::sha256_hex;
 
 /// Folder of the session.
 pub const PICTURES: &str = "pictures";
@@ -108,18 +109,21 @@ impl PartClocks {
 }
 
 /// Writes the pictures of the settled poses, bit for bit as they were recorded: `pictures/CAMERA/PPPPP.png` for the rows of points.csv with
-/// `pictures/pictures.csv`, the same under `pictures/holdout/` for those of holdout.csv. Returns how many were written.
+/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv. Returns how many were written.
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.
 pub fn write_pictures(
     folder: &Path,
+    session: &str,
     cameras: &[&str],
     parts: &[PathBuf],
     clocks: &[PartClocks],
     rows: &[PicturedRow],
 ) -> Result<usize, AcquisitionError> {
     let mut tables: [Vec<(usize, String)>; 2] = Default::default();
+    // A rig's name is anybody's choice.
+    let session = format!("\"{}\"", session.replace('"', "\"\""));
     let mut written: HashSet<PathBuf> = HashSet::new();
     for (part, (path, clocks)) in parts.iter().zip(clocks).enumerate() {
         let by_step: HashMap<u32, &PicturedRow> =
@@ -146,11 +150,12 @@ pub fn write_pictures(
                 }
                 let text = |v: Option<f64>| v.map_or_else(String::new, |v| format!("{v:.6}"));
                 let line = format!(
-                    "{},{camera},{file},{},{:.6},{}\n",
+                    "{},{camera},{file},{},{:.6},{},{session},{}\n",
                     row.point,
                     text(clocks.session_s(&info)),
                     info.host_s,
-                    text(info.exposure_s)
+                    text(info.exposure_s),
+                    sha256_hex(&png)
                 );
                 tables[usize::from(row.sealed)].push((row.point, line));
             }
@@ -165,7 +170,7 @@ pub fn write_pictures(
             continue;
         }
         table.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
-        let mut csv = String::from("point,camera,file,t_s,host_t_s,exposure_s\n");
+        let mut csv = String::from("point,camera,file,t_s,host_t_s,exposure_s,session,sha256\n");
         csv.extend(table.iter().map(|(_, line)| line.as_str()));
         write_atomic(&folder.join(of).join("pictures.csv"), csv.as_bytes())?;
     }

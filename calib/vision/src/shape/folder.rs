@@ -140,7 +140,8 @@ pub fn shapes_of_pairs(
     }
     let moved = |k: usize| base.as_ref().is_some_and(|b| b.moved.contains(&k));
     let describe_pair = |k: usize| {
-        let mut document = PairDocument { name: files[k].name.clone(), ..PairDocument::default() };
+        let mut document =
+            PairDocument { name: files[k].name.clone(), point: files[k].point, ..PairDocument::default() };
         if let Ok(l) = &loaded[k] {
             document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
         }
@@ -211,6 +212,9 @@ fn load(
     background: Option<&[Picture; 2]>,
     times: &StageClock,
 ) -> Result<Loaded, String> {
+    if let Some(why) = &files.refused {
+        return Err(why.clone());
+    }
     let (Some(left), Some(right)) = (&files.left, &files.right) else {
         return Err(format!(
             "the {} picture is missing",

@@ -5,6 +5,7 @@
 //! [`replay`] reads a recording back; [`reduce`] makes the tables of it. Live and replayed devices run the same code.
 
 pub mod assign;
+pub mod board_run;
 pub mod camera_pair;
 mod camera_watch;
 pub mod clocks;

@@ -109,7 +109,8 @@ impl PartClocks {
 }
 
 /// Writes the pictures of the settled poses, bit for bit as they were recorded: `pictures/CAMERA/PPPPP.png` for the rows of points.csv with
-/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv. Returns how many were written.
+/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv, and `pictures/board/CAMERA/VV.png` of the calibration board. Returns how many
+/// of poses were written.
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.
@@ -131,22 +132,36 @@ pub fn write_pictures(
         let mut expected: HashMap<(String, u64), FrameInfo> = HashMap::new();
         let mut failed = None;
         read(path, |message| match message {
-            Message::Frame(info) if info.step.is_some() => {
+            Message::Frame(info) if info.step.or(info.board).is_some() => {
                 expected.insert((info.camera.clone(), crate::recorder::nanoseconds(info.host_s)), info);
             }
             Message::PosePicture(camera, log_ns, png) => {
                 let Some(info) = expected.remove(&(camera.clone(), log_ns)) else { return };
-                let row = info.step.and_then(|step| by_step.get(&step));
                 // A name comes from a file: only the rig's become folders.
-                let Some(row) = row.filter(|_| cameras.contains(&camera.as_str())) else { return };
+                if !cameras.contains(&camera.as_str()) {
+                    return;
+                }
+                let mut put = |place: &Path| {
+                    let made = place.parent().map_or(Ok(()), std::fs::create_dir_all);
+                    let done = made.map_err(AcquisitionError::io("creating", place));
+                    match done.and_then(|()| Ok(write_atomic(place, &png)?)) {
+                        Ok(()) => true,
+                        Err(e) => {
+                            failed.get_or_insert(e);
+                            false
+                        }
+                    }
+                };
+                if let Some(view) = info.board {
+                    put(&folder.join(format!("{PICTURES}/board/{camera}/{view:02}.png")));
+                    return;
+                }
+                let Some(row) = info.step.and_then(|step| by_step.get(&step)) else { return };
                 let file = format!("{camera}/{:05}.png", row.point);
                 let of = if row.sealed { format!("{PICTURES}/holdout") } else { PICTURES.to_owned() };
                 let place = folder.join(of).join(&file);
-                let made = place.parent().map_or(Ok(()), std::fs::create_dir_all);
-                let done = made.map_err(AcquisitionError::io("creating", &place));
-                match done.and_then(|()| Ok(write_atomic(&place, &png)?)) {
-                    Ok(()) => drop(written.insert(place)),
-                    Err(e) => drop(failed.get_or_insert(e)),
+                if put(&place) {
+                    written.insert(place);
                 }
                 let text = |v: Option<f64>| v.map_or_else(String::new, |v| format!("{v:.6}"));
                 let line = format!(

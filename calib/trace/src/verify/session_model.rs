@@ -10,7 +10,8 @@ use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, TwinFault, UnknownEffect,
+    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault,
+    UnknownEffect,
 };
 
 /// A held-out error of `verify.json`.
@@ -176,6 +177,10 @@ pub trait SessionModel: MeasurementModel + Sized {
         after: &Self::Predictions,
         at: &Record,
     ) -> Vec<ResidualRecord>;
+    /// What a second witness says beside the readings; none without one.
+    fn second_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<SecondWitness> {
+        None
+    }
     /// Remarks of this kind of session.
     fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()

@@ -72,6 +72,11 @@ fn a_later_seating_has_its_own_zero() {
     let (_, v, _) = verify(first.path(), &["--add", added]);
     let v = v.expect("verify.json");
     assert_eq!(v["verdict"], "adequate", "{}", v["reason"]);
+    // One of two channels moved: sqrt(25^2 / 2 / 2); two sessions tell little of its size.
+    let between = &v["noise"]["session"];
+    let (sd, high) = (between["value"].as_f64(), between["interval95"][1].as_f64());
+    assert!(sd.is_some_and(|sd| (sd - RESEATED_PM / 2.0).abs() < 1.0), "{between}");
+    assert!(high > sd.map(|sd| 3.0 * sd), "{between}");
 
     // Negative control: the same readings as one session, where the zero may not jump.
     let text = |f: &tempfile::TempDir| std::fs::read_to_string(f.path().join("points.csv")).expect("points");
@@ -79,7 +84,9 @@ fn a_later_seating_has_its_own_zero() {
         text(&first) + &text(&second).lines().skip(1).map(|l| format!("{l}\n")).collect::<String>();
     std::fs::write(first.path().join("points.csv"), joined).expect("written");
     let (_, v, _) = verify(first.path(), &[]);
-    assert_ne!(v.expect("verify.json")["verdict"], "adequate");
+    let v = v.expect("verify.json");
+    assert_ne!(v["verdict"], "adequate");
+    assert!(v["noise"]["session"].is_null(), "one session does not tell: {}", v["noise"]);
 
     // A session cannot be added to itself.
     let (run, _, _) = verify(second.path(), &["--add", added]);

@@ -29,6 +29,7 @@ const PREVIEW_QUALITY: u8 = 60;
 /// # Errors
 /// When the grey values are not those of the size.
 pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
+    whole(frame)?;
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
     encoder
@@ -37,11 +38,26 @@ pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
     Ok(bytes)
 }
 
+/// The encoders panic on a frame that was cut short; a camera may send one.
+fn whole(frame: &CameraFrame) -> Result<(), AcquisitionError> {
+    let expected = u64::from(frame.width_px) * u64::from(frame.height_px);
+    if frame.grey.len() as u64 == expected {
+        return Ok(());
+    }
+    Err(AcquisitionError::Recorder(format!(
+        "a frame of {} x {} px has {} grey values, expected {expected}",
+        frame.width_px,
+        frame.height_px,
+        frame.grey.len()
+    )))
+}
+
 /// The frame for people: means over blocks of pixels, as JPEG.
 ///
 /// # Errors
 /// When the grey values are not those of the size.
 pub fn preview(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
+    whole(frame)?;
     let block = frame.width_px.div_ceil(PREVIEW_WIDTH).max(1);
     let (width, height) = (frame.width_px / block, frame.height_px / block);
     let at = |x: u32, y: u32| frame.grey.get((y * frame.width_px + x) as usize).copied().unwrap_or(0);
@@ -173,6 +189,7 @@ mod tests {
         let small = image::load_from_memory(&preview(&frame).unwrap()).unwrap();
         assert_eq!((small.width(), small.height()), (320, 240));
         let torn = CameraFrame { grey: vec![0; 7], ..frame };
-        assert!(lossless(&torn).is_err());
+        assert!(lossless(&torn).unwrap_err().to_string().contains("has 7 grey values, expected 307200"));
+        assert!(preview(&torn).is_err());
     }
 }

@@ -24,7 +24,8 @@ pub fn document<M: SessionModel>(
     seed: u64,
 ) -> VerifyDocument {
     let found = &explained.found;
-    let noise = (!explained.exact).then(|| noise_document(&unsealed.noise, &model.unit()));
+    let between = model.between_sessions(&conclusion.accepted);
+    let noise = (!explained.exact).then(|| noise_document(&unsealed.noise, between, &model.unit()));
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
         .then(|| model.next_measurement(&found.best, &rivals));

@@ -12,9 +12,9 @@ fn rounded_sd(step: f64) -> f64 {
     step / 12f64.sqrt()
 }
 
-/// The parts; what the design cannot tell is absent.
+/// The parts, `session` from several sessions; what the design cannot tell is absent.
 #[must_use]
-pub fn noise_document(noise: &Noise, unit: &str) -> NoiseDocument {
+pub fn noise_document(noise: &Noise, session: Option<Estimated>, unit: &str) -> NoiseDocument {
     let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
     let rounding =
         (step > 0.0).then(|| NoisePart { value: rounded_sd(step), interval95: [rounded_sd(step); 2] });
@@ -22,7 +22,7 @@ pub fn noise_document(noise: &Noise, unit: &str) -> NoiseDocument {
     NoiseDocument {
         repeat: Some(part(noise.repeat)),
         pose: noise.pose.map(part),
-        session: None,
+        session: session.map(part),
         correlated: noise.correlated.map(|(sd, tau)| CorrelatedNoise {
             sd: sd.value,
             interval95: sd.interval95,

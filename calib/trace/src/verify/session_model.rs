@@ -4,7 +4,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::Weights;
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::Noise;
+use crate::method::noise::{Estimated, Noise};
 use crate::method::search::{Hypothesis, SearchResult};
 use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
@@ -179,6 +179,10 @@ pub trait SessionModel: MeasurementModel + Sized {
     ) -> Vec<ResidualRecord>;
     /// What a second witness says beside the readings; none without one.
     fn second_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<SecondWitness> {
+        None
+    }
+    /// How the zero varies from session to session, where several were joined.
+    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
         None
     }
     /// Remarks of this kind of session.

@@ -78,17 +78,15 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
         active.effect.pose(&active.values(), path, &mut xs);
     }
     let inferred = model.infer(path, None);
-    let columns = model.columns(&terms, path, &model.sensed(&terms, path, &inverse));
+    let sensed = model.sensed(&terms, path, &inverse);
+    let noise_pm = vec![model.noise_sd_pm; sensed.len()];
+    let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
     let factor = factor(model);
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
-    let count = model.coefficients.len();
-    let felt = |i: usize| -> Sensed {
-        let of = |j: usize| -> [f64; 2] {
-            let shift = |c: usize| (0..count).map(|k| columns[k][i] * factor[(c * count + k, j)]).sum();
-            (inverse * Vector2::new(shift(0), shift(1))).into()
-        };
+    let sensed_at = |i: usize| -> Sensed {
+        let common = &gradients[i] * &factor;
         let m = &inferred[i];
-        (m.moment_nmm, noise_nmm2, (0..factor.ncols()).map(of).collect(), m.valid)
+        (m.moment_nmm, noise_nmm2, common.column_iter().map(|u| [u[0], u[1]]).collect(), m.valid)
     };
     let wire = AcceptedWire {
         rod: system.rod_tables.rod(&mechanics)?,
@@ -96,7 +94,7 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
         moving_share: mechanics.moving_share,
         offset_mm: Vector3::from(mechanics.offset_mm),
     };
-    Some(GrooveMotion { wire, readings: readings(system, &xs, felt) })
+    Some(GrooveMotion { wire, readings: readings(system, &xs, sensed_at) })
 }
 
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
@@ -104,7 +102,7 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
-    let felt = |i: usize| -> Sensed {
+    let sensed_at = |i: usize| -> Sensed {
         let p = predictor.predict(system.path.readings[i].shift_pm);
         let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
         let shared = vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]];
@@ -112,14 +110,14 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion>
     };
     let rod = system.rod_tables.rod(&RodParameters::default())?;
     let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
-    Some(GrooveMotion { wire, readings: readings(system, &xs, felt) })
+    Some(GrooveMotion { wire, readings: readings(system, &xs, sensed_at) })
 }
 
 /// Readings on trajectories; `xs_mm` are the nodes' stage positions.
 fn readings(
     system: &WhiskerSystem,
     xs_mm: &[f64],
-    mut felt: impl FnMut(usize) -> Sensed,
+    mut sensed_at: impl FnMut(usize) -> Sensed,
 ) -> Vec<MovedReading> {
     let path = &system.path;
     let mut stage_mm = vec![0.0; path.readings.len()];
@@ -135,7 +133,7 @@ fn readings(
         visit += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
         let Some(line) = r.line else { continue };
-        let (moment_nmm, noise_nmm2, shared_nmm, valid) = felt(i);
+        let (moment_nmm, noise_nmm2, shared_nmm, valid) = sensed_at(i);
         out.push(MovedReading {
             reading: i,
             line,
@@ -154,16 +152,18 @@ fn readings(
     out
 }
 
-/// F with cov(b) = F F': the eigenvectors that matter, scaled.
+/// F with F F' the covariance of all that was fitted: the eigenvectors that matter, scaled. The unknowns have different units: the
+/// eigenvectors are those of the correlations.
 fn factor(model: &PhysicalModel) -> DMatrix<f64> {
     const LEAST: f64 = 1e-12;
-    let size = 2 * model.coefficients.len();
-    let covariance = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]);
-    let eigen = covariance.symmetric_eigen();
+    let size = model.covariance.len();
+    let sd: Vec<f64> = (0..size).map(|i| model.covariance[i][i].max(0.0).sqrt().max(f64::MIN_POSITIVE)).collect();
+    let correlation = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j] / sd[i] / sd[j]);
+    let eigen = correlation.symmetric_eigen();
     let largest = eigen.eigenvalues.max();
     let kept: Vec<usize> = (0..size).filter(|k| eigen.eigenvalues[*k] > LEAST * largest).collect();
     DMatrix::from_fn(size, kept.len(), |i, j| {
-        eigen.eigenvectors[(i, kept[j])] * eigen.eigenvalues[kept[j]].sqrt()
+        sd[i] * eigen.eigenvectors[(i, kept[j])] * eigen.eigenvalues[kept[j]].sqrt()
     })
 }
 
@@ -196,12 +196,11 @@ mod tests {
         let row = [1.0, 0.4, -0.2];
         let inverse = model.sensitivity().try_inverse().unwrap();
         let mut sum = inverse * inverse.transpose() * 0.25;
-        for j in 0..f.ncols() {
-            let shift = |c: usize| (0..3).map(|k| row[k] * f[(c * 3 + k, j)]).sum::<f64>();
-            let m = inverse * Vector2::new(shift(0), shift(1));
-            sum += m * m.transpose();
+        let gradient = model.of_coefficients(&inverse, &row);
+        for u in (&gradient * &f).column_iter() {
+            sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
         }
-        let sd = model.sd_nmm(&inverse, &row, 0.5);
+        let sd = model.sd_nmm(&inverse, &gradient, 0.5);
         assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
     }
 }

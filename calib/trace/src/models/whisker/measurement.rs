@@ -14,7 +14,7 @@ use crate::method::explain::{Explained, explain};
 use crate::method::fit::{Fit, Weights};
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
-use crate::method::noise::Noise;
+use crate::method::noise::{Estimated, Noise};
 use crate::method::search::{Hypothesis, SearchResult, declared};
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
@@ -275,6 +275,10 @@ impl SessionModel for WhiskerSystem {
         };
         report.decided = (!fit.terms.is_empty()).then(|| decided.to_owned());
         Some(report)
+    }
+
+    fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
+        spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {

@@ -1,4 +1,10 @@
 //! The calibration that `verify` writes: wavelengths from moments with the accepted effects, and its inverse.
+//!
+//! Readout of a reading: `y = B' c(m, v)`, with `c = [1, m1, m2, zeros of seatings, effect columns]`, coefficients `B` and the effects'
+//! nonlinear values `v`. The inverse `m = f(y; B, v)` has the uncertainty of its noise and of everything that was fitted (GUM 5.2.2, correlated
+//! inputs):
+//! `cov(m) = K^-1 (s^2 I) K^-T + G C G'`, `G = [dm/dB, dm/dv]`, `dm/dB_(c,k) = -K^-1 e_c c_k`, `dm/dv` by differences over the whole history
+//! (memory carries a value's error from reading to reading), `C` the joint covariance of `B` (channel by channel) and `v`.
 
 use super::system::{ActiveEffect, WhiskerSystem};
 use crate::effect::{EffectTerm, Need};
@@ -63,6 +69,8 @@ pub struct Inferred {
 
 /// Share of the largest fitted moment that is still valid.
 pub(super) const VALID_SHARE: f64 = 1.1;
+/// Step of the differences by a nonlinear value, in its standard deviations.
+pub(super) const VALUE_STEP: f64 = 0.1;
 
 impl PhysicalModel {
     /// The model of an explanation.
@@ -154,13 +162,33 @@ impl PhysicalModel {
 
     /// The accepted effects with their values by name.
     pub(super) fn terms(&self) -> Vec<ActiveEffect> {
+        self.terms_moved(None)
+    }
+
+    /// The nonlinear values that have a covariance, in its order after the coefficients: place in it and standard deviation. Files of before
+    /// these were stored have none.
+    pub(super) fn uncertain_values(&self) -> Vec<(usize, f64)> {
+        (2 * self.coefficients.len()..self.covariance.len())
+            .map(|k| (k, self.covariance[k][k].max(0.0).sqrt()))
+            .filter(|(_, sd)| *sd > 0.0)
+            .collect()
+    }
+
+    /// [`Self::terms`] with one value (its place in the covariance) moved by some amount.
+    pub(super) fn terms_moved(&self, moved: Option<(usize, f64)>) -> Vec<ActiveEffect> {
+        let mut place = 2 * self.coefficients.len();
         let catalogue = crate::whisker::effects::whisker_catalogue();
         self.effects
             .iter()
             .filter_map(|a| {
                 let index = catalogue.iter().position(|e| e.id() == a.id)?;
                 let (law, _) = catalogue[index].law_named(&a.law)?;
-                let term = EffectTerm { effect: index, law, values: a.values.clone() };
+                let mut values = a.values.clone();
+                if let Some(v) = moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by))) {
+                    *v.0 += v.1;
+                }
+                place += a.values.len();
+                let term = EffectTerm { effect: index, law, values };
                 Some(ActiveEffect::new(catalogue[index].clone(), term))
             })
             .collect()
@@ -231,16 +259,12 @@ impl PhysicalModel {
             return vec![Inferred { moment_nmm: [f64::NAN; 2], sd_nmm: [f64::NAN; 2], valid: false }; n];
         };
         let sensed = self.sensed(&terms, path, &inverse);
-        let columns = self.columns(&terms, path, &sensed);
-        let sds: Vec<[f64; 2]> = (0..n)
-            .map(|i| {
-                let row: Vec<f64> = columns.iter().map(|c| c[i]).collect();
-                self.sd_nmm(&inverse, &row, noise_sd_pm[i])
-            })
-            .collect();
+        let (gradients, visible) = self.gradients(&terms, path, &sensed, &inverse, noise_sd_pm);
+        let sds: Vec<[f64; 2]> =
+            gradients.iter().zip(noise_sd_pm).map(|(g, s)| self.sd_nmm(&inverse, g, *s)).collect();
         let base = match memory {
             Some(m) => sensed.iter().zip(m).map(|(f, d)| [f[0] + d[0], f[1] + d[1]]).collect(),
-            None => undo_memory(&terms, path, &sensed, &sds),
+            None => undo_memory(&terms, path, &sensed, &visible),
         };
         sds.iter()
             .zip(base)
@@ -308,22 +332,71 @@ impl PhysicalModel {
         sensed
     }
 
-    /// Noise and the covariance of every coefficient, those of effects included, through the inverse sensitivity. `row` are the readout's
-    /// columns at the reading.
-    pub(super) fn sd_nmm(&self, inverse: &Matrix2<f64>, row: &[f64], noise_sd_pm: f64) -> [f64; 2] {
-        let q = self.coefficients.len();
-        let mut cov = Matrix2::identity() * noise_sd_pm.powi(2);
-        for a in 0..2 {
-            for b in 0..2 {
-                for (i, u) in row.iter().enumerate() {
-                    for (j, v) in row.iter().enumerate() {
-                        cov[(a, b)] += u * v * self.covariance[a * q + i][b * q + j];
-                    }
+    /// How each reading's moment moves with everything that was fitted, N mm per unit of it: two rows a reading, coefficients channel by
+    /// channel and then the values of [`Self::uncertain_values`] (those without a covariance stay 0). And what a reading must exceed to show
+    /// anything: standard deviations by noise and coefficients, N mm.
+    pub(super) fn gradients(
+        &self,
+        terms: &[ActiveEffect],
+        path: &WhiskerPath,
+        sensed: &[[f64; 2]],
+        inverse: &Matrix2<f64>,
+        noise_sd_pm: &[f64],
+    ) -> (Vec<DMatrix<f64>>, Vec<[f64; 2]>) {
+        let columns = self.columns(terms, path, sensed);
+        let mut gradients: Vec<DMatrix<f64>> = (0..sensed.len())
+            .map(|i| {
+                let row: Vec<f64> = columns.iter().map(|c| c[i]).collect();
+                self.of_coefficients(inverse, &row)
+            })
+            .collect();
+        let visible: Vec<[f64; 2]> =
+            gradients.iter().zip(noise_sd_pm).map(|(g, s)| self.sd_nmm(inverse, g, *s)).collect();
+        for (place, sd) in self.uncertain_values() {
+            let step = VALUE_STEP * sd;
+            let [low, high] = [-step, step].map(|by| {
+                let moved = self.terms_moved(Some((place, by)));
+                undo_memory(&moved, path, &self.sensed(&moved, path, inverse), &visible)
+            });
+            for (i, g) in gradients.iter_mut().enumerate() {
+                for c in 0..2 {
+                    g[(c, place)] = (high[i][c] - low[i][c]) / (2.0 * step);
                 }
             }
         }
-        let m = inverse * cov * inverse.transpose();
-        [m[(0, 0)].max(0.0).sqrt(), m[(1, 1)].max(0.0).sqrt()]
+        (gradients, visible)
+    }
+
+    /// The part of a gradient that the coefficients make, from the readout's columns at the reading.
+    pub(super) fn of_coefficients(&self, inverse: &Matrix2<f64>, row: &[f64]) -> DMatrix<f64> {
+        let q = self.coefficients.len();
+        let mut g = DMatrix::zeros(2, self.covariance.len());
+        for c in 0..2 {
+            for (k, u) in row.iter().enumerate() {
+                g.fixed_view_mut::<2, 1>(0, c * q + k).copy_from(&(-inverse.column(c) * *u));
+            }
+        }
+        g
+    }
+
+    /// Standard deviations of a moment, N mm: noise and everything that was fitted.
+    pub(super) fn sd_nmm(
+        &self,
+        inverse: &Matrix2<f64>,
+        gradient: &DMatrix<f64>,
+        noise_sd_pm: f64,
+    ) -> [f64; 2] {
+        let noise = inverse * inverse.transpose() * noise_sd_pm.powi(2);
+        [0, 1].map(|c| {
+            let g = gradient.row(c);
+            let mut variance = noise[(c, c)];
+            for (gi, row) in g.iter().zip(&self.covariance) {
+                if *gi != 0.0 {
+                    variance += gi * row.iter().zip(g.iter()).map(|(v, gj)| v * gj).sum::<f64>();
+                }
+            }
+            variance.max(0.0).sqrt()
+        })
     }
 }
 

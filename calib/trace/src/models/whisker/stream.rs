@@ -1,18 +1,61 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
-use super::physical::{PhysicalModel, VALID_SHARE, hidden};
+use super::physical::{PhysicalModel, VALID_SHARE, VALUE_STEP, hidden};
 use super::system::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
 use nalgebra::Matrix2;
 use wcal_core::MomentAxes;
 use wcal_core::stream::{MomentStream, StreamMoments};
 
+/// The effects at one set of values, with what they remember.
+struct Remembering {
+    terms: Vec<ActiveEffect>,
+    memories: Vec<Box<dyn Memory>>,
+}
+
+impl Remembering {
+    fn new(terms: Vec<ActiveEffect>) -> Self {
+        let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
+        Self { terms, memories }
+    }
+
+    /// What the sensor makes of a base moment now.
+    fn recalled(&self, dt_s: Option<f64>, base: [f64; 2]) -> [f64; 2] {
+        self.memories.iter().fold(base, |m, memory| memory.sensed(dt_s, m))
+    }
+
+    /// The base moment that is sensed so, remembered from now on. One below `visible`, the noise's standard deviations, keeps what it shows.
+    fn base(&mut self, dt_s: Option<f64>, sensed: [f64; 2], visible: [f64; 2]) -> [f64; 2] {
+        let mut base = sensed;
+        // Memory is a small correction: plain fixed-point iteration undoes it, as for a table.
+        for _ in 0..40 {
+            if self.memories.is_empty() || hidden(&sensed, &visible) {
+                break;
+            }
+            let m = self.recalled(dt_s, base);
+            let left = [sensed[0] - m[0], sensed[1] - m[1]];
+            base = [base[0] + left[0], base[1] + left[1]];
+            if left[0].abs().max(left[1].abs()) < 1e-10 {
+                break;
+            }
+        }
+        let mut driven = base;
+        for memory in &mut self.memories {
+            let next = memory.sensed(dt_s, driven);
+            memory.accept(dt_s, driven);
+            driven = next;
+        }
+        base
+    }
+}
+
 /// A calibration with accepted effects that takes readings one by one. New readings belong to the last seating that it saw.
 pub struct PhysicalStream {
     model: PhysicalModel,
-    terms: Vec<ActiveEffect>,
+    effects: Remembering,
+    /// Each uncertain value: its place in the covariance, the step, and the effects with the value one step lower and higher.
+    moved: Vec<(usize, f64, [Remembering; 2])>,
     inverse: Matrix2<f64>,
-    memories: Vec<Box<dyn Memory>>,
     last_s: Option<f64>,
     /// Path of the one reading at hand.
     now: WhiskerPath,
@@ -23,8 +66,13 @@ impl PhysicalStream {
     #[must_use]
     pub fn new(model: PhysicalModel) -> Option<Self> {
         let inverse = model.sensitivity().try_inverse()?;
-        let terms = model.terms();
-        let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
+        let effects = Remembering::new(model.terms());
+        let at = |place, by| Remembering::new(model.terms_moved(Some((place, by))));
+        let moved = model.uncertain_values().into_iter().map(|(place, sd)| {
+            let step = VALUE_STEP * sd;
+            (place, step, [at(place, -step), at(place, step)])
+        });
+        let moved = moved.collect();
         let reading = Reading {
             line: None,
             x_mm: 0.0,
@@ -53,18 +101,13 @@ impl PhysicalStream {
             moments: MomentAxes::default(),
             columns: Columns { time: true, temperature: true, ..Columns::default() },
         };
-        Some(Self { model, terms, inverse, memories, last_s: None, now })
+        Some(Self { model, effects, moved, inverse, last_s: None, now })
     }
 
     fn sensed(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2] {
         let reading = &mut self.now.readings[0];
         (reading.t_s, reading.shift_pm, reading.rise_degc) = (t_s, shift_pm, rise_degc);
-        self.model.sensed(&self.terms, &self.now, &self.inverse)[0]
-    }
-
-    /// What the sensor makes of a base moment now.
-    fn remembered(&self, dt_s: Option<f64>, base: [f64; 2]) -> [f64; 2] {
-        self.memories.iter().fold(base, |m, memory| memory.sensed(dt_s, m))
+        self.model.sensed(&self.effects.terms, &self.now, &self.inverse)[0]
     }
 }
 
@@ -75,30 +118,23 @@ impl MomentStream for PhysicalStream {
 
     fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments {
         let sensed = self.sensed(t_s, shift_pm, rise_degc);
-        let columns = self.model.columns(&self.terms, &self.now, &[sensed]);
+        let columns = self.model.columns(&self.effects.terms, &self.now, &[sensed]);
         let row: Vec<f64> = columns.iter().map(|c| c[0]).collect();
-        let sd_nmm = self.model.sd_nmm(&self.inverse, &row, self.model.noise_sd_pm);
+        let mut gradient = self.model.of_coefficients(&self.inverse, &row);
+        let visible = self.model.sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
         let dt_s = self.last_s.map(|last| t_s - last);
         self.last_s = Some(t_s);
-        let mut base = sensed;
-        // Memory is a small correction: plain fixed-point iteration undoes it, as for a table.
-        for _ in 0..40 {
-            if self.memories.is_empty() || hidden(&sensed, &sd_nmm) {
-                break;
-            }
-            let m = self.remembered(dt_s, base);
-            let left = [sensed[0] - m[0], sensed[1] - m[1]];
-            base = [base[0] + left[0], base[1] + left[1]];
-            if left[0].abs().max(left[1].abs()) < 1e-10 {
-                break;
+        let base = self.effects.base(dt_s, sensed, visible);
+        for (place, step, sides) in &mut self.moved {
+            let [low, high] = sides.each_mut().map(|side| {
+                let sensed = self.model.sensed(&side.terms, &self.now, &self.inverse)[0];
+                side.base(dt_s, sensed, visible)
+            });
+            for c in 0..2 {
+                gradient[(c, *place)] = (high[c] - low[c]) / (2.0 * *step);
             }
         }
-        let mut driven = base;
-        for memory in &mut self.memories {
-            let next = memory.sensed(dt_s, driven);
-            memory.accept(dt_s, driven);
-            driven = next;
-        }
+        let sd_nmm = self.model.sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
         let valid = base[0].hypot(base[1]) <= VALID_SHARE * self.model.largest_moment_nmm;
         StreamMoments { moment_nmm: base, sd_nmm, valid }
     }
@@ -107,7 +143,7 @@ impl MomentStream for PhysicalStream {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::whisker::physical::AcceptedEffect;
+    use crate::whisker::physical::{AcceptedEffect, Inferred};
     use wcal_core::{FbgSpec, Role, WhiskerRow};
 
     fn effect(id: &str, law: &str, values: &[f64]) -> AcceptedEffect {
@@ -125,10 +161,13 @@ mod tests {
         ];
         let coefficients =
             vec![[3.0, -2.0], [72.0, -6.0], [9.0, 78.0], [0.2, 0.1], [1.5, 0.3], [-0.4, 0.2], [0.6, -1.0]];
-        let q = coefficients.len() * 2;
+        // Four values: size and time of creep, size and width of hysteresis, play of the dead zone (five).
+        let (q, sd) = (coefficients.len() * 2, [0.004, 0.8, 0.003, 0.01, 0.002]);
+        let mut covariance = vec![vec![0.0; q + sd.len()]; q + sd.len()];
+        sd.iter().enumerate().for_each(|(k, s)| covariance[q + k][q + k] = s * s);
         PhysicalModel {
             coefficients,
-            covariance: vec![vec![0.0; q]; q],
+            covariance,
             noise_sd_pm: 0.05,
             effects,
             seatings: 1,
@@ -145,7 +184,7 @@ mod tests {
         (0..n).map(at).collect()
     }
 
-    fn of_table(model: &PhysicalModel, shifts: &[(f64, [f64; 2])]) -> Vec<[f64; 2]> {
+    fn of_table(model: &PhysicalModel, shifts: &[(f64, [f64; 2])]) -> Vec<Inferred> {
         let row = |(k, (t_s, shift_pm)): (usize, &(f64, [f64; 2]))| WhiskerRow {
             source: String::new(),
             line: k,
@@ -171,7 +210,7 @@ mod tests {
         let rows: Vec<WhiskerRow> = shifts.iter().enumerate().map(row).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();
         let path = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &model.fbg, None, None);
-        model.infer(&path, None).iter().map(|m| m.moment_nmm).collect()
+        model.infer(&path, None)
     }
 
     #[test]
@@ -182,12 +221,53 @@ mod tests {
         let mut largest: f64 = 0.0;
         for ((t_s, shift), expected) in shifts.iter().zip(&table) {
             let m = stream.moments(*t_s, *shift, 0.0);
-            let off = (m.moment_nmm[0] - expected[0]).hypot(m.moment_nmm[1] - expected[1]);
-            assert!(off < 1e-7, "{t_s}: {m:?} {expected:?}");
+            let off = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+            assert!(off(m.moment_nmm, expected.moment_nmm) < 1e-7, "{t_s}: {m:?} {expected:?}");
+            assert!(off(m.sd_nmm, expected.sd_nmm) < 1e-6, "{t_s}: {m:?} {expected:?}");
             let quick = stream.quick_nmm(*t_s, *shift, 0.0);
-            largest = largest.max((quick[0] - expected[0]).hypot(quick[1] - expected[1]));
+            largest = largest.max(off(quick, expected.moment_nmm));
         }
         // Control: without memory the answers differ.
         assert!(largest > 0.01, "{largest}");
+    }
+
+    #[test]
+    fn stated_deviations_hold_the_values_of_effects() {
+        use rand::SeedableRng;
+        use rand_distr::{Distribution, StandardNormal};
+        let (model, shifts) = (model(), shifts(120));
+        let first = 2 * model.coefficients.len();
+        let mut without = model.clone();
+        without.covariance.iter_mut().flatten().for_each(|v| *v = 0.0);
+        let stated = of_table(&model, &shifts);
+        let by_noise = of_table(&without, &shifts);
+        // The spread of the answers when the values are drawn from their covariance; nothing else varies.
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let draws = 400;
+        let mut squares = vec![[0.0; 2]; shifts.len()];
+        for _ in 0..draws {
+            let mut drawn = model.clone();
+            for (place, value) in (first..).zip(drawn.effects.iter_mut().flat_map(|e| &mut e.values)) {
+                let z: f64 = StandardNormal.sample(&mut rng);
+                *value += z * model.covariance[place][place].sqrt();
+            }
+            for (s, (m, at)) in squares.iter_mut().zip(of_table(&drawn, &shifts).iter().zip(&stated)) {
+                (0..2).for_each(|c| s[c] += (m.moment_nmm[c] - at.moment_nmm[c]).powi(2) / f64::from(draws));
+            }
+        }
+        // Loaded readings, not those at the edge of the dead zone, where the answer has a kink.
+        let loaded = |m: &Inferred| m.moment_nmm[0].abs().min(m.moment_nmm[1].abs()) > 0.1;
+        let mut ratios: Vec<[f64; 2]> = Vec::new();
+        for ((s, with), noise) in squares.iter().zip(&stated).zip(&by_noise).filter(|((_, m), _)| loaded(m)) {
+            for (c, values) in s.iter().enumerate() {
+                let spread = values + noise.sd_nmm[c].powi(2);
+                ratios.push([with.sd_nmm[c], noise.sd_nmm[c]].map(|sd| sd / spread.sqrt()));
+            }
+        }
+        let mean = |k: usize| ratios.iter().map(|r| r[k]).sum::<f64>() / ratios.len() as f64;
+        assert!(ratios.len() > 50, "{}", ratios.len());
+        assert!((mean(0) - 1.0).abs() < 0.05, "{} of the spread", mean(0));
+        // Control: noise alone states less than half of it.
+        assert!(mean(1) < 0.5, "{}", mean(1));
     }
 }

@@ -157,7 +157,8 @@ fn readings(
 fn factor(model: &PhysicalModel) -> DMatrix<f64> {
     const LEAST: f64 = 1e-12;
     let size = model.covariance.len();
-    let sd: Vec<f64> = (0..size).map(|i| model.covariance[i][i].max(0.0).sqrt().max(f64::MIN_POSITIVE)).collect();
+    let sd: Vec<f64> =
+        (0..size).map(|i| model.covariance[i][i].max(0.0).sqrt().max(f64::MIN_POSITIVE)).collect();
     let correlation = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j] / sd[i] / sd[j]);
     let eigen = correlation.symmetric_eigen();
     let largest = eigen.eigenvalues.max();

@@ -184,7 +184,8 @@ impl PhysicalModel {
                 let index = catalogue.iter().position(|e| e.id() == a.id)?;
                 let (law, _) = catalogue[index].law_named(&a.law)?;
                 let mut values = a.values.clone();
-                if let Some(v) = moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by))) {
+                if let Some(v) = moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by)))
+                {
                     *v.0 += v.1;
                 }
                 place += a.values.len();

@@ -21,8 +21,9 @@ use std::sync::{Arc, Mutex};
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 use wcal_core::shapes_document::{ErrorColumn, GrooveDocument, PairDocument, PairErrors};
 
-/// Stations of the centre line that count at most, spread evenly between root and contact.
-const MAX_STATIONS: usize = 5;
+/// Stations of the centre line that count at most, spread evenly from root to tip: past the contact the wire is free, and its tail shows
+/// the slope there with the longest lever.
+const MAX_STATIONS: usize = 12;
 /// Nearer to the root than this the wire is in its seat and tells nothing, mm.
 const MIN_STATION_MM: f64 = 4.0;
 /// Part of the stated error below which nothing is believed, mm: rounding of the file and of the rod.
@@ -287,8 +288,7 @@ fn observed(
     shapes: &SessionShapes,
 ) -> Option<(Pair, DMatrix<f64>)> {
     let line = &document.centreline_mm;
-    let kept =
-        document.errors.as_ref().map_or_else(Vec::new, |e| stations(e, line, groove.contact_arclength_mm));
+    let kept = document.errors.as_ref().map_or_else(Vec::new, |e| stations(e, line));
     let of_errors = |k: &usize| document.errors.as_ref().map(|e| (e.stations[*k], e.stations_mm[*k]));
     let places: Vec<(usize, f64)> = kept.iter().filter_map(of_errors).collect();
     let stations_mm: Vec<Vector3<f64>> = places.iter().map(|(at, _)| Vector3::from(line[*at])).collect();
@@ -378,10 +378,10 @@ fn stated(groove: &GrooveDocument, position: &Matrix3<f64>, tangent: &Vector3<f6
     own
 }
 
-/// Stations that count: evenly spread between seat and contact.
-fn stations(errors: &PairErrors, line: &[[f64; 3]], contact_mm: f64) -> Vec<usize> {
+/// Stations that count: evenly spread past the seat.
+fn stations(errors: &PairErrors, line: &[[f64; 3]]) -> Vec<usize> {
     let usable: Vec<usize> = (0..errors.stations_mm.len())
-        .filter(|&k| (MIN_STATION_MM..contact_mm).contains(&errors.stations_mm[k]))
+        .filter(|&k| errors.stations_mm[k] >= MIN_STATION_MM)
         .filter(|&k| across(line, errors.stations[k]).is_some())
         .collect();
     let count = usable.len().min(MAX_STATIONS);

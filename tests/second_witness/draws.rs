@@ -42,6 +42,7 @@ pub struct Answer {
     pub witness: Option<String>,
     pub contact_before_mm: f64,
     pub contact_after_mm: f64,
+    pub contact_floor_mm: f64,
     pub reason: String,
 }
 
@@ -91,6 +92,7 @@ pub fn answer(order: &Draw) -> Answer {
         witness: d.witness,
         contact_before_mm: contact(&d.before),
         contact_after_mm: contact(&d.after),
+        contact_floor_mm: d.noise_floor.contact_mm.unwrap_or(f64::NAN),
         reason: d.reason,
     }
 }

@@ -1,6 +1,7 @@
 //! shapes.json beside a session: what cannot be used is left out by name, and the rest is used.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
+#[allow(dead_code, reason = "only the good session is of use here")]
 mod broken;
 
 use broken::Base;

@@ -358,14 +358,14 @@ impl RodTables {
         }
         let slips = self.slip_tables(rod_parameters)?;
         let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
-        let moment = |((node, &x), (held, frictionless)): ((&Node, &f64), (&Option<Held>, [f64; 2]))| {
-            let (Some(h), Some(l)) = (held, node.line) else { return Some([0.0; 2]) };
+        let moment = |k: usize| {
+            let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
             let slip = slips[l].as_ref()?;
-            let (with, without) = (slip.moment(x, h.ratio), slip.moment(x, 0.0));
+            let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));
             // The fine table carries the size, the coarse one only the difference that friction makes.
-            Some([frictionless[0] + with[0] - without[0], frictionless[1] + with[1] - without[1]])
+            Some([0, 1].map(|c| frictionless[k][c] + with[c] - without[c]))
         };
-        nodes.iter().zip(xs_mm).zip(held.iter().zip(frictionless)).map(moment).collect()
+        (0..nodes.len()).map(moment).collect()
     }
 
     /// Equilibria at the nodes `wanted`, friction included; none where the wire is free there.

@@ -300,6 +300,9 @@ pub struct GrooveTracking {
     pub points: usize,
     /// Trajectories; the error is one and the same at all readings of a trajectory.
     pub trajectories: usize,
+    /// Trajectories whose groove lies in the stated 95 % region at half of their readings and more: what may be counted.
+    #[serde(default)]
+    pub trajectories_held: usize,
     /// Trajectories on which moments and motion do not belong together.
     pub doubted: usize,
     /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.

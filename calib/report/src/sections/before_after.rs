@@ -114,11 +114,13 @@ fn groove(t: &GrooveTracking) -> String {
     };
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
-         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold {}.{doubted}</p>",
+         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold the groove on {} of \
+         {} trajectories, whose readings share one error.{doubted}</p>",
         number(t.rmse_mm),
         t.points,
         number(t.bound_mm),
-        percent(t.coverage95),
+        t.trajectories_held,
+        t.trajectories,
     )
 }
 

@@ -100,6 +100,11 @@ impl ActiveEffect {
         self.term
     }
 
+    /// Physical ranges of its values.
+    pub fn ranges(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.law.parameters.iter().map(|p| p.range)
+    }
+
     /// Values of its parameters, by name.
     #[must_use]
     pub fn values(&self) -> Values<'_> {

@@ -13,7 +13,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         "wcal-mujoco" => &["wcal-core", "wcal-rod"],
         // A program: wcal speaks to it, nothing depends on it.
         "wcal-mujoco-engine" => &["wcal-mujoco"],
-        "wcal-track" => &["wcal-core", "wcal-rod", "wcal-mujoco"],
+        "wcal-track" => &["wcal-core", "wcal-rod", "wcal-mujoco", "wcal-map"],
         "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
         // A device needs its entry of the rig, no session.
         "wcal-drivers" => &["wcal-core"],

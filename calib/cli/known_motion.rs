@@ -1,15 +1,20 @@
 //! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
 
+#[cfg(test)]
+mod tests;
+
+use crate::track::at_most;
 use anyhow::{Result, bail};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
 use wcal_track::known_motion::contact_path::ContactPath;
+use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
     Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Settings, bound_mm, locate,
 };
@@ -49,6 +54,23 @@ pub struct TrackedTrajectory {
     episode: Episode,
 }
 
+/// A located place beside the groove's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Compared {
+    /// Identifier of the trajectory.
+    pub trajectory: u32,
+    /// True arc length at which the free wire is met, mm.
+    pub arclength_mm: f64,
+    /// Distance in space, mm.
+    pub error_mm: f64,
+    /// Cramer-Rao bound of that distance, mm.
+    pub bound_mm: f64,
+    /// Whether the 95 % region holds the groove.
+    pub held: bool,
+    /// Whether moments and motion disagree on the trajectory.
+    pub doubted: bool,
+}
+
 /// A session whose contact was located.
 pub struct TrackedSession {
     field: MomentField,
@@ -66,12 +88,15 @@ pub fn track(
     motion: GrooveMotion,
     chosen: impl Fn(usize) -> bool,
 ) -> Result<TrackedSession> {
-    let GrooveMotion { wire, readings } = motion;
-    let friction = match wire.friction {
-        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
-        _ => Friction::NONE,
+    let GrooveMotion { wire, changed, readings } = motion;
+    let table = |wire: &AcceptedWire| {
+        let friction = match wire.friction {
+            mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+            _ => Friction::NONE,
+        };
+        MomentField::new(&wire.rod, &system.data.moments, friction)
     };
-    let field = MomentField::new(&wire.rod, &system.data.moments, friction);
+    let field = table(&wire).with_changed(changed.iter().map(table).collect());
     let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
     for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
         by_line.entry(reading.line).or_default().push(reading);
@@ -86,9 +111,11 @@ pub fn track(
                 moment_nmm: r.moment_nmm,
                 noise_nmm2: r.noise_nmm2,
                 shared_nmm: r.shared_nmm.clone(),
+                shared_way_mm: r.shared_way_mm.iter().map(|w| direction * *w).collect(),
                 moved_mm: direction * r.stage_mm,
                 velocity_mm_s: direction * r.velocity_mm_s,
                 moved_sd_mm: 0.0,
+                turn: Rotation3::identity(),
                 free: r.rest,
                 visit: r.visit,
             })
@@ -111,56 +138,44 @@ impl TrackedSession {
         self.trajectories.iter().flat_map(of).collect()
     }
 
-    /// The places beside the groove's, which `groove` gives by reading where it is known; none where none of them is, or nothing was found.
+    /// The places beside the groove's, which `groove` gives by reading where it is known; in the order of the trajectories.
     ///
     /// # Errors
     /// Where the bound cannot be computed.
-    pub fn beside_groove(
+    pub fn compared(
         &self,
         system: &WhiskerSystem,
         groove: impl Fn(usize) -> Option<Vector3<f64>>,
-        split: &str,
-    ) -> Result<Option<GrooveTracking>> {
+    ) -> Result<Vec<Compared>> {
         let settings = Settings::default();
-        let (mut squared, mut bounds, mut held, mut points) = (0.0, 0.0, 0_usize, 0_usize);
-        let (mut trajectories, mut doubted) = (0, 0);
+        let mut all = Vec::new();
         for t in &self.trajectories {
             let Some(posterior) = &t.found.posterior else { continue };
             let Some(path) = ContactPath::new(&self.field, &t.episode) else { continue };
-            let mut compared = false;
             let mut bound = None;
             for (k, (reading, place)) in t.readings.iter().zip(&t.found.places).enumerate() {
                 let (Some(groove), Some(at)) = (groove(reading.reading), place.place_mm) else { continue };
                 if reading.rest {
                     continue;
                 }
-                let direction = system.data.trajectories[reading.line].direction;
-                let truth = groove + direction * reading.added_mm + self.wire.offset_mm;
-                let near = system.data.trajectories[reading.line].nominal_arclength_mm;
-                let Some(state) = path.state_of(&truth, k, near) else { continue };
+                let trajectory = &system.data.trajectories[reading.line];
+                let truth = groove + trajectory.direction * reading.added_mm + self.wire.offset_mm;
+                let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
                 if bound.is_none() {
                     bound = bound_mm(&self.field, &t.episode, &settings, &state)?;
                 }
-                let Some(bound) = bound else { continue };
-                squared += (at - truth).norm_squared();
-                bounds += bound * bound;
-                held += usize::from(posterior.holds(&state));
-                points += 1;
-                compared = true;
+                let Some(bound_mm) = bound else { continue };
+                all.push(Compared {
+                    trajectory: t.id,
+                    arclength_mm: state.s_mm,
+                    error_mm: (at - truth).norm(),
+                    bound_mm,
+                    held: posterior.holds(&state),
+                    doubted: t.found.disagreement.is_some(),
+                });
             }
-            trajectories += usize::from(compared);
-            doubted += usize::from(compared && t.found.disagreement.is_some());
         }
-        let n = points as f64;
-        Ok((points > 0).then(|| GrooveTracking {
-            rmse_mm: (squared / n).sqrt(),
-            bound_mm: (bounds / n).sqrt(),
-            coverage95: held as f64 / n,
-            points,
-            trajectories,
-            doubted,
-            split: split.to_owned(),
-        }))
+        Ok(all)
     }
 
     /// What was found on each trajectory, for track.json.
@@ -193,15 +208,50 @@ impl TrackedSession {
     }
 }
 
+/// Trajectories of which fewer than half of the readings lie in their regions.
+fn lost(compared: &[Compared]) -> usize {
+    let mut by_trajectory: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for c in compared {
+        by_trajectory.entry(c.trajectory).or_default()[usize::from(c.held)] += 1;
+    }
+    by_trajectory.values().filter(|[outside, inside]| inside < outside).count()
+}
+
+/// Whether the stated regions hold too few trajectories for an accident.
+pub fn misstated(t: &GrooveTracking) -> bool {
+    const LEVEL: f64 = 0.01;
+    at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
+}
+
+/// Errors, bound and coverage over readings; none where nothing was compared.
+pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
+    let n = compared.len() as f64;
+    let rms = |of: fn(&Compared) -> f64| (compared.iter().map(|c| of(c).powi(2)).sum::<f64>() / n).sqrt();
+    let trajectories = |of: fn(&Compared) -> bool| {
+        compared.iter().filter(|c| of(c)).map(|c| c.trajectory).collect::<BTreeSet<_>>().len()
+    };
+    (!compared.is_empty()).then(|| GrooveTracking {
+        rmse_mm: rms(|c| c.error_mm),
+        bound_mm: rms(|c| c.bound_mm),
+        coverage95: compared.iter().filter(|c| c.held).count() as f64 / n,
+        points: compared.len(),
+        trajectories: trajectories(|_| true),
+        trajectories_held: trajectories(|_| true) - lost(compared),
+        doubted: trajectories(|c| c.doubted),
+        split: split.to_owned(),
+    })
+}
+
 /// For people.
 pub fn groove_sentence(t: &GrooveTracking) -> String {
     let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
     format!(
-        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold {:.0} %",
+        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold the groove on {} of {} trajectories",
         t.rmse_mm,
         t.points,
         t.bound_mm,
         t.rmse_mm / t.bound_mm,
-        100.0 * t.coverage95
+        t.trajectories_held,
+        t.trajectories
     )
 }

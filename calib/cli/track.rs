@@ -11,6 +11,7 @@ mod table;
 mod trust;
 mod whiskers;
 
+pub use groove::at_most;
 pub use trust::filters_for;
 
 use crate::train::burn_device;

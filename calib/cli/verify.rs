@@ -1,6 +1,6 @@
 //! `wcal verify`: the residual loop on a session.
 
-use crate::known_motion::{groove_sentence, track};
+use crate::known_motion::{self, groove_sentence};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -279,8 +279,9 @@ fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTr
     let Some(motion) = done.model.groove_motion(whole) else { return Ok(None) };
     let [sealed, _] = whole.held_out();
     let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
-    let tracked = track(whole, motion, |i| sealed[i] == any)?;
-    tracked.beside_groove(whole, |i| whole.row(i).groove_mm, split)
+    let tracked = known_motion::track(whole, motion, |i| sealed[i] == any)?;
+    let compared = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
+    Ok(known_motion::groove_tracking(&compared, split))
 }
 
 fn of_scalar_session(
@@ -422,6 +423,12 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         if let Some(floor) = floor {
             println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
+    }
+    if let Some(floor) = n.contact_mm {
+        println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
+    }
+    if let Some(witness) = &v.witness {
+        println!("  decided by: {witness}");
     }
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));

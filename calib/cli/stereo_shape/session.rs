@@ -117,7 +117,7 @@ fn out_of_groove(document: &mut ShapesDocument, poses: &[PosePair]) {
             continue;
         }
         match contact.as_deref() {
-            Some("vertex" | "double") => {}
+            Some("vertex") => {}
             Some(other) => {
                 pair.warnings.push(format!("the wire is not in the groove's vertex (contact {other})"))
             }

@@ -1,10 +1,9 @@
 //! Tracks of a session whose groove moves in a known way: no network.
 
-use super::groove::at_most;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::{TrustIssues, calibration_issues};
 use super::{Outcome, TrackArgs, exit_code};
-use crate::known_motion::{groove_sentence, track as locate, without_groove};
+use crate::known_motion::{groove_sentence, groove_tracking, misstated, track as locate, without_groove};
 use anyhow::{Result, anyhow, bail};
 use nalgebra::Vector3;
 use serde_json::json;
@@ -15,7 +14,6 @@ use wcal_core::stream::{Flags, StreamMoments};
 use wcal_core::{SessionData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_track::known_motion::Place;
-use wcal_track::known_motion::posterior::REGION;
 use wcal_track::network::Prediction;
 
 /// Tracks the readings of a session's points table.
@@ -80,7 +78,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
     }
     // The groove's place enters here, after every answer.
     let known = |reading: usize| -> Option<Vector3<f64>> { data.rows[system.path.rows[reading]].groove_mm };
-    let groove = tracked.beside_groove(&system, known, "fit")?;
+    let groove = groove_tracking(&tracked.compared(&system, known)?, "fit");
     let simulated = session.simulated || file.provenance.simulated;
     if simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
@@ -105,19 +103,12 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
     if let Some(groove) = &groove {
         eprintln!("{}", groove_sentence(groove));
     }
-    // Readings of a trajectory have one error: the trajectories are what may be counted.
-    let misstated = groove.as_ref().is_some_and(|g| {
-        let held = (g.coverage95 * g.trajectories as f64).round() as usize;
-        at_most(held, g.trajectories, REGION) < MISSTATED
-    });
+    let misstated = groove.as_ref().is_some_and(misstated);
     Ok(exit_code(
         args,
         Outcome { outside: outside > 0, misstated, lost: false, untrained: !disagreements.is_empty() },
     ))
 }
-
-/// Chance below which too few regions that hold are no accident.
-const MISSTATED: f64 = 0.01;
 
 /// A place as a row of the track has it; none where nothing was found.
 fn answer(place: &Place) -> Option<Prediction> {

@@ -3,10 +3,12 @@
 //! No device and no native code; of files only how they are written. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
 //! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
+pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
 pub mod device;
 pub mod files;
+pub mod least_squares;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;
@@ -19,8 +21,9 @@ pub mod verify_document;
 
 pub use calibration::{CalibrationFile, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, Role, SessionData, SessionKind, Trajectory, TransducerData,
-    TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow, WhiskerSpec,
+    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes,
+    Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
+    WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;

@@ -224,6 +224,9 @@ pub struct Isolability {
     pub names: Vec<String>,
     /// n rows of n cosines, -1 to 1; NaN where a signature is absorbed.
     pub cosine: Vec<Vec<f64>>,
+    /// The same in the wavelengths alone; none without pictures.
+    #[serde(default)]
+    pub cosine_without_pictures: Option<Vec<Vec<f64>>>,
 }
 
 /// One explanation: a set of effects that was refitted through the full model.

@@ -12,6 +12,7 @@ mod findings;
 mod holdout;
 mod row;
 mod session;
+mod shapes;
 mod table;
 mod text_table;
 mod transducer;

@@ -1,20 +1,10 @@
 //! Intervals of errors by bootstrap over whole sweeps and objects: samples of one sweep are no independent draws.
-//!
-//! The n units (objects, or the sweeps of one) are drawn with replacement, `RESAMPLES` times; the interval is from the quantile a to 1 - a of
-//! the statistic, moved outward for few units (expanded percentiles):
-//!
-//! ```text
-//! a = Phi(-t_{n-1}(0.975) sqrt(n / (n - 1)))
-//! ```
-//!
-//! Sources: A. C. Davison, D. V. Hinkley, "Bootstrap Methods and their Application", 1997, 3.8; T. C. Hesterberg, "What Teachers Should Know
-//! About the Bootstrap", The American Statistician 69 (2015) 371.
+//! The interval is the expanded percentile interval of [`wcal_core::bootstrap`].
 
 use crate::evaluate::ObjectScores;
 use crate::score::{SquareSum, SweepSums};
-use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+use wcal_core::bootstrap::{expanded_interval95, redrawn, replicates};
 
 /// Draws of an interval.
 const RESAMPLES: usize = 2000;
@@ -38,7 +28,7 @@ pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     }
     let each: Vec<f64> = rows.iter().map(|r| rmse_of(&r.sweeps, of)).collect();
     let n = each.len();
-    interval95(n, |rng| (0..n).map(|_| each[rng.random_range(0..n)]).sum::<f64>() / n as f64)
+    interval95(n, |rng| redrawn(n, rng).map(|k| each[k]).sum::<f64>() / n as f64)
 }
 
 /// 95 % interval of the largest RMSE of these objects, mm: sweeps are drawn again within each.
@@ -53,29 +43,19 @@ fn rmse_of(sweeps: &[SweepSums], of: ErrorOf) -> f64 {
 }
 
 fn resampled_rmse(sweeps: &[SweepSums], of: ErrorOf, rng: &mut ChaCha8Rng) -> f64 {
-    let n = sweeps.len();
-    (0..n).map(|_| of(&sweeps[rng.random_range(0..n)])).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
+    redrawn(sweeps.len(), rng).map(|k| of(&sweeps[k])).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
 }
 
-/// Quantiles of `draw`, moved outward as `n` units ask for (T. C. Hesterberg, "What teachers should know about the bootstrap", 2015:
-/// quantiles alone are too narrow by the factor between n and n - 1 and by that between normal and t).
-fn interval95(n: usize, draw: impl Fn(&mut ChaCha8Rng) -> f64) -> Option<[f64; 2]> {
-    if n < 2 {
-        return None;
-    }
-    let mut rng = ChaCha8Rng::seed_from_u64(n as u64);
-    let mut drawn: Vec<f64> = (0..RESAMPLES).map(|_| draw(&mut rng)).collect();
-    drawn.sort_by(f64::total_cmp);
-    let t = StudentsT::new(0.0, 1.0, (n - 1) as f64).ok()?.inverse_cdf(0.975);
-    let share = Normal::standard().cdf(-t * (n as f64 / (n - 1) as f64).sqrt());
-    let at = |share: f64| drawn[((RESAMPLES - 1) as f64 * share).round() as usize];
-    Some([at(share), at(1.0 - share)])
+/// Of a statistic of `units` units that are drawn again.
+fn interval95(units: usize, draw: impl Fn(&mut ChaCha8Rng) -> f64) -> Option<[f64; 2]> {
+    (units > 1).then(|| expanded_interval95(replicates(RESAMPLES, units as u64, draw), units))?
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::score::{Detection, Scores};
+    use rand::SeedableRng;
     use rand_distr::{Distribution, LogNormal};
 
     fn object(rmse_mm: f64) -> ObjectScores {

@@ -16,9 +16,10 @@ mod mesh;
 
 pub use mesh::SurfaceMesh;
 
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use wcal_map::{Conditioned, Kernel};
 
 /// A contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,8 +78,7 @@ pub struct ImplicitSurface {
     settings: SurfaceSettings,
     contacts: Vec<CloudPoint>,
     places: Vec<Vector3<f64>>,
-    weights: DVector<f64>,
-    factor: nalgebra::Cholesky<f64, Dyn>,
+    process: Conditioned,
 }
 
 impl ImplicitSurface {
@@ -106,9 +106,8 @@ impl ImplicitSurface {
             let noise = if i == j { variances[i] } else { 0.0 };
             kernel(&settings, (places[i] - places[j]).norm()) + noise
         });
-        let factor = gram.cholesky()?;
-        let weights = factor.solve(&DVector::from_vec(values));
-        Some(Self { settings, contacts, places, weights, factor })
+        let process = Conditioned::new(gram, DVector::from_vec(values)).ok()?;
+        Some(Self { settings, contacts, places, process })
     }
 
     /// Contacts that it goes through.
@@ -120,20 +119,19 @@ impl ImplicitSurface {
     /// Signed distance at a place, mm. Far from all contacts it is outside.
     #[must_use]
     pub fn at(&self, place_mm: &Vector3<f64>) -> f64 {
-        let sum = self.places.iter().zip(self.weights.iter());
-        PRIOR_SD_MM + sum.map(|(p, w)| w * kernel(&self.settings, (place_mm - p).norm())).sum::<f64>()
+        PRIOR_SD_MM + self.process.mean(self.covariances(place_mm))
     }
 
     /// Standard deviation of the signed distance at a place, mm.
     #[must_use]
     pub fn sd_mm(&self, place_mm: &Vector3<f64>) -> f64 {
-        let near = self.places.iter().map(|p| kernel(&self.settings, (place_mm - p).norm()));
-        let mut k = DVector::from_iterator(self.places.len(), near);
-        // Half of the solution is enough for its square.
-        if !self.factor.l_dirty().solve_lower_triangular_mut(&mut k) {
-            return PRIOR_SD_MM;
-        }
-        (PRIOR_SD_MM.powi(2) - k.norm_squared()).max(0.0).sqrt()
+        let k = DVector::from_iterator(self.places.len(), self.covariances(place_mm));
+        (PRIOR_SD_MM.powi(2) - self.process.explained(k)).max(0.0).sqrt()
+    }
+
+    /// Covariances of the signed distance at a place with those at the constraints, mm^2.
+    fn covariances(&self, place_mm: &Vector3<f64>) -> impl Iterator<Item = f64> {
+        self.places.iter().map(move |p| kernel(&self.settings, (place_mm - p).norm()))
     }
 
     /// Its mesh near the contacts, with a standard deviation at every corner.
@@ -143,10 +141,8 @@ impl ImplicitSurface {
     }
 }
 
-/// Matern 5/2.
 fn kernel(settings: &SurfaceSettings, distance_mm: f64) -> f64 {
-    let u = 5.0_f64.sqrt() * distance_mm / settings.length_mm;
-    PRIOR_SD_MM.powi(2) * (1.0 + u + u * u / 3.0) * (-u).exp()
+    PRIOR_SD_MM.powi(2) * Kernel::Matern52 { length: settings.length_mm }.at(distance_mm)
 }
 
 fn sd_mm(c: &CloudPoint) -> f64 {

@@ -1,7 +1,7 @@
 //! Known motion on sessions of the plant (SIMULATED, physics that shares no code with the tracker's rod).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::{Matrix2, Rotation3, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_plant::session::{Case, Make, Request, Want, draw_under};
@@ -57,9 +57,11 @@ fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
             moment_nmm: [m.x, m.y],
             noise_nmm2: inverse * inverse.transpose() * noise_pm * noise_pm,
             shared_nmm: Vec::new(),
+            shared_way_mm: Vec::new(),
             moved_mm: direction * p.stage_mm,
             velocity_mm_s: direction * (p.speed_mm_s * f64::from(p.direction)),
             moved_sd_mm: 0.0,
+            turn: Rotation3::identity(),
             free: p.role == "rest",
             visit: p.replicate as u32,
         });

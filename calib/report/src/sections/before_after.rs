@@ -77,6 +77,7 @@ fn describe(key: &str, floor: &NoiseFloor, response_unit: &str) -> (String, Stri
     match key {
         "wavelength_rmse_pm" => ("wavelength".into(), "pm".into(), floor.wavelength_pm),
         "moment_rmse_nmm" => ("moments, pooled".into(), "N\u{a0}mm".into(), floor.moment_nmm),
+        "contact_rmse_mm" => ("contact".into(), "mm".into(), floor.contact_mm),
         "response_rmse" => ("response".into(), crate::number::unit_text(response_unit), floor.response),
         "error_rmse_um" => ("position error".into(), "µm".into(), floor.error_um),
         other => (other.replace('_', " "), String::new(), None),
@@ -113,11 +114,13 @@ fn groove(t: &GrooveTracking) -> String {
     };
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
-         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold {}.{doubted}</p>",
+         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold the groove on {} of \
+         {} trajectories, whose readings share one error.{doubted}</p>",
         number(t.rmse_mm),
         t.points,
         number(t.bound_mm),
-        percent(t.coverage95),
+        t.trajectories_held,
+        t.trajectories,
     )
 }
 

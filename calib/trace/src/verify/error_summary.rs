@@ -1,8 +1,8 @@
 //! Stage 11: held-out errors with bootstrap intervals over whole groups.
 
 use super::session_model::{HeldOut, Quantity};
-use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
+use wcal_core::bootstrap::{percentile_interval95, redrawn, replicates};
 use wcal_core::verify_document::HeldOutError;
 
 /// Bootstrap draws over whole groups.
@@ -38,19 +38,11 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u
         return None;
     }
     let groups = groups(rows);
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let mut draws = vec![Vec::with_capacity(DRAWS); quantities.len()];
-    for _ in 0..DRAWS {
-        let sample: Vec<&HeldOut> =
-            (0..groups.len()).flat_map(|_| groups[rng.random_range(0..groups.len())].clone()).collect();
-        for (q, draws) in draws.iter_mut().enumerate() {
-            draws.push(rmse(sample.iter().copied(), q));
-        }
-    }
-    let interval = |mut d: Vec<f64>| {
-        d.sort_by(f64::total_cmp);
-        [d[DRAWS / 40], d[DRAWS - 1 - DRAWS / 40]]
-    };
+    let draws: Vec<Vec<f64>> = replicates(DRAWS, seed, |rng| {
+        let sample: Vec<&HeldOut> = redrawn(groups.len(), rng).flat_map(|k| groups[k].clone()).collect();
+        (0..quantities.len()).map(|q| rmse(sample.iter().copied(), q)).collect()
+    });
+    let interval = |q: usize| percentile_interval95(draws.iter().map(|d| d[q]).collect());
     let named = |q: &Quantity| q.key.to_owned();
     let moments = quantities.iter().position(|q| q.key == "moment_rmse_nmm");
     let of_component = |q: usize, c: usize| {
@@ -59,9 +51,18 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u
     };
     Some(HeldOutError {
         split: split.to_owned(),
-        rmse: quantities.iter().enumerate().map(|(q, k)| (named(k), rmse(rows, q))).collect(),
+        // What no row shows (a contact without pictures) has no error.
+        rmse: quantities
+            .iter()
+            .enumerate()
+            .map(|(q, k)| (named(k), rmse(rows, q)))
+            .filter(|(_, e)| e.is_finite())
+            .collect(),
         moment_rmse_nmm_each: moments.map(|q| [0, 1].map(|c| of_component(q, c))),
-        interval95: quantities.iter().zip(draws).map(|(k, d)| (named(k), interval(d))).collect(),
+        interval95: (quantities.iter().enumerate())
+            .filter_map(|(q, k)| Some((named(k), interval(q)?)))
+            .filter(|(_, i)| i.iter().all(|v| v.is_finite()))
+            .collect(),
         points: rows.len(),
         loo: None,
     })

@@ -5,7 +5,8 @@
 
 use super::session_model::{HeldOut, SessionModel};
 use crate::measurement_model::MeasurementModel;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
+use wcal_map::{Conditioned, Kernel};
 
 /// Lengths, in root of the number of covariates (standardised).
 const LENGTHS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
@@ -27,15 +28,10 @@ fn covariates(system: &dyn MeasurementModel) -> DMatrix<f64> {
     DMatrix::from_fn(n, columns.len(), |i, j| columns[j][i])
 }
 
-fn matern(distance: f64) -> f64 {
-    let d = 5f64.sqrt() * distance;
-    (1.0 + d + d * d / 3.0) * (-d).exp()
-}
-
 struct Fitted {
-    length: f64,
+    kernel: Kernel,
     signal: f64,
-    alpha: DVector<f64>,
+    process: Conditioned,
 }
 
 /// Best length and signal for `y` at the rows `x`, by the evidence with the noise profiled out.
@@ -45,15 +41,14 @@ fn fitted(x: &DMatrix<f64>, y: &DVector<f64>) -> Option<Fitted> {
     let unit = (x.ncols().max(1) as f64).sqrt();
     let mut best: Option<(f64, Fitted)> = None;
     for length in LENGTHS.map(|l| l * unit) {
-        let correlation = distance.map(|d| matern(d / length));
+        let kernel = Kernel::Matern52 { length };
+        let correlation = distance.map(|d| kernel.at(d));
         for signal in SIGNALS {
-            let k = &correlation * signal + DMatrix::identity(n, n);
-            let Some(chol): Option<Cholesky<f64, Dyn>> = k.cholesky() else { continue };
-            let alpha = chol.solve(y);
-            let log_det: f64 = chol.l_dirty().diagonal().iter().map(|v| v.ln()).sum::<f64>() * 2.0;
-            let evidence = -0.5 * (n as f64 * (y.dot(&alpha) / n as f64).ln() + log_det);
+            let covariance = &correlation * signal + DMatrix::identity(n, n);
+            let Ok(process) = Conditioned::new(covariance, y.clone()) else { continue };
+            let evidence = -0.5 * (n as f64 * (process.misfit() / n as f64).ln() + process.log_determinant());
             if best.as_ref().is_none_or(|b| evidence > b.0) {
-                best = Some((evidence, Fitted { length, signal, alpha }));
+                best = Some((evidence, Fitted { kernel, signal, process }));
             }
         }
     }
@@ -78,8 +73,8 @@ pub fn rival<M: SessionModel>(whole: &M, before: &M::Predictions, left_out: &[us
     let seen = all.select_rows(&train);
     let added = |c: usize| -> Option<Vec<f64>> {
         let f = fitted(&seen, &DVector::from_iterator(train.len(), train.iter().map(|&i| residual[i][c])))?;
-        let kernel = |i: usize, j: usize| f.signal * matern((all.row(i) - seen.row(j)).norm() / f.length);
-        Some(test.iter().map(|&i| (0..train.len()).map(|j| kernel(i, j) * f.alpha[j]).sum()).collect())
+        let k = |i: usize, j: usize| f.signal * f.kernel.at((all.row(i) - seen.row(j)).norm());
+        Some(test.iter().map(|&i| f.process.mean((0..train.len()).map(|j| k(i, j)))).collect())
     };
     let Some(channels) = (0..residual[0].len()).map(added).collect::<Option<Vec<_>>>() else {
         return Vec::new();

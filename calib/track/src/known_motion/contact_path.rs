@@ -2,7 +2,7 @@
 
 use super::field::{Held, MomentField};
 use super::{Episode, MotionRow};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 
 /// State of an episode's contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,8 +30,8 @@ pub struct ContactPath<'a> {
     pub(crate) rows: &'a [MotionRow],
     /// Unit vector of the push.
     pub(crate) push: Vector3<f64>,
-    /// Way of the reference reading, mm.
-    reference_mm: Vector3<f64>,
+    /// Each reading's motion from the reference reading on: `P_k = turn P + way`, mm.
+    ways: Vec<(Rotation3<f64>, Vector3<f64>)>,
     /// Ways along the push between which the onset lies, mm.
     pub(crate) onset_mm: [f64; 2],
 }
@@ -49,22 +49,60 @@ impl<'a> ContactPath<'a> {
     pub fn new(field: &'a MomentField, episode: &'a Episode) -> Option<Self> {
         let rows = &episode.rows[..];
         let first = rows.iter().position(loaded)?;
+        let back = rows[first].turn.inverse();
+        let ways = rows.iter().map(|r| {
+            let turn = r.turn * back;
+            (turn, r.moved_mm - turn * rows[first].moved_mm)
+        });
+        let mut own = Self { field, rows, push: Vector3::zeros(), ways: ways.collect(), onset_mm: [0.0; 2] };
         let push = match episode.push {
             Some(push) => push,
-            None => push_of(rows, first)?,
+            None => own.first_way(first)?,
         };
-        let push = push.try_normalize(1e-9)?;
-        let reference_mm = rows[first].moved_mm;
-        let along = |r: &MotionRow| (r.moved_mm - reference_mm).dot(&push);
-        let touched = rows.iter().filter(|r| loaded(r));
-        let deepest = touched.map(along).fold(f64::NEG_INFINITY, f64::max);
-        let lowest = rows.iter().map(along).fold(0.0, f64::min);
-        Some(Self { field, rows, push, reference_mm, onset_mm: [lowest - BEFORE_MM, deepest] })
+        own.push = push.try_normalize(1e-9)?;
+        let along: Vec<f64> = (0..rows.len()).map(|k| own.along(k)).collect();
+        let touched = along.iter().zip(rows).filter(|(_, r)| loaded(r));
+        let deepest = touched.map(|(a, _)| *a).fold(f64::NEG_INFINITY, f64::max);
+        let lowest = along.iter().copied().fold(0.0, f64::min);
+        Some(Self { onset_mm: [lowest - BEFORE_MM, deepest], ..own })
     }
 
-    /// Way along the push of a reading, mm, from the reference.
+    /// The same motion past another wire.
+    pub(crate) fn past(&self, field: &'a MomentField) -> Self {
+        Self { field, ways: self.ways.clone(), ..*self }
+    }
+
+    /// Way of a reading from the reference, mm; where the base turns, that of the wire's middle.
+    fn way(&self, row: usize) -> Vector3<f64> {
+        let middle = self.field.free(0.5 * self.field.length_mm()).0;
+        self.carried(&middle, row) - middle
+    }
+
+    /// Direction in which the object goes on when it first loads the wire: over a tenth of its farthest way, so that jitter has none.
+    fn first_way(&self, first: usize) -> Option<Vector3<f64>> {
+        const SHARE: f64 = 0.1;
+        let ways: Vec<Vector3<f64>> = (0..self.rows.len()).map(|k| self.way(k)).collect();
+        let farthest = ways.iter().map(Vector3::norm).fold(0.0, f64::max);
+        let jitter = 3.0 * self.rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
+        let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
+        let before = ways[..first].iter().rev().map(|w| -w).find(enough);
+        before.or_else(|| ways[first..].iter().copied().find(enough))
+    }
+
+    /// Way along the push of a reading, mm, from the reference; where the base turns, that of the wire's middle.
     pub(crate) fn along(&self, row: usize) -> f64 {
-        (self.rows[row].moved_mm - self.reference_mm).dot(&self.push)
+        self.way(row).dot(&self.push)
+    }
+
+    /// Where a point that is at `place_mm` at the reference reading is at another, mm.
+    fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
+        let (turn, way) = &self.ways[row];
+        turn * place_mm + way
+    }
+
+    /// How the axes at the reference reading lie at another.
+    pub(crate) fn turned(&self, row: usize) -> &Rotation3<f64> {
+        &self.ways[row].0
     }
 
     /// Place at first touch and the direction of the gap; none where the push runs along the wire.
@@ -78,14 +116,21 @@ impl<'a> ContactPath<'a> {
     #[must_use]
     pub fn place(&self, state: &State, row: usize) -> Option<Vector3<f64>> {
         let (touch, _) = self.touch(state)?;
-        Some(touch + (self.rows[row].moved_mm - self.reference_mm) - self.push * state.onset_mm)
+        Some(self.carried(&(touch - self.push * state.onset_mm), row))
+    }
+
+    /// Way along the push past first touch, mm.
+    pub(crate) fn depth(&self, state: &State, row: usize) -> Option<f64> {
+        let (touch, _) = self.touch(state)?;
+        Some((self.place(state, row)? - touch).dot(&self.push))
     }
 
     /// State of an episode whose point is at `place_mm` at a reading: the inverse of [`Self::place`], near an arc length where it is given.
     #[must_use]
     pub fn state_of(&self, place_mm: &Vector3<f64>, row: usize, near_mm: Option<f64>) -> Option<State> {
         // The line of the push through the point at the reference reading.
-        let origin = place_mm - (self.rows[row].moved_mm - self.reference_mm);
+        let (turn, way) = &self.ways[row];
+        let origin = turn.inverse() * (place_mm - way);
         let steps = 2 * self.field.length_mm().ceil() as usize;
         let gap2 = |s: f64| {
             let off = self.field.free(s).0 - origin;
@@ -119,29 +164,34 @@ impl<'a> ContactPath<'a> {
     #[must_use]
     pub fn moments(&self, state: &State) -> Option<Vec<[f64; 2]>> {
         let (touch, _) = self.touch(state)?;
-        let origin = touch - self.push * state.onset_mm - self.reference_mm;
+        let origin = touch - self.push * state.onset_mm;
+        // Place at a reading, and whether the wire is held there.
+        let at = |k: usize| {
+            let place = self.carried(&origin, k);
+            (place, !self.rows[k].free && (place - touch).dot(&self.push) > 0.0)
+        };
         let mu = self.field.friction();
         if mu.coefficient <= 0.0 {
-            let at = |(k, row): (usize, &MotionRow)| match self.held(state, k) {
-                false => Some([0.0; 2]),
-                true => Some(self.field.held(&(origin + row.moved_mm), 0.0)?.moment_nmm),
+            let moment = |k: usize| match at(k) {
+                (_, false) => Some([0.0; 2]),
+                (place, true) => Some(self.field.held(&place, 0.0)?.moment_nmm),
             };
-            return self.rows.iter().enumerate().map(at).collect();
+            return (0..self.rows.len()).map(moment).collect();
         }
         // With friction the contact remembers where it stuck: from first touch on, visit by visit.
         let mut moments = Vec::with_capacity(self.rows.len());
         let mut contact: Option<(f64, Vector3<f64>, u32)> = None;
         for (k, row) in self.rows.iter().enumerate() {
-            if !self.held(state, k) {
+            let (to, held) = at(k);
+            if !held {
                 contact = None;
                 moments.push([0.0; 2]);
                 continue;
             }
             let (mut s, from) = match contact.filter(|c| c.2 == row.visit) {
                 Some((s, from, _)) => (s, from),
-                None => (state.s_mm, self.met(state, k, row, &touch)),
+                None => (state.s_mm, self.met(&touch, &to)),
             };
-            let to = origin + row.moved_mm;
             let share = if row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
             let steps = ((to - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
             let mut held = None;
@@ -155,12 +205,11 @@ impl<'a> ContactPath<'a> {
         Some(moments)
     }
 
-    /// Where a visit begins that this reading is the first of, mm: on the free wire, straight back along the push.
-    fn met(&self, state: &State, k: usize, row: &MotionRow, touch: &Vector3<f64>) -> Vector3<f64> {
-        let depth = self.along(k) - state.onset_mm;
-        let moved = (row.moved_mm - self.reference_mm) - self.push * self.along(k);
+    /// Where a visit begins whose first reading is at `to`, mm: on the free wire, straight back along the push.
+    fn met(&self, touch: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+        let depth = (to - touch).dot(&self.push);
         // Just past first touch: at it the force has no direction.
-        touch + moved + self.push * depth.min(1e-3)
+        to - self.push * (depth - depth.min(1e-3))
     }
 
     /// One move of the contact: it sticks until the cone's edge, then slips along it.
@@ -193,17 +242,6 @@ impl<'a> ContactPath<'a> {
 
     /// Whether the wire is held at a reading.
     pub(crate) fn held(&self, state: &State, row: usize) -> bool {
-        !self.rows[row].free && self.along(row) > state.onset_mm
+        !self.rows[row].free && self.depth(state, row).is_some_and(|d| d > 0.0)
     }
-}
-
-/// Direction in which the object goes on when it first loads the wire: over a tenth of its farthest way, so that jitter has none.
-fn push_of(rows: &[MotionRow], first: usize) -> Option<Vector3<f64>> {
-    const SHARE: f64 = 0.1;
-    let at = rows[first].moved_mm;
-    let farthest = rows.iter().map(|r| (r.moved_mm - at).norm()).fold(0.0, f64::max);
-    let jitter = 3.0 * rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
-    let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
-    let before = rows[..first].iter().rev().map(|r| at - r.moved_mm).find(enough);
-    before.or_else(|| rows[first..].iter().map(|r| r.moved_mm - at).find(enough))
 }

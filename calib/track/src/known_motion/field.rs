@@ -65,6 +65,8 @@ pub struct MomentField {
     axes: MomentAxes,
     friction: Friction,
     at_rest_nmm: [f64; 2],
+    /// The same by one standard deviation of each of the first common unknowns.
+    pub(crate) changed: Vec<MomentField>,
     /// Samples of the free wire: arc length and place.
     wire: Vec<(f64, Vector3<f64>)>,
     nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
@@ -110,10 +112,18 @@ impl MomentField {
             axes: axes.clone(),
             friction,
             at_rest_nmm,
+            changed: Vec::new(),
             wire,
             nodes: RwLock::default(),
             cells: RwLock::default(),
         }
+    }
+
+    /// With the tables of the wires that it is by one standard deviation of each of the first common unknowns of the readings.
+    #[must_use]
+    pub fn with_changed(mut self, changed: Vec<Self>) -> Self {
+        self.changed = changed;
+        self
     }
 
     /// Length of the wire, mm.

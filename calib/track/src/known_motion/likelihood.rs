@@ -1,27 +1,35 @@
 //! Likelihood of an episode's moments: what the readings share is integrated out.
+//!
+//! `S = B + U U'`, B 2 x 2 blocks (a reading's own) and few columns U (what is shared). With `B_k = L_k L_k'` and the thin decomposition
+//! `L^-1 U = Q diag(l) V'`, residuals are whitened by `S^-1/2 = (1 + Q (diag(1 / sqrt(1 + l^2)) - 1) Q') L^-1`, and
+//! `ln det S = sum ln det B_k + sum ln(1 + l^2)`: linear in the readings.
 
 use super::Settings;
 use super::contact_path::{ContactPath, State};
 use crate::TrackError;
-use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
 /// Gross readings scatter by so many times the noise.
 const GROSS: f64 = 10.0;
+/// A column whose size in standard deviations is below this is none: the square root of what rounding leaves of its square.
+const LEAST: f64 = 1e-6;
 /// Step of differences, mm.
 const STEP_MM: f64 = 0.02;
 
 /// Covariance of an episode, whitened.
 pub struct Likelihood {
-    /// `L^-1` with `S = L L'`.
-    whitening: DMatrix<f64>,
+    /// `L_k^-1`.
+    own: Vec<Matrix2<f64>>,
+    /// Q, and `1 / sqrt(1 + l^2) - 1`.
+    shared: (DMatrix<f64>, DVector<f64>),
     /// Probability of each reading to be none of the gross ones.
     pub(crate) regular: Vec<f64>,
     ln_determinant: f64,
 }
 
 impl Likelihood {
-    /// With a state, what depends on it is taken there: clock, noise of the motion, and which readings are gross (from the residuals under
-    /// the likelihood before).
+    /// With a state, what depends on it is taken there: clock, noise of the motion, common unknowns of stage and wire, and which readings
+    /// are gross (from the residuals under the likelihood before).
     ///
     /// # Errors
     /// Where the covariance is not positive definite.
@@ -32,34 +40,65 @@ impl Likelihood {
     ) -> Result<Self, TrackError> {
         let rows = path.rows;
         let n = rows.len();
-        let mut covariance = DMatrix::zeros(2 * n, 2 * n);
         let regular = at.map_or_else(|| vec![1.0; n], |(state, _)| regular(path, settings, state));
-        for (k, row) in rows.iter().enumerate() {
-            // E[1/variance] of the mixture.
-            let precision = regular[k] + (1.0 - regular[k]) / (GROSS * GROSS);
-            let own = row.noise_nmm2 / precision;
-            covariance.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
-        }
+        // E[1/variance] of the mixture.
+        let gross = |r: &f64| r + (1.0 - r) / (GROSS * GROSS);
+        let mut blocks: Vec<Matrix2<f64>> =
+            rows.iter().zip(&regular).map(|(row, r)| row.noise_nmm2 / gross(r)).collect();
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
-        let modes = DMatrix::from_fn(2 * n, shared, |i, j| rows[i / 2].shared_nmm[j][i % 2]);
-        covariance += &modes * modes.transpose();
+        // The last column is the clock's.
+        let mut modes = DMatrix::zeros(2 * n, shared + 1);
+        for (k, row) in rows.iter().enumerate() {
+            for (j, by) in row.shared_nmm.iter().enumerate() {
+                (0..2).for_each(|c| modes[(2 * k + c, j)] = by[c]);
+            }
+        }
         if let Some((state, _)) = at {
-            let mut clock = DVector::zeros(2 * n);
+            by_other_wires(path, state, &mut modes);
             for (k, row) in rows.iter().enumerate().filter(|(k, _)| path.held(state, *k)) {
                 let Some(rate) = rate_by_place(path, state, k) else { continue };
-                let by_motion = rate * rate.transpose() * row.moved_sd_mm.powi(2);
-                let mut block = covariance.view_mut((2 * k, 2 * k), (2, 2));
-                block += by_motion;
-                let drift = rate * row.velocity_mm_s * settings.clock_sd_s;
-                (clock[2 * k], clock[2 * k + 1]) = (drift[0], drift[1]);
+                blocks[k] += rate * rate.transpose() * row.moved_sd_mm.powi(2);
+                let drift = row.velocity_mm_s * settings.clock_sd_s;
+                let ways = row.shared_way_mm.iter().enumerate().chain([(shared, &drift)]);
+                for (j, way) in ways {
+                    let by_way = rate * way;
+                    (0..2).for_each(|c| modes[(2 * k + c, j)] += by_way[c]);
+                }
             }
-            covariance += &clock * clock.transpose();
         }
         let fails = || TrackError::value("covariance of the moments", "positive definite", "one that is not");
-        let factor = covariance.cholesky().ok_or_else(fails)?.unpack();
-        let ln_determinant = 2.0 * factor.diagonal().iter().map(|v| v.ln()).sum::<f64>();
-        let whitening = factor.solve_lower_triangular(&DMatrix::identity(2 * n, 2 * n)).ok_or_else(fails)?;
-        Ok(Self { whitening, regular, ln_determinant })
+        let mut own = Vec::with_capacity(n);
+        let mut ln_determinant = 0.0;
+        for (k, block) in blocks.iter().enumerate() {
+            let factor = block.cholesky().ok_or_else(fails)?.unpack();
+            ln_determinant += 2.0 * (factor[(0, 0)] * factor[(1, 1)]).ln();
+            let inverse = factor.try_inverse().ok_or_else(fails)?;
+            let white = inverse * modes.view((2 * k, 0), (2, shared + 1));
+            modes.view_mut((2 * k, 0), (2, shared + 1)).copy_from(&white);
+            own.push(inverse);
+        }
+        // Q and l from the small matrix U' U: its columns without size span nothing.
+        let eigen = (modes.transpose() * &modes).symmetric_eigen();
+        let sizes = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
+        ln_determinant += eigen.eigenvalues.iter().map(|v| v.max(0.0).ln_1p()).sum::<f64>();
+        let mut span = &modes * &eigen.eigenvectors;
+        for (mut column, size) in span.column_iter_mut().zip(&sizes) {
+            column.scale_mut(if *size > LEAST { 1.0 / size } else { 0.0 });
+        }
+        let shrink = sizes.map(|l| 1.0 / (1.0 + l * l).sqrt() - 1.0);
+        Ok(Self { own, shared: (span, shrink), regular, ln_determinant })
+    }
+
+    /// `S^-1/2` times measured less predicted moments.
+    fn whitened(&self, path: &ContactPath<'_>, moments: &[[f64; 2]]) -> DVector<f64> {
+        let mut white = DVector::zeros(2 * moments.len());
+        for (k, ((row, m), own)) in path.rows.iter().zip(moments).zip(&self.own).enumerate() {
+            let off = Vector2::new(row.moment_nmm[0] - m[0], row.moment_nmm[1] - m[1]);
+            white.fixed_rows_mut::<2>(2 * k).copy_from(&(own * off));
+        }
+        let (span, shrink) = &self.shared;
+        let along = span.tr_mul(&white).component_mul(shrink);
+        white + span * along
     }
 
     /// Whitened residuals of a state, the gap's prior as the last one; none where it has no equilibrium.
@@ -70,9 +109,7 @@ impl Likelihood {
         state: &State,
     ) -> Option<DVector<f64>> {
         let moments = path.moments(state)?;
-        let n = moments.len();
-        let off = DVector::from_fn(2 * n, |i, _| path.rows[i / 2].moment_nmm[i % 2] - moments[i / 2][i % 2]);
-        let white = &self.whitening * off;
+        let white = self.whitened(path, &moments);
         Some(white.push(state.gap_mm / settings.gap_sd_mm))
     }
 
@@ -113,9 +150,18 @@ impl Likelihood {
     /// Squared whitened residuals of the readings, and their degrees of freedom.
     pub(crate) fn innovation(&self, path: &ContactPath<'_>, state: &State) -> (f64, f64) {
         let Some(moments) = path.moments(state) else { return (f64::INFINITY, 1.0) };
-        let n = moments.len();
-        let off = DVector::from_fn(2 * n, |i, _| path.rows[i / 2].moment_nmm[i % 2] - moments[i / 2][i % 2]);
-        ((&self.whitening * off).norm_squared(), (2.0 * n as f64 - 3.0).max(1.0))
+        (self.whitened(path, &moments).norm_squared(), (2.0 * moments.len() as f64 - 3.0).max(1.0))
+    }
+}
+
+/// Adds to the common unknowns (columns) what another wire changes in the moments of every reading, `m_j(P_k) - m(P_k)`.
+fn by_other_wires(path: &ContactPath<'_>, state: &State, modes: &mut DMatrix<f64>) {
+    let Some(here) = path.moments(state).filter(|_| !path.field.changed.is_empty()) else { return };
+    for (field, mut mode) in path.field.changed.iter().zip(modes.column_iter_mut()) {
+        let Some(there) = path.past(field).moments(state) else { continue };
+        for (k, (a, b)) in here.iter().zip(&there).enumerate() {
+            (0..2).for_each(|c| mode[2 * k + c] += b[c] - a[c]);
+        }
     }
 }
 
@@ -151,7 +197,7 @@ fn regular(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<f6
         for h in &row.shared_nmm {
             own += Matrix2::new(h[0] * h[0], h[0] * h[1], h[0] * h[1], h[1] * h[1]);
         }
-        let off = nalgebra::Vector2::new(row.moment_nmm[0] - m[0], row.moment_nmm[1] - m[1]);
+        let off = Vector2::new(row.moment_nmm[0] - m[0], row.moment_nmm[1] - m[1]);
         let Some(inverse) = own.try_inverse() else { return 1.0 };
         let squared = off.dot(&(inverse * off));
         let plain = (1.0 - settings.gross_share) * (-0.5 * squared).exp();
@@ -160,4 +206,51 @@ fn regular(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<f6
         if plain + gross > 0.0 { plain / (plain + gross) } else { 0.0 }
     };
     path.rows.iter().zip(&moments).map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::field::{Friction, MomentField};
+    use super::super::{Episode, MotionRow};
+    use super::*;
+    use nalgebra::Rotation3;
+    use wcal_core::observation::{MomentAxes, WhiskerSpec};
+    use wcal_rod::Rod;
+
+    #[test]
+    fn whitening_by_the_shared_columns_is_that_of_the_whole_covariance() {
+        let row = |k: u32| MotionRow {
+            t_s: f64::from(k),
+            moment_nmm: [0.3 + 0.1 * f64::from(k), -0.2 * f64::from(k)],
+            noise_nmm2: Matrix2::new(2e-4, 5e-5, 5e-5, 1e-4) * f64::from(k + 1),
+            // The third is the sum of the first two: of a covariance without full rank.
+            shared_nmm: vec![[0.01, 0.0], [0.02 * f64::from(k), 0.03], [0.01 + 0.02 * f64::from(k), 0.03]],
+            shared_way_mm: Vec::new(),
+            moved_mm: Vector3::z() * f64::from(k),
+            turn: Rotation3::identity(),
+            velocity_mm_s: Vector3::zeros(),
+            moved_sd_mm: 0.0,
+            free: false,
+            visit: 0,
+        };
+        let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();
+        let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
+        let episode = Episode { rows: (0..5).map(row).collect(), push: Some(Vector3::z()) };
+        let path = ContactPath::new(&field, &episode).unwrap();
+        let likelihood = Likelihood::new(&path, &Settings::default(), None).unwrap();
+        let n = episode.rows.len();
+        let mut whole = DMatrix::zeros(2 * n, 2 * n);
+        for (k, r) in episode.rows.iter().enumerate() {
+            whole.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&r.noise_nmm2);
+        }
+        let u = DMatrix::from_fn(2 * n, 3, |i, j| episode.rows[i / 2].shared_nmm[j][i % 2]);
+        whole += &u * u.transpose();
+        let factor = whole.cholesky().unwrap();
+        let predicted = vec![[0.0; 2]; n];
+        let off = DVector::from_fn(2 * n, |i, _| episode.rows[i / 2].moment_nmm[i % 2]);
+        let (found, expected) =
+            (likelihood.whitened(&path, &predicted).norm_squared(), off.dot(&factor.solve(&off)));
+        assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+        assert!((likelihood.ln_determinant - factor.ln_determinant()).abs() < 1e-9);
+    }
 }

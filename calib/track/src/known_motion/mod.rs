@@ -5,9 +5,9 @@
 //!
 //! State of an episode, theta = (s, x, g): the free wire is first met at arc length s when the way along the push u is x, and passed at a gap g,
 //!
-//! `P_k = r0(s) + g n(s) + (d_k - d_ref) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`.
+//! `P_ref = r0(s) + g n(s) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`, `P_k = Q_k P_ref + d_k` (Q_k the turn, 1 where the base does not).
 //!
-//! Transition: none but the motion. Holds, reversals and turns are d_k itself; before first touch, `(d_k - d_ref) . u <= x - x_ref`, the wire is
+//! Transition: none but the motion. Holds and reversals are d_k itself; before first touch, `(P_k - r0(s) - g n(s)) . u <= 0`, the wire is
 //! free and m = 0. With friction the contact's arc length s_c plays between the two slip branches of the rod,
 //! `s_c(k) = clamp(s_c(k-1), s(P, -mu), s(P, +mu))`.
 //!
@@ -16,6 +16,8 @@
 //! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
 //! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k)`;
 //!
+//! one standard deviation of an unknown c_j moves the moments by h_kj (map), the way by w_kj (an accepted effect of the stage) and the wire
+//! to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
 //! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + s_d^2 D_k D_k') + H H' + T T'` ([`likelihood`]).
 //!
 //! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s even over the wire, x even over the episode; on a grid of s that is refined
@@ -41,7 +43,7 @@ pub use posterior::{Posterior, Region};
 use crate::TrackError;
 use contact_path::ContactPath;
 use likelihood::Likelihood;
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
 
 /// One reading with the motion at its time.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,10 +54,15 @@ pub struct MotionRow {
     pub moment_nmm: [f64; 2],
     /// Covariance of this reading's own noise, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
-    /// What it shares with the other readings: moments (N mm) by one standard deviation of each common unknown; as many in every row.
+    /// What it shares with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
+    /// N mm; as many in every row.
     pub shared_nmm: Vec<[f64; 2]>,
-    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode.
+    /// By how much it makes the way longer, base frame, mm; as many, or none where the way is none of them.
+    pub shared_way_mm: Vec<Vector3<f64>>,
+    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode: a point of it is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
+    /// Turn of the object with respect to the base, up to a constant.
+    pub turn: Rotation3<f64>,
     /// Its velocity, mm/s; zero in a hold.
     pub velocity_mm_s: Vector3<f64>,
     /// Standard deviation of the way in each coordinate, mm.
@@ -190,9 +197,11 @@ fn check_rows(episode: &Episode) -> Result<(), TrackError> {
         if !(row.t_s >= last_s) {
             return Err(TrackError::value(what(), format!("a time from {last_s} s on"), row.t_s.to_string()));
         }
-        if row.shared_nmm.len() != shared {
-            let expected = format!("{shared} common unknowns as in the first");
-            return Err(TrackError::value(what(), expected, row.shared_nmm.len().to_string()));
+        for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
+            if count != shared {
+                let expected = format!("{shared} common unknowns as in the first");
+                return Err(TrackError::value(what(), expected, count.to_string()));
+            }
         }
         last_s = row.t_s;
     }

@@ -311,11 +311,12 @@ impl Posterior {
                     else {
                         continue;
                     };
-                    let turn = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
+                    let axes = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
+                    let turn = path.turned(row).matrix() * axes;
                     mean += at * n.mass;
                     square += (turn * n.covariance_mm2 * turn.transpose() + at * at.transpose()) * n.mass;
                     let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
-                    let past = (path.along(row) - n.state.onset_mm) / sd;
+                    let past = path.depth(&n.state, row).unwrap_or(0.0) / sd;
                     contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
                     total += n.mass;
                 }

@@ -13,6 +13,7 @@
 use crate::camera::{Camera, MAX_INTRINSICS};
 use crate::rigid::{hat, updated};
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2x3, Matrix6, Vector2, Vector3, Vector6};
+use wcal_core::least_squares::{Damping, Ending, Linearised, minimise};
 
 /// Places of the parameters shared by all views: left camera, right camera, right_from_left (rotation, translation), warp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -356,6 +357,24 @@ fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -
     }
 }
 
+/// The problem with the parameters that are free.
+struct Masked<'a> {
+    normal: Normal,
+    mask: &'a [bool],
+}
+
+impl Linearised for Masked<'_> {
+    type Step = SharedStep;
+
+    fn cost(&self) -> f64 {
+        self.normal.cost
+    }
+
+    fn step(&self, damping: f64) -> Option<SharedStep> {
+        step(&self.normal, self.mask, damping)
+    }
+}
+
 /// Minimises the reprojection error from `start`. `points` are the flat board's points in the board frame.
 ///
 /// Non-convergence and rank deficiency are reported in the result (`converged`, infinite covariance), not as errors.
@@ -363,37 +382,24 @@ fn applied(state: &BundleState, shared: &DVector<f64>, views: &[Vector6<f64>]) -
 pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, free: Free) -> BundleSolution {
     let shapes = warp_shapes(points);
     let mask = free.mask(start.layout());
-    let mut state = start;
-    let mut normal = linearise(&state, points, &shapes, views);
-    let mut lambda = 1e-3;
-    let mut converged = false;
-    for _ in 0..100 {
-        let Some((shared, steps, _)) = step(&normal, &mask, lambda) else {
-            lambda *= 10.0;
-            if lambda > 1e10 {
-                break;
-            }
-            continue;
-        };
-        let trial = applied(&state, &shared, &steps);
-        let next = linearise(&trial, points, &shapes, views);
-        if next.cost.is_finite() && next.cost <= normal.cost {
-            let gain = (normal.cost - next.cost) / next.cost.max(1e-300);
-            (state, normal) = (trial, next);
-            lambda = (lambda * 0.1).max(1e-12);
-            if gain < 1e-12 {
-                converged = true;
-                break;
-            }
-        } else {
-            // A step that changes nothing any more (rounding) is the end, not a failure.
-            if lambda > 1e10 || shared.norm() < 1e-12 {
-                converged = normal.cost.is_finite();
-                break;
-            }
-            lambda *= 10.0;
-        }
-    }
+    let damping = Damping { start: 1e-3, shrink: 0.1, min: 1e-12, grow: 10.0, max: 1e10, max_steps: 100 };
+    let linearised =
+        |state: &BundleState| Masked { normal: linearise(state, points, &shapes, views), mask: &mask };
+    let first = linearised(&start);
+    let found = minimise(
+        (start, first),
+        &damping,
+        |state| Some(linearised(state)),
+        |state, _, (shared, steps, _)| applied(state, shared, steps),
+        |_, [before, after]| before - after < 1e-12 * after.max(1e-300),
+    );
+    // A step that changes nothing any more (rounding) is the end, not a failure.
+    let (state, normal) = (found.place, found.at.normal);
+    let converged = match found.ending {
+        Ending::Converged => true,
+        Ending::Stalled => normal.cost.is_finite(),
+        Ending::Singular | Ending::Exhausted => false,
+    };
     let count = mask.iter().filter(|&&m| m).count();
     let redundancy = (2 * normal.corners) as f64 - (count + 6 * views.len()) as f64;
     let variance = normal.cost / redundancy.max(1.0);

@@ -4,7 +4,8 @@
 
 use crate::picture::Picture;
 use crate::profile::erf_with_slope;
-use nalgebra::{SMatrix, SVector, Vector2};
+use nalgebra::{Const, SMatrix, SVector, Vector2};
+use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 const PARAMETERS: usize = 9;
 
@@ -62,30 +63,16 @@ pub fn fit_corner(
     ]);
     let sign: f64 = pixels.iter().map(|q| model(&p, q.0, q.1).1 * (q.2 - mean)).sum();
     p[5] = sd.copysign(sign);
-    let mut lambda = 1e-3;
-    let (mut cost, mut normal, mut gradient) = linearise(&p, &pixels);
-    for _ in 0..40 {
-        let mut damped = normal;
-        for k in 0..PARAMETERS {
-            damped[(k, k)] *= 1.0 + lambda;
-        }
-        let step = damped.cholesky()?.solve(&gradient);
-        let trial = p + step;
-        let (c, n, g) = linearise(&trial, &pixels);
-        if c.is_finite() && c <= cost {
-            let small = step.fixed_rows::<2>(0).norm() < 1e-5 && (cost - c) <= 1e-7 * cost;
-            (p, cost, normal, gradient) = (trial, c, n, g);
-            lambda = (lambda * 0.2).max(1e-9);
-            if small {
-                break;
-            }
-        } else {
-            lambda *= 8.0;
-            if lambda > 1e8 {
-                break;
-            }
-        }
+    let settled = |step: &SVector<f64, PARAMETERS>, [before, after]: [f64; 2]| {
+        step.fixed_rows::<2>(0).norm() < 1e-5 && before - after <= 1e-7 * before
+    };
+    let linearised = |p: &SVector<f64, PARAMETERS>| Some(linearise(p, &pixels));
+    let first = (p, linearise(&p, &pixels));
+    let found = minimise(first, &Damping::default(), linearised, |p, _, step| p + step, settled);
+    if found.ending == Ending::Singular {
+        return None;
     }
+    let (p, NormalEquations { cost, matrix: normal, .. }) = (found.place, found.at);
     let moved = Vector2::new(p[0] + cx0 - start.x, p[1] + cy0 - start.y);
     let blur = p[6].exp();
     if !cost.is_finite() || moved.norm() > 0.5 * radius_px || blur > radius_px {
@@ -112,7 +99,7 @@ type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
 fn linearise(
     p: &SVector<f64, PARAMETERS>,
     pixels: &[(f64, f64, f64, f64)],
-) -> (f64, Normal, SVector<f64, PARAMETERS>) {
+) -> NormalEquations<Const<PARAMETERS>> {
     let mut cost = 0.0;
     let mut normal = Normal::zeros();
     let mut gradient = SVector::<f64, PARAMETERS>::zeros();
@@ -146,5 +133,5 @@ fn linearise(
         gradient.axpy(residual, &row, 1.0);
     }
     normal.fill_lower_triangle_with_upper_triangle();
-    (cost, normal, gradient)
+    NormalEquations { cost, matrix: normal, descent: gradient }
 }

@@ -12,6 +12,7 @@ use crate::camera::{Camera, distorted_px, undistorted_px};
 use crate::picture::Picture;
 use crate::profile::blurred_step;
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
+use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 /// Movement at which a fit ends, px.
 pub(crate) const FINE_PX: f64 = 0.01;
@@ -221,33 +222,18 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
             m += j * j.transpose();
             g += j * r;
         }
-        (cost, m, g)
+        Some(NormalEquations { cost, matrix: m, descent: g })
     };
     let [low, high] = levels(pixels, 0.0);
-    let mut p = Vector4::new(0.0, 0.9f64.ln(), low, high - low);
-    let (mut cost, mut m, mut g) = linearise(&p);
-    let mut lambda = 1e-3;
-    for _ in 0..20 {
-        let mut damped = m;
-        for k in 0..4 {
-            damped[(k, k)] *= 1.0 + lambda;
-        }
-        let step = damped.cholesky()?.solve(&g);
-        let next = linearise(&(p + step));
-        if next.0 <= cost {
-            p += step;
-            (cost, m, g) = next;
-            lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() < FINE_PX {
-                break;
-            }
-        } else {
-            lambda *= 8.0;
-            if lambda > 1e6 {
-                break;
-            }
-        }
+    let start = Vector4::new(0.0, 0.9f64.ln(), low, high - low);
+    let damping = Damping { max: 1e6, max_steps: 20, ..Damping::default() };
+    let settled = |step: &Vector4<f64>, _: [f64; 2]| step[0].abs() < FINE_PX;
+    let first = (start, linearise(&start)?);
+    let found = minimise(first, &damping, linearise, |p, _, step| p + step, settled);
+    if found.ending == Ending::Singular {
+        return None;
     }
+    let (p, NormalEquations { cost, matrix: m, .. }) = (found.place, found.at);
     if p[0].abs() > 0.5 * reach || p[1].exp() > reach || !cost.is_finite() {
         return None;
     }

@@ -13,6 +13,7 @@ use crate::rigid::{hat, pose_from_parts, updated};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::{Tag, tag_corners};
 use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
 /// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not show.
 pub const CORNER_FLOOR_PX: f64 = 0.01;
@@ -78,34 +79,22 @@ pub fn minimise(
     observations: &[TagObservation],
     start: Isometry3<f64>,
 ) -> Option<BodyPose> {
-    let mut pose = start;
-    let (mut chi2, mut information, mut gradient) = linearise(stereo, observations, &pose)?;
-    let mut lambda = 1e-4;
-    for _ in 0..60 {
-        let mut damped = information;
-        for k in 0..6 {
-            damped[(k, k)] *= 1.0 + lambda;
-        }
-        let step = damped.cholesky()?.solve(&gradient);
-        let trial = pose * updated(&Isometry3::identity(), &step);
-        match linearise(stereo, observations, &trial) {
-            Some(next) if next.0 <= chi2 => {
-                let gain = chi2 - next.0;
-                pose = trial;
-                (chi2, information, gradient) = next;
-                lambda = (lambda * 0.1).max(1e-12);
-                if gain < 1e-9 * chi2.max(1e-9) {
-                    break;
-                }
-            }
-            _ => {
-                lambda *= 10.0;
-                if lambda > 1e8 {
-                    break;
-                }
-            }
-        }
+    let damping = Damping { start: 1e-4, shrink: 0.1, min: 1e-12, grow: 10.0, max: 1e8, max_steps: 60 };
+    let linearised = |pose: &Isometry3<f64>| {
+        let (cost, matrix, descent) = linearise(stereo, observations, pose)?;
+        Some(NormalEquations { cost, matrix, descent })
+    };
+    let found = least_squares::minimise(
+        (start, linearised(&start)?),
+        &damping,
+        linearised,
+        |pose, _, step| pose * updated(&Isometry3::identity(), step),
+        |_, [before, after]| before - after < 1e-9 * before.max(1e-9),
+    );
+    if found.ending == Ending::Singular {
+        return None;
     }
+    let (pose, NormalEquations { cost: chi2, matrix: information, .. }) = (found.place, found.at);
     let redundancy = (8 * observations.len()).saturating_sub(6);
     Some(BodyPose { left_from_body: pose, information, chi2, redundancy, margin: f64::INFINITY })
 }

@@ -9,7 +9,8 @@
 use crate::picture::Picture;
 use crate::wire::bar::{Bar, FIRST_RIDGE, Levels, Pixel, near_px};
 use crate::wire::piece::{Appearance, Piece, gather};
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Const, Matrix2, SMatrix, SVector, Vector2};
+use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
 
 /// Bounds of blur (px) and of width over the expected width.
 const BLUR: [f64; 2] = [0.35, 3.0];
@@ -27,11 +28,31 @@ struct Patch {
 
 /// Pooled squares a pixel with their normal equations in (ln blur, ln width).
 struct Pooled {
-    cost: f64,
-    normal: Matrix2<f64>,
-    gradient: Vector2<f64>,
+    normal: NormalEquations<Const<2>>,
     /// Where every patch's centre and levels settled.
     settled: Vec<(f64, Levels)>,
+}
+
+impl Linearised for Pooled {
+    type Step = Vector2<f64>;
+
+    fn cost(&self) -> f64 {
+        self.normal.cost
+    }
+
+    fn step(&self, damping: f64) -> Option<Vector2<f64>> {
+        self.normal.step(damping)
+    }
+}
+
+impl Appearance {
+    /// After a step in (ln blur, ln width): no step goes far at once, and none out of what wires look like.
+    fn changed(self, step: &Vector2<f64>) -> Self {
+        Self {
+            blur_px: (self.blur_px * step[0].clamp(-0.3, 0.3).exp()).clamp(BLUR[0], BLUR[1]),
+            width_scale: (self.width_scale * step[1].clamp(-0.2, 0.2).exp()).clamp(WIDTH[0], WIDTH[1]),
+        }
+    }
 }
 
 /// Blur and width of the wire from the pieces that show it best: least pooled squares by Levenberg-Marquardt, centres and
@@ -44,7 +65,7 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
     if best.len() < 8 {
         return start;
     }
-    let mut patches: Vec<Patch> = best
+    let patches: Vec<Patch> = best
         .iter()
         .map(|p| {
             let width_px = p.station.width_px;
@@ -56,61 +77,40 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
             Patch { pixels, width_px, centre: p.offset_px, level: Levels::new(left, right, 0.0, 0.0) }
         })
         .collect();
-    let mut appearance = start;
-    let Some(mut now) = pooled(&patches, appearance) else { return start };
-    let mut lambda = 1e-3;
-    for _ in 0..20 {
-        let mut damped = now.normal;
-        for k in 0..2 {
-            damped[(k, k)] *= 1.0 + lambda;
-        }
-        let Some(step) = damped.cholesky().map(|c| c.solve(&now.gradient)) else { break };
-        let next = Appearance {
-            blur_px: (appearance.blur_px * step[0].clamp(-0.3, 0.3).exp()).clamp(BLUR[0], BLUR[1]),
-            width_scale: (appearance.width_scale * step[1].clamp(-0.2, 0.2).exp()).clamp(WIDTH[0], WIDTH[1]),
-        };
-        match pooled(&patches, next) {
-            Some(there) if there.cost <= now.cost => {
-                (appearance, now) = (next, there);
-                for (patch, (centre, level)) in patches.iter_mut().zip(&now.settled) {
-                    (patch.centre, patch.level) = (*centre, *level);
-                }
-                lambda = (lambda * 0.2).max(1e-9);
-                if step.norm() < 1e-3 {
-                    break;
-                }
-            }
-            _ => {
-                lambda *= 10.0;
-                if lambda > 1e6 {
-                    break;
-                }
-            }
-        }
-    }
-    appearance
+    // Each piece starts where it settled at the place before.
+    let settled: Vec<(f64, Levels)> = patches.iter().map(|p| (p.centre, p.level)).collect();
+    let Some(first) = pooled(&patches, &settled, start) else { return start };
+    let damping = Damping { grow: 10.0, max: 1e6, max_steps: 20, ..Damping::default() };
+    let found = minimise(
+        ((start, settled), first),
+        &damping,
+        |(appearance, settled)| pooled(&patches, settled, *appearance),
+        |(appearance, _), pooled, step| (appearance.changed(step), pooled.settled.clone()),
+        |step, _| step.norm() < 1e-3,
+    );
+    found.place.0
 }
 
 /// Centres move along: held where a wrong width put them, they would confirm that width. The worst quarter, and what cannot be
 /// fitted, does not count; none where that is more than a quarter.
-fn pooled(patches: &[Patch], appearance: Appearance) -> Option<Pooled> {
-    let fits: Vec<Option<PatchFit>> = patches.iter().map(|p| fit_patch(p, appearance)).collect();
-    let settled =
-        |(f, p): (&Option<PatchFit>, &Patch)| f.as_ref().map_or((p.centre, p.level), |f| (f.centre, f.level));
-    let settled = fits.iter().zip(patches).map(settled).collect();
+fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -> Option<Pooled> {
+    let fit = |(p, s): (&Patch, &(f64, Levels))| fit_patch(p, *s, appearance);
+    let fits: Vec<Option<PatchFit>> = patches.iter().zip(starts).map(fit).collect();
+    let settled = fits.iter().zip(starts);
+    let settled = settled.map(|(f, s)| f.as_ref().map_or(*s, |f| (f.centre, f.level))).collect();
     let mut all: Vec<PatchFit> = fits.into_iter().flatten().collect();
     let keep = patches.len() * 3 / 4;
     if all.len() < keep {
         return None;
     }
     all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    let mut sum = Pooled { cost: 0.0, normal: Matrix2::zeros(), gradient: Vector2::zeros(), settled };
+    let mut normal = NormalEquations { cost: 0.0, matrix: Matrix2::zeros(), descent: Vector2::zeros() };
     for p in &all[..keep] {
-        sum.cost += p.cost / keep as f64;
-        sum.normal += p.normal / keep as f64;
-        sum.gradient += p.gradient / keep as f64;
+        normal.cost += p.cost / keep as f64;
+        normal.matrix += p.normal / keep as f64;
+        normal.descent += p.gradient / keep as f64;
     }
-    Some(sum)
+    Some(Pooled { normal, settled })
 }
 
 /// One patch's squares a pixel and its part of the normal equations.
@@ -122,12 +122,12 @@ struct PatchFit {
     gradient: Vector2<f64>,
 }
 
-fn fit_patch(patch: &Patch, appearance: Appearance) -> Option<PatchFit> {
+fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearance) -> Option<PatchFit> {
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * appearance.width_scale, appearance.blur_px);
-    let fit = bar.settle(&patch.pixels, patch.centre, patch.level, 6, false)?;
+    let fit = bar.settle(&patch.pixels, centre, level, 6, false)?;
     // A bar that jumps to something else beside the wire says nothing about the wire.
-    if (fit.centre - patch.centre).abs() > 1.0 {
+    if (fit.centre - centre).abs() > 1.0 {
         return None;
     }
     let n = patch.pixels.len() as f64;

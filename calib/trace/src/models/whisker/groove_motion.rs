@@ -1,11 +1,16 @@
 //! A session as one sees it who knows how the groove moves but not where it is: moments through a calibration, and ways along the trajectories.
 //!
-//! A moment is off by `dm = K^-1 [1, m, ...] db` where the coefficients are off by `db`, alike for every reading of a calibration: with
-//! `cov(b) = F F'` each column of F gives one common unknown of unit variance. What is left is the reading's own noise, `K^-1 s^2 K^-T`.
+//! What a calibration does not know is alike for all its readings. With theta = (coefficients, values of the effects) and
+//! `cov(theta) = F F'`, each column f of F is one common unknown of unit variance; where the truth is theta + f instead of theta,
+//!
+//! `y - m_true = m(theta) - m(theta + f)` (moments), `x(theta + f) - x(theta)` (way of the stage), another wire (rod and friction).
+//!
+//! F is triangular with the values of the wire's effects first, so that only the first columns need another wire. What is left is the
+//! reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
 use super::rod_tables::RodParameters;
-use super::system::WhiskerSystem;
+use super::system::{ActiveEffect, WhiskerSystem};
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
 use wcal_map::{MapArtefact, MapPredictor};
 use wcal_rod::Rod;
@@ -38,8 +43,10 @@ pub struct MovedReading {
     pub valid: bool,
     /// Covariance of the reading's own noise, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
-    /// Moments (N mm) by one standard deviation of each common unknown.
+    /// By how much one standard deviation of each common unknown makes the moments too large, N mm.
     pub shared_nmm: Vec<[f64; 2]>,
+    /// By how much it makes the stage's way longer, mm.
+    pub shared_way_mm: Vec<f64>,
     /// Stage position as the accepted effects have it, mm.
     pub stage_mm: f64,
     /// What those effects added to it, mm.
@@ -57,12 +64,44 @@ pub struct MovedReading {
 pub struct GrooveMotion {
     /// Wire.
     pub wire: AcceptedWire,
+    /// The wire by one standard deviation of each of the first common unknowns; the others leave it as it is.
+    pub changed: Vec<AcceptedWire>,
     /// Readings on trajectories, in order of time.
     pub readings: Vec<MovedReading>,
 }
 
-/// Moments of a reading: mean, own noise, common unknowns, whether the calibration vouches for them.
-type Sensed = ([f64; 2], Matrix2<f64>, Vec<[f64; 2]>, bool);
+/// Moments of a reading: mean, own noise, whether the calibration vouches for them, and common unknowns: moments and way.
+struct Sensed {
+    moment_nmm: [f64; 2],
+    noise_nmm2: Matrix2<f64>,
+    valid: bool,
+    shared_nmm: Vec<[f64; 2]>,
+    shared_way_mm: Vec<f64>,
+}
+
+/// Stage and wire under one set of values.
+struct Mechanics {
+    /// Stage positions of the nodes, mm.
+    xs_mm: Vec<f64>,
+    wire: AcceptedWire,
+}
+
+fn mechanics(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Mechanics> {
+    let path = &system.path;
+    let mut rod = RodParameters::default();
+    let mut xs_mm: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
+    for active in &model.terms() {
+        active.effect.rod(&active.values(), &mut rod);
+        active.effect.pose(&active.values(), path, &mut xs_mm);
+    }
+    let wire = AcceptedWire {
+        rod: system.rod_tables.rod(&rod)?,
+        friction: rod.friction,
+        moving_share: rod.moving_share,
+        offset_mm: Vector3::from(rod.offset_mm),
+    };
+    Some(Mechanics { xs_mm, wire })
+}
 
 /// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
 /// position would take theirs from the groove's place: the system must have none.
@@ -70,31 +109,36 @@ type Sensed = ([f64; 2], Matrix2<f64>, Vec<[f64; 2]>, bool);
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let path = &system.path;
     let inverse = model.sensitivity().try_inverse()?;
-    let terms = model.terms();
-    let mut mechanics = RodParameters::default();
-    let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
-    for active in &terms {
-        active.effect.rod(&active.values(), &mut mechanics);
-        active.effect.pose(&active.values(), path, &mut xs);
-    }
+    let Mechanics { xs_mm, wire } = mechanics(system, model)?;
     let inferred = model.infer(path, None);
-    let sensed = model.sensed(&terms, path, &inverse);
-    let noise_pm = vec![model.noise_sd_pm; sensed.len()];
-    let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
-    let factor = factor(model);
+    let terms = model.terms();
+    let felt = model.sensed(&terms, path, &inverse);
+    let noise_pm = vec![model.noise_sd_pm; felt.len()];
+    let (gradients, _) = model.gradients(&terms, path, &felt, &inverse, &noise_pm);
+    let (factor, mechanical) = factor(model);
+    let others = factor.column_iter().map(|f| mechanics(system, &with_values(model, f.as_slice())));
+    let others = others.collect::<Option<Vec<Mechanics>>>()?;
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
-    let sensed_at = |i: usize| -> Sensed {
+    let mut node_of = vec![0; path.readings.len()];
+    for (n, node) in path.nodes.iter().enumerate() {
+        if let Some(i) = node.reading {
+            node_of[i] = n;
+        }
+    }
+    let sensed = |i: usize| {
+        let (m, n) = (&inferred[i], node_of[i]);
         let common = &gradients[i] * &factor;
-        let m = &inferred[i];
-        (m.moment_nmm, noise_nmm2, common.column_iter().map(|u| [u[0], u[1]]).collect(), m.valid)
+        Sensed {
+            moment_nmm: m.moment_nmm,
+            noise_nmm2,
+            valid: m.valid,
+            shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
+            shared_way_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
+        }
     };
-    let wire = AcceptedWire {
-        rod: system.rod_tables.rod(&mechanics)?,
-        friction: mechanics.friction,
-        moving_share: mechanics.moving_share,
-        offset_mm: Vector3::from(mechanics.offset_mm),
-    };
-    Some(GrooveMotion { wire, readings: readings(system, &xs, sensed_at) })
+    let readings = readings(system, &xs_mm, sensed);
+    let changed = others.into_iter().take(mechanical).map(|o| o.wire).collect();
+    Some(GrooveMotion { wire, changed, readings })
 }
 
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
@@ -102,22 +146,27 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
-    let sensed_at = |i: usize| -> Sensed {
+    let sensed = |i: usize| {
         let p = predictor.predict(system.path.readings[i].shift_pm);
         let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
-        let shared = vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]];
-        (p.moment_nmm, Matrix2::from_diagonal(&Vector2::from(noise)), shared, p.is_valid())
+        Sensed {
+            moment_nmm: p.moment_nmm,
+            noise_nmm2: Matrix2::from_diagonal(&Vector2::from(noise)),
+            valid: p.is_valid(),
+            shared_nmm: vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]],
+            shared_way_mm: vec![0.0; 2],
+        }
     };
     let rod = system.rod_tables.rod(&RodParameters::default())?;
     let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
-    Some(GrooveMotion { wire, readings: readings(system, &xs, sensed_at) })
+    Some(GrooveMotion { wire, changed: Vec::new(), readings: readings(system, &xs, sensed) })
 }
 
 /// Readings on trajectories; `xs_mm` are the nodes' stage positions.
 fn readings(
     system: &WhiskerSystem,
     xs_mm: &[f64],
-    mut sensed_at: impl FnMut(usize) -> Sensed,
+    mut sensed: impl FnMut(usize) -> Sensed,
 ) -> Vec<MovedReading> {
     let path = &system.path;
     let mut stage_mm = vec![0.0; path.readings.len()];
@@ -133,7 +182,7 @@ fn readings(
         visit += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
         let Some(line) = r.line else { continue };
-        let (moment_nmm, noise_nmm2, shared_nmm, valid) = sensed_at(i);
+        let Sensed { moment_nmm, noise_nmm2, valid, shared_nmm, shared_way_mm } = sensed(i);
         out.push(MovedReading {
             reading: i,
             line,
@@ -142,6 +191,7 @@ fn readings(
             valid,
             noise_nmm2,
             shared_nmm,
+            shared_way_mm,
             stage_mm: stage_mm[i],
             added_mm: stage_mm[i] - r.x_mm,
             velocity_mm_s: r.velocity_mm_s,
@@ -152,56 +202,117 @@ fn readings(
     out
 }
 
-/// F with F F' the covariance of all that was fitted: the eigenvectors that matter, scaled. The unknowns have different units: the
-/// eigenvectors are those of the correlations.
-fn factor(model: &PhysicalModel) -> DMatrix<f64> {
+/// The model whose values are off by what stands behind the coefficients in `by`; they stay in their ranges.
+fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
+    let mut moved = model.clone();
+    let laws = model.terms();
+    let ranges = laws.iter().flat_map(ActiveEffect::ranges);
+    let values = moved.effects.iter_mut().flat_map(|e| &mut e.values);
+    for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * model.coefficients.len()..]) {
+        *value = (*value + by).clamp(low, high);
+    }
+    moved
+}
+
+/// Whether an effect changes the wire: rod or friction.
+fn is_mechanical(effect: &ActiveEffect) -> bool {
+    let mut mechanics = RodParameters::default();
+    effect.effect.rod(&effect.values(), &mut mechanics);
+    RodParameters { offset_mm: [0.0; 3], ..mechanics } != RodParameters::default()
+}
+
+/// F with cov(theta) = F F', and how many of its first columns change the wire.
+fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
     const LEAST: f64 = 1e-12;
     let size = model.covariance.len();
-    let sd: Vec<f64> =
-        (0..size).map(|i| model.covariance[i][i].max(0.0).sqrt().max(f64::MIN_POSITIVE)).collect();
-    let correlation = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j] / sd[i] / sd[j]);
-    let eigen = correlation.symmetric_eigen();
-    let largest = eigen.eigenvalues.max();
-    let kept: Vec<usize> = (0..size).filter(|k| eigen.eigenvalues[*k] > LEAST * largest).collect();
-    DMatrix::from_fn(size, kept.len(), |i, j| {
-        sd[i] * eigen.eigenvectors[(i, kept[j])] * eigen.eigenvalues[kept[j]].sqrt()
-    })
+    // Values of the wire's effects first.
+    let mut order: Vec<usize> = Vec::with_capacity(size);
+    let mut slot = 2 * model.coefficients.len();
+    for (effect, term) in model.effects.iter().zip(model.terms()) {
+        let slots = slot..slot + effect.values.len();
+        slot = slots.end;
+        if is_mechanical(&term) {
+            order.extend(slots);
+        }
+    }
+    let mechanical = order.len();
+    order.extend((0..size).filter(|k| !order[..mechanical].contains(k)).collect::<Vec<_>>());
+    // In units of the standard deviations: what is exact or not identified has none.
+    let sd = |k: usize| model.covariance[k][k].max(0.0).sqrt();
+    let unit = |i: usize, j: usize| model.covariance[i][j] / (sd(i) * sd(j)).max(f64::MIN_POSITIVE);
+    let eigen = DMatrix::from_fn(size, size, |i, j| unit(order[i], order[j])).symmetric_eigen();
+    let root = DMatrix::from_fn(size, size, |i, j| {
+        let value = eigen.eigenvalues[j];
+        eigen.eigenvectors[(i, j)] * if value > LEAST { value.sqrt() } else { 0.0 }
+    });
+    let triangle = root.transpose().qr().r().transpose();
+    let mut factor = DMatrix::zeros(size, size);
+    for (i, &at) in order.iter().enumerate() {
+        (0..size).for_each(|j| factor[(at, j)] = triangle[(i, j)] * sd(at));
+    }
+    (factor, mechanical)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::whisker::physical::AcceptedEffect;
     use wcal_core::FbgSpec;
 
-    #[test]
-    fn the_common_unknowns_are_the_coefficients_covariance() {
-        let covariance: Vec<Vec<f64>> =
-            (0..6).map(|i| (0..6).map(|j| if i == j { 2.0 } else { 0.3 }).collect()).collect();
-        let model = PhysicalModel {
+    fn model(effects: Vec<AcceptedEffect>) -> PhysicalModel {
+        let size = 6 + effects.iter().map(|e| e.values.len()).sum::<usize>();
+        let covariance = |i: usize, j: usize| if i == j { 2e-4 } else { 3e-5 };
+        PhysicalModel {
             coefficients: vec![[0.0, 0.0], [70.0, 5.0], [-5.0, 70.0]],
-            covariance: covariance.clone(),
+            covariance: (0..size).map(|i| (0..size).map(|j| covariance(i, j)).collect()).collect(),
             noise_sd_pm: 0.5,
-            effects: Vec::new(),
+            effects,
             seatings: 1,
             fbg: FbgSpec::default(),
             largest_moment_nmm: 1.0,
-        };
-        let f = factor(&model);
-        let again = &f * f.transpose();
-        for (i, row) in covariance.iter().enumerate() {
-            for (j, v) in row.iter().enumerate() {
-                assert!((again[(i, j)] - v).abs() < 1e-9);
+        }
+    }
+
+    fn effect(id: &str, law: &str, values: Vec<f64>) -> AcceptedEffect {
+        AcceptedEffect { id: id.into(), law: law.into(), values, parameters: Vec::new() }
+    }
+
+    #[test]
+    fn the_common_unknowns_are_the_covariance_and_the_first_are_the_wires() {
+        let lag = effect("time-lag", "pose", vec![0.1]);
+        let friction = effect("groove-friction", "coulomb", vec![0.2]);
+        for (effects, wires) in [(vec![], 0), (vec![lag.clone()], 0), (vec![lag, friction], 1)] {
+            let model = model(effects);
+            let (f, mechanical) = factor(&model);
+            assert_eq!(mechanical, wires);
+            let again = &f * f.transpose();
+            for (i, row) in model.covariance.iter().enumerate() {
+                for (j, v) in row.iter().enumerate() {
+                    assert!((again[(i, j)] - v).abs() < 1e-12, "{i} {j}");
+                }
             }
+            // The friction is the last value: unknowns after the first leave it.
+            let last = f.nrows() - 1;
+            let left = (1..f.ncols()).map(|j| f[(last, j)].abs()).fold(0.0, f64::max);
+            assert_eq!(left < 1e-15, wires == 1, "{left}");
+            // Through the readout they are what `sd_nmm` states beside the noise.
+            let row = [1.0, 0.4, -0.2];
+            let inverse = model.sensitivity().try_inverse().unwrap();
+            let mut sum = inverse * inverse.transpose() * 0.25;
+            let gradient = model.of_coefficients(&inverse, &row);
+            for u in (&gradient * &f).column_iter() {
+                sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
+            }
+            let sd = model.sd_nmm(&inverse, &gradient, 0.5);
+            assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
         }
-        // Through the readout they are what `sd_nmm` states beside the noise.
-        let row = [1.0, 0.4, -0.2];
-        let inverse = model.sensitivity().try_inverse().unwrap();
-        let mut sum = inverse * inverse.transpose() * 0.25;
-        let gradient = model.of_coefficients(&inverse, &row);
-        for u in (&gradient * &f).column_iter() {
-            sum += Matrix2::from_fn(|a, b| u[a] * u[b]);
-        }
-        let sd = model.sd_nmm(&inverse, &gradient, 0.5);
-        assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
+    }
+
+    #[test]
+    fn values_stay_in_their_ranges() {
+        let model = model(vec![effect("groove-friction", "coulomb", vec![0.01])]);
+        let by = |v: f64| with_values(&model, &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, v]).effects[0].values[0];
+        assert_eq!(by(-5.0), 0.0);
+        assert!((by(0.1) - 0.11).abs() < 1e-12);
     }
 }

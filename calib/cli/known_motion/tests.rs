@@ -1,0 +1,132 @@
+//! Coverage with calibrations that were fitted to plant sessions (SIMULATED, physics that shares no code with rod and fitter).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use super::*;
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use wcal_calibration::WhiskerCalibration;
+use wcal_core::SessionData;
+use wcal_core::verify_document::Verdict;
+use wcal_plant::session::{Make, Request, Want, draw_under};
+use wcal_plant::{Design, Kind, Noise};
+use wcal_trace::verify::VerifyOptions;
+use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_whisker};
+
+/// Chance below which too few regions that hold are no accident.
+const LEVEL: f64 = 0.01;
+
+/// The loop's result on a drawn session.
+fn verified(seed: u64, design: Design, want: Want) -> WhiskerVerification {
+    let request = Request { seed, design, want, target_sigma: 20.0, rivals: false };
+    let case = draw_under(&request, Noise::Gaussian, Make::Usual).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    case.write(folder.path()).unwrap();
+    let session = wcal_session::load(folder.path()).unwrap();
+    let SessionData::Whisker(data) = &session.data else { unreachable!("the plant draws whiskers") };
+    let options = VerifyOptions { permutations: 99, ..VerifyOptions::default() };
+    match verify_whisker(&session.id, data, &session.inputs, &options).unwrap() {
+        Verified::Done(done) => *done,
+        Verified::Refused(document) => unreachable!("{}", document.reason),
+    }
+}
+
+/// Held-out trajectories through a calibration, one comparison each: their readings have one error. `change` is done to the motion before.
+fn tracked(
+    done: &WhiskerVerification,
+    model: &PhysicalModel,
+    change: impl Fn(&mut GrooveMotion),
+) -> Vec<Compared> {
+    let whole = &done.whole;
+    let mut motion = model.groove_motion(whole).unwrap();
+    change(&mut motion);
+    let [sealed, _] = whole.held_out();
+    let found = track(whole, motion, |i| sealed[i]).unwrap();
+    let mut compared = found.compared(whole, |i| whole.row(i).groove_mm).unwrap();
+    compared.dedup_by_key(|c| c.trajectory);
+    compared
+}
+
+/// What all readings of a calibration share, left out.
+fn exact(motion: &mut GrooveMotion) {
+    motion.changed.clear();
+    for r in &mut motion.readings {
+        r.shared_nmm.clear();
+        r.shared_way_mm.clear();
+    }
+}
+
+/// The calibration as one of `times` its uncertainty: its coefficients are a draw from it.
+fn less_certain(model: &PhysicalModel, times: f64, seed: u64) -> PhysicalModel {
+    let mut model = model.clone();
+    let size = model.covariance.len();
+    model.covariance.iter_mut().flatten().for_each(|v| *v *= times * times);
+    let eigen = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]).symmetric_eigen();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let draw = DVector::from_fn(size, |k, _| {
+        let z: f64 = StandardNormal.sample(&mut rng);
+        z * eigen.eigenvalues[k].max(0.0).sqrt()
+    });
+    let off = &eigen.eigenvectors * draw;
+    let count = model.coefficients.len();
+    for (k, row) in model.coefficients.iter_mut().enumerate() {
+        (0..2).for_each(|c| row[c] += off[c * count + k]);
+    }
+    model
+}
+
+fn held(compared: &[Compared]) -> usize {
+    compared.iter().filter(|c| c.held).count()
+}
+
+fn said(compared: &[Compared]) -> String {
+    let each = compared.iter().map(|c| {
+        let held = if c.held { "" } else { "!" };
+        format!("{:.0} mm: {:.2}/{:.2}{held}", c.arclength_mm, c.error_mm, c.bound_mm)
+    });
+    let each: Vec<String> = each.collect();
+    format!("{} of {}: {}", held(compared), compared.len(), each.join(", "))
+}
+
+#[test]
+fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
+    let mut all = Vec::new();
+    for seed in 0..8 {
+        let done = verified(seed, Design::Paper, Want::Null);
+        assert_eq!(done.document.verdict, Verdict::Adequate, "{seed}");
+        all.extend(tracked(&done, &done.model, |_| ()));
+    }
+    assert!(all.len() >= 40 && at_most(held(&all), all.len(), REGION) > LEVEL, "{}", said(&all));
+    // The median, since the bound is one for small errors and a shallow press has a few large ones.
+    let mut ratios: Vec<f64> = all.iter().map(|c| c.error_mm / c.bound_mm).collect();
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    assert!((0.3..1.3).contains(&median), "{median}: {}", said(&all));
+    assert!(all.iter().all(|c| !c.doubted), "{}", said(&all));
+}
+
+#[test]
+fn regions_hold_with_an_effect_that_the_loop_repaired() {
+    let done = verified(300, Design::Rich, Want::Effects(vec![Kind::FbgThree]));
+    assert_eq!(done.document.verdict, Verdict::Effect);
+    let found = tracked(&done, &done.model, |_| ());
+    assert!(at_most(held(&found), found.len(), REGION) > LEVEL, "{}", said(&found));
+}
+
+/// With the map's error as large as the noise it is seen whether the regions know of it; control: without it they hold too little.
+#[test]
+fn the_error_of_the_map_is_in_the_regions() {
+    const TIMES: f64 = 5.0;
+    let (mut with, mut without) = (Vec::new(), Vec::new());
+    for seed in 20..22 {
+        let done = verified(seed, Design::Paper, Want::Null);
+        for draw in 0..4 {
+            let model = less_certain(&done.model, TIMES, draw);
+            with.extend(tracked(&done, &model, |_| ()));
+            without.extend(tracked(&done, &model, exact));
+        }
+    }
+    assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
+    assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+}

@@ -136,9 +136,9 @@ fn worst(pairs: &[PairDocument], truth: &[Option<[f64; 3]>]) -> [f64; 2] {
     let mut worst = [0.0_f64; 2];
     for pair in pairs.iter().filter(|p| p.status == "ok") {
         let (Some(at), Some(groove)) = (truth[pair.point.unwrap() as usize], &pair.groove) else { continue };
-        for k in 0..3 {
-            let off = (groove.position_mm[k] - at[k]).abs();
-            worst = [worst[0].max(off), worst[1].max(off / groove.sd_mm[k])];
+        for ((found, at), sd) in groove.position_mm.iter().zip(at).zip(groove.sd_mm) {
+            let off = (found - at).abs();
+            worst = [worst[0].max(off), worst[1].max(off / sd)];
         }
     }
     worst

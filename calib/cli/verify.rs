@@ -425,6 +425,12 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
     }
+    if let Some(floor) = n.contact_mm {
+        println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
+    }
+    if let Some(witness) = &v.witness {
+        println!("  decided by: {witness}");
+    }
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }

@@ -117,6 +117,13 @@ impl<T: Nullable> Nullable for Vec<T> {
     }
 }
 
+impl<T: Nullable> Nullable for Option<T> {
+    type Written = Option<T::Written>;
+    fn read(written: Self::Written) -> Self {
+        written.map(T::read)
+    }
+}
+
 /// For `deserialize_with`.
 pub(crate) fn or_nan<'de, D: Deserializer<'de>, T: Nullable>(numbers: D) -> Result<T, D::Error> {
     T::Written::deserialize(numbers).map(T::read)

@@ -222,6 +222,9 @@ pub struct Isolability {
     /// n rows of n cosines, -1 to 1; NaN where a signature is absorbed.
     #[serde(deserialize_with = "or_nan")]
     pub cosine: Vec<Vec<f64>>,
+    /// The same in the wavelengths alone; none without pictures.
+    #[serde(default, deserialize_with = "or_nan")]
+    pub cosine_without_pictures: Option<Vec<Vec<f64>>>,
 }
 
 /// One explanation: a set of effects that was refitted through the full model.

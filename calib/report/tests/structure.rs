@@ -6,7 +6,7 @@ mod data;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use wcal_core::Provenance;
-use wcal_core::verify_document::{HeldOutError, NoiseFloor, UnknownEffect, Verdict};
+use wcal_core::verify_document::{HeldOutError, NoiseFloor, SecondWitness, UnknownEffect, Verdict};
 use wcal_report::{
     DynamicsInput, DynamicsTrial, EnginesCompared, ExampleSample, ExampleSweep, Fact, IndexEntry,
     Isolability, Page, PageError, ReportInput, ShapesInput, SpeedDifference, SweepsInput, TipEffect,
@@ -205,6 +205,9 @@ fn hostile_text_stays_text() {
     input.verify.next_measurement.as_mut().unwrap().instruction = text();
     input.verify.next_measurement.as_mut().unwrap().separates = vec![text()];
     input.verify.detectable[0].why = text();
+    input.verify.witness = Some(text());
+    let left_out = vec![wcal_core::PairLeftOut { name: text(), why: text() }];
+    input.verify.pictures = Some(SecondWitness { pairs: 1, left_out, ..SecondWitness::default() });
     input.facts = vec![Fact::new(HOSTILE, HOSTILE)];
     input.versions = vec![Fact::new(HOSTILE, HOSTILE)];
     input.moment_names = [text(), text()];
@@ -261,7 +264,11 @@ fn broken_numbers_leave_the_page_whole() {
         input.twin[0].labels[0].moment_nmm = [value; 2];
         input.twin[1].branches[0].stage_mm[3] = value;
         input.twin[2].snaps_mm = vec![value];
-        input.isolability = Some(Isolability { names: vec!["a".into()], cosine: vec![vec![value]] });
+        input.isolability = Some(Isolability {
+            names: vec!["a".into()],
+            cosine: vec![vec![value]],
+            cosine_without_pictures: Some(vec![vec![value]]),
+        });
         input.explanations[1].log_likelihood_ratio = value;
         let mut map = data::map();
         map.candidates[0].coverage95 = [value; 2];

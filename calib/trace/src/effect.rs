@@ -51,6 +51,10 @@ pub enum Need {
     Slope,
     /// A further covariate that varies.
     Covariate,
+    /// Pairs of pictures of the poses.
+    Pictures,
+    /// Pairs of pictures taken while the stage moves.
+    MovingPictures,
 }
 
 /// One law by which an effect can act.

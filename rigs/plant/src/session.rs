@@ -16,6 +16,7 @@ use crate::effects::{Effect, Kind};
 use crate::layout::{Asked, Design, Planned, plan, plan_asked};
 use crate::noise::{self, Law, Noise};
 use crate::rivals::{Rival, nearest, oracle_error_nmm};
+use crate::shapes::Shown;
 use crate::simulate::{Clean, Plant};
 
 /// What a session shall contain.
@@ -436,6 +437,27 @@ impl Case {
             return Ok(());
         }
         put(&folder.join("holdout.csv"), &self.table(true))
+    }
+
+    /// The same session, its noise included, under effects of a given size; and what its settled poses look like, each with its point
+    /// of points.csv.
+    ///
+    /// # Errors
+    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, Shown)>), PlantError> {
+        let rows: Vec<Planned> = self.readings.iter().map(|r| r.planned.clone()).collect();
+        let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);
+        let (without, with) = (plant.clean(&self.effects)?, plant.clean(effects)?);
+        let shown = plant.shown(effects)?;
+        let mut case = Self { effects: effects.to_vec(), ..self.clone() };
+        for ((reading, a), b) in case.readings.iter_mut().zip(&without).zip(&with) {
+            for c in 0..2 {
+                reading.fbg_nm[c] += 1e-3 * (b.shift_pm[c] - a.shift_pm[c]);
+            }
+        }
+        let points = case.readings.iter().zip(shown).filter(|(r, _)| !r.planned.holdout);
+        let shown = points.filter_map(|(r, s)| Some((r.point, s?))).collect();
+        Ok((case, shown))
     }
 
     fn has_holdout(&self) -> bool {

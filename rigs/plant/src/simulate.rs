@@ -11,7 +11,8 @@ use crate::layout::{Instant, Planned, motion};
 use crate::memory;
 use crate::noise::{Covariance, Law};
 use crate::rod::Wire;
-use crate::table::{Grip, Table, friction_drags};
+use crate::shapes::{STEP_MM, Shown};
+use crate::table::{Grip, Path, Table, equilibrium, friction_drags};
 
 /// A session's bench, plan and motion, with the tables last used.
 pub struct Plant {
@@ -81,6 +82,32 @@ impl Plant {
         }
         for effect in effects.iter().filter(|e| e.kind == Kind::SlipOutliers) {
             self.slips(effect, &mut out);
+        }
+        Ok(out)
+    }
+
+    /// The wire in the groove at every loaded row that is settled, without friction, under `effects`; none elsewhere.
+    ///
+    /// # Errors
+    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    pub fn shown(&self, effects: &[Effect]) -> Result<Vec<Option<Shown>>, PlantError> {
+        let geometry = self.geometry(effects);
+        let mut out = vec![None; self.rows.len()];
+        for (instant, stage_mm) in self.motion.iter().zip(self.stages(effects)) {
+            let Some(row) = instant.row.filter(|_| instant.loaded && instant.velocity_mm_s == 0.0) else {
+                continue;
+            };
+            let trajectory = &self.trajectories[instant.trajectory];
+            let path = Path { offset_mm: geometry.offset_mm, ..trajectory.path };
+            let held = equilibrium(&geometry.wire, &path, trajectory.reach_mm, stage_mm)?;
+            let groove_mm = path.at(stage_mm);
+            out[row] = Some(Shown {
+                groove_mm,
+                arclength_mm: held.arclength_mm,
+                tangent: held.tangent,
+                line_mm: geometry.wire.centre_line(Some((&groove_mm, &held)), STEP_MM),
+                arcs_mm: geometry.wire.centre_line_arcs(held.arclength_mm, STEP_MM),
+            });
         }
         Ok(out)
     }

@@ -155,6 +155,7 @@ fn tracing(input: &mut ReportInput) {
     input.isolability = Some(Isolability {
         names: names.map(str::to_owned).to_vec(),
         cosine: (0..names.len()).map(|i| (0..names.len()).map(|j| cosine(i, j)).collect()).collect(),
+        cosine_without_pictures: None,
     });
     let explanation = |effects: &[&str], ratio, p, survives| Explanation {
         effects: effects.iter().map(|e| (*e).to_owned()).collect(),

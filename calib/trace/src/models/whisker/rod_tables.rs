@@ -1,6 +1,7 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
 
 use crate::whisker::branch_cache::BranchCache;
+use crate::whisker::path::Node;
 use crate::whisker::solve_cache::{SolveCache, positions};
 use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipTable};
 use nalgebra::Vector3;
@@ -329,15 +330,15 @@ impl RodTables {
     /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
     fn frictionless(
         &self,
-        nodes: &[crate::whisker::path::Node],
+        nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
         if self.sparse && rod_parameters.weight == 0.0 {
-            return Some(self.solved_moments(nodes, xs_mm, rod_parameters)?.to_vec());
+            return self.solved_moments(nodes, xs_mm, rod_parameters);
         }
         let tables = self.tables(rod_parameters)?;
-        let at = |(node, x): (&crate::whisker::path::Node, &f64)| match node.line.filter(|_| !node.rest) {
+        let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
             Some(l) => tables[l].moment(*x),
             None => Some([0.0; 2]),
         };
@@ -347,7 +348,7 @@ impl RodTables {
     /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage positions.
     pub fn moments(
         &self,
-        nodes: &[crate::whisker::path::Node],
+        nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
@@ -356,43 +357,98 @@ impl RodTables {
             return Some(frictionless);
         }
         let slips = self.slip_tables(rod_parameters)?;
-        let mut contact: Option<(usize, f64, f64)> = None;
-        let mut out = Vec::with_capacity(nodes.len());
-        for ((node, &x), frictionless) in nodes.iter().zip(xs_mm).zip(frictionless) {
-            let Some(l) = node.line.filter(|_| !node.rest) else {
-                contact = None;
-                out.push([0.0; 2]);
-                continue;
-            };
+        let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
+        let moment = |k: usize| {
+            let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
             let slip = slips[l].as_ref()?;
-            if x <= slip.touch_mm {
-                contact = None;
-                out.push([0.0; 2]);
-                continue;
-            }
-            let (mut s, from) = match contact {
-                Some((line, s, from)) if line == l => (s, from),
-                _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
-            };
-            let friction =
-                rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
-            let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
-            for k in 1..=pieces {
-                slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
-            }
-            contact = Some((l, s, x));
-            let ratio = slip.ratio_at(x, s, friction);
-            let (with, without) = (slip.moment(x, ratio), slip.moment(x, 0.0));
+            let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));
             // The fine table carries the size, the coarse one only the difference that friction makes.
-            out.push([frictionless[0] + with[0] - without[0], frictionless[1] + with[1] - without[1]]);
+            Some([0, 1].map(|c| frictionless[k][c] + with[c] - without[c]))
+        };
+        (0..nodes.len()).map(moment).collect()
+    }
+
+    /// Equilibria at the nodes `wanted`, friction included; none where the wire is free there.
+    pub(crate) fn contacts(
+        &self,
+        nodes: &[Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+        wanted: &[usize],
+    ) -> Option<Vec<Option<Equilibrium>>> {
+        // Where every reading is solved for anyway, the cameras' poses are among them.
+        let free: Vec<Option<Equilibrium>> = if self.sparse && rod_parameters.weight == 0.0 {
+            let all = self.solved_contacts(nodes, xs_mm, rod_parameters)?;
+            wanted.iter().map(|&k| all[k]).collect()
+        } else {
+            let some: Vec<Node> = wanted.iter().map(|&k| nodes[k]).collect();
+            let xs: Vec<f64> = wanted.iter().map(|&k| xs_mm[k]).collect();
+            self.solved_contacts(&some, &xs, rod_parameters)?.to_vec()
+        };
+        if rod_parameters.friction <= 0.0 {
+            return Some(free);
         }
-        Some(out)
+        let slips = self.slip_tables(rod_parameters)?;
+        let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
+        let rod = self.rod(rod_parameters)?;
+        let stuck = |(e, &k): (&Option<Equilibrium>, &usize)| {
+            let (Some(e), Some(h)) = (e, held[k]) else { return *e };
+            let found = rod.solve(&e.point_mm, &Guess::from(e), Tangential::Stick(h.arclength_mm));
+            Some(found.unwrap_or(Equilibrium { arclength_mm: h.arclength_mm, ..*e }))
+        };
+        Some(free.iter().zip(wanted).map(stuck).collect())
     }
 
     /// Contact arc length at stage position `x_mm` on line `l` under the declared model, mm.
     pub fn arclength_mm(&self, l: usize, x_mm: f64) -> Option<f64> {
         Some(self.tables(&RodParameters::default())?[l].arclength(x_mm))
     }
+}
+
+/// Where friction holds the contact.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    /// Arc length, mm.
+    arclength_mm: f64,
+    /// Tangential over normal force.
+    ratio: f64,
+}
+
+/// Contact under friction along the path: it sticks inside the cone and slips at its edge; none where the wire is free.
+fn stick_slip(
+    slips: &[Option<SlipTable>],
+    nodes: &[Node],
+    xs_mm: &[f64],
+    rod_parameters: &RodParameters,
+) -> Option<Vec<Option<Held>>> {
+    let mut contact: Option<(usize, f64, f64)> = None;
+    let mut out = Vec::with_capacity(nodes.len());
+    for (node, &x) in nodes.iter().zip(xs_mm) {
+        let Some(l) = node.line.filter(|_| !node.rest) else {
+            contact = None;
+            out.push(None);
+            continue;
+        };
+        let slip = slips[l].as_ref()?;
+        if x <= slip.touch_mm {
+            contact = None;
+            out.push(None);
+            continue;
+        }
+        let (mut s, from) = match contact {
+            Some((line, s, from)) if line == l => (s, from),
+            _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
+        };
+        let friction = rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
+        // Small steps: the play is taken up along the way, not at its end.
+        let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
+        for k in 1..=pieces {
+            slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
+        }
+        contact = Some((l, s, x));
+        out.push(Some(Held { arclength_mm: s, ratio: slip.ratio_at(x, s, friction) }));
+    }
+    Some(out)
 }
 
 /// Substep of the groove for the stick-slip play, mm.

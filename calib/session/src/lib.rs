@@ -6,6 +6,7 @@
 
 mod axis;
 mod document;
+mod edit;
 mod error;
 mod findings;
 mod holdout;
@@ -22,6 +23,7 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
+pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
 pub use findings::{Finding, Severity, duplicated_readings, examine};
 pub use holdout::{add_session, attach_holdout};

@@ -198,6 +198,8 @@ fn read_files(
         shapes: relative("shapes")?,
         pictures: pictures_folder(&section, folder)?,
     };
+    // Sealed as the holdout is; nothing reads it yet, and it is no unknown key.
+    relative("holdout_shapes")?;
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
         warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }

@@ -55,6 +55,8 @@ pub enum Need {
     Pictures,
     /// Pairs of pictures taken while the stage moves.
     MovingPictures,
+    /// A wire that is declared as a straight part and an arc.
+    StraightArc,
 }
 
 /// One law by which an effect can act.

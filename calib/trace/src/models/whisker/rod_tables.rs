@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
-use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_rod::{Equilibrium, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
 
 /// Mechanical deviations from the nominal whisker and bench.
@@ -22,6 +22,10 @@ pub struct RodParameters {
     pub softening: Option<Softening>,
     /// Relative change of EI from root to tip.
     pub taper: f64,
+    /// Straight part less the declared one, mm.
+    pub straight_change_mm: f64,
+    /// Radius of the arc less the declared one, mm.
+    pub arc_radius_change_mm: f64,
     /// Share of the wire's weight that acts (0 undeclared, 1 full).
     pub weight: f64,
     /// Friction coefficient along the wire; independent of the tables.
@@ -37,6 +41,8 @@ impl Default for RodParameters {
             compliance_rad_per_nmm: [0.0; 2],
             softening: None,
             taper: 0.0,
+            straight_change_mm: 0.0,
+            arc_radius_change_mm: 0.0,
             weight: 0.0,
             friction: 0.0,
             moving_share: 1.0,
@@ -60,6 +66,8 @@ impl RodParameters {
         for k in 0..3 {
             sum += ((self.offset_mm[k] - other.offset_mm[k]) / 0.5).powi(2);
         }
+        sum += (self.straight_change_mm - other.straight_change_mm).powi(2);
+        sum += (self.arc_radius_change_mm - other.arc_radius_change_mm).powi(2);
         for k in 0..2 {
             sum += ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
         }
@@ -78,7 +86,8 @@ impl RodParameters {
                 key.extend([2, onset_per_m.to_bits(), hardening.to_bits()]);
             }
         }
-        key.extend([self.taper.to_bits(), self.weight.to_bits()]);
+        let further = [self.taper, self.weight, self.straight_change_mm, self.arc_radius_change_mm];
+        key.extend(further.map(f64::to_bits));
         key
     }
 }
@@ -97,7 +106,7 @@ pub struct RodTables {
     /// So few readings that each is solved for by itself.
     sparse: bool,
     pub(crate) points: SolveCache,
-    touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
+    touches: Mutex<HashMap<(usize, [u64; 5]), Touch>>,
     pub(crate) walked: BranchCache,
     tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
     slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
@@ -150,7 +159,7 @@ impl RodTables {
 
     /// The rod with the given deviations.
     pub(crate) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
-        let mut rod = Rod::new(&self.spec, self.step_mm).ok()?;
+        let mut rod = Rod::new(&self.wire(rod_parameters), self.step_mm).ok()?;
         let [y, z] = rod_parameters.compliance_rad_per_nmm;
         let largest = y.abs().max(z.abs());
         if largest > 0.0 {
@@ -164,6 +173,16 @@ impl RodTables {
             rod.weight_n_per_mm *= rod_parameters.weight;
         }
         Some(rod)
+    }
+
+    /// The wire with another straight part and another arc.
+    fn wire(&self, rod_parameters: &RodParameters) -> WhiskerSpec {
+        let mut wire = self.spec.clone();
+        if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut wire.rest_shape {
+            *straight_mm += rod_parameters.straight_change_mm;
+            *arc_radius_mm += rod_parameters.arc_radius_change_mm;
+        }
+        wire
     }
 
     pub(crate) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {
@@ -245,7 +264,7 @@ impl RodTables {
         found.into_iter().map(|f| f.1).collect()
     }
 
-    /// First touch; it depends on the groove's offset alone.
+    /// First touch; it depends on the groove's offset and the wire at rest alone.
     pub(crate) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
         let find =
             || rod.first_touch(&self.line(l, rod_parameters), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
@@ -253,7 +272,9 @@ impl RodTables {
         if kept.len() > 4096 {
             kept.clear();
         }
-        *kept.entry((l, rod_parameters.offset_mm.map(f64::to_bits))).or_insert_with(find)
+        let [x, y, z] = rod_parameters.offset_mm;
+        let [straight, radius] = [rod_parameters.straight_change_mm, rod_parameters.arc_radius_change_mm];
+        *kept.entry((l, [x, y, z, straight, radius].map(f64::to_bits))).or_insert_with(find)
     }
 
     fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {

@@ -10,7 +10,7 @@ use crate::whisker::rod_tables::{RodParameters, RodTables};
 use crate::whisker::temperature::RandomWalkModel;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 use std::sync::Arc;
-use wcal_core::observation::{WhiskerData, WhiskerRow};
+use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
 
 /// Two moment components a reading, N mm.
 pub type Moments = Vec<[f64; 2]>;
@@ -278,6 +278,10 @@ impl WhiskerSystem {
                 .pictures
                 .is_none()
                 .then_some("the session has no pictures (shapes.json) that can be used"),
+            Need::StraightArc => {
+                let given = matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. });
+                (!given).then_some("the session declares the wire's points, not a straight part and an arc")
+            }
             Need::MovingPictures => {
                 let none = !self.pictures.as_ref().is_some_and(moving);
                 none.then_some("no pair of pictures was taken while the stage moved")

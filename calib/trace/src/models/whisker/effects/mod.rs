@@ -12,6 +12,7 @@ mod gravity;
 mod groove_friction;
 mod hysteresis;
 mod picture_clock;
+mod rest_shape;
 mod rig_tag;
 mod slip_outliers;
 mod stage_backlash;
@@ -53,6 +54,7 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
         Arc::new(board_scale::BoardScale),
         Arc::new(rig_tag::RigTag),
         Arc::new(picture_clock::PictureClock),
+        Arc::new(rest_shape::RestShape),
     ]
 }
 

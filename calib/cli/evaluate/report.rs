@@ -1,6 +1,6 @@
 //! `report.html` of an evaluation, out of its document.
 
-use super::stated;
+use super::document::stated;
 use anyhow::ensure;
 use serde_json::Value;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};

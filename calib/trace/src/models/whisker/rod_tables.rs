@@ -92,7 +92,6 @@ pub struct RodTables {
     start_mm: Vec<f64>,
     reach_mm: Vec<f64>,
     pub(crate) axes: MomentAxes,
-    step_mm: f64,
     /// So few readings that each is solved for by itself.
     sparse: bool,
     pub(crate) points: SolveCache,
@@ -119,6 +118,24 @@ fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
     wanted.iter().map(Vec::len).sum::<usize>() <= SPARSE_POSITIONS * used
 }
 
+/// A wire with the given deviations in a medium.
+pub(crate) fn rod_of(spec: &WhiskerSpec, fluid_kg_m3: f64, rod_parameters: &RodParameters) -> Option<Rod> {
+    let mut rod = Rod::new(spec, MESH_MM).ok()?;
+    let [y, z] = rod_parameters.compliance_rad_per_nmm;
+    let largest = y.abs().max(z.abs());
+    if largest > 0.0 {
+        rod.compliance_rad_per_nmm = largest;
+        rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
+    }
+    rod.section.softening = rod_parameters.softening;
+    rod.section.taper = rod_parameters.taper;
+    if rod_parameters.weight != 0.0 {
+        rod = rod.with_weight(spec, fluid_kg_m3);
+        rod.weight_n_per_mm *= rod_parameters.weight;
+    }
+    Some(rod)
+}
+
 impl RodTables {
     /// Bench of a whisker and the lines that its readings use.
     ///
@@ -137,7 +154,6 @@ impl RodTables {
             start_mm: path.start_mm.clone(),
             reach_mm: path.reach_mm.clone(),
             axes: path.moments.clone(),
-            step_mm: MESH_MM,
             sparse: is_sparse(path),
             points: SolveCache::default(),
             touches: Mutex::new(HashMap::new()),
@@ -149,20 +165,7 @@ impl RodTables {
 
     /// The rod with the given deviations.
     pub(crate) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
-        let mut rod = Rod::new(&self.spec, self.step_mm).ok()?;
-        let [y, z] = rod_parameters.compliance_rad_per_nmm;
-        let largest = y.abs().max(z.abs());
-        if largest > 0.0 {
-            rod.compliance_rad_per_nmm = largest;
-            rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
-        }
-        rod.section.softening = rod_parameters.softening;
-        rod.section.taper = rod_parameters.taper;
-        if rod_parameters.weight != 0.0 {
-            rod = rod.with_weight(&self.spec, self.fluid_kg_m3);
-            rod.weight_n_per_mm *= rod_parameters.weight;
-        }
-        Some(rod)
+        rod_of(&self.spec, self.fluid_kg_m3, rod_parameters)
     }
 
     pub(crate) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {

@@ -107,8 +107,9 @@ struct Run {
 }
 
 impl Run {
+    #[track_caller]
     fn rmse_mm(&self) -> f64 {
-        self.summary["known_groove"]["rmse_mm"].as_f64().unwrap()
+        self.summary["known_groove"]["rmse_mm"].as_f64().unwrap_or_else(|| panic!("{}", self.said))
     }
 
     fn with_status(&self, name: &str) -> usize {
@@ -126,6 +127,9 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     let record = Record::read();
     let (table, log) = (path("table.csv"), path("motion.csv"));
     record.write_table(&table, true, 1.0);
+    // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
+    let blind = path("blind.csv");
+    record.write_table(&blind, false, 1.0);
     let track = |table: &PathBuf, more: &[&str]| {
         let out = path("track.csv");
         let _ = std::fs::remove_file(&out);
@@ -176,6 +180,7 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     let none = track(&table, &[]);
     assert!(none.code == Some(1) && none.said.contains("--motion"), "{}", none.said);
 
+    let along = |more: &[&str]| track(&blind, &[&motion[..], more].concat());
     // Rows that say so: metres called millimetres, a way reversed, another clock rate, another calibration's moments.
     let doubted = |run: &Run, name: &str| {
         assert_eq!(run.code, Some(3), "{name}: {}", run.said);
@@ -191,7 +196,7 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     assert!(slow.code == Some(3) && slow.with_status("motion-disagrees") > 20, "{}", slow.said);
     record.write_motion(&log, MM, |_, t, way| plain(t, way));
     let other = path("other.csv");
-    record.write_table(&other, true, 1.4);
+    record.write_table(&other, false, 1.4);
     let other = track(&other, &motion);
     assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
 
@@ -200,15 +205,15 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     record.write_motion(
         &log,
         MM,
-        |k, t, way| if (20..40).contains(&k) { format!("{t},,,") } else { plain(t, way) },
+        |k, t, way| if (10..30).contains(&k) { format!("{t},,,") } else { plain(t, way) },
     );
     let lost = along(&[]);
     assert_eq!((lost.code, lost.with_status("motion-lost")), (Some(3), 20), "{}", lost.said);
     assert_eq!(lost.summary["motion"]["lost_rows"]["gap"], 20, "{}", lost.summary);
     let contacts = |run: &Run| run.summary["contacts"].as_array().unwrap().len();
-    record.write_motion(&log, MM, |k, t, way| plain(t, if k < 10 { way } else { way.map(|v| v + 3e4) }));
+    record.write_motion(&log, MM, |k, t, way| plain(t, if k < 20 { way } else { way.map(|v| v + 3e4) }));
     let jumped = along(&[]);
-    assert!(contacts(&jumped) > 3 && jumped.said.contains("line 12: the motion jumps"), "{}", jumped.said);
+    assert!(contacts(&jumped) > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
     assert!(n > 60);
 
     // Errors with exit code 1.
@@ -230,4 +235,45 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     refused("unit quaternion");
     std::fs::write(&log, format!("{MM}\n1,0,0,0\n")).unwrap();
     refused("at least two rows");
+}
+
+/// Negative control of the comparison with the groove: the same readings, the groove said to be 5 mm farther out.
+#[test]
+fn a_groove_that_is_not_where_the_session_says_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let said = wcal(&["verify", SESSION, "--out", &path("out")]);
+    assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
+    let track = |session: &str| {
+        let calibration = path("out/calibration.json");
+        let run =
+            wcal(&["track", session, "--calibration", &calibration, "--out", &path("track.csv"), "--json"]);
+        let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap_or_default();
+        (run.status.code(), text(&run.stderr), summary["groove_tracking"].clone())
+    };
+    let (code, said, true_groove) = track(SESSION);
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(true_groove["trajectories_held"], true_groove["trajectories"], "{said}");
+
+    let shifted = folder.path().join("shifted");
+    std::fs::create_dir(&shifted).unwrap();
+    for file in ["session.toml", "holdout.csv"] {
+        std::fs::copy(format!("{SESSION}/{file}"), shifted.join(file)).unwrap();
+    }
+    let table = std::fs::read_to_string(format!("{SESSION}/points.csv")).unwrap();
+    let x = table.lines().next().unwrap().split(',').position(|c| c == "groove_x_mm").unwrap();
+    let shift = |(k, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if k > 0 {
+            cells[x] = (cells[x].parse::<f64>().unwrap() + 5.0).to_string();
+        }
+        cells.join(",")
+    };
+    let table: Vec<String> = table.lines().enumerate().map(shift).collect();
+    std::fs::write(shifted.join("points.csv"), table.join("\n") + "\n").unwrap();
+    let (code, said, groove) = track(shifted.to_str().unwrap());
+    assert_eq!(code, Some(4), "{said}");
+    assert_eq!(groove["trajectories_held"], 0, "{said}");
+    let rmse_mm = groove["rmse_mm"].as_f64().unwrap();
+    assert!((rmse_mm - 5.0).abs() < 0.5, "{said}");
 }

@@ -35,6 +35,7 @@ use wcal_track::model_file::{load, read_card};
 #[command(after_help = "Examples:
   wcal track readings.csv --calibration calibration.json --model model --out track.csv
   wcal track session --calibration calibration.json --out track.csv
+  wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
@@ -48,7 +49,8 @@ Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibratio
 A session folder without --model: the contact comes from physics, not from a network. The moments of the points table and the way of the
 groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
 groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
-and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why.
+and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
+so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the

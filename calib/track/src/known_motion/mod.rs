@@ -142,7 +142,14 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
     check_rows(episode)?;
     let all = episode;
     let Some(whole) = ContactPath::new(field, episode) else {
-        return Ok(Located::nothing(episode));
+        let found = Located::nothing(episode);
+        if !episode.rows.iter().any(loaded) {
+            return Ok(found);
+        }
+        // A loaded wire and a motion without direction.
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        return Ok(Located { disagreement, innovations, ..found });
     };
     let chosen = thinned(episode, settings.max_rows);
     let rows = chosen.iter().map(|&k| episode.rows[k].clone()).collect();

@@ -79,7 +79,9 @@ pub struct MotionLog {
 
 /// Length of a step, mm.
 fn step_mm(a: &LogRow, b: &LogRow) -> f64 {
-    (b.moved_mm - a.moved_mm).norm() + ARM_MM * a.turn.angle_to(&b.turn)
+    // 2 sin(angle / 2), which has no rounding where the turn is none.
+    let turned = (b.turn.matrix() - a.turn.matrix()).norm() / std::f64::consts::SQRT_2;
+    (b.moved_mm - a.moved_mm).norm() + ARM_MM * turned
 }
 
 impl MotionLog {

@@ -338,7 +338,7 @@ mod tests {
 
     #[test]
     fn the_common_unknowns_are_the_covariance_and_the_first_are_the_wires() {
-        let lag = effect("time-lag", "pose", vec![0.1]);
+        let lag = effect("time-lag", "delay", vec![0.1]);
         let friction = effect("groove-friction", "coulomb", vec![0.2]);
         for (effects, wires) in [(vec![], 0), (vec![lag.clone()], 0), (vec![lag, friction], 1)] {
             let model = model(effects);

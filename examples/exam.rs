@@ -6,7 +6,8 @@
 //!
 //! MIX: `null`, `single`, `pair`, `unknown`, `paper`, `confounded`, `adversarial` (white normal noise, layouts of the practice
 //! sessions); `noise-null`, `noise-single` (every kind of noise, every layout, two wires); `scalar-null`, `scalar-single`
-//! (transducers and axes); `all`.
+//! (transducers and axes); `pictures`, `without-pictures`, `nominals` (27 approach-only poses that cameras look at, the same without,
+//! and with a wire that is not as declared); `all`.
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! The table of goals has the rows for which there are data; below it stands one row a kind of noise.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
@@ -143,9 +144,13 @@ fn write_only(folder: &std::path::Path, orders: &[Order]) -> anyhow::Result<Exit
 
 fn line(o: &Outcome) -> String {
     let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.2}"));
+    let contact = match (o.contact_before_ratio, o.contact_after_ratio) {
+        (None, None) => String::new(),
+        (before, after) => format!("contact {} {} ", number(before), number(after)),
+    };
     let coverage = o.covered.map(|(k, n)| k as f64 / n as f64);
     format!(
-        "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {} cover {:>4} {:.1} s {}",
+        "{} {:9} {:19} {:45} delta {:6.1} rival {:>6} {:12} {:15} [{}] sets {} before {:>6} after {:>5} oracle {} cover {:>4} {contact}{:.1} s {}",
         o.name,
         o.design.map_or_else(|| "line".into(), |d| format!("{d:?}").to_lowercase()),
         format!("{}{}", o.noise, if o.wire == Some(Make::Thin) { ", thin" } else { "" }),

@@ -1,4 +1,5 @@
-//! Every command of README.md as a reader types it, in an empty folder that has the repository's `fixtures` and `rigs`.
+//! Every command of the guide, and so of README.md, as a reader types it, each page in an empty folder that has the repository's `fixtures`
+//! and `rigs`.
 //!
 //! A line is one command, continued by a backslash; it must end with exit code 0, or with N where the line says `# exit N`. What is not run
 //! as it stands is listed below with the reason.
@@ -18,7 +19,17 @@ const LEFT_OUT: [(&str, &str); 2] = [
 /// Run with other sizes, with the reason.
 const CUT: [(&str, &str, &str); 1] =
     [("--sweeps 50", "--sweeps 2", "600 sweeps take minutes in the profile of the tests")];
-/// Sentence of the README that says so.
+/// Pages of the guide with commands, and how many each has at least. The blocks of README.md are blocks of the guide.
+const PAGES: [(&str, usize); 6] = [
+    ("docs/src/guide/start.md", 4),
+    ("docs/src/guide/own-table.md", 6),
+    ("docs/src/guide/whisker.md", 5),
+    ("docs/src/guide/bench.md", 10),
+    ("docs/src/guide/pictures.md", 3),
+    (TRACKING, 5),
+];
+const TRACKING: &str = "docs/src/guide/tracking.md";
+/// Sentence of that page that says what is cut and left out.
 const SAID: &str =
     "the test of this page makes 2 sweeps instead of 50 and leaves training and evaluation out";
 /// Longest wait for the virtual bench's addresses.
@@ -79,7 +90,8 @@ impl Running {
 fn judge(command: &str, expected: i32, code: Option<i32>, stderr: &[u8], wrong: &mut Vec<String>) {
     let said = String::from_utf8_lossy(stderr);
     // On a machine that is busy with other things the bench's scans may come late; the program says so.
-    let late = command.contains("stage-sweep") && code == Some(3) && said.contains("warning:");
+    let recorded = ["wcal stage-sweep", "wcal reduce"].iter().any(|c| command.starts_with(c));
+    let late = recorded && code == Some(3) && said.contains("warning:");
     if code != Some(expected) && !late {
         wrong.push(format!("{command}: expected exit code {expected}, found {code:?}:\n{said}"));
     }
@@ -125,49 +137,152 @@ fn bench(folder: &Path, command: &str) -> Child {
     child
 }
 
-#[test]
-fn every_command_of_the_page_runs_and_leaves_what_the_page_says() {
-    let page = fs::read_to_string(repository("README.md")).unwrap();
-    let all: Vec<String> = blocks(&page).concat();
-    assert!(all.len() > 12, "the blocks are found: {all:?}");
-    for what in LEFT_OUT.iter().map(|l| l.0).chain(CUT.iter().map(|c| c.0)) {
-        assert!(all.iter().any(|line| line.contains(what)), "{what} is listed here and not in README.md");
-    }
-    assert!(page.replace('\n', " ").contains(SAID), "the page says what the test leaves out");
-    let folder = folder();
-    let wrong = run(&page, folder.path());
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+fn page(name: &str) -> String {
+    fs::read_to_string(repository(name)).unwrap()
+}
 
-    let json = |name: &str| -> serde_json::Value {
-        serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap()
-    };
-    let of = |name: &str, side: &str| json(name)[side]["response_rmse"].as_f64().unwrap();
-    // The numbers of the page, to the digits that it gives.
-    let near =
-        |found: f64, said: f64, digits: f64| assert!((found - said).abs() <= digits, "{found}, {said}");
-    near(of("cell-verified/verify.json", "before"), 2.4e-3, 0.05e-3);
-    near(of("cell-verified/verify.json", "after"), 2.1e-4, 0.05e-4);
-    near(of("strokes-verified/verify.json", "before"), 10.0, 0.1);
-    near(of("strokes-verified/verify.json", "after"), 0.14, 0.005);
-    assert_eq!(json("strokes-verified/verify.json")["verdict"], "unknown-effect");
+/// Runs a page; the folder with what its commands left.
+fn after(name: &str) -> tempfile::TempDir {
+    let (page, folder) = (page(name), folder());
+    let least = PAGES.iter().find(|p| p.0 == name).unwrap().1;
+    let all: Vec<String> = blocks(&page).concat();
+    assert!(all.len() >= least, "{name}: the blocks are found: {all:?}");
+    let wrong = run(&page, folder.path());
+    assert!(wrong.is_empty(), "{name}: {}", wrong.join("\n"));
+    folder
+}
+
+fn json(folder: &Path, name: &str) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(folder.join(name)).unwrap()).unwrap()
+}
+
+/// The numbers of a page, to the digits that it gives.
+fn near(document: &serde_json::Value, side: &str, said: f64, digits: f64) {
+    let found = document[side]["response_rmse"].as_f64().unwrap();
+    assert!((found - said).abs() <= digits, "{found}, {said}");
+}
+
+fn marked(folder: &Path, report: &str) -> bool {
+    fs::read_to_string(folder.join(report)).unwrap().contains("SIMULATED")
+}
+
+#[test]
+fn every_page_with_commands_is_run_and_says_what_is_not() {
+    let listed: Vec<&str> = PAGES.iter().map(|p| p.0).collect();
+    for entry in fs::read_dir(repository("docs/src/guide")).unwrap() {
+        let name = format!("docs/src/guide/{}", entry.unwrap().file_name().to_string_lossy());
+        assert_eq!(
+            listed.contains(&name.as_str()),
+            !blocks(&page(&name)).is_empty(),
+            "{name} has commands, and is listed"
+        );
+    }
+    let tracking = page(TRACKING);
+    for what in LEFT_OUT.iter().map(|l| l.0).chain(CUT.iter().map(|c| c.0)) {
+        assert!(
+            blocks(&tracking).concat().iter().any(|l| l.contains(what)),
+            "{what} is listed here and not in {TRACKING}"
+        );
+        let others = listed.iter().filter(|n| **n != TRACKING);
+        others.for_each(|n| {
+            assert!(!blocks(&page(n)).concat().iter().any(|l| l.contains(what)), "{what} in {n}")
+        });
+    }
+    assert!(tracking.replace('\n', " ").contains(SAID), "the page says what the test leaves out");
+}
+
+/// Blocks of a page that no page of the guide has line for line.
+fn own_blocks(page_text: &str) -> Vec<Vec<String>> {
+    let guide: Vec<Vec<String>> = PAGES.iter().flat_map(|p| blocks(&page(p.0))).collect();
+    blocks(page_text).into_iter().filter(|block| !guide.contains(block)).collect()
+}
+
+#[test]
+fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
+    let readme = page("README.md");
+    assert_eq!(own_blocks(&readme), Vec::<Vec<String>>::new());
+    // A new user meets a table of his own first, then the bench without --force, then a contact.
+    let commands = blocks(&readme).concat();
+    let place = |start: &str| commands.iter().position(|c| c.starts_with(start));
+    let order = [
+        "wcal import fixtures/nist",
+        "wcal verify cell",
+        "wcal import fixtures/pneumatic",
+        "wcal virtual-bench",
+        "wcal stage-sweep",
+        "wcal track",
+    ]
+    .map(|start| place(start).unwrap_or_else(|| panic!("README.md has no {start}")));
+    assert!(order.is_sorted(), "{commands:?}");
+    assert!(!commands.iter().any(|c| c.contains("--force")), "{commands:?}");
+    assert!(commands.iter().any(|c| c.contains("--calibration verify/calibration.json")));
+    assert!(
+        readme.contains("2.4e-3 | 2.1e-4") && readme.contains("10.0 N | 0.14 N"),
+        "the table has what the tests of the guide hold"
+    );
+    assert_eq!(own_blocks("```sh\nwcal verify cell --out elsewhere\n```\n").len(), 1, "negative control");
+}
+
+#[test]
+fn the_first_run_runs() {
+    let folder = after("docs/src/guide/start.md");
+    // Its pages come again from the documents beside them.
+    let pages = ["", "practice-004/", "pontius/", "whiskerfbg/"]
+        .map(|f| folder.path().join(format!("demo-out/{f}report.html")));
+    let first = pages.clone().map(|p| (fs::read(&p).unwrap(), fs::remove_file(p).unwrap()).0);
+    assert!(shell(folder.path(), "wcal report demo-out").output().unwrap().status.success());
+    for (page, first) in pages.iter().zip(first) {
+        assert!(fs::read(page).unwrap() == first, "{}: another page", page.display());
+    }
+}
+
+#[test]
+fn your_own_table_runs_and_gives_what_the_page_says() {
+    let folder = after("docs/src/guide/own-table.md");
+    let of = |name: &str| json(folder.path(), name);
+    let (cell, strokes) = (of("cell-verified/verify.json"), of("strokes-verified/verify.json"));
+    near(&cell, "before", 2.4e-3, 0.05e-3);
+    near(&cell, "after", 2.1e-4, 0.05e-4);
+    near(&strokes, "before", 10.0, 0.1);
+    near(&strokes, "after", 0.14, 0.005);
+    assert_eq!((&cell["simulated"], &strokes["verdict"]), (&false.into(), &"unknown-effect".into()));
     assert!(!folder.path().join("strokes-verified/calibration.json").exists());
-    // What comes from the bench and from rendered pictures says so, what was measured does not.
-    for name in ["session/run.json", "verify/verify.json", "track.json"] {
-        assert_eq!(json(name)["simulated"], true, "{name}");
+    assert!(!marked(folder.path(), "cell-verified/report.html"));
+}
+
+#[test]
+fn the_whisker_runs() {
+    after("docs/src/guide/whisker.md");
+}
+
+#[test]
+fn the_bench_runs_and_marks_what_it_leaves() {
+    let folder = after("docs/src/guide/bench.md");
+    for name in ["session/run.json", "verify/verify.json", "groove.json", "track.json"] {
+        assert_eq!(json(folder.path(), name)["simulated"], true, "{name}");
     }
-    for name in ["fit/calibration.json", "cameras/stereo.json", "shapes/shapes.json"] {
-        assert_eq!(json(name)["provenance"]["simulated"], true, "{name}");
-    }
-    assert_eq!(json("cell-verified/verify.json")["simulated"], false);
-    for (name, marked) in [("verify", true), ("shapes", true), ("sweeps", true), ("cell-verified", false)] {
-        let page = fs::read_to_string(folder.path().join(name).join("report.html")).unwrap();
-        assert_eq!(page.contains("SIMULATED"), marked, "{name}/report.html");
-    }
+    assert_eq!(json(folder.path(), "fit/calibration.json")["provenance"]["simulated"], true);
+    assert!(marked(folder.path(), "verify/report.html"));
     // The stage moved: contacts came and went.
     let track = fs::read_to_string(folder.path().join("track.csv")).unwrap();
     let probabilities: Vec<f64> =
         track.lines().skip(1).filter_map(|l| l.split(',').nth(6)?.parse().ok()).collect();
     assert!(probabilities.iter().any(|p| *p > 0.9) && probabilities.iter().any(|p| *p < 0.5));
+}
+
+#[test]
+fn the_pictures_run_and_mark_what_they_leave() {
+    let folder = after("docs/src/guide/pictures.md");
+    for name in ["cameras/stereo.json", "shapes/shapes.json"] {
+        assert_eq!(json(folder.path(), name)["provenance"]["simulated"], true, "{name}");
+    }
+    assert!(marked(folder.path(), "shapes/report.html"));
+}
+
+#[test]
+fn the_sweeps_run_and_mark_what_they_leave() {
+    let folder = after(TRACKING);
+    assert!(marked(folder.path(), "sweeps/report.html"));
 }
 
 #[test]
@@ -177,17 +292,4 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
     let wrong = run(page, folder.path());
     assert_eq!(wrong.len(), 2, "{wrong:?}");
     assert!(wrong[0].starts_with("wcal verify nothing") && wrong[1].contains("expected exit code 4"));
-}
-
-#[test]
-fn pictures_and_files_that_the_page_names_are_there() {
-    let page = fs::read_to_string(repository("README.md")).unwrap();
-    let named: Vec<&str> = page.split('`').skip(1).step_by(2).chain(page.split("](").skip(1)).collect();
-    let paths = named.iter().map(|n| n.split([')', ' ', '\n']).next().unwrap());
-    let kept = |p: &&str| ["fixtures/", "rigs/", "docs/", "calib/"].iter().any(|root| p.starts_with(root));
-    let paths: Vec<&str> = paths.filter(kept).collect();
-    assert!(paths.len() > 8, "{paths:?}");
-    for path in paths {
-        assert!(repository(path).exists(), "README.md names {path}");
-    }
 }

@@ -1,6 +1,6 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
-mod report;
+pub mod report;
 mod tables;
 mod virtual_bench;
 mod work;
@@ -74,6 +74,9 @@ pub struct EvaluateArgs {
     #[arg(long)]
     pub json: bool,
 }
+
+/// Format of evaluation.json.
+pub const FORMAT: &str = "wcal-evaluation/1";
 
 const RESULT: ResultKind<'_> = ResultKind {
     command: "evaluate",
@@ -193,7 +196,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     }
     drop(progress);
     out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
-    out.put("report.html", report::page(&document));
+    out.put("report.html", report::page(&document)?);
     out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
@@ -287,7 +290,7 @@ fn document(
         ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
     let methods: Vec<Value> = rows.iter().map(|(set, name, r)| method(set, name, r)).collect();
     json!({
-        "format": "wcal-evaluation/1", "simulated": true, "quick": args.quick, "model": model, "calibration": null,
+        "format": FORMAT, "simulated": true, "quick": args.quick, "model": model, "calibration": null,
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
             "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "interval95": both_means(of("seen", best), of("unseen", best)),
             "objects": objects},

@@ -75,8 +75,11 @@ pub fn of_whisker(
         gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),
         twin: twin(done),
         evidence: evidence(&found.evidence),
-        isolability: (done.isolability.0.len() > 1)
-            .then(|| Isolability { names: done.isolability.0.clone(), cosine: done.isolability.1.clone() }),
+        isolability: Some(&done.isolability).filter(|c| c.names.len() > 1).map(|c| Isolability {
+            names: c.names.clone(),
+            cosine: c.all.clone(),
+            cosine_without_pictures: c.without_pictures.clone(),
+        }),
         explanations: explanations(&found.evidence),
         versions: versions(),
         ..ReportInput::new(done.document.clone(), provenance)

@@ -94,6 +94,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         home: arguments.home,
         live: arguments.live,
         on_live: |address| eprintln!("stage-sweep: live view at ws://{address} (Foxglove: Open connection)"),
+        ask_board,
         created: created(),
         command: std::env::args().collect(),
     };
@@ -216,25 +217,34 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     tables.map_or(Ok(()), |r| reduce::report(r, false))
 }
 
+/// Asks a person to hold the board before the cameras.
+fn ask_board(view: u32) -> Result<(), DeviceError> {
+    let what = format!("hold the board still before both cameras, attitude {}, no two alike", view + 1);
+    by_hand("cameras", "hold the board", &what)
+}
+
+/// Asks a person to do something and waits for Enter.
+fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
+    let refuse =
+        |kind, found: &str| DeviceError::new(kind, device, action, "a person at the terminal", found);
+    if !std::io::stdin().is_terminal() {
+        return Err(refuse(DeviceErrorKind::Configuration, "an input that is no terminal"));
+    }
+    // Without a terminal to write to there is nobody to read it either.
+    let _ = std::io::stderr().write_all(format!("\n{what}, then press Enter ").as_bytes());
+    let mut line = String::new();
+    match std::io::stdin().lock().read_line(&mut line) {
+        Ok(n) if n > 0 => Ok(()),
+        _ => Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
+    }
+}
+
 /// A mount that a person turns.
 struct ByHand;
 
 impl Mount for ByHand {
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
-        let refuse = |kind, found: &str| {
-            DeviceError::new(kind, "mount", "turn by hand", "a person at the terminal", found)
-        };
-        if !std::io::stdin().is_terminal() {
-            return Err(refuse(DeviceErrorKind::Configuration, "an input that is no terminal"));
-        }
-        let prompt = format!("\nturn the mount to trajectory {trajectory}, then press Enter ");
-        // Without a terminal to write to there is nobody to read it either.
-        let _ = std::io::stderr().write_all(prompt.as_bytes());
-        let mut line = String::new();
-        match std::io::stdin().lock().read_line(&mut line) {
-            Ok(n) if n > 0 => Ok(()),
-            _ => Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
-        }
+        by_hand("mount", "turn by hand", &format!("turn the mount to trajectory {trajectory}"))
     }
 }
 

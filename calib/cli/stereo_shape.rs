@@ -1,14 +1,19 @@
 //! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
 
+mod session;
+
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
+use crate::report::put_page;
+use anyhow::Context;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use wcal_core::shapes_document::PairDocument;
-use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
+use wcal_core::provenance::sha256_hex;
+use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
+use wcal_report::{Fact, Page, ShapePair, ShapePicture, ShapesInput};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
@@ -16,40 +21,47 @@ use wcal_vision::rig::Rig;
 use wcal_vision::shape::drawing::{drawing, residuals};
 use wcal_vision::shape::folder::{ShapesResult, shapes_of_pairs};
 use wcal_vision::shape::overlay::overlay_png;
+use wcal_vision::stereo::StereoCameras;
 
 /// Arguments of `wcal stereo-shape`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:
+#[command(after_help = "Examples:
+  wcal stereo-shape SESSION --cameras calibration/stereo.json
   wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --report
+
+Of a session the pairs of its settled poses are taken, with its rig; shapes.json goes into it, each pair with its point, and session.toml
+names it. Pairs of the holdout's poses are fitted apart from the others, into shapes-holdout.json.
 
 Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
 pub struct StereoShapeArgs {
-    /// Left pictures: a folder or a pattern
+    /// Session whose poses were pictured; or left pictures: a folder or a pattern
+    #[arg(value_name = "SESSION | LEFT")]
     pub left: String,
     /// Right pictures
-    pub right: String,
+    #[arg(requires_all = ["rig", "out"])]
+    pub right: Option<String>,
     /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr; both ROS files), whose errors are
     /// not known
     #[arg(long, num_args = 1..=2, required = true, value_name = "FILE")]
     pub cameras: Vec<PathBuf>,
-    /// Rig: whisker, tags, groove
-    #[arg(long, value_name = "rig.toml")]
-    pub rig: PathBuf,
+    /// Rig: whisker, tags, groove; a session has its own
+    #[arg(long, value_name = "rig.toml", requires = "right")]
+    pub rig: Option<PathBuf>,
     /// Pictures of the same scene without the wire, left and right (a picture, a folder or a pattern; several are averaged):
     /// cables and texture in them are not taken for the wire
     #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
     pub background: Option<Vec<String>>,
-    /// Folder for shapes.json and the overlays
+    /// Folder for shapes.json, the overlays and the report; of a session for overlays and report
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub out: Option<PathBuf>,
     /// Write over what is no earlier result
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Draw what was found into the pictures (overlay-*.png beside shapes.json)
-    #[arg(long)]
+    /// Draw what was found into the pictures (overlay-*.png in --out)
+    #[arg(long, requires = "out")]
     pub overlays: bool,
     /// Write report.html: pictures with what was found, residuals, and the shapes in space, to be turned; no network needed
-    #[arg(long)]
+    #[arg(long, requires = "out")]
     pub report: bool,
     /// Print shapes.json on stdout
     #[arg(long)]
@@ -60,7 +72,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-shape",
     document: "shapes.json",
     says: "wcal-shapes/",
-    files: &["report.html", "overlay-*.png"],
+    files: &["report.html", "report.json", "overlay-*.png"],
     kept: &[],
     resumes: false,
 };
@@ -70,53 +82,126 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// Where the files cannot be read or no pair can be used.
 pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
-    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
-    let rig = Rig::read(&args.rig)?;
-    let files = pair_files(&list_pictures(&args.left)?, &list_pictures(&args.right)?)?;
-    let mut backgrounds = Vec::new();
-    let background = match args.background.as_deref() {
-        Some([left, right]) => Some([
-            empty_scene(left, stereo.cameras[0].image_size_px, &mut backgrounds)?,
-            empty_scene(right, stereo.cameras[1].image_size_px, &mut backgrounds)?,
-        ]),
-        _ => None,
+    let out = match &args.out {
+        Some(folder) => Some(OutputFolder::open(&RESULT, folder, args.overwrite.force)?),
+        None => None,
     };
-    let mut result = {
-        let (progress, done) = (Progress::new("stereo-shape"), AtomicUsize::new(0));
-        let each = |name: &str| {
-            let part = done.fetch_add(1, Ordering::Relaxed) as f64 / files.len() as f64;
-            progress.at(&format!("pair {name}"), part);
-        };
-        shapes_of_pairs(&stereo, &rig, &files, background.as_ref(), &each)
-    };
-    if stereo.covariance.is_none() {
-        result.document.warnings.push(format!(
-            "{} states no errors of the cameras: the standard deviations hold without them",
-            args.cameras[0].display()
-        ));
+    let rig_file = args.rig.clone().unwrap_or_else(|| Path::new(&args.left).join("rig.toml"));
+    let shaper = Shaper::new(args, rig_file)?;
+    let Some(right) = &args.right else { return session::run(args, &shaper, out) };
+    let files = pair_files(&list_pictures(&args.left)?, &list_pictures(right)?)?;
+    let result = shaper.shapes(&files, None)?;
+    let text = serde_json::to_string(&result.document)?;
+    put_results(args, &shaper, &result, &files, out)?;
+    if args.json {
+        println!("{text}");
     }
-    let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
-    let read = args.cameras.iter().chain([&args.rig]).chain(pictures).chain(&backgrounds);
-    result.document.provenance = provenance(read.map(PathBuf::as_path));
-    let text = serde_json::to_string_pretty(&result.document)?;
-    out.put("shapes.json", text.as_str());
+    let Judged { good, clean } = judged(&result);
+    let place = args.out.clone().unwrap_or_default().join("shapes.json");
+    anyhow::ensure!(
+        good > 0,
+        "expected at least one usable pair, found none; {} states each reason",
+        place.display()
+    );
+    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// What all pairs are looked at with.
+struct Shaper {
+    stereo: StereoCameras,
+    rig: Rig,
+    rig_file: PathBuf,
+    background: Option<[Picture; 2]>,
+    /// Files read besides the pairs.
+    read: Vec<PathBuf>,
+    source: ShapesSource,
+}
+
+impl Shaper {
+    fn new(args: &StereoShapeArgs, rig_file: PathBuf) -> anyhow::Result<Self> {
+        let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
+        let rig = Rig::read(&rig_file)?;
+        let mut read: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
+        let background = match args.background.as_deref() {
+            Some([left, right]) => Some([
+                empty_scene(left, stereo.cameras[0].image_size_px, &mut read)?,
+                empty_scene(right, stereo.cameras[1].image_size_px, &mut read)?,
+            ]),
+            _ => None,
+        };
+        let mut calibration = Vec::new();
+        for file in &args.cameras {
+            calibration.extend(std::fs::read(file).with_context(|| format!("reading {}", file.display()))?);
+        }
+        let text = std::fs::read_to_string(&rig_file);
+        let table: toml::Table = text.with_context(|| format!("reading {}", rig_file.display()))?.parse()?;
+        let source = ShapesSource {
+            cameras_sha256: sha256_hex(&calibration),
+            rig_sha256: rig_sha256(&serde_json::to_value(&table)?),
+            session: None,
+        };
+        Ok(Self { stereo, rig, rig_file, background, read, source })
+    }
+
+    /// Shapes of pairs, with what they were made from; `session`: identifier of the session that they belong to.
+    fn shapes(&self, files: &[PairFiles], session: Option<&str>) -> anyhow::Result<ShapesResult> {
+        let mut result = {
+            let (progress, done) = (Progress::new("stereo-shape"), AtomicUsize::new(0));
+            let each = |name: &str| {
+                let part = done.fetch_add(1, Ordering::Relaxed) as f64 / files.len() as f64;
+                progress.at(&format!("pair {name}"), part);
+            };
+            shapes_of_pairs(&self.stereo, &self.rig, files, self.background.as_ref(), &each)
+        };
+        if self.stereo.covariance.is_none() {
+            result.document.warnings.push(format!(
+                "{} states no errors of the cameras: the standard deviations hold without them",
+                self.read[0].display()
+            ));
+        }
+        let pictures = files.iter().flat_map(|f| [&f.left, &f.right]).flatten();
+        result.document.provenance = provenance(self.read.iter().chain(pictures).map(PathBuf::as_path));
+        result.document.source = ShapesSource { session: session.map(str::to_owned), ..self.source.clone() };
+        Ok(result)
+    }
+}
+
+/// `shapes.json`, overlays and report into the output folder, where one was asked for.
+fn put_results(
+    args: &StereoShapeArgs,
+    shaper: &Shaper,
+    result: &ShapesResult,
+    files: &[PairFiles],
+    out: Option<OutputFolder<'_>>,
+) -> anyhow::Result<()> {
+    let Some(mut out) = out else { return Ok(()) };
+    out.put("shapes.json", serde_json::to_string(&result.document)?);
     if args.overlays {
-        put_overlays(&result, &files, &mut out)?;
+        put_overlays(result, files, &mut out)?;
     }
     if args.report {
-        put_report(args, &result, &files, &mut out)?;
+        put_report(args, shaper, result, files, &mut out)?;
     }
-    if result.document.provenance.simulated {
+    out.finish()
+}
+
+/// How many pairs can be used, and whether nothing was to be said of any.
+struct Judged {
+    good: usize,
+    clean: bool,
+}
+
+/// Says what was rejected and why.
+fn judged(result: &ShapesResult) -> Judged {
+    let document = &result.document;
+    if document.provenance.simulated {
         eprintln!("stereo-shape: SIMULATED: the pictures are rendered, not taken");
     }
-    out.finish()?;
-    let mut clean = result.document.warnings.is_empty();
-    for warning in &result.document.warnings {
+    for warning in &document.warnings {
         eprintln!("stereo-shape: warning: {warning}");
     }
-    let mut good = 0;
-    for pair in &result.document.pairs {
+    let (mut good, mut clean) = (0, document.warnings.is_empty());
+    for pair in &document.pairs {
         clean &= pair.status == "ok" && pair.warnings.is_empty();
         good += usize::from(pair.status == "ok");
         if pair.status != "ok" {
@@ -126,20 +211,8 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
             eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
         }
     }
-    eprintln!(
-        "stereo-shape: {good} of {} pairs; processor time: {}",
-        result.document.pairs.len(),
-        result.times
-    );
-    if args.json {
-        println!("{text}");
-    }
-    anyhow::ensure!(
-        good > 0,
-        "expected at least one usable pair, found none; {} states each reason",
-        args.out.join("shapes.json").display()
-    );
-    Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
+    eprintln!("stereo-shape: {good} of {} pairs; processor time: {}", document.pairs.len(), result.times);
+    Judged { good, clean }
 }
 
 /// Mean of the pictures without the wire; their files are added to `files`.
@@ -180,6 +253,7 @@ fn put_overlays(
 /// `report.html`: the shapes in space, and every usable pair.
 fn put_report(
     args: &StereoShapeArgs,
+    shaper: &Shaper,
     result: &ShapesResult,
     files: &[PairFiles],
     out: &mut OutputFolder<'_>,
@@ -211,9 +285,11 @@ fn put_report(
         title: format!("{} of {} pairs used", pairs.len(), document.pairs.len()),
         simulated: made.simulated,
         facts: vec![
-            Fact::new("left pictures", args.left.clone()),
-            Fact::new("right pictures", args.right.clone()),
-            Fact::new("rig", args.rig.display().to_string()),
+            match &args.right {
+                Some(right) => Fact::new("pictures", format!("{} and {right}", args.left)),
+                None => Fact::new("session", args.left.clone()),
+            },
+            Fact::new("rig", shaper.rig_file.display().to_string()),
             Fact::new("program", made.program.clone()),
             Fact::new("made", made.created.split('.').next().unwrap_or_default().replace('T', " ") + " UTC"),
         ],
@@ -221,8 +297,7 @@ fn put_report(
         rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),
         pairs,
     };
-    out.put("report.html", render_shapes(&input));
-    Ok(())
+    put_page(out, "report", &Page::Shapes(input))
 }
 
 /// A pair's numbers in words.

@@ -2,6 +2,7 @@
 
 use crate::known_motion::{self, groove_sentence};
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table, word};
@@ -15,7 +16,7 @@ use wcal_calibration::{
 };
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
-use wcal_report::ReportInput;
+use wcal_report::{Page, ReportInput};
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::method::search::Options;
 use wcal_trace::scalar::{ScalarData, verify_scalar};
@@ -53,7 +54,7 @@ pub struct VerifyArgs {
     /// Days for which the calibration written is valid (`expires`); `predict` and `track` refuse it afterwards
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
     pub valid_days: Option<u32>,
-    /// Folder for verify.json, predictions.csv, report.html and calibration.json
+    /// Folder for verify.json, predictions.csv, report.html (with report.json, of which `wcal report` makes it again) and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
     /// Write over what is no earlier result
@@ -72,7 +73,7 @@ pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
     says: "wcal-verify/",
-    files: &["predictions.csv", "report.html", "calibration.json", "judged-calibration.json"],
+    files: &["predictions.csv", "report.html", "report.json", "calibration.json", "judged-calibration.json"],
     kept: &["unsealed.json"],
     resumes: false,
 };
@@ -231,7 +232,7 @@ pub fn verify_session(
         report.verify.calibration = Some(judged);
     }
     out.put("verify.json", serde_json::to_vec_pretty(&report.verify)?);
-    out.put("report.html", wcal_report::render(&report));
+    put_page(out, "report", &Page::Session(Box::new(report.clone())))?;
     Ok(report)
 }
 
@@ -423,6 +424,12 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         if let Some(floor) = floor {
             println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
         }
+    }
+    if let Some(floor) = n.contact_mm {
+        println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
+    }
+    if let Some(witness) = &v.witness {
+        println!("  decided by: {witness}");
     }
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));

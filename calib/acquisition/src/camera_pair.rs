@@ -48,6 +48,14 @@ impl CameraPair {
         Ok([first.identity()?, second.identity()?])
     }
 
+    /// Asks the bench to hold up the calibration board, or to take it away; false where a person has to.
+    ///
+    /// # Errors
+    /// When a unit does not take the request.
+    pub fn show_board(&mut self, view: Option<usize>) -> Result<bool, DeviceError> {
+        self.cameras[0].show_board(view)
+    }
+
     /// Host time of the newest frame, s.
     #[must_use]
     pub fn host_s(&self) -> f64 {
@@ -95,6 +103,13 @@ impl CameraPair {
     }
 
     fn judge(&mut self, a: CameraFrame, b: CameraFrame) -> Result<FramePair, DeviceError> {
+        // A frame that was cut short on its way is a lost pair, not the end of a sweep.
+        for (which, frame) in [("first", &a), ("second", &b)] {
+            if let Some(found) = torn(frame) {
+                let expected = format!("a whole picture of the {which} camera");
+                return Err(self.refuse(&expected, &format!("{found} at trigger {}", frame.trigger)));
+            }
+        }
         let skew_ms = skew_ms(&a, &b);
         if skew_ms.abs() > self.limit_ms {
             let expected = format!("a skew of at most {} ms", self.limit_ms);
@@ -111,6 +126,14 @@ impl CameraPair {
     }
 }
 
+/// How many grey values a frame has where its size says otherwise.
+fn torn(frame: &CameraFrame) -> Option<String> {
+    let expected = u64::from(frame.width_px) * u64::from(frame.height_px);
+    let found = frame.grey.len() as u64;
+    (found != expected)
+        .then(|| format!("{found} grey values for {} x {} px", frame.width_px, frame.height_px))
+}
+
 /// Start of exposure of `b` after that of `a`, ms.
 fn skew_ms(a: &CameraFrame, b: &CameraFrame) -> f64 {
     let start = |f: &CameraFrame| f.clocks.device_s.unwrap_or(f.clocks.host_s);
@@ -124,6 +147,41 @@ mod tests {
 
     /// Frames by number and time, s.
     struct Script(std::vec::IntoIter<(u64, f64)>);
+
+    /// A camera of 4 x 2 px that sends so many grey values.
+    struct Torn(std::vec::IntoIter<usize>, u64);
+
+    impl Camera for Torn {
+        fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+            Ok(DeviceIdentity::default())
+        }
+
+        fn configure(&mut self, _: Option<f64>, _: Option<f64>) -> Result<(), DeviceError> {
+            Ok(())
+        }
+
+        fn grab(&mut self, _: Duration) -> Result<CameraFrame, DeviceError> {
+            self.1 += 1;
+            let grey = vec![0; self.0.next().unwrap_or(8)];
+            Ok(CameraFrame { trigger: self.1, width_px: 4, height_px: 2, grey, ..CameraFrame::default() })
+        }
+    }
+
+    #[test]
+    fn a_torn_frame_is_a_lost_pair_and_the_next_one_counts() {
+        let camera = |counts: Vec<usize>| Box::new(Torn(counts.into_iter(), 0)) as Box<dyn Camera + Send>;
+        let mut pair = CameraPair::new([camera(vec![8, 8, 8]), camera(vec![8, 7, 8])], 2.0);
+        assert!(pair.grab(Duration::ZERO).is_ok());
+        let error = pair.grab(Duration::ZERO).unwrap_err();
+        assert_eq!(error.kind, DeviceErrorKind::DataInvalid);
+        let text = error.to_string();
+        assert!(
+            text.contains("whole picture of the second camera")
+                && text.contains("7 grey values for 4 x 2 px"),
+            "{text}"
+        );
+        assert!(pair.grab(Duration::ZERO).is_ok() && pair.refused() == 1);
+    }
 
     impl Camera for Script {
         fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {

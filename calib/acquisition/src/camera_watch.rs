@@ -6,16 +6,16 @@ use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
 use crate::monitor::Monitor;
 use crate::pictures::PREVIEW_PERIOD_S;
-use crate::recorder::Recorder;
+use crate::recorder::{Recorder, Shows};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wcal_core::device::{CameraFrame, DeviceError, DeviceErrorKind};
 
 /// Longest wait for a picture (wall time).
-const PATIENCE: Duration = Duration::from_secs(2);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
 /// Pairs refused in a row that end a sweep: a camera that hangs does not recover.
-const REFUSED_LIMIT: u32 = 5;
+pub(crate) const REFUSED_LIMIT: u32 = 5;
 
 /// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without loss, and small pictures between. A
 /// refused pair is an event and a count; several in a row, a silent or a lost camera end the sweep.
@@ -83,7 +83,7 @@ fn record(
     show: bool,
 ) -> Result<(), AcquisitionError> {
     for (name, frame) in names.iter().zip(&pair.frames) {
-        recorder.frame(name, frame, step)?;
+        recorder.frame(name, frame, step.map_or(Shows::Nothing, Shows::Pose))?;
         if show {
             recorder.preview(name, frame)?;
         }
@@ -92,21 +92,21 @@ fn record(
 }
 
 /// What is known of one camera's time.
-struct Eye {
+pub(crate) struct Eye {
     clocks: ClockPair,
     /// Host time of the last frame's arrival, s.
     last_host_s: f64,
 }
 
 impl Eye {
-    fn new(clock_scale: f64) -> Self {
+    pub(crate) fn new(clock_scale: f64) -> Self {
         Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
     }
 
     /// Whether the exposure began after a host time. Frames may wait in a queue: their arrival says nothing of their exposure. The least
     /// delayed arrival holds at least the exposure itself, so that this is added. Without a clock of the camera's own it is sure of a frame
     /// only when the one before came after that time, too.
-    fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
+    pub(crate) fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
         let exposure_s = frame.measured_exposure_ms.or(frame.commanded_exposure_ms).unwrap_or(0.0) * 1e-3;
         match (frame.clocks.device_s, self.clocks.device_s(host_s)) {
             (Some(begin_s), Some(wanted_s)) => begin_s >= wanted_s + exposure_s,
@@ -114,7 +114,7 @@ impl Eye {
         }
     }
 
-    fn note(&mut self, frame: &CameraFrame) {
+    pub(crate) fn note(&mut self, frame: &CameraFrame) {
         self.last_host_s = frame.clocks.host_s;
         if let Some(device_s) = frame.clocks.device_s {
             self.clocks.add(frame.clocks.host_s, device_s);

@@ -5,6 +5,7 @@
 //! [`replay`] reads a recording back; [`reduce`] makes the tables of it. Live and replayed devices run the same code.
 
 pub mod assign;
+pub mod board_run;
 pub mod camera_pair;
 mod camera_watch;
 pub mod clocks;
@@ -15,6 +16,7 @@ pub mod monitor;
 pub mod path_text;
 pub mod pictures;
 pub mod plan;
+pub mod pose_pictures;
 pub mod record;
 pub mod recorder;
 pub mod reduce;

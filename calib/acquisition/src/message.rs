@@ -197,7 +197,7 @@ impl From<&StageReading> for StagePosition {
 /// What happened in the sweep. Times are device times of the interrogator.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SweepEvent {
-    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `pair-refused`, `done`, `stopped`, `finished`.
+    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `board`, `pair-refused`, `picture-missed`, `done`, `stopped`, `finished`.
     #[prost(string, tag = "1")]
     pub kind: String,
     /// Index of the step.
@@ -286,6 +286,9 @@ pub struct FrameInfo {
     /// Step of the plan whose settled pose it shows; absent for all others.
     #[prost(uint32, optional, tag = "6")]
     pub step: Option<u32>,
+    /// Attitude of the calibration board that it shows; absent for all others.
+    #[prost(uint32, optional, tag = "7")]
+    pub board: Option<u32>,
 }
 
 impl McapMessage for FrameInfo {
@@ -297,6 +300,7 @@ impl McapMessage for FrameInfo {
         ("device_s", 4, Type::Double, false),
         ("exposure_s", 5, Type::Double, false),
         ("step", 6, Type::Uint32, false),
+        ("board", 7, Type::Uint32, false),
     ];
 }
 

@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use wcal_core::device::CameraFrame;
 use wcal_core::files::write_atomic;
+use wcal_core::provenance::sha256_hex;
 
 /// Folder of the session.
 pub const PICTURES: &str = "pictures";
@@ -108,18 +109,22 @@ impl PartClocks {
 }
 
 /// Writes the pictures of the settled poses, bit for bit as they were recorded: `pictures/CAMERA/PPPPP.png` for the rows of points.csv with
-/// `pictures/pictures.csv`, the same under `pictures/holdout/` for those of holdout.csv. Returns how many were written.
+/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv, and `pictures/board/CAMERA/VV.png` of the calibration board. Returns how many
+/// of poses were written.
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.
 pub fn write_pictures(
     folder: &Path,
+    session: &str,
     cameras: &[&str],
     parts: &[PathBuf],
     clocks: &[PartClocks],
     rows: &[PicturedRow],
 ) -> Result<usize, AcquisitionError> {
     let mut tables: [Vec<(usize, String)>; 2] = Default::default();
+    // A rig's name is anybody's choice.
+    let session = format!("\"{}\"", session.replace('"', "\"\""));
     let mut written: HashSet<PathBuf> = HashSet::new();
     for (part, (path, clocks)) in parts.iter().zip(clocks).enumerate() {
         let by_step: HashMap<u32, &PicturedRow> =
@@ -127,30 +132,45 @@ pub fn write_pictures(
         let mut expected: HashMap<(String, u64), FrameInfo> = HashMap::new();
         let mut failed = None;
         read(path, |message| match message {
-            Message::Frame(info) if info.step.is_some() => {
+            Message::Frame(info) if info.step.or(info.board).is_some() => {
                 expected.insert((info.camera.clone(), crate::recorder::nanoseconds(info.host_s)), info);
             }
             Message::PosePicture(camera, log_ns, png) => {
                 let Some(info) = expected.remove(&(camera.clone(), log_ns)) else { return };
-                let row = info.step.and_then(|step| by_step.get(&step));
                 // A name comes from a file: only the rig's become folders.
-                let Some(row) = row.filter(|_| cameras.contains(&camera.as_str())) else { return };
+                if !cameras.contains(&camera.as_str()) {
+                    return;
+                }
+                let mut put = |place: &Path| {
+                    let made = place.parent().map_or(Ok(()), std::fs::create_dir_all);
+                    let done = made.map_err(AcquisitionError::io("creating", place));
+                    match done.and_then(|()| Ok(write_atomic(place, &png)?)) {
+                        Ok(()) => true,
+                        Err(e) => {
+                            failed.get_or_insert(e);
+                            false
+                        }
+                    }
+                };
+                if let Some(view) = info.board {
+                    put(&folder.join(format!("{PICTURES}/board/{camera}/{view:02}.png")));
+                    return;
+                }
+                let Some(row) = info.step.and_then(|step| by_step.get(&step)) else { return };
                 let file = format!("{camera}/{:05}.png", row.point);
                 let of = if row.sealed { format!("{PICTURES}/holdout") } else { PICTURES.to_owned() };
                 let place = folder.join(of).join(&file);
-                let made = place.parent().map_or(Ok(()), std::fs::create_dir_all);
-                let done = made.map_err(AcquisitionError::io("creating", &place));
-                match done.and_then(|()| Ok(write_atomic(&place, &png)?)) {
-                    Ok(()) => drop(written.insert(place)),
-                    Err(e) => drop(failed.get_or_insert(e)),
+                if put(&place) {
+                    written.insert(place);
                 }
                 let text = |v: Option<f64>| v.map_or_else(String::new, |v| format!("{v:.6}"));
                 let line = format!(
-                    "{},{camera},{file},{},{:.6},{}\n",
+                    "{},{camera},{file},{},{:.6},{},{session},{}\n",
                     row.point,
                     text(clocks.session_s(&info)),
                     info.host_s,
-                    text(info.exposure_s)
+                    text(info.exposure_s),
+                    sha256_hex(&png)
                 );
                 tables[usize::from(row.sealed)].push((row.point, line));
             }
@@ -165,7 +185,7 @@ pub fn write_pictures(
             continue;
         }
         table.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
-        let mut csv = String::from("point,camera,file,t_s,host_t_s,exposure_s\n");
+        let mut csv = String::from("point,camera,file,t_s,host_t_s,exposure_s,session,sha256\n");
         csv.extend(table.iter().map(|(_, line)| line.as_str()));
         write_atomic(&folder.join(of).join("pictures.csv"), csv.as_bytes())?;
     }

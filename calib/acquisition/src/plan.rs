@@ -9,6 +9,9 @@ use wcal_core::Role;
 /// `format` of a plan file.
 pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
+/// More attitudes tell nothing more, and nobody holds them.
+const MAX_BOARD_VIEWS: u32 = 100;
+
 /// A plan.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -26,6 +29,9 @@ pub struct Plan {
     /// Wait before the first pose until the signal has settled at rest, at most this long, s.
     #[serde(default)]
     pub soak_s: f64,
+    /// Attitudes of the calibration board that are pictured before anything moves; 0: none.
+    #[serde(default)]
+    pub board_views: u32,
     /// A small move at start and end that shows the delay between stage and interrogator.
     #[serde(default = "yes")]
     pub sync_move: bool,
@@ -173,6 +179,10 @@ impl Plan {
         }
         if !(plan.settle.gate_pm_per_s > 0.0 && plan.settle.window_s > 0.0) {
             return fail("settle".to_owned(), "a gate and a window above 0", format!("{:?}", plan.settle));
+        }
+        if plan.board_views > MAX_BOARD_VIEWS {
+            let expected = format!("at most {MAX_BOARD_VIEWS}");
+            return fail("board_views".to_owned(), &expected, plan.board_views.to_string());
         }
         for (k, block) in plan.block.iter().enumerate() {
             let field = |name: &str| format!("block {}: {name}", k + 1);
@@ -328,6 +338,8 @@ mod tests {
             ("wcal-plan/1", "wcal-plan/3", "wcal-plan/1"),
             ("depths_mm = [1, 3, 5]", "depths_mm = [1]\nspeeds_mm_s = [99]", "speeds up to"),
             ("depths_mm", "depth_mm", "plan file"),
+            ("name = \"p\"", "name = \"p\"\nboard_views = 1000", "at most 100"),
+            ("name = \"p\"", "name = \"p\"\nboard_views = -1", "plan file"),
         ] {
             let error = plan(from, to).unwrap_err().to_string();
             assert!(error.contains(word), "{word}: {error}");

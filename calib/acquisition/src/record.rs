@@ -2,6 +2,7 @@
 
 use crate::AcquisitionError;
 use crate::assign::ChannelMap;
+use crate::board_run::{AskBoard, BoardRun, shown_before};
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
 use crate::monitor::Monitor;
@@ -44,6 +45,8 @@ pub struct RecordRequest {
     pub live: Option<SocketAddr>,
     /// Hears where it listens in fact (port 0 is one of the system's choice).
     pub on_live: fn(SocketAddr),
+    /// Asks a person to hold the calibration board, where the plan wants pictures of it and the bench does not do it itself.
+    pub ask_board: AskBoard,
     /// Time of creation, RFC 3339.
     pub created: String,
     /// Command line.
@@ -167,12 +170,28 @@ pub fn record(
         None => manual,
     };
     let (about, simulated) = describe(request, &rig, &plan, identities)?;
-    let number = recordings(&request.folder).len() + 1;
+    let earlier = recordings(&request.folder);
+    let number = earlier.len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     let recorder = Recorder::create(&request.folder.join(&name), about)?;
     let live = request.live.map(|address| recorder.serve(address)).transpose()?;
     if let Some(view) = &live {
         (request.on_live)(view.address());
+    }
+    if plan.board_views > 0 {
+        let Some(pair) = &mut cameras else {
+            let found = "a rig without cameras";
+            return Err(AcquisitionError::input("plan: board_views", "a rig with two cameras", found));
+        };
+        let mut board = BoardRun {
+            pair,
+            names: &names,
+            recorder: &recorder,
+            clock,
+            clock_scale: rig.clock_scale,
+            interrupt,
+        };
+        board.run(plan.board_views, &shown_before(&earlier), request.ask_board)?;
     }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);

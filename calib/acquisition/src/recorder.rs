@@ -23,6 +23,17 @@ const FLUSH: Duration = Duration::from_millis(250);
 /// Longest time until the disk itself has it.
 const SYNC: Duration = Duration::from_secs(2);
 
+/// What a frame is recorded for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shows {
+    /// Its time alone.
+    Nothing,
+    /// The settled pose of a step.
+    Pose(u32),
+    /// The calibration board in an attitude.
+    Board(u32),
+}
+
 /// An open recording. Messages may come from several threads.
 pub struct Recorder {
     context: Arc<Context>,
@@ -203,11 +214,16 @@ impl Recorder {
         self.log.log_with_meta(&message, at(host_s));
     }
 
-    /// Records that a frame came, and of a settled pose (`step`) the picture without loss.
+    /// Records that a frame came, and where it shows a settled pose or the board the picture without loss.
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
-    pub fn frame(&self, name: &str, frame: &CameraFrame, step: Option<u32>) -> Result<(), AcquisitionError> {
+    pub fn frame(&self, name: &str, frame: &CameraFrame, shows: Shows) -> Result<(), AcquisitionError> {
+        let (step, board) = match shows {
+            Shows::Nothing => (None, None),
+            Shows::Pose(step) => (Some(step), None),
+            Shows::Board(view) => (None, Some(view)),
+        };
         let info = FrameInfo {
             camera: name.to_owned(),
             trigger: frame.trigger,
@@ -215,9 +231,10 @@ impl Recorder {
             device_s: frame.clocks.device_s,
             exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
             step,
+            board,
         };
         log_raw(&self.frames, &info, frame.clocks.host_s);
-        if step.is_some() {
+        if shows != Shows::Nothing {
             self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?);
         }
         self.keep_pace()

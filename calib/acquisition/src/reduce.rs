@@ -51,6 +51,8 @@ pub struct Reduction {
     pub damaged_chunks: u64,
     /// Camera pairs recorded, and refused.
     pub pairs: [u64; 2],
+    /// Why the first of those was refused.
+    pub refused_why: Option<String>,
     /// Pictures of settled poses written, and poses whose pair did not come.
     pub pictures: [usize; 2],
     /// Delay of the interrogator behind the stage at each sync move, s.
@@ -94,7 +96,13 @@ impl Reduction {
                 ),
             ),
             (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
-            (refused > 0, format!("{refused} camera pairs refused")),
+            (
+                refused > 0,
+                match &self.refused_why {
+                    Some(why) => format!("{refused} camera pairs refused; the first: {why}"),
+                    None => format!("{refused} camera pairs refused"),
+                },
+            ),
             (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
         ];
         let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
@@ -150,7 +158,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
     let pictured = pictured_rows(&rows, &part_of_row);
-    result.pictures[0] = write_pictures(folder, &cameras, &parts, &clocks, &pictured)?;
+    result.pictures[0] = write_pictures(folder, &run.id, &cameras, &parts, &clocks, &pictured)?;
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
@@ -158,9 +166,21 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let names: Vec<String> =
         parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
     let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
-    let session = tables::session_toml(&rig, &run, &names, holdout, &result)?;
+    let session = tables::session_toml(&rig, &run, &names, holdout, &result, &added_later(folder))?;
     write_atomic(&folder.join("session.toml"), session.as_bytes())?;
     Ok(result)
+}
+
+/// Entries of an earlier session.toml that name what was made of the pictures: the files are still there.
+fn added_later(folder: &Path) -> Vec<[String; 3]> {
+    let text = std::fs::read_to_string(folder.join("session.toml")).unwrap_or_default();
+    let Ok(old) = text.parse::<toml::Table>() else { return Vec::new() };
+    let entry = |[table, key]: [&str; 2]| {
+        let value = old.get(table)?.get(key)?.as_str()?;
+        let there = table != "files" || folder.join(value).is_file();
+        there.then(|| [table.to_owned(), key.to_owned(), value.to_owned()])
+    };
+    tables::ADDED_LATER.into_iter().filter_map(entry).collect()
 }
 
 /// Settled rows with their numbers in points.csv or holdout.csv.
@@ -208,7 +228,10 @@ fn reduce_part(
         }
         Message::Stage(reading) => stage.push(reading),
         Message::Event(event) => {
-            result.pairs[1] += u64::from(event.kind == "pair-refused");
+            if event.kind == "pair-refused" {
+                result.pairs[1] += 1;
+                result.refused_why.get_or_insert_with(|| event.detail.clone());
+            }
             result.pictures[1] += usize::from(event.kind == "picture-missed");
             events.push(event);
         }

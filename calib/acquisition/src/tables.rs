@@ -213,7 +213,15 @@ pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
     }
 }
 
-/// `session.toml`.
+/// Entries of session.toml (table and key) that `stereo-shape` adds and a reduction keeps.
+pub const ADDED_LATER: [[&str; 2]; 4] = [
+    ["files", "shapes"],
+    ["files", "holdout_shapes"],
+    ["provenance", "cameras_sha256"],
+    ["provenance", "shapes_rig_sha256"],
+];
+
+/// `session.toml`; `added`: table, key and text of entries that are kept.
 ///
 /// # Errors
 /// When the rig's tables cannot be written as TOML.
@@ -223,6 +231,7 @@ pub fn session_toml(
     recordings: &[String],
     holdout: bool,
     result: &Reduction,
+    added: &[[String; 3]],
 ) -> Result<String, AcquisitionError> {
     let text = |s: &str| Value::String(s.to_owned());
     let mut files = Table::new();
@@ -283,6 +292,11 @@ pub fn session_toml(
     provenance.insert("rig_sha256".to_owned(), text(&run.rig_sha256));
     provenance.insert("plan_sha256".to_owned(), text(&run.plan_sha256));
     root.insert("provenance".to_owned(), Value::Table(provenance));
+    for [table, key, value] in added {
+        if let Some(table) = root.get_mut(table).and_then(Value::as_table_mut) {
+            table.insert(key.clone(), text(value));
+        }
+    }
     toml::to_string(&root).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 

@@ -1,6 +1,7 @@
 //! `report.html` of an evaluation, out of its document.
 
 use super::stated;
+use anyhow::ensure;
 use serde_json::Value;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 
@@ -19,8 +20,12 @@ fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -
     })
 }
 
-/// The page.
-pub fn page(document: &Value) -> String {
+/// The page of evaluation.json.
+///
+/// # Errors
+/// Where it has no rows of methods.
+pub fn page(document: &Value) -> anyhow::Result<String> {
+    ensure!(document["methods"].is_array(), "methods: expected rows, found none");
     let real = &document["virtual_real"];
     let surface = ("rmse_mm", "surface, mm");
     let [true_contact, followed] =
@@ -99,7 +104,7 @@ pub fn page(document: &Value) -> String {
             mark: None,
         }]
     };
-    render_tracking(&TrackingInput {
+    Ok(render_tracking(&TrackingInput {
         over: "Contact tracker".into(),
         title: "Evaluation".into(),
         facts,
@@ -109,5 +114,5 @@ pub fn page(document: &Value) -> String {
         ],
         curves,
         tables: tables.into_iter().flatten().collect(),
-    })
+    }))
 }

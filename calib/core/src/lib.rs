@@ -21,8 +21,9 @@ pub mod verify_document;
 
 pub use calibration::{CalibrationFile, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, Role, SessionData, SessionKind, Trajectory, TransducerData,
-    TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow, WhiskerSpec,
+    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes,
+    Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
+    WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;

@@ -1,8 +1,10 @@
 //! What a session holds once it has been read and checked: plain data, no files.
 
 use crate::sealed::Sealed;
+use crate::shapes_document::{PairDocument, SharedParameter};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// The three kinds of session (docs/src/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -245,6 +247,9 @@ pub struct WhiskerRow {
     /// Counts among the held-out readings, whatever its role says.
     #[serde(default)]
     pub sealed: bool,
+    /// What the pair of pictures of this pose shows: sealed with its row where that is sealed.
+    #[serde(skip)]
+    pub pair: Option<Arc<PairDocument>>,
 }
 
 impl WhiskerRow {
@@ -284,6 +289,31 @@ pub struct WhiskerData {
     pub holdout: Sealed<WhiskerRow>,
     /// Labels of an outside twin; empty when there are none.
     pub twin: Vec<TwinLabel>,
+    /// What the shapes of all pairs share, and which pairs stand aside; none where the session names no shapes.
+    #[serde(skip)]
+    pub shapes: Option<SessionShapes>,
+}
+
+/// Shapes of a session: what its pairs share. The pairs themselves stand with their rows ([`WhiskerRow::pair`]).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SessionShapes {
+    /// File that the session names.
+    pub file: String,
+    /// Parameters whose errors all pairs share.
+    pub parameters: Vec<SharedParameter>,
+    /// Their covariance, in the order and units of the list.
+    pub covariance: Vec<Vec<f64>>,
+    /// Pairs that belong to no row or cannot be used, and why.
+    pub left_out: Vec<PairLeftOut>,
+}
+
+/// A pair of pictures that is not used.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PairLeftOut {
+    /// Name of the pair.
+    pub name: String,
+    /// Why.
+    pub why: String,
 }
 
 impl WhiskerData {

@@ -1,5 +1,6 @@
 //! `verify.json` (format `wcal-verify/1`, docs/src/formats.md).
 
+use crate::observation::PairLeftOut;
 use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -100,6 +101,9 @@ pub struct NoiseFloor {
     /// um (kind axis).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error_um: Option<f64>,
+    /// Distance of a contact from where it is seen that the shapes' stated covariance gives, root mean square, mm (with pictures).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_mm: Option<f64>,
     /// `replicates`, `difference`, `declared`, `none`.
     pub source: String,
 }
@@ -272,7 +276,10 @@ pub struct Detectable {
     pub id: String,
     /// Smallest size found with 90 % probability; absent where not testable.
     pub smallest: Option<f64>,
-    /// Unit of `smallest`.
+    /// The same without the pictures; absent where there are none, or where the wavelengths alone do not show it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub smallest_without_pictures: Option<f64>,
+    /// Unit of both.
     pub unit: String,
     /// `testable`, `absorbed`, `not-observable`.
     pub status: String,
@@ -300,6 +307,25 @@ pub struct GrooveTracking {
     pub doubted: usize,
     /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.
     pub split: String,
+}
+
+/// What the pictures say beside the wavelengths.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SecondWitness {
+    /// Pairs that count.
+    pub pairs: usize,
+    /// Pairs that stand aside, and why.
+    #[serde(default)]
+    pub left_out: Vec<PairLeftOut>,
+    /// Scatter about the accepted model over what the shapes state; 1 where they state it right.
+    pub reduced_chi: f64,
+    /// Fall of the misfit of the wavelengths by the accepted effects, in variances of the noise.
+    pub gain_wavelengths: f64,
+    /// The same of the pictures.
+    pub gain_pictures: f64,
+    /// Which witness decided, see [`VerifyDocument::witness`].
+    #[serde(skip)]
+    pub decided: Option<String>,
 }
 
 /// `verify.json`.
@@ -363,6 +389,13 @@ pub struct VerifyDocument {
     /// Where the tracker puts the groove through the accepted calibration (kind whisker).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
+    /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
+    /// pictures or effects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub witness: Option<String>,
+    /// The pictures beside the wavelengths; absent without them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pictures: Option<SecondWitness>,
 }
 
 impl VerifyDocument {
@@ -400,6 +433,8 @@ impl VerifyDocument {
             identifiability: Vec::new(),
             calibration: None,
             groove_tracking: None,
+            witness: None,
+            pictures: None,
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
-use wcal_core::observation::Role;
+use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
 use wcal_core::{InputFile, Purpose, Sealed, SessionData, WhiskerData, WhiskerRow};
 
 const PM_PER_NM: f64 = 1000.0;
@@ -118,6 +118,22 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     Ok(())
 }
 
+/// Pairs of another session count where the same cameras made them: then both share the same errors.
+fn merge_shapes(data: &mut WhiskerData, added: &mut WhiskerData, folder: &str) {
+    let Some(theirs) = added.shapes.take() else { return };
+    let alike =
+        |own: &SessionShapes| own.parameters == theirs.parameters && own.covariance == theirs.covariance;
+    if data.shapes.as_ref().is_some_and(alike) {
+        return;
+    }
+    let mut dropped = 0;
+    every_row(added, |row| dropped += usize::from(row.pair.take().is_some()));
+    if let Some(own) = data.shapes.as_mut().filter(|_| dropped > 0) {
+        let why = format!("{dropped} pairs of that session were made with other cameras than this one's");
+        own.left_out.push(PairLeftOut { name: folder.to_owned(), why });
+    }
+}
+
 fn attach_session(
     session: &mut LoadedSession,
     other: LoadedSession,
@@ -141,6 +157,7 @@ fn attach_session(
             merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
             merge_nominals(data, &mut added);
             every_row(&mut added, |row| row.source = renamed(&row.source));
+            merge_shapes(data, &mut added, &folder);
             if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
                     session.warnings.push(SessionWarning::new(&folder, WarningKind::TwinNotUsed));

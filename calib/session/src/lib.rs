@@ -6,11 +6,13 @@
 
 mod axis;
 mod document;
+mod edit;
 mod error;
 mod findings;
 mod holdout;
 mod row;
 mod session;
+mod shapes;
 mod table;
 mod text_table;
 mod transducer;
@@ -21,6 +23,7 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
+pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
 pub use findings::{Finding, Severity, duplicated_readings, examine};
 pub use holdout::{add_session, attach_holdout};

@@ -2,6 +2,7 @@
 
 use crate::document::{self, Section};
 use crate::error::{InputError, SessionError, quote};
+use crate::shapes::Expected;
 use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
@@ -48,6 +49,7 @@ struct Files {
     holdout: Option<String>,
     twin: Option<String>,
     rest_shape: Option<String>,
+    shapes: Option<String>,
     pictures: Option<PathBuf>,
 }
 
@@ -78,7 +80,9 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let simulated = read_simulated(&root)?;
     let data = match kind {
         SessionKind::Whisker => {
-            SessionData::Whisker(load_whisker(&root, folder, &files, &medium, &mut inputs, &mut warnings)?)
+            let expected = expected_shapes(&root, &id)?;
+            let data = load_whisker(&root, folder, &files, &medium, &expected, &mut inputs, &mut warnings)?;
+            SessionData::Whisker(data)
         }
         SessionKind::Transducer => {
             SessionData::Transducer(load_transducer(&root, folder, &files, &mut inputs, &mut warnings)?)
@@ -113,6 +117,18 @@ fn read_simulated(root: &Section<'_>) -> Result<bool, InputError> {
         }
         _ => Ok(false),
     }
+}
+
+/// What the session says of the cameras and the rig that its shapes come from.
+fn expected_shapes(root: &Section<'_>, id: &str) -> Result<Expected, InputError> {
+    let mut expected = Expected { session: id.to_owned(), ..Expected::default() };
+    if let Some(toml::Value::Table(_)) = root.value("provenance")
+        && let Some(section) = root.section("provenance")?
+    {
+        expected.cameras_sha256 = section.text("cameras_sha256")?;
+        expected.rig_sha256 = section.text("shapes_rig_sha256")?;
+    }
+    Ok(expected)
 }
 
 fn check_format(root: &Section<'_>) -> Result<(), InputError> {
@@ -179,8 +195,11 @@ fn read_files(
         holdout: relative("holdout")?,
         twin: relative("twin")?,
         rest_shape: relative("rest_shape")?,
+        shapes: relative("shapes")?,
         pictures: pictures_folder(&section, folder)?,
     };
+    // Sealed as the holdout is; nothing reads it yet, and it is no unknown key.
+    relative("holdout_shapes")?;
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
         warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
@@ -224,6 +243,7 @@ fn load_whisker(
     folder: &Path,
     files: &Files,
     medium: &str,
+    expected: &Expected,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerData, SessionError> {
@@ -242,10 +262,23 @@ fn load_whisker(
         Ok(table.rows)
     };
     let mut rows = read(&files.points, Purpose::Fit)?;
+    let shapes = match &files.shapes {
+        Some(name) => Some(crate::shapes::read(&folder.join(name), name, expected, &mut rows)?),
+        None => None,
+    };
+    // A row that is sealed takes its pair with it.
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
         holdout.extend(read(name, Purpose::Holdout)?);
     }
+    let shapes = shapes.map(|(shapes, input)| {
+        inputs.push(input);
+        if !shapes.left_out.is_empty() {
+            let kind = WarningKind::PairsLeftOut(shapes.left_out.clone());
+            warnings.push(SessionWarning::new(&shapes.file, kind));
+        }
+        shapes
+    });
     // Where nothing was loaded there is nothing to predict but the zero.
     holdout.relabel(|r| r.sealed = r.role != Role::Rest);
     require_unsealed(&files.points, rows.len())?;
@@ -257,7 +290,7 @@ fn load_whisker(
     }
     let medium = medium.to_owned();
     let whisker_meta::WhiskerMeta { whisker, moments, fbg, trajectories, .. } = meta;
-    Ok(WhiskerData { whisker, moments, fbg, medium, trajectories, rows, holdout, twin })
+    Ok(WhiskerData { whisker, moments, fbg, medium, trajectories, rows, holdout, twin, shapes })
 }
 
 fn load_transducer(

@@ -1,7 +1,9 @@
 //! What deserves attention in a session that can be used.
 
 use serde::{Serialize, Serializer};
+use std::collections::BTreeMap;
 use std::fmt;
+use wcal_core::PairLeftOut;
 
 /// A warning about a file of the session.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,6 +72,8 @@ pub enum WarningKind {
         /// Its number here.
         new: u32,
     },
+    /// Pairs of pictures that cannot be used: name and why.
+    PairsLeftOut(Vec<PairLeftOut>),
     /// A joined session has labels of its own.
     TwinNotUsed,
     /// A measured and a simulated session were joined; the identifier is that of the simulated one.
@@ -136,6 +140,15 @@ impl fmt::Display for SessionWarning {
             }
             WarningKind::TrajectoryRenamed { old, new } => {
                 write!(f, "{file}: trajectory {old} is another path here and is called {new}")
+            }
+            WarningKind::PairsLeftOut(pairs) => {
+                let mut by_reason: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+                for p in pairs {
+                    by_reason.entry(&p.why).or_default().push(&p.name);
+                }
+                let each: Vec<String> =
+                    by_reason.iter().map(|(why, names)| format!("{} ({why})", names.join(", "))).collect();
+                write!(f, "{file}: {} pair(s) of pictures left out: {}", pairs.len(), each.join("; "))
             }
             WarningKind::TwinNotUsed => write!(f, "{file}: labels of its twin are not used"),
             WarningKind::JoinedWithSimulated(id) => {

@@ -211,6 +211,7 @@ fn read_row(
         samples: row.count(columns.samples, 1)?,
         seating: 0,
         sealed: false,
+        pair: None,
     })
 }
 

@@ -51,6 +51,12 @@ pub enum Need {
     Slope,
     /// A further covariate that varies.
     Covariate,
+    /// Pairs of pictures of the poses.
+    Pictures,
+    /// Pairs of pictures taken while the stage moves.
+    MovingPictures,
+    /// A wire that is declared as a straight part and an arc.
+    StraightArc,
 }
 
 /// One law by which an effect can act.

@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! Y = D(terms) B + noise          Y: readings x channels, D: design under the effects' values, B: coefficients, one column a channel
+//! z = g(terms) + noise            z: a second witness, its covariance known, nothing in it free but the effects
 //! ```
 //!
 //! [`crate::verify::SessionModel`] adds what the procedure asks of a kind of session: words, predictions, folds, checks.
 
 use crate::effect::{Effect, EffectTerm};
-use crate::method::noise::NoiseInputs;
-use nalgebra::DMatrix;
+use crate::method::noise::{NoiseInputs, Weights};
+use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
 
 /// A session seen through a declared model and a catalogue: what the loop works on.
 ///
@@ -23,10 +25,24 @@ pub trait MeasurementModel: Sync {
     /// Design matrix, readings x coefficients; none where the model has no solution at these values.
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
     /// The catalogue.
-    fn catalogue(&self) -> &[std::sync::Arc<dyn Effect>];
+    fn catalogue(&self) -> &[Arc<dyn Effect>];
     /// Catalogue entry of single readings far outside the noise.
     fn outliers(&self) -> Option<usize> {
         self.catalogue().iter().position(|e| e.in_single_readings())
+    }
+    /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
+    /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
+    /// readings that do not count are zero; empty where there is no second witness, none where the model has no solution.
+    fn witness(&self, _terms: &[EffectTerm], _weights: &Weights) -> Option<DVector<f64>> {
+        Some(DVector::zeros(0))
+    }
+    /// Reading to which each value of the second witness belongs.
+    fn witness_readings(&self) -> Arc<Vec<usize>> {
+        Arc::default()
+    }
+    /// Variance of the second witness's whitened values: that of a typical reading, so that both are weighed alike.
+    fn witness_variance(&self) -> f64 {
+        1.0
     }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;

@@ -49,7 +49,7 @@ fn bench(c: &mut Criterion) {
     let stereo = cameras();
     let paths = ["left", "right"].map(|side| fixture(&format!("scene/{side}/t1.png")));
     let files = |[left, right]: [PathBuf; 2]| {
-        vec![PairFiles { name: "t1".into(), left: Some(left), right: Some(right) }]
+        vec![PairFiles { name: "t1".into(), left: Some(left), right: Some(right), ..PairFiles::default() }]
     };
     let place = tempfile::tempdir().expect("a folder");
     let small = ["left", "right"].map(|side| place.path().join(format!("{side}.pgm")));

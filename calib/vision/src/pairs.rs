@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The two files of a pair.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct PairFiles {
     /// Name of the pair: the left file's name without extension.
     pub name: String,
@@ -13,6 +13,10 @@ pub struct PairFiles {
     pub left: Option<PathBuf>,
     /// Right picture; none where it is missing.
     pub right: Option<PathBuf>,
+    /// Row of the session's table that the pair shows; none outside a session.
+    pub point: Option<i64>,
+    /// Why the pair is not to be used, where that is known before the pictures are looked at.
+    pub refused: Option<String>,
 }
 
 /// Picture files of a folder or of a pattern such as `pictures/left*.jpg`, sorted by name.
@@ -92,7 +96,7 @@ pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>,
     let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
     for (is_left, file) in left.iter().map(|f| (true, f)).chain(right.iter().map(|f| (false, f))) {
         let entry =
-            pairs.entry(key(file)).or_insert_with(|| PairFiles { name: stem(file), left: None, right: None });
+            pairs.entry(key(file)).or_insert_with(|| PairFiles { name: stem(file), ..PairFiles::default() });
         let slot = if is_left { &mut entry.left } else { &mut entry.right };
         if let Some(other) = slot {
             return Err(VisionError::content(

@@ -18,6 +18,7 @@ pub mod rivals;
 pub mod rod;
 pub mod scalar;
 pub mod session;
+pub mod shapes;
 pub mod simulate;
 pub mod table;
 

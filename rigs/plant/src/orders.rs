@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 
 use crate::PlantError;
 use crate::adversarial::Trick;
@@ -11,13 +12,16 @@ use crate::effects::Kind;
 use crate::layout::Design;
 use crate::noise::Noise;
 use crate::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
-use crate::session::{Case, Make, Request, Want, draw_under};
+use crate::session::{Case, Looked, Make, Request, Want, draw_looked, draw_under};
+use crate::shapes::Fault;
 
 /// One order of an exam.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Order {
     /// A whisker's session with noise of a kind on a wire of a make.
     Whisker(Request, Noise, Make),
+    /// A paper-like session of a whisker that cameras look at, or the same without them.
+    Looked(Request, Looked),
     /// A transducer's or an axis's session.
     Scalar(ScalarRequest),
 }
@@ -32,6 +36,7 @@ impl Order {
             Self::Whisker(request, noise, make) => {
                 Drawn::Whisker(Box::new(draw_under(request, *noise, *make)?))
             }
+            Self::Looked(request, looked) => Drawn::Whisker(Box::new(draw_looked(request, *looked)?)),
             Self::Scalar(request) => Drawn::Scalar(scalar::draw(request)),
         })
     }
@@ -71,7 +76,7 @@ impl Drawn {
 }
 
 /// Mixes that [`orders`] knows.
-pub const MIXES: [&str; 12] = [
+pub const MIXES: [&str; 15] = [
     "null",
     "single",
     "pair",
@@ -83,11 +88,16 @@ pub const MIXES: [&str; 12] = [
     "noise-single",
     "scalar-null",
     "scalar-single",
+    "pictures",
+    "without-pictures",
+    "nominals",
     "all",
 ];
 
 /// A varied order book. `mix` is one of [`MIXES`]: `confounded` are pairs on approach-only sessions, `noise-*` go through
-/// all kinds of noise, layouts and both wires, `scalar-*` through transducers and axes.
+/// all kinds of noise, layouts and both wires, `scalar-*` through transducers and axes. `pictures` are nulls, singles, pairs and faults of
+/// the cameras on approach-only sessions that cameras look at, `without-pictures` the same ones without their pictures, `nominals` such
+/// sessions with pictures whose wire is not as long straight as declared.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
 pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Order> {
@@ -101,6 +111,11 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
     let targets = [8.0, 12.0, 20.0, 40.0];
     let (mut noisy, mut scalars) = (0, 0);
     let (mut walked, offset) = (0, rng.random_range(0..50_usize));
+    if ["pictures", "without-pictures", "nominals"].contains(&mix) {
+        let of: Vec<Kind> =
+            catalogue.into_iter().filter(|k| k.observable(false) && *k != Kind::SlipOutliers).collect();
+        return (0..draws).map(|i| looked_order(mix, i, &of, seed_of(seed, i))).collect();
+    }
     (0..draws)
         .map(|i| {
             let part = match mix {
@@ -161,6 +176,42 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
             Order::Whisker(Request { seed, design, want, target_sigma, rivals }, noise, make)
         })
         .collect()
+}
+
+/// Kinds of a whisker's session that cameras look at, in turn.
+const LOOKED_PARTS: [&str; 8] = ["single", "camera", "single", "null", "single", "pair", "camera", "single"];
+
+/// One approach-only session. Its content hangs on its place and seed alone, so that it is the same with and without pictures.
+fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x100c);
+    let part = if mix == "nominals" { "nominal" } else { LOOKED_PARTS[place % LOOKED_PARTS.len()] };
+    let mut looked = Looked { pictures: mix != "without-pictures", fault: Fault::None, straight_off_mm: 0.0 };
+    let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
+    let mut direction = |size: f64| {
+        let v: [f64; 3] = [0; 3].map(|_| rng.sample::<f64, _>(StandardNormal));
+        let norm = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        v.map(|x| size * x / norm)
+    };
+    match part {
+        "camera" => {
+            looked.fault = match (place / 2) % 3 {
+                0 => Fault::BoardScale(sign * 5e-3),
+                1 => Fault::RigTag(direction(0.4)),
+                _ => Fault::Moved(direction(0.2), 0.5),
+            }
+        }
+        "nominal" => looked.straight_off_mm = sign * [0.5, 1.0, 2.0][place % 3],
+        _ => {}
+    }
+    let want = match part {
+        "single" => {
+            of.get((place * 7 + place / 8) % of.len().max(1)).map_or(Want::Null, |k| Want::Effects(vec![*k]))
+        }
+        "pair" => pair(of, &mut rng),
+        _ => Want::Null,
+    };
+    let target_sigma = [8.0, 12.0, 20.0][rng.random_range(0..3_usize)];
+    Order::Looked(Request { seed, design: Design::Paper, want, target_sigma, rivals: false }, looked)
 }
 
 /// Parts of the mix `all`, in turn.

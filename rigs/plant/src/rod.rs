@@ -232,11 +232,8 @@ impl Wire {
         let base = point.cross(&force);
         let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
         let (mut frame, mut r, mut u) = (helix(&root).0, V3::zeros(), V3::zeros());
-        let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
-        cuts.sort_by(f64::total_cmp);
         let mut line = vec![r];
-        for w in cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9) {
-            let count = ((w[1] - w[0]) / step_mm).ceil() as usize;
+        for (w, count) in self.pieces(contact_mm, step_mm) {
             let h = (w[1] - w[0]) / count as f64;
             let curvature = if w[0] >= self.straight_mm { 1.0 / self.arc_radius_mm } else { 0.0 };
             let rest = V3::new(0.0, curvature, 0.0);
@@ -251,6 +248,22 @@ impl Wire {
             }
         }
         line
+    }
+
+    /// Arc lengths of the points of [`Wire::centre_line`], mm.
+    pub fn centre_line_arcs(&self, contact_mm: f64, step_mm: f64) -> Vec<f64> {
+        let each = |(w, count): ([f64; 2], usize)| {
+            (1..=count).map(move |i| w[0] + (w[1] - w[0]) * i as f64 / count as f64)
+        };
+        std::iter::once(0.0).chain(self.pieces(contact_mm, step_mm).into_iter().flat_map(each)).collect()
+    }
+
+    /// Stretches between contact, the end of the straight part and the ends, each with its number of elements.
+    fn pieces(&self, contact_mm: f64, step_mm: f64) -> Vec<([f64; 2], usize)> {
+        let mut cuts = [0.0, contact_mm, self.straight_mm, self.length_mm];
+        cuts.sort_by(f64::total_cmp);
+        let long = cuts.windows(2).filter(|w| w[1] - w[0] > 1e-9);
+        long.map(|w| ([w[0], w[1]], ((w[1] - w[0]) / step_mm).ceil() as usize)).collect()
     }
 
     /// Curvature of one element: fixed point of "elastic moment = mean applied moment".

@@ -16,6 +16,7 @@ use crate::effects::{Effect, Kind};
 use crate::layout::{Asked, Design, Planned, plan, plan_asked};
 use crate::noise::{self, Law, Noise};
 use crate::rivals::{Rival, nearest, oracle_error_nmm};
+use crate::shapes::{Cameras, Fault, Shown, shapes_json};
 use crate::simulate::{Clean, Plant};
 
 /// What a session shall contain.
@@ -38,6 +39,17 @@ pub enum Make {
     Usual,
     /// 0.2 mm, 40 mm.
     Thin,
+}
+
+/// What a paper-like session is beside its effects: whether cameras look on, and what is wrong with them and with the declared wire.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Looked {
+    /// The session has pictures; else the same session without.
+    pub pictures: bool,
+    /// Fault of the cameras' setup.
+    pub fault: Fault,
+    /// Straight part of the real wire less the declared one, mm.
+    pub straight_off_mm: f64,
 }
 
 /// One order to the plant.
@@ -154,6 +166,12 @@ pub struct Case {
     pub truth: Truth,
     /// What acts.
     pub effects: Vec<Effect>,
+    /// Bench as the session declares it.
+    pub declared: Bench,
+    /// How cameras look on; none where nobody asked.
+    pub looked: Option<Looked>,
+    /// What they see: settled poses, each with its point of points.csv.
+    pub shown: Vec<(usize, Shown)>,
 }
 
 /// Draws a session on the usual wire, with white normal noise.
@@ -174,7 +192,17 @@ pub fn draw_under(request: &Request, noise: Noise, wire: Make) -> Result<Case, P
         Make::Usual => Bench::draw(&mut rng),
         Make::Thin => Bench::draw_thin(&mut rng),
     };
-    drawn(request, noise, wire, bench, rng)
+    drawn(request, noise, wire, bench, None, rng)
+}
+
+/// Draws a session that cameras look at, with white normal noise.
+///
+/// # Errors
+/// As [`draw`].
+pub fn draw_looked(request: &Request, looked: Looked) -> Result<Case, PlantError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+    let bench = Bench::draw(&mut rng);
+    drawn(request, Noise::Gaussian, Make::Usual, bench, Some(looked), rng)
 }
 
 /// Draws a session on a given bench, with white normal noise.
@@ -183,17 +211,26 @@ pub fn draw_under(request: &Request, noise: Noise, wire: Make) -> Result<Case, P
 /// As [`draw`].
 pub fn draw_on(request: &Request, bench: Bench) -> Result<Case, PlantError> {
     let rng = ChaCha8Rng::seed_from_u64(request.seed);
-    drawn(request, Noise::Gaussian, Make::Usual, bench, rng)
+    drawn(request, Noise::Gaussian, Make::Usual, bench, None, rng)
 }
 
 fn drawn(
     request: &Request,
     noise: Noise,
     wire: Make,
-    bench: Bench,
+    declared: Bench,
+    looked: Option<Looked>,
     mut rng: ChaCha8Rng,
 ) -> Result<Case, PlantError> {
-    let trajectories = bench.trajectories();
+    let off_mm = looked.map_or(0.0, |l| l.straight_off_mm);
+    let bench = Bench { straight_mm: declared.straight_mm + off_mm, ..declared.clone() };
+    // The rig runs where the declared wire would be; the real wire lies beside it.
+    let mut trajectories = declared.trajectories();
+    for t in &mut trajectories {
+        let (origin_mm, _) = bench.wire().rest(t.path.arclength_mm);
+        t.path.offset_mm = t.path.origin_mm - origin_mm;
+        t.path.origin_mm = origin_mm;
+    }
     let rows = plan(request.design, &trajectories, &mut rng);
     let end_s = rows.iter().rev().find(|r| !r.holdout).map_or(0.0, |r| r.t_s);
     let law = Law::draw(noise, &bench, &rows, request.seed);
@@ -228,11 +265,38 @@ fn drawn(
     if let ([one], true) = (effects.as_slice(), request.rivals) {
         truth.nearest_rival = nearest(&mut plant, one.kind.name().0, &clean, &without)?;
     }
-    let mut case = Case { bench: plant.bench.clone(), readings, truth, effects };
+    if let Some(name) = looked.and_then(|l| l.found()) {
+        (truth.label, truth.names) = (name.into(), vec![name.into()]);
+    }
+    let shown = match looked {
+        Some(looked) if looked.pictures => points_shown(&readings, plant.shown(&effects)?),
+        _ => Vec::new(),
+    };
+    let mut case = Case { bench: plant.bench.clone(), readings, truth, effects, declared, looked, shown };
     if let Want::Adversarial(trick) = request.want {
         adversarial::tamper(&mut case, trick, &mut rng);
     }
     Ok(case)
+}
+
+impl Looked {
+    /// Identifier of what is wrong with cameras or wire; none where nothing is.
+    fn found(&self) -> Option<&'static str> {
+        match self.fault {
+            // Without pictures no camera is wrong.
+            _ if !self.pictures && self.straight_off_mm == 0.0 => None,
+            Fault::BoardScale(_) => Some("board-scale"),
+            Fault::RigTag(_) => Some("rig-tag"),
+            Fault::Moved(..) => Some("camera-pose"),
+            Fault::None => (self.straight_off_mm != 0.0).then_some("rest-shape"),
+        }
+    }
+}
+
+/// What is shown of the rows of points.csv, each with its point.
+fn points_shown(readings: &[Reading], shown: Vec<Option<Shown>>) -> Vec<(usize, Shown)> {
+    let points = readings.iter().zip(shown).filter(|(r, _)| !r.planned.holdout);
+    points.filter_map(|(r, s)| Some((r.point, s?))).collect()
 }
 
 fn flag(reading: &Reading) -> Flag {
@@ -322,7 +386,7 @@ fn measure(plant: &Plant, clean: &[Clean], law: &Law, seed: u64, rng: &mut impl 
         let blur = bench.sample_sd_pm / (samples as f64).sqrt();
         let warm = bench.thermal.at(row.t_s);
         let trajectory = &plant.trajectories[row.trajectory];
-        let groove = trajectory.path.origin_mm + trajectory.path.direction * row.commanded_mm;
+        let groove = trajectory.path.at(row.commanded_mm);
         let fbg_nm = [0, 1].map(|c| {
             let noise = normal(series.scale_pm[i][c]) + normal(blur) + series.add_pm[i][c];
             let shift_pm = bench.zero_pm[c] + answer.shift_pm[c] + PM_PER_DEGC * warm + noise;
@@ -432,10 +496,34 @@ impl Case {
         let id = folder.file_name().map_or_else(|| "case".into(), |n| n.to_string_lossy().into_owned());
         put(&folder.join("session.toml"), &self.session_toml(&id))?;
         put(&folder.join("points.csv"), &self.table(false))?;
+        if let Some(looked) = self.looked.filter(|l| l.pictures) {
+            let shapes = shapes_json(&id, &self.shown, &Cameras::default(), looked.fault, self.truth.seed);
+            put(&folder.join("shapes.json"), &shapes.to_string())?;
+        }
         if !self.has_holdout() {
             return Ok(());
         }
         put(&folder.join("holdout.csv"), &self.table(true))
+    }
+
+    /// The same session, its noise included, under effects of a given size; and what its settled poses look like, each with its point
+    /// of points.csv.
+    ///
+    /// # Errors
+    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, Shown)>), PlantError> {
+        let rows: Vec<Planned> = self.readings.iter().map(|r| r.planned.clone()).collect();
+        let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);
+        let (without, with) = (plant.clean(&self.effects)?, plant.clean(effects)?);
+        let shown = plant.shown(effects)?;
+        let mut case = Self { effects: effects.to_vec(), ..self.clone() };
+        for ((reading, a), b) in case.readings.iter_mut().zip(&without).zip(&with) {
+            for c in 0..2 {
+                reading.fbg_nm[c] += 1e-3 * (b.shift_pm[c] - a.shift_pm[c]);
+            }
+        }
+        let shown = points_shown(&case.readings, shown);
+        Ok((case, shown))
     }
 
     fn has_holdout(&self) -> bool {
@@ -473,16 +561,18 @@ impl Case {
     }
 
     fn session_toml(&self, id: &str) -> String {
-        let b = &self.bench;
+        let b = &self.declared;
+        let pictures = self.looked.is_some_and(|l| l.pictures);
         let mut out = format!(
             "format = \"wcal-session/1\"\nid = \"{id}\"\nkind = \"whisker\"\nmedium = \"air\"\ncreated = \"2026-11-20T09:00:00Z\"\n\n\
-             [files]\npoints = \"points.csv\"\n{}\n\
+             [files]\npoints = \"points.csv\"\n{}{}\n\
              [provenance]\nsimulated = true\nsimulated_by = \"the examiner's plant\"\n\n\
              [whisker]\ndiameter_mm = {}\nlength_mm = {:.1}\nstraight_mm = {:.1}\narc_radius_mm = {:.1}\n\
              youngs_gpa = {:.1}\nshear_gpa = {:.4}\ndensity_kg_m3 = 6450.0\n\n\
              [fbg]\nnominal_nm = [{:.3}, {:.3}]\nreference_nominal_nm = {:.3}\n\
              temperature_pm_per_degc = [10.0, 10.0]\nreference_temperature_pm_per_degc = 10.0\n\n",
             if self.has_holdout() { "holdout = \"holdout.csv\"\n" } else { "" },
+            if pictures { "shapes = \"shapes.json\"\n" } else { "" },
             b.diameter_mm,
             b.length_mm,
             b.straight_mm,

@@ -11,7 +11,8 @@ use crate::layout::{Instant, Planned, motion};
 use crate::memory;
 use crate::noise::{Covariance, Law};
 use crate::rod::Wire;
-use crate::table::{Grip, Table, friction_drags};
+use crate::shapes::{STEP_MM, Shown};
+use crate::table::{Grip, Path, Table, dragged_equilibrium, friction_drags};
 
 /// A session's bench, plan and motion, with the tables last used.
 pub struct Plant {
@@ -33,6 +34,22 @@ struct Geometry {
     wire: Wire,
     offset_mm: Vector3<f64>,
     friction: bool,
+}
+
+impl Geometry {
+    /// Where the groove really runs on a trajectory.
+    fn path(&self, trajectory: &Trajectory) -> Path {
+        Path { offset_mm: trajectory.path.offset_mm + self.offset_mm, ..trajectory.path }
+    }
+}
+
+/// The wire in the groove at one instant.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Held {
+    /// Moment about y and z, N mm.
+    moment_nmm: [f64; 2],
+    /// Tangential part of the contact force over the normal one.
+    drag: f64,
 }
 
 /// Noise-free answer of one row.
@@ -57,14 +74,7 @@ impl Plant {
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when the rod does not settle.
     pub fn clean(&mut self, effects: &[Effect]) -> Result<Vec<Clean>, PlantError> {
-        let geometry = self.geometry(effects);
-        if self.cache.as_ref().is_none_or(|(g, _)| *g != geometry) {
-            let tables = self.tables(&geometry)?;
-            self.cache = Some((geometry, tables));
-        }
-        let tables = self.cache.as_ref().map_or(&[][..], |(_, t)| t);
-        let stages = self.stages(effects);
-        let rod = self.rod(effects, tables, &stages);
+        let rod: Vec<[f64; 2]> = self.held(effects)?.into_iter().map(|h| h.moment_nmm).collect();
         let mut sensed = rod.clone();
         for effect in effects {
             sensed = memory::apply(effect, &self.motion, sensed);
@@ -83,6 +93,44 @@ impl Plant {
             self.slips(effect, &mut out);
         }
         Ok(out)
+    }
+
+    /// The wire in the groove at every loaded row that is settled, under `effects`; none elsewhere.
+    ///
+    /// # Errors
+    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    pub fn shown(&mut self, effects: &[Effect]) -> Result<Vec<Option<Shown>>, PlantError> {
+        let held = self.held(effects)?;
+        let geometry = self.geometry(effects);
+        let mut out = vec![None; self.rows.len()];
+        for ((instant, stage_mm), held) in self.motion.iter().zip(self.stages(effects)).zip(held) {
+            let Some(row) = instant.row.filter(|_| instant.loaded && instant.velocity_mm_s == 0.0) else {
+                continue;
+            };
+            let trajectory = &self.trajectories[instant.trajectory];
+            let path = geometry.path(trajectory);
+            let e = dragged_equilibrium(&geometry.wire, &path, held.drag, trajectory.reach_mm, stage_mm)?;
+            let groove_mm = path.at(stage_mm);
+            out[row] = Some(Shown {
+                groove_mm,
+                arclength_mm: e.arclength_mm,
+                tangent: e.tangent,
+                line_mm: geometry.wire.centre_line(Some((&groove_mm, &e)), STEP_MM),
+                arcs_mm: geometry.wire.centre_line_arcs(e.arclength_mm, STEP_MM),
+            });
+        }
+        Ok(out)
+    }
+
+    /// The wire in the groove at every instant.
+    fn held(&mut self, effects: &[Effect]) -> Result<Vec<Held>, PlantError> {
+        let geometry = self.geometry(effects);
+        if self.cache.as_ref().is_none_or(|(g, _)| *g != geometry) {
+            let tables = self.tables(&geometry)?;
+            self.cache = Some((geometry, tables));
+        }
+        let tables = self.cache.as_ref().map_or(&[][..], |(_, t)| t);
+        Ok(self.rod(effects, tables, &self.stages(effects)))
     }
 
     fn geometry(&self, effects: &[Effect]) -> Geometry {
@@ -115,11 +163,7 @@ impl Plant {
         let nodes = if g.wire.law == crate::rod::MomentLaw::Linear { 11 } else { 20 };
         self.trajectories
             .iter()
-            .map(|t| {
-                let mut path = t.path;
-                path.offset_mm = g.offset_mm;
-                Table::build(&g.wire, &path, 1.04 * t.reach_mm + 0.2, &drags, nodes)
-            })
+            .map(|t| Table::build(&g.wire, &g.path(t), 1.04 * t.reach_mm + 0.2, &drags, nodes))
             .collect()
     }
 
@@ -163,8 +207,8 @@ impl Plant {
         out
     }
 
-    /// Moment of the rod at every instant.
-    fn rod(&self, effects: &[Effect], tables: &[Table], stages: &[f64]) -> Vec<[f64; 2]> {
+    /// The rod at every instant.
+    fn rod(&self, effects: &[Effect], tables: &[Table], stages: &[f64]) -> Vec<Held> {
         let friction = effects.iter().find(|e| {
             matches!(e.kind, Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck)
         });
@@ -179,24 +223,26 @@ impl Plant {
                     (grip, drag, before, trajectory) = (Grip::default(), 0.0, x, instant.trajectory);
                 }
                 if !instant.loaded {
-                    return [0.0; 2];
+                    return Held::default();
                 }
                 let table = &tables[instant.trajectory];
-                let Some(f) = friction else {
-                    let at = table.at(x, 0.0);
-                    return [at[0], at[1]];
+                let held = |drag: f64| {
+                    let at = table.at(x, drag);
+                    Held { moment_nmm: [at[0], at[1]], drag }
                 };
+                let Some(f) = friction else { return held(0.0) };
                 if f.kind == Kind::FrictionPresliding {
                     // Dahl: the drag approaches its limit over a sliding length.
                     let travel = x - before;
                     before = x;
                     let limit = f.amplitude * travel.signum();
                     drag = limit + (drag - limit) * (-travel.abs() / f.shape[0]).exp();
-                    let at = table.at(x, drag);
-                    return [at[0], at[1]];
+                    return held(drag);
                 }
                 let slow = f.kind == Kind::FrictionStribeck && instant.velocity_mm_s != 0.0;
-                grip.step(table, x, f.amplitude * if slow { f.shape[0] } else { 1.0 }).0
+                let (moment_nmm, drag) =
+                    grip.step(table, x, f.amplitude * if slow { f.shape[0] } else { 1.0 });
+                Held { moment_nmm, drag }
             })
             .collect()
     }

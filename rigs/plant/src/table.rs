@@ -75,7 +75,21 @@ pub fn equilibrium(
     stage_max_mm: f64,
     stage_mm: f64,
 ) -> Result<Equilibrium, PlantError> {
-    Follower::start(wire, path, 0.0, stage_max_mm)?.to(stage_mm)
+    dragged_equilibrium(wire, path, 0.0, stage_max_mm, stage_mm)
+}
+
+/// The same with `drag`, the tangential part of the contact force over the normal one.
+///
+/// # Errors
+/// As [`equilibrium`].
+pub fn dragged_equilibrium(
+    wire: &Wire,
+    path: &Path,
+    drag: f64,
+    stage_max_mm: f64,
+    stage_mm: f64,
+) -> Result<Equilibrium, PlantError> {
+    Follower::start(wire, path, drag, stage_max_mm)?.to(stage_mm)
 }
 
 impl<'a> Follower<'a> {

@@ -472,7 +472,7 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
             .into_iter()
             .map(|o| match o {
                 Order::Scalar(request) => request,
-                Order::Whisker(..) => panic!("a line's order"),
+                Order::Whisker(..) | Order::Looked(..) => panic!("a line's order"),
             })
             .collect()
     };

@@ -9,7 +9,7 @@ use wcal_report::*;
 #[path = "whisker.rs"]
 mod whisker;
 
-pub use whisker::whisker;
+pub use whisker::{map, whisker};
 
 const SAMPLE: &str = "SIMULATED SAMPLE, all numbers invented to show the page";
 
@@ -164,6 +164,8 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         identifiability: vec![],
         calibration: None,
         groove_tracking: None,
+        witness: None,
+        pictures: None,
     }
 }
 
@@ -185,7 +187,8 @@ fn parameter(name: &str, value: f64, unit: &str, interval95: [f64; 2]) -> Effect
 }
 
 fn detectable(id: &str, smallest: Option<f64>, unit: &str, status: &str, why: &str) -> Detectable {
-    Detectable { id: id.into(), smallest, unit: unit.into(), status: status.into(), why: why.into() }
+    let (id, unit, status, why) = (id.into(), unit.into(), status.into(), why.into());
+    Detectable { id, smallest, smallest_without_pictures: None, unit, status, why }
 }
 
 fn provenance(session: &str) -> Provenance {

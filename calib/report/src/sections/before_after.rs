@@ -77,6 +77,7 @@ fn describe(key: &str, floor: &NoiseFloor, response_unit: &str) -> (String, Stri
     match key {
         "wavelength_rmse_pm" => ("wavelength".into(), "pm".into(), floor.wavelength_pm),
         "moment_rmse_nmm" => ("moments, pooled".into(), "N\u{a0}mm".into(), floor.moment_nmm),
+        "contact_rmse_mm" => ("contact".into(), "mm".into(), floor.contact_mm),
         "response_rmse" => ("response".into(), crate::number::unit_text(response_unit), floor.response),
         "error_rmse_um" => ("position error".into(), "µm".into(), floor.error_um),
         other => (other.replace('_', " "), String::new(), None),
@@ -145,7 +146,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {
         out += &super::figure(
-            input,
+            input.verify.simulated,
             "forest",
             &charts,
             "Held-out root-mean-square errors with their 95 % intervals, logarithmic scale. Dashed: noise floor.",

@@ -16,6 +16,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         [] => out += &absent("No candidate was tested in this run."),
         rows => out += &candidates(rows),
     }
+    out += &pictures(input);
     out += &ambiguity(input);
     if let Some(matrix) = &input.isolability {
         out += &isolability(input, matrix);
@@ -116,7 +117,7 @@ fn ambiguity(input: &ReportInput) -> String {
         rules: Vec::new(),
     };
     figure(
-        input,
+        input.verify.simulated,
         "forest",
         &chart.svg(),
         "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
@@ -124,22 +125,64 @@ fn ambiguity(input: &ReportInput) -> String {
 }
 
 fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
-    let map = HeatMap {
-        title: "Isolability matrix".into(),
-        description: "Cosines between the projected signatures of the effects".into(),
-        names: &matrix.names,
-        values: &matrix.cosine,
-        outline_from: SAME_CLASS,
-    };
-    figure(
-        input,
-        "wide",
-        &format!(
-            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"Isolability matrix\">{}</div>",
+    let map = |title: &str, values: &[Vec<f64>]| {
+        let map = HeatMap {
+            title: title.into(),
+            description: "Cosines between the projected signatures of the effects".into(),
+            names: &matrix.names,
+            values,
+            outline_from: SAME_CLASS,
+        };
+        format!(
+            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{title}\">{}</div>",
             map.svg()
-        ),
+        )
+    };
+    let mut out = figure(
+        input.verify.simulated,
+        "wide",
+        &map("Isolability matrix", &matrix.cosine),
         "Isolability: cosines between the signatures once the nuisance parameters have taken their part. Outlined pairs (0.995 and above) are one class on this data; a dash stands for a signature that is absorbed.",
-    )
+    );
+    if let Some(values) = &matrix.cosine_without_pictures {
+        out += &figure(
+            input.verify.simulated,
+            "wide",
+            &map("Isolability without the pictures", values),
+            "The same in the wavelengths alone: what is outlined here and not above is told apart by the pictures.",
+        );
+    }
+    out
+}
+
+/// What the pictures say beside the wavelengths; empty without them.
+fn pictures(input: &ReportInput) -> String {
+    let Some(pictures) = &input.verify.pictures else { return String::new() };
+    let mut table = Table::new("Pictures beside the wavelengths", &["what", "#value"]);
+    let decided = input.verify.witness.as_deref();
+    let rows = [
+        ("pairs that count", Some(pictures.pairs.to_string())),
+        ("pairs left out", Some(pictures.left_out.len().to_string())),
+        ("scatter about the accepted model over what the shapes state", Some(number(pictures.reduced_chi))),
+        (
+            "chi-square gain of the accepted effects, wavelengths",
+            decided.map(|_| number(pictures.gain_wavelengths)),
+        ),
+        (
+            "chi-square gain of the accepted effects, pictures",
+            decided.map(|_| number(pictures.gain_pictures)),
+        ),
+        ("decided by", decided.map(str::to_owned)),
+    ];
+    for (what, value) in rows {
+        if let Some(value) = value {
+            table.row(vec![Cell::Text(what.into()), Cell::Number(value)]);
+        }
+    }
+    for pair in &pictures.left_out {
+        table.row(vec![Cell::Text(format!("left out: {}", pair.name)), Cell::Text(pair.why.clone())]);
+    }
+    table.html()
 }
 
 /// Smallest size of each effect that this data could have shown.
@@ -148,22 +191,28 @@ pub(super) fn detectable(input: &ReportInput) -> String {
     if rows.is_empty() {
         return absent("No smallest detectable sizes were computed in this run.");
     }
-    let mut table = Table::new(
-        "Smallest size found with 90 % probability",
-        &["effect", "status", "#smallest size", "why"],
-    );
+    let with_pictures = input.verify.pictures.as_ref().is_some_and(|p| p.pairs > 0);
+    let columns: &[&str] = if with_pictures {
+        &["effect", "status", "#smallest size", "#without pictures", "why"]
+    } else {
+        &["effect", "status", "#smallest size", "why"]
+    };
+    let mut table = Table::new("Smallest size found with 90 % probability", columns);
     for d in rows {
         let class = if d.status == "testable" { "good" } else { "plain" };
-        let size = d.smallest.map_or("–".into(), |v| match unit_text(&d.unit) {
-            u if u.is_empty() => number(v),
-            _ => quantity(v, &d.unit),
-        });
-        table.row(vec![
-            Cell::Code(d.id.clone()),
-            Cell::Badge(class, d.status.clone()),
-            Cell::Number(size),
-            Cell::Text(d.why.clone()),
-        ]);
+        let size = |size: Option<f64>| {
+            Cell::Number(size.map_or("–".into(), |v| match unit_text(&d.unit) {
+                u if u.is_empty() => number(v),
+                _ => quantity(v, &d.unit),
+            }))
+        };
+        let mut cells =
+            vec![Cell::Code(d.id.clone()), Cell::Badge(class, d.status.clone()), size(d.smallest)];
+        if with_pictures {
+            cells.push(size(d.smallest_without_pictures));
+        }
+        cells.push(Cell::Text(d.why.clone()));
+        table.row(cells);
     }
     table.html()
 }

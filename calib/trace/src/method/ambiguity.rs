@@ -4,7 +4,7 @@
 //! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw
 //! costs a few dozen products instead of a refit.
 
-use super::linear::{Basis, in_channel, stack};
+use super::linear::Basis;
 use super::search::Hypothesis;
 use super::signature::nuisance;
 use nalgebra::{DMatrix, DVector};
@@ -17,13 +17,8 @@ pub const AMBIGUITY_LEVEL: f64 = 0.01;
 /// Tangent space of an explanation; a flagged reading is free in every channel.
 fn space(h: &Hypothesis) -> Basis {
     let mut basis = nuisance(&h.fit);
-    let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
-    for &i in &h.flagged {
-        let mut one = vec![0.0; n];
-        one[i] = 1.0;
-        for c in 0..channels {
-            basis.push(&in_channel(&one, c, channels));
-        }
+    for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
+        basis.push(&direction);
     }
     basis
 }
@@ -42,7 +37,7 @@ pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usi
     }
     let (of_best, of_rival) = (space(best), space(rival));
     // Prediction of the rival less that of the best, in noises: what the best would still see were the rival true.
-    let gap = stack(&(&best.fit.residual - &rival.fit.residual)) / variance.sqrt();
+    let gap = (best.fit.stacked() - rival.fit.stacked()) / variance.sqrt();
     let seen = of_best.project_off(&gap);
     let mut whole = of_best.clone();
     for v in of_rival.vectors() {
@@ -85,6 +80,7 @@ pub fn power(lambda: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::method::fit::{Fit, Status, Weights};
+    use std::sync::Arc;
 
     /// The model `y = columns b` with every b fitted.
     fn hypothesis(columns: &DMatrix<f64>, y: &DVector<f64>) -> Hypothesis {
@@ -99,6 +95,10 @@ mod tests {
             raw_design: columns.clone(),
             raw_residual: DMatrix::from_column_slice(n, 1, residual.as_slice()),
             raw_tangents: Vec::new(),
+            witness: DVector::zeros(0),
+            witness_tangents: Vec::new(),
+            witness_readings: Arc::default(),
+            witness_count: 0,
             ssr: residual.norm_squared(),
             dof: (n - p) as f64,
             tangents: Vec::new(),

@@ -1,7 +1,7 @@
 //! Generic signatures: what a residual looks like if something outside the catalogue drives it by a covariate.
 
 use super::fit::{Fit, Weights};
-use super::linear::{Basis, in_channel};
+use super::linear::Basis;
 use super::signature::{Signature, build};
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
@@ -27,6 +27,7 @@ const GENERIC: usize = usize::MAX;
 
 struct Maker<'a> {
     channels: usize,
+    fit: &'a Fit,
     weights: &'a Weights,
     nuisance: &'a Basis,
     out: Vec<CovariateSignature>,
@@ -38,7 +39,7 @@ impl Maker<'_> {
         let mut raw: Vec<DVector<f64>> = Vec::new();
         for column in columns {
             let weighted = self.weights.apply_to(column);
-            raw.extend((0..self.channels).map(|c| in_channel(&weighted, c, self.channels)));
+            raw.extend((0..self.channels).map(|c| self.fit.in_channel(&weighted, c)));
         }
         let term = EffectTerm { effect: GENERIC, law: 0, values: Vec::new() };
         if let Some(signature) = build(term, Vec::new(), false, &raw, self.nuisance) {
@@ -80,7 +81,7 @@ pub fn signatures_of_covariates(
     nuisance: &Basis,
 ) -> Vec<CovariateSignature> {
     let channels = fit.residual.ncols();
-    let mut maker = Maker { channels, weights, nuisance, out: Vec::new() };
+    let mut maker = Maker { channels, fit, weights, nuisance, out: Vec::new() };
     let mut covariates = system.covariates();
     if channels > 1 {
         // Wavelengths as the model has them: measured ones carry the very noise that is looked at.

@@ -58,7 +58,11 @@ impl<'a> Judge<'a> {
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
         let noise = estimate(&model, &self.inputs, &h.weights, Sought::ALL, self.seed)?;
-        let m = best_misfit(&model, &self.inputs, &noise)?;
+        let mut m = best_misfit(&model, &self.inputs, &noise)?;
+        // The second witness's covariance is known: its part of -2 log L is its sum of squares.
+        let seen = h.fit.witness_count as f64;
+        m.plain += h.fit.witness.norm_squared() / self.system.witness_variance();
+        (m.values, m.dof) = (m.values + seen, m.dof + seen);
         Some((noise, m))
     }
 

@@ -3,10 +3,12 @@
 //! Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), with Kaufman's Jacobian. The crate levenberg-marquardt knows no bounds, and bounds
 //! carry the physics here (friction and creep do not go below zero), hence the short loop of our own.
 
+use super::linear::stack_with;
 pub use super::noise::Weights;
 use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
 
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,6 +44,14 @@ pub struct Fit {
     pub tangents: Vec<DMatrix<f64>>,
     /// The same as they are, not whitened.
     pub raw_tangents: Vec<DMatrix<f64>>,
+    /// What the second witness leaves, whitened; empty without one.
+    pub witness: DVector<f64>,
+    /// Tangents of its prediction by each nonlinear parameter, whitened.
+    pub witness_tangents: Vec<DVector<f64>>,
+    /// Reading of each of its values.
+    pub witness_readings: Arc<Vec<usize>>,
+    /// Values of the second witness that count.
+    pub witness_count: usize,
     /// Which nonlinear parameters sit at an end of their range.
     pub at_bound: Vec<bool>,
     /// How it ended.
@@ -53,6 +63,52 @@ impl Fit {
     #[must_use]
     pub fn variance(&self) -> f64 {
         self.ssr / self.dof.max(1.0)
+    }
+
+    /// Degrees of freedom of the readings, where the second witness takes none of the parameters.
+    #[must_use]
+    pub fn readings_dof(&self) -> f64 {
+        self.dof - self.witness_count as f64
+    }
+
+    /// Residual variance of the readings alone.
+    #[must_use]
+    pub fn readings_variance(&self) -> f64 {
+        self.residual.norm_squared() / self.readings_dof().max(1.0)
+    }
+
+    /// The whole whitened residual: readings channel by channel, then the second witness.
+    #[must_use]
+    pub fn stacked(&self) -> DVector<f64> {
+        stack_with(&self.residual, &self.witness)
+    }
+
+    /// Tangents in the same order.
+    #[must_use]
+    pub fn stacked_tangents(&self) -> Vec<DVector<f64>> {
+        self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
+    }
+
+    /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
+    #[must_use]
+    pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
+        let mut v = DVector::zeros(self.residual.len() + self.witness.len());
+        v.rows_mut(channel * column.len(), column.len()).copy_from_slice(column);
+        v
+    }
+
+    /// Everything of reading `i` by itself, one direction a value.
+    #[must_use]
+    pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
+        let (n, size) = (self.residual.nrows(), self.residual.len());
+        let own = (0..self.residual.ncols()).map(|c| c * n + i);
+        let seen = (0..self.witness.len()).filter(|k| self.witness_readings[*k] == i).map(|k| size + k);
+        let one = |at: usize| {
+            let mut v = DVector::zeros(size + self.witness.len());
+            v[at] = 1.0;
+            v
+        };
+        own.chain(seen).map(one).collect()
     }
 }
 
@@ -97,6 +153,7 @@ struct Evaluation {
     design: DMatrix<f64>,
     coefficients: DMatrix<f64>,
     residual: DMatrix<f64>,
+    witness: DVector<f64>,
     ssr: f64,
     full_rank: bool,
 }
@@ -110,8 +167,9 @@ fn evaluate(
     let raw = system.design(terms)?;
     let design = weights.apply(&raw);
     let (coefficients, residual, full_rank) = linear(&design, y);
-    let ssr = residual.norm_squared();
-    ssr.is_finite().then_some(Evaluation { raw, design, coefficients, residual, ssr, full_rank })
+    let witness = system.witness(terms, weights)?;
+    let ssr = residual.norm_squared() + witness.norm_squared();
+    ssr.is_finite().then_some(Evaluation { raw, design, coefficients, residual, witness, ssr, full_rank })
 }
 
 /// (term, value) of every nonlinear parameter in order.
@@ -137,11 +195,16 @@ fn grid_gap(grid: &[f64], value: f64) -> f64 {
     gaps.fold(f64::INFINITY, f64::min)
 }
 
+/// Tangent of the prediction by one nonlinear parameter: of the readings as they are, and of the second witness, whitened.
+type Tangent = (DMatrix<f64>, DVector<f64>);
+
 fn tangents(
     system: &dyn MeasurementModel,
     terms: &[EffectTerm],
+    weights: &Weights,
     here: &Evaluation,
-) -> Option<Vec<DMatrix<f64>>> {
+) -> Option<Vec<Tangent>> {
+    let at = |terms: &[EffectTerm]| Some((system.design(terms)?, system.witness(terms, weights)?));
     slots(terms)
         .iter()
         .map(|&(t, k)| {
@@ -152,15 +215,16 @@ fn tangents(
             }
             let mut moved = terms.to_vec();
             moved[t].values[k] += h;
-            let design = match system.design(&moved) {
-                Some(d) => d,
+            let (design, witness) = match at(&moved) {
+                Some(found) => found,
                 None => {
                     h = -h;
                     moved[t].values[k] = terms[t].values[k] + h;
-                    system.design(&moved)?
+                    at(&moved)?
                 }
             };
-            Some((design - &here.raw) * &here.coefficients / h)
+            // A residual falls by what its prediction gains.
+            Some(((design - &here.raw) * &here.coefficients / h, (&here.witness - witness) / h))
         })
         .collect()
 }
@@ -188,12 +252,12 @@ pub fn fit(
     let mut status = if index.is_empty() { Status::Converged } else { Status::NotConverged };
     let mut directions = Vec::new();
     for _ in 0..if index.is_empty() { 0 } else { iterations } {
-        directions = tangents(system, &terms, &here)?;
+        directions = tangents(system, &terms, weights, &here)?;
         let columns: Vec<DVector<f64>> = directions
             .iter()
-            .map(|t| super::linear::stack(&off_design(&here.design, &weights.apply(t))))
+            .map(|(t, w)| stack_with(&off_design(&here.design, &weights.apply(t)), w))
             .collect();
-        let r = super::linear::stack(&here.residual);
+        let r = stack_with(&here.residual, &here.witness);
         let m = columns.len();
         let gram = DMatrix::from_fn(m, m, |i, j| columns[i].dot(&columns[j]));
         let gradient = DVector::from_fn(m, |i, _| columns[i].dot(&r));
@@ -222,7 +286,7 @@ pub fn fit(
         }
     }
     if !index.is_empty() {
-        directions = tangents(system, &terms, &here).unwrap_or(directions);
+        directions = tangents(system, &terms, weights, &here).unwrap_or(directions);
     }
     if !here.full_rank {
         status = Status::RankDeficient;
@@ -236,17 +300,23 @@ pub fn fit(
         })
         .collect();
     let channels = y.ncols() as f64;
+    let seen = system.witness_readings();
+    let witness_count = seen.iter().filter(|i| weights.counts(**i)).count();
     let used = here.design.ncols() as f64 * channels + index.len() as f64;
     Some(Fit {
-        dof: weights.active() as f64 * channels - used,
+        dof: weights.active() as f64 * channels + witness_count as f64 - used,
+        witness_count,
         raw_residual: system.measured() - &here.raw * &here.coefficients,
         raw_design: here.raw,
         coefficients: here.coefficients,
         residual: here.residual,
         design: here.design,
         ssr: here.ssr,
-        tangents: directions.iter().map(|t| weights.apply(t)).collect(),
-        raw_tangents: directions,
+        tangents: directions.iter().map(|(t, _)| weights.apply(t)).collect(),
+        witness: here.witness,
+        witness_tangents: directions.iter().map(|(_, w)| w.clone()).collect(),
+        witness_readings: seen,
+        raw_tangents: directions.into_iter().map(|(t, _)| t).collect(),
         at_bound,
         status,
         terms,

@@ -1,7 +1,7 @@
 //! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
 
 use super::fit::Fit;
-use super::linear::{Basis, in_channel, stack};
+use super::linear::Basis;
 use super::search::{Hypothesis, SearchResult};
 use super::signature::nuisance;
 use crate::effect::{EffectTerm, Role};
@@ -15,12 +15,12 @@ use wcal_core::verify_document::EffectParameter;
 pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let (n, q, c) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols());
     let m = fit.tangents.len();
-    let mut jacobian = DMatrix::zeros(n * c, q * c + m);
+    let mut jacobian = DMatrix::zeros(n * c + fit.witness.len(), q * c + m);
     for channel in 0..c {
         jacobian.view_mut((channel * n, channel * q), (n, q)).copy_from(&fit.design);
     }
-    for (j, t) in fit.tangents.iter().enumerate() {
-        jacobian.set_column(q * c + j, &stack(t));
+    for (j, t) in fit.stacked_tangents().iter().enumerate() {
+        jacobian.set_column(q * c + j, t);
     }
     let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
     let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / scale[j]);
@@ -100,13 +100,10 @@ pub const CLASS_COSINE: f64 = 0.995;
 /// What an explanation takes out of the declared model's residual.
 #[must_use]
 pub fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
-    let n = base.fit.residual.nrows();
-    let mut v = stack(&(&base.fit.residual - &h.fit.residual));
+    let mut v = base.fit.stacked() - h.fit.stacked();
     // Flagged readings count as explained whole in both, so that they do not dominate the angle.
-    for &i in &h.flagged {
-        for c in 0..base.fit.residual.ncols() {
-            v[c * n + i] = 0.0;
-        }
+    for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
+        v.component_mul_assign(&direction.map(|x| 1.0 - x));
     }
     v
 }
@@ -156,11 +153,11 @@ fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothes
         };
         for j in column..column + linear(term) {
             let values: Vec<f64> = a.fit.design.column(j).iter().copied().collect();
-            (0..channels).for_each(|c| add(&in_channel(&values, c, channels)));
+            (0..channels).for_each(|c| add(&a.fit.in_channel(&values, c)));
         }
         column += linear(term);
-        for tangent in a.fit.tangents.iter().skip(slot).take(term.values.len()) {
-            add(&stack(tangent));
+        for tangent in a.fit.stacked_tangents().iter().skip(slot).take(term.values.len()) {
+            add(tangent);
         }
         slot += term.values.len();
     }

@@ -62,6 +62,16 @@ pub fn stack(m: &DMatrix<f64>) -> DVector<f64> {
     DVector::from_column_slice(m.as_slice())
 }
 
+/// Values of the readings, stacked, with those of the second witness below.
+#[must_use]
+pub fn stack_with(readings: &DMatrix<f64>, witness: &DVector<f64>) -> DVector<f64> {
+    let (n, m) = (readings.len(), witness.len());
+    let mut v = DVector::zeros(n + m);
+    v.rows_mut(0, n).copy_from_slice(readings.as_slice());
+    v.rows_mut(n, m).copy_from(witness);
+    v
+}
+
 /// `column` in channel `channel` of `channels`, zero in the others.
 #[must_use]
 pub fn in_channel(column: &[f64], channel: usize, channels: usize) -> DVector<f64> {

@@ -6,7 +6,6 @@
 
 use super::covariates::{CovariateSignature, signatures_of_covariates};
 use super::fit::{Fit, Weights};
-use super::linear::stack;
 use super::min_p::{MinPDistribution, signature_p};
 use super::search::Options;
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
@@ -114,7 +113,7 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> f64 {
         return 1.0;
     }
     // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
-    let mean_square = fit.ssr / (weights.active() * fit.residual.ncols()) as f64;
+    let mean_square = fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
     let z = product / count / mean_square * count.sqrt();
     Normal::standard().sf(z)
 }
@@ -184,7 +183,7 @@ pub fn omnibus_test(
 ) -> OmnibusTest {
     let basis = nuisance(fit);
     let signatures = signatures_of_catalogue(system, fit, weights, &basis);
-    let residual = stack(&fit.residual);
+    let residual = fit.stacked();
     let refs: Vec<&Signature> = signatures.iter().collect();
     let family = MinPDistribution::simulate(&refs, fit.dof, options);
     let smallest =

@@ -2,7 +2,7 @@
 //! bounds (convex, by clarabel), and the data may insist on more or not.
 
 use super::fit::Fit;
-use super::linear::{Basis, in_channel, stack};
+use super::linear::Basis;
 use super::min_p::f_test;
 use super::socp::minimise;
 use crate::measurement_model::MeasurementModel;
@@ -41,11 +41,11 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
     for (_, column) in fit.design.column_iter().enumerate().filter(|(j, _)| !columns.contains(j)) {
         let column: Vec<f64> = column.iter().copied().collect();
         for c in 0..channels {
-            others.push(&in_channel(&column, c, channels));
+            others.push(&fit.in_channel(&column, c));
         }
     }
-    for tangent in &fit.tangents {
-        others.push(&stack(tangent));
+    for tangent in fit.stacked_tangents() {
+        others.push(&tangent);
     }
     // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
     let own: Vec<(usize, usize)> = (0..channels).flat_map(|c| columns.clone().map(move |j| (j, c))).collect();
@@ -53,7 +53,7 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
         .iter()
         .map(|&(j, c)| {
             let column: Vec<f64> = fit.design.column(j).iter().copied().collect();
-            others.project_off(&in_channel(&column, c, channels))
+            others.project_off(&fit.in_channel(&column, c))
         })
         .collect();
     let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();

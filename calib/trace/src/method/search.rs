@@ -2,7 +2,6 @@
 
 use super::ambiguity::{AMBIGUITY_LEVEL, cox_test};
 use super::fit::{Fit, Status, Weights, fit};
-use super::linear::stack;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::outliers::{clean, gross};
@@ -227,7 +226,7 @@ pub(super) fn refit(
 
 /// Explanations with one effect more than `from`: the best laws of each effect refitted, and outliers removed.
 fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signature]) -> Vec<Hypothesis> {
-    let residual = stack(&from.fit.residual);
+    let residual = from.fit.stacked();
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
     let mut ranked: Vec<(f64, usize)> = (0..system.catalogue().len())
         .filter_map(|e| {
@@ -279,7 +278,7 @@ fn by_subsets(
     let fitting = || next.iter().filter(|h| h.physical(system));
     let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
     let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
-    let residual = stack(&base.fit.residual);
+    let residual = base.fit.stacked();
     let known: Vec<Vec<usize>> = next.iter().map(|h| h.effects(None)).collect();
     best_subsets(signatures, &residual, size, scale, KEPT + known.len())
         .into_iter()

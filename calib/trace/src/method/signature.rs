@@ -1,7 +1,7 @@
 //! Signatures: how the data would change if a effect acted, less what the nuisance parameters take up.
 
 use super::fit::{Fit, Weights};
-use super::linear::{Basis, in_channel, stack};
+use super::linear::{Basis, stack_with};
 use crate::effect::{Effect, EffectModel, EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
@@ -31,11 +31,11 @@ pub fn nuisance(fit: &Fit) -> Basis {
     let channels = fit.residual.ncols();
     for column in fit.design.column_iter() {
         for c in 0..channels {
-            basis.push(&in_channel(column.clone_owned().as_slice(), c, channels));
+            basis.push(&fit.in_channel(column.clone_owned().as_slice(), c));
         }
     }
-    for t in &fit.tangents {
-        basis.push(&stack(t));
+    for t in fit.stacked_tangents() {
+        basis.push(&t);
     }
     basis
 }
@@ -89,8 +89,9 @@ pub fn signatures_of_effect(
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm { effect, law: index, values });
                 let Some(d) = weighted(system, weights, &terms) else { continue };
+                let Some(witness) = system.witness(&terms, weights) else { continue };
                 let change = (d.columns(0, base) - &fit.design) * &fit.coefficients;
-                raw.push(stack(&change));
+                raw.push(stack_with(&change, &(&fit.witness - witness)));
                 amplitudes.push((slot, probe));
             }
             if !law.linear.is_empty() {
@@ -99,7 +100,7 @@ pub fn signatures_of_effect(
                 if let Some(d) = weighted(system, weights, &terms) {
                     for j in base..d.ncols() {
                         for c in 0..channels {
-                            raw.push(in_channel(d.column(j).clone_owned().as_slice(), c, channels));
+                            raw.push(fit.in_channel(d.column(j).clone_owned().as_slice(), c));
                         }
                     }
                 }

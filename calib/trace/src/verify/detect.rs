@@ -13,12 +13,17 @@ use wcal_core::verify_document::Detectable;
 /// Normal quantile of 90 % power.
 const POWER_90: f64 = 1.281_551_565_545;
 
+/// A size this many times larger than with the second witness says that the readings do not show it at all.
+const MUCH_LARGER: f64 = 1e3;
+
 /// Smallest size by one law.
 struct Smallest {
     law: usize,
     size: f64,
     unit: String,
     share_left: f64,
+    /// Size that the readings alone would show; none where there is no second witness.
+    alone: Option<f64>,
 }
 
 /// One row an effect. `gate` is the omnibus test on `fit`.
@@ -36,6 +41,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
     let entry = |status: &str, smallest: Option<f64>, unit: String, why: String| Detectable {
         id: candidate.id().to_owned(),
         smallest,
+        smallest_without_pictures: None,
         unit,
         status: status.to_owned(),
         why,
@@ -59,11 +65,15 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         Some(s) => {
             let law = model.law_name(laws[s.law].name);
             let left = 100.0 * s.share_left;
+            let by_readings = s.alone.filter(|alone| *alone <= MUCH_LARGER * s.size);
+            let only = s.alone.is_some() && by_readings.is_none();
+            let pictures = if only { "; only the pictures show it" } else { "" };
             let why = format!(
-                "law {law}; {left:.0} % of its signature is left beside {} and what is accepted",
+                "law {law}; {left:.0} % of its signature is left beside {} and what is accepted{pictures}",
                 model.nuisances()
             );
-            entry("testable", Some(s.size), s.unit, why)
+            let row = entry("testable", Some(s.size), s.unit, why);
+            Detectable { smallest_without_pictures: by_readings, ..row }
         }
         None => {
             let why = format!(
@@ -91,8 +101,12 @@ fn smallest<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: u
                 None => (laws[law].linear.first()?.1, 1.0),
             };
             let signature = a.projected.first()?.norm();
+            let readings = fit.residual.len();
+            let alone = (!fit.witness.is_empty())
+                .then(|| a.projected[0].rows(0, readings).norm())
+                .map(|own| model.physical(unit, needed * sd * probe / own.max(1e-300), law).0);
             let (size, unit) = model.physical(unit, needed * sd * probe / signature, law);
-            (signature > 0.0).then_some(Smallest { law, size, unit, share_left: a.share_left })
+            (signature > 0.0).then_some(Smallest { law, size, unit, share_left: a.share_left, alone })
         })
         .min_by(|a, b| a.law.cmp(&b.law).then(a.size.total_cmp(&b.size)))
 }

@@ -35,6 +35,7 @@ pub fn document<M: SessionModel>(
         &found.first_test
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
+    let second = model.second_witness(found, &conclusion.accepted);
     VerifyDocument {
         effects: conclusion.effects.clone(),
         alternatives: conclusion.alternatives.clone(),
@@ -57,6 +58,8 @@ pub fn document<M: SessionModel>(
             &unsealed.left_out,
         ),
         identifiability: identifiability::sentences(model, &conclusion.accepted),
+        witness: second.as_ref().and_then(|s| s.decided.clone()),
+        pictures: second,
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, errors), seed)

@@ -51,10 +51,17 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u
     };
     Some(HeldOutError {
         split: split.to_owned(),
-        rmse: quantities.iter().enumerate().map(|(q, k)| (named(k), rmse(rows, q))).collect(),
+        // What no row shows (a contact without pictures) has no error.
+        rmse: quantities
+            .iter()
+            .enumerate()
+            .map(|(q, k)| (named(k), rmse(rows, q)))
+            .filter(|(_, e)| e.is_finite())
+            .collect(),
         moment_rmse_nmm_each: moments.map(|q| [0, 1].map(|c| of_component(q, c))),
         interval95: (quantities.iter().enumerate())
             .filter_map(|(q, k)| Some((named(k), interval(q)?)))
+            .filter(|(_, i)| i.iter().all(|v| v.is_finite()))
             .collect(),
         points: rows.len(),
         loo: None,

@@ -3,12 +3,12 @@
 use super::conclusion::Conclusion;
 use super::error_summary::{coverage95, summarise};
 use super::rival::rival;
-use super::session_model::{Folds, HeldOut, SessionModel};
+use super::session_model::{Folds, HeldOut, Quantity, SessionModel};
 use crate::method::fit::{Weights, fit};
-use crate::method::linear::{Basis, in_channel, stack};
+use crate::method::linear::{Basis, stack_with};
 use crate::method::noise::Noise;
 use crate::method::search::{Hypothesis, SearchResult};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use wcal_core::verify_document::HeldOutError;
 
@@ -25,6 +25,13 @@ pub struct Errors {
     pub further: Vec<(String, HeldOutError)>,
     /// What the verdict's reason must add.
     pub remark: String,
+}
+
+impl Errors {
+    /// The accepted model has an error of that quantity.
+    fn shows(&self, key: &str) -> bool {
+        self.after.as_ref().is_some_and(|e| e.rmse.contains_key(key))
+    }
 }
 
 /// What the unsealed readings are under both models.
@@ -59,6 +66,32 @@ pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Prediction
         further: sum(&black_box).map(|e| (name, e)).into_iter().collect(),
         remark: String::new(),
     }
+}
+
+/// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
+pub fn completed<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: impl FnOnce() -> Errors) -> Errors {
+    let missing: Vec<&Quantity> = model.quantities().iter().filter(|q| !sealed.shows(q.key)).collect();
+    if missing.is_empty() {
+        return sealed;
+    }
+    let in_turn = in_turn();
+    for (to, from) in [(&mut sealed.before, &in_turn.before), (&mut sealed.after, &in_turn.after)] {
+        let (Some(to), Some(from)) = (to, from) else { continue };
+        for key in missing.iter().map(|q| q.key) {
+            to.rmse.extend(from.rmse.get(key).map(|v| (key.to_owned(), *v)));
+            to.interval95.extend(from.interval95.get(key).map(|v| (key.to_owned(), *v)));
+        }
+    }
+    let keys: Vec<&str> = missing.iter().map(|q| q.key).filter(|k| in_turn.shows(k)).collect();
+    if !keys.is_empty() {
+        sealed.remark = format!(
+            "{} No sealed reading shows {}: it is {}.",
+            sealed.remark,
+            keys.join(", "),
+            model.folds().words
+        );
+    }
+    sealed
 }
 
 /// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
@@ -110,18 +143,22 @@ fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights
     let variance = found.best.fit.variance();
     let cost = |h: &Hypothesis| {
         let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
-        let kept = |v: &DMatrix<f64>| DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.of(i));
+        let kept = |v: &DMatrix<f64>, seen: &DVector<f64>| {
+            let readings = DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.of(i));
+            let seen = DVector::from_fn(seen.len(), |k, _| seen[k] * weights.of(h.fit.witness_readings[k]));
+            stack_with(&readings, &seen)
+        };
         let mut basis = Basis::default();
         for column in h.fit.design.column_iter() {
             let column: Vec<f64> = column.iter().zip(weights.relative()).map(|(v, w)| v * w).collect();
             for c in 0..channels {
-                basis.push(&in_channel(&column, c, channels));
+                basis.push(&h.fit.in_channel(&column, c));
             }
         }
-        for t in &h.fit.tangents {
-            basis.push(&stack(&kept(t)));
+        for (t, w) in h.fit.tangents.iter().zip(&h.fit.witness_tangents) {
+            basis.push(&kept(t, w));
         }
-        let left = basis.project_off(&stack(&kept(&h.fit.residual))).norm_squared();
+        let left = basis.project_off(&kept(&h.fit.residual, &h.fit.witness)).norm_squared();
         left / variance + (h.criterion(&found.base.fit, variance) - h.fit.ssr / variance)
     };
     rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)

@@ -3,7 +3,7 @@
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
 use super::error_summary::rmse;
-use super::held_out::{Errors, Unsealed, left_out_in_turn, on_unsealed, scored};
+use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
 use super::session_model::{Record, SessionModel};
@@ -66,10 +66,11 @@ pub fn verify<M: SessionModel>(
     let (rows, unsealing) = sealed.unseal(&options.seal);
     let whole = model.whole(rows)?;
     let unsealed = last_word(&model, &whole, &explained, &mut conclusion, !asked.is_empty())?;
+    let in_turn = || left_out_in_turn(&model, found, &conclusion, &unsealed, !asked.is_empty(), seed);
     let errors = if whole.scored().contains(&true) {
-        on_unsealed(&whole, &unsealed, seed)
+        completed(&model, on_unsealed(&whole, &unsealed, seed), in_turn)
     } else {
-        left_out_in_turn(&model, found, &conclusion, &unsealed, !asked.is_empty(), seed)
+        in_turn()
     };
     // Floor, what could have been seen, stage 10 (next measurement), and what a reader must know.
     let floor = model.floor(&conclusion.accepted, &unsealed.noise, found.left().is_some());

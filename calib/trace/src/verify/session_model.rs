@@ -10,7 +10,8 @@ use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, TwinFault, UnknownEffect,
+    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault,
+    UnknownEffect,
 };
 
 /// A held-out error of `verify.json`.
@@ -176,6 +177,10 @@ pub trait SessionModel: MeasurementModel + Sized {
         after: &Self::Predictions,
         at: &Record,
     ) -> Vec<ResidualRecord>;
+    /// What a second witness says beside the readings; none without one.
+    fn second_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<SecondWitness> {
+        None
+    }
     /// How the zero varies from session to session, where several were joined.
     fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
         None

@@ -5,8 +5,9 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::shape::curve_fit::Prior;
 use crate::shape::describe::{describe, tag_document};
-use crate::shape::groove::groove_document;
+use crate::shape::groove::find_groove;
 use crate::shape::joint::{Joint, uncertainties};
+use crate::shape::pair_errors::{Shared, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, fit_pair};
 use crate::shape::shared_errors::{camera_errors, shared_errors};
 use crate::stages::{Stage, StageClock};
@@ -131,42 +132,59 @@ pub fn shapes_of_pairs(
         |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),
     );
     let errors = times.time_alone(Stage::Joint, || camera_errors(stereo, &fits, &uncertain));
-    let (rigs, shared) = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
-    if rigs.iter().flatten().count() > 1 && !shared {
+    let rigs = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
+    let shared = times.time_alone(Stage::Joint, || Shared::new(stereo, &uncertain, &rigs));
+    if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
         warnings
             .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
     }
-    let pairs = (0..files.len())
-        .map(|k| times.time(Stage::Joint, || {
-            let mut document = PairDocument { name: files[k].name.clone(), ..PairDocument::default() };
-            if let Ok(l) = &loaded[k] {
-                document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
+    let moved = |k: usize| base.as_ref().is_some_and(|b| b.moved.contains(&k));
+    let describe_pair = |k: usize| {
+        let mut document =
+            PairDocument { name: files[k].name.clone(), point: files[k].point, ..PairDocument::default() };
+        if let Ok(l) = &loaded[k] {
+            document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
+        }
+        let fit = match &fits[k] {
+            Err(why) => {
+                document.status = "rejected".into();
+                document.why.clone_from(why);
+                return document;
             }
-            match &fits[k] {
-                Err(why) => {
-                    document.status = "rejected".into();
-                    document.why.clone_from(why);
-                }
-                Ok(fit) => {
-                    describe(&mut document, fit, uncertain[k].as_ref());
-                    if let Some(u) = &uncertain[k] {
-                        document.shared_errors = shared_errors(stereo, fit, u, &errors);
-                    }
-                    document.groove = rigs[k]
-                        .as_ref()
-                        .zip(rig.groove.as_ref())
-                        .zip(uncertain[k].as_ref())
-                        .map(|((pose, groove), u)| groove_document(stereo, fit, pose, groove, u, rig.whisker.diameter_mm));
-                    if base.as_ref().is_some_and(|b| b.moved.contains(&k)) {
-                        document.warnings.push("the base stands elsewhere than in the other pairs; its pose is from this pair alone".into());
-                    }
-                }
-            }
-            document
-        }))
-        .collect();
-    let document =
-        ShapesDocument { format: SHAPES_FORMAT.into(), pairs, warnings, ..ShapesDocument::default() };
+            Ok(fit) => fit,
+        };
+        describe(&mut document, fit, uncertain[k].as_ref());
+        if moved(k) {
+            let remark =
+                "the base stands elsewhere than in the other pairs; its pose is from this pair alone";
+            document.warnings.push(remark.into());
+        }
+        let Some(u) = &uncertain[k] else { return document };
+        document.shared_errors = shared_errors(stereo, fit, u, &errors);
+        let groove = rigs.poses[k].as_ref().zip(rig.groove.as_ref()).and_then(|(pose, groove)| {
+            let vertex = VertexErrors::new(stereo, &shared, &rigs, k, fit, groove, u)?;
+            let diameter_mm = rig.whisker.diameter_mm;
+            Some((find_groove(fit, pose, groove, &vertex.covariance, u, diameter_mm), vertex))
+        });
+        let found = pair_errors(stereo, &shared, fit, u, groove.as_ref().map(|(g, v)| (g, v)));
+        document.groove = groove.map(|(g, _)| g.with_errors(&found.groove_mm2, found.arclength_mm2));
+        document.errors = Some(found.document);
+        document
+    };
+    let pairs = times.time_alone(Stage::Joint, || {
+        (0..files.len()).into_par_iter().map(describe_pair).collect::<Vec<PairDocument>>()
+    });
+    let covariance = &shared.covariance;
+    let shared_covariance =
+        (0..covariance.nrows()).map(|i| covariance.row(i).iter().copied().collect()).collect();
+    let document = ShapesDocument {
+        format: SHAPES_FORMAT.into(),
+        pairs,
+        shared_parameters: shared.parameters,
+        shared_covariance,
+        warnings,
+        ..ShapesDocument::default()
+    };
     ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
 }
 
@@ -194,6 +212,9 @@ fn load(
     background: Option<&[Picture; 2]>,
     times: &StageClock,
 ) -> Result<Loaded, String> {
+    if let Some(why) = &files.refused {
+        return Err(why.clone());
+    }
     let (Some(left), Some(right)) = (&files.left, &files.right) else {
         return Err(format!(
             "the {} picture is missing",

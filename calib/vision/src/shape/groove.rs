@@ -8,30 +8,40 @@
 //! two estimates with known covariances (Aitken 1936).
 
 use crate::rig::RigGroove;
-use crate::rigid::hat;
 use crate::shape::curve::CurveShape;
 use crate::shape::joint::{PairUncertainty, node_covariance};
 use crate::shape::pair_fit::PairFit;
-use crate::stereo::StereoCameras;
 use crate::tags::base_pose::RigPose;
-use crate::tags::pose as tag_pose;
-use nalgebra::{Matrix3, Matrix3x6, Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use wcal_core::shapes_document::GrooveDocument;
 
+/// Contact of a pair, and what its errors follow from.
+pub(crate) struct GrooveFound {
+    /// As in `shapes.json`; standard deviations and covariance are still to come.
+    pub(crate) document: GrooveDocument,
+    /// Node before the contact.
+    pub(crate) node: usize,
+    /// Share of the way to the next.
+    pub(crate) share: f64,
+    /// Unit tangent there.
+    pub(crate) tangent: Vector3<f64>,
+    /// `B = I - C_t W A`: how the tag's word follows what it is corrected by.
+    pub(crate) follow: Matrix3<f64>,
+}
+
 /// The contact of a pair whose rig tag is known. The tag says where along the wire; the wire says where across.
-#[must_use]
-pub fn groove_document(
-    stereo: &StereoCameras,
+/// `tag_covariance`: of the vertex position by the tag, base frame, mm^2.
+pub(crate) fn find_groove(
     fit: &PairFit,
     rig: &RigPose,
     groove: &RigGroove,
+    tag_covariance: &Matrix3<f64>,
     uncertain: &PairUncertainty,
     diameter_mm: f64,
-) -> GrooveDocument {
+) -> GrooveFound {
     let base_from_left = fit.left_from_base.inverse();
     let in_left = rig.left_from_tag * Point3::from(groove.position_in_tag_mm);
     let by_tag = (base_from_left * in_left).coords;
-    let tag_covariance = tag_position_covariance(stereo, fit, rig, groove, uncertain, &by_tag);
     let shape = fit.model.shape(&fit.state);
     let jacobian = fit.model.jacobian(&fit.state);
     // The nearest node, then along the tangent.
@@ -41,6 +51,7 @@ pub fn groove_document(
         .unwrap_or(0);
     let mut arc = nearest as f64 * fit.model.step_mm;
     let (mut point, mut tangent) = (shape.points[nearest], shape.tangents[nearest]);
+    let (mut node, mut share, mut follow) = (nearest, 0.0, Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
     let along = |t: &Vector3<f64>| t * t.transpose();
     // Generalised least squares: tag plus wire across; along the wire only the tag counts.
@@ -50,13 +61,13 @@ pub fn groove_document(
         let offset = by_tag - point;
         // Correlation between along and across in the tag's error shifts the foot point.
         let weight = joint.try_inverse().unwrap_or_else(Matrix3::zeros);
-        let corrected = by_tag - tag_covariance * weight * (across * offset);
-        arc += tangent.dot(&(corrected - point));
+        follow = Matrix3::identity() - tag_covariance * weight * across;
+        arc += tangent.dot(&(follow * offset));
         arc = arc.clamp(0.0, fit.length_mm);
         let x = (arc / fit.model.step_mm).min(fit.model.nodes as f64 - 1.001);
-        let (i, f) = (x.floor() as usize, x.fract());
-        point = shape.points[i] * (1.0 - f) + shape.points[i + 1] * f;
-        tangent = (shape.tangents[i] * (1.0 - f) + shape.tangents[i + 1] * f).normalize();
+        (node, share) = (x.floor() as usize, x.fract());
+        point = shape.points[node] * (1.0 - share) + shape.points[node + 1] * share;
+        tangent = (shape.tangents[node] * (1.0 - share) + shape.tangents[node + 1] * share).normalize();
     }
     let across = Matrix3::identity() - along(&tangent);
     let rest = fit.model.shape(&fit.model.rest()).points;
@@ -80,20 +91,30 @@ pub fn groove_document(
         let a = by_tag - p * (0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin());
         [a.x, a.y, a.z]
     });
-    let arc_variance = (tangent.transpose() * tag_covariance * tangent)[0];
-    let covariance = across * wire_covariance * across + along(&tangent) * arc_variance;
-    GrooveDocument {
+    let document = GrooveDocument {
         position_mm: [point.x, point.y, point.z],
-        sd_mm: std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt()),
+        sd_mm: [f64::NAN; 3],
         contact_arclength_mm: arc,
-        contact_arclength_sd_mm: arc_variance.max(0.0).sqrt(),
+        contact_arclength_sd_mm: f64::NAN,
         axis: [tangent.x, tangent.y, tangent.z],
         contact: contact.into(),
         contacts_mm,
         distance_from_vertex_mm: place.away.norm(),
         apex_mm,
         by_tag_mm: [by_tag.x, by_tag.y, by_tag.z],
-        covariance_mm2: Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]))),
+        covariance_mm2: None,
+    };
+    GrooveFound { document, node, share, tangent, follow }
+}
+
+impl GrooveFound {
+    /// The document with the errors that the pair's own and shared ones add up to.
+    pub(crate) fn with_errors(mut self, covariance: &Matrix3<f64>, arclength_mm2: f64) -> GrooveDocument {
+        self.document.sd_mm = std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt());
+        self.document.contact_arclength_sd_mm = arclength_mm2.max(0.0).sqrt();
+        self.document.covariance_mm2 =
+            Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])));
+        self.document
     }
 }
 
@@ -144,48 +165,4 @@ impl Place {
         let sd = (0.5 * (self.covariance.trace() - 1.0)).max(0.0).sqrt();
         if clear > 0.0 && gap > 3.0 * sd { "none" } else { "out-of-vertex" }
     }
-}
-
-/// Covariance of the tag's word in the base frame: the rig tag's corners, the base pose, the calibration.
-fn tag_position_covariance(
-    stereo: &StereoCameras,
-    fit: &PairFit,
-    rig: &RigPose,
-    groove: &RigGroove,
-    uncertain: &PairUncertainty,
-    by_tag: &Vector3<f64>,
-) -> Matrix3<f64> {
-    let to_base = *fit.left_from_base.inverse().rotation.to_rotation_matrix().matrix();
-    let turn = *rig.left_from_tag.rotation.to_rotation_matrix().matrix();
-    let pose = rig.information.try_inverse().unwrap_or_else(nalgebra::Matrix6::zeros);
-    let mut j = Matrix3x6::zeros();
-    j.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-hat(&groove.position_in_tag_mm)));
-    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
-    let by_pose = to_base * turn * j;
-    let mut covariance = by_pose * pose * by_pose.transpose();
-    // A base that is turned by w and shifted by d sees the point at p - d - w x p.
-    let mut by_base = Matrix3x6::zeros();
-    by_base.fixed_view_mut::<3, 3>(0, 0).copy_from(&hat(by_tag));
-    by_base.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-Matrix3::identity()));
-    let mut noise = uncertain.covariance.view((0, 0), (6, 6)).into_owned();
-    if let Some(c) = &stereo.covariance {
-        // The calibration moves base and rig tag together: their sum is taken below, not one by one.
-        let base_part = uncertain.by_calibration.rows(0, 6);
-        noise -= base_part * c * base_part.transpose();
-        let mut total = nalgebra::DMatrix::<f64>::zeros(3, stereo.parameters());
-        for k in 0..stereo.parameters() {
-            let h = stereo.difference_step(k);
-            let gradient = |s: &StereoCameras| {
-                tag_pose::linearise(s, &rig.observations, &rig.left_from_tag)
-                    .map_or_else(nalgebra::Vector6::zeros, |l| l.2)
-            };
-            let change = (gradient(&stereo.moved(k, h)) - gradient(stereo)) / h;
-            let of_base = nalgebra::Vector6::from_iterator(base_part.column(k).iter().copied());
-            total.set_column(k, &(by_pose * (pose * change) + by_base * of_base));
-        }
-        let m = &total * c * total.transpose();
-        covariance += Matrix3::from_iterator(m.iter().copied());
-    }
-    let noise = nalgebra::Matrix6::from_iterator(noise.iter().copied());
-    covariance + by_base * noise * by_base.transpose()
 }

@@ -15,7 +15,7 @@ use crate::shape::curve_fit::{Prior, linearise, observation_residuals, stepped, 
 use crate::shape::pair_fit::PairFit;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::FolderBase;
-use crate::tags::pose as tag_pose;
+use crate::tags::pose::gradient_by_calibration;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -76,6 +76,14 @@ pub struct PairUncertainty {
     pub by_calibration: DMatrix<f64>,
     /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
     pub shared_mm: f64,
+    /// Columns: independent errors of the curve's parameters by the pair's own pictures, base and cameras held; one standard deviation each.
+    pub own: DMatrix<f64>,
+    /// Derivative of the curve's parameters by the base's correction.
+    pub by_base: DMatrix<f64>,
+    /// Covariance of the base's correction by the pictures' noise.
+    pub base: Matrix6<f64>,
+    /// Whether all pairs share that base; a pair whose base stands elsewhere has its own.
+    pub base_shared: bool,
 }
 
 /// The left camera's axis in the base frame.
@@ -101,7 +109,7 @@ pub(crate) fn uncertainties(
             Some((part, full, reduced))
         })
         .collect();
-    let tags = tag_sensitivity(stereo, base);
+    let tags = gradient_by_calibration(stereo, &base.observations, &base.pose.left_from_body);
     let mut information = base.pose.information;
     let mut pull = tags.clone();
     for (k, part) in parts.iter().enumerate() {
@@ -118,16 +126,28 @@ pub(crate) fn uncertainties(
             let fit = fit.as_ref().ok()?;
             let (part, full, reduced) = parts[k].as_ref()?;
             // What others say about the base. One that stands elsewhere has its own tags only, seen by the same cameras.
-            let (others, their_pull) = if base.moved.contains(&k) {
-                (fit.base_information, tags.clone())
-            } else {
+            let base_shared = !base.moved.contains(&k);
+            let (others, their_pull) = if base_shared {
                 (information - part.information, &pull - reduced)
+            } else {
+                (fit.base_information, tags.clone())
             };
-            covariance(stereo, fit, root_sd, &others, &their_pull, full.clone())
+            let (covariance, by_calibration) =
+                covariance(stereo, fit, root_sd, &others, &their_pull, full.clone())?;
+            Some(PairUncertainty {
+                covariance,
+                by_calibration,
+                shared_mm: line_shift_mm(stereo, fit),
+                own: part.own.clone(),
+                by_base: -part.carried.transpose(),
+                base: (others + part.information).try_inverse()?,
+                base_shared,
+            })
         })
         .collect()
 }
 
+/// Covariance of base correction and curve, and their derivative by the calibration.
 fn covariance(
     stereo: &StereoCameras,
     fit: &PairFit,
@@ -135,7 +155,7 @@ fn covariance(
     others: &Matrix6<f64>,
     their_pull: &DMatrix<f64>,
     mut by_calibration: DMatrix<f64>,
-) -> Option<PairUncertainty> {
+) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     let (mut full, _) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
     let mut of_base = full.fixed_view_mut::<6, 6>(0, 0);
     of_base += others;
@@ -146,6 +166,11 @@ fn covariance(
     if let Some(c) = &stereo.covariance {
         covariance += &response * c * response.transpose();
     }
+    Some((covariance, response))
+}
+
+/// Shift in depth of a whole line by uneven light across it, mm.
+fn line_shift_mm(stereo: &StereoCameras, fit: &PairFit) -> f64 {
     // A shift of one picture's line by a pixel moves the wire in depth by z^2 / (f b), and a width is f d / z pixels.
     let depth_mm = fit.left_from_base.translation.vector.norm();
     let baseline_mm = stereo.right_from_left.translation.vector.norm();
@@ -153,11 +178,7 @@ fn covariance(
     let width_px = fit.diameter_mm * stereo.cameras[0].focal_px[0] / depth_mm;
     let blur_px = 0.5 * (fit.appearances[0].blur_px + fit.appearances[1].blur_px);
     let resolved = (width_px / (RESOLVED_BLURS * blur_px)).max(1.0);
-    Some(PairUncertainty {
-        covariance,
-        by_calibration: response,
-        shared_mm: LINE_FLOOR_WIDTHS * resolved * by_width_mm,
-    })
+    LINE_FLOOR_WIDTHS * resolved * by_width_mm
 }
 
 fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
@@ -170,6 +191,8 @@ struct SchurComplement {
     rhs: Vector6<f64>,
     /// 6 x parameters: what the curve carries over to the base.
     carried: DMatrix<f64>,
+    /// L^-T of C = L L^T: independent errors of the curve's parameters with the base held.
+    own: DMatrix<f64>,
 }
 
 impl SchurComplement {
@@ -177,14 +200,16 @@ impl SchurComplement {
         let (h, g) = with_prior(&fit.system, &held(root_sd, fit.smoothing), &fit.state, &fit.model);
         let n = h.nrows() - 6;
         let cross = h.view((0, 6), (6, n)).into_owned();
-        let own = h.view((6, 6), (n, n)).into_owned().cholesky()?;
-        let carried = own.solve(&cross.transpose()).transpose();
+        let curve = h.view((6, 6), (n, n)).into_owned().cholesky()?;
+        let carried = curve.solve(&cross.transpose()).transpose();
+        let own = curve.l().transpose().try_inverse()?;
         let information = h.view((0, 0), (6, 6)) - &carried * cross.transpose();
         let rhs = g.rows(0, 6) - &carried * g.rows(6, n);
         Some(Self {
             information: Matrix6::from_iterator(information.iter().copied()),
             rhs: Vector6::from_iterator(rhs.iter().copied()),
             carried,
+            own,
         })
     }
 
@@ -207,21 +232,6 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
         let there = residuals(&stereo.moved(k, h));
         let change = DVector::from_iterator(now.len(), there.iter().zip(&now).map(|(a, b)| (a - b) / h));
         out.set_column(k, &(&fit.system.rows_weighted * change));
-    }
-    out
-}
-
-/// Derivative of the base tags' right-hand side by the calibration.
-fn tag_sensitivity(stereo: &StereoCameras, base: &FolderBase) -> DMatrix<f64> {
-    let pose = &base.pose.left_from_body;
-    let gradient = |s: &StereoCameras| {
-        tag_pose::linearise(s, &base.observations, pose).map_or_else(Vector6::zeros, |l| l.2)
-    };
-    let now = gradient(stereo);
-    let mut out = DMatrix::zeros(6, stereo.parameters());
-    for k in 0..stereo.parameters() {
-        let h = stereo.difference_step(k);
-        out.set_column(k, &((gradient(&stereo.moved(k, h)) - now) / h));
     }
     out
 }

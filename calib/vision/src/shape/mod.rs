@@ -9,6 +9,7 @@ pub mod folder;
 pub mod groove;
 pub mod joint;
 pub mod overlay;
+mod pair_errors;
 pub mod pair_fit;
 mod shared_errors;
 pub mod socp_start;

@@ -101,7 +101,12 @@ fn nodes_by_calibration(fit: &PairFit, u: &PairUncertainty) -> DMatrix<f64> {
 }
 
 /// The pictures show the tip where they do: with other cameras that is another arc length.
-fn length_change_mm(stereo: &StereoCameras, fit: &PairFit, u: &PairUncertainty, error: &DVector<f64>) -> f64 {
+pub(crate) fn length_change_mm(
+    stereo: &StereoCameras,
+    fit: &PairFit,
+    u: &PairUncertainty,
+    error: &DVector<f64>,
+) -> f64 {
     let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
     let (pose, state) = stepped(&fit.left_from_base, &fit.state, &(&u.by_calibration * error));
     let end = |state: &crate::shape::curve::CurveState, arc_mm: f64| {

@@ -10,7 +10,7 @@ use crate::rig::{Rig, RigTag};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::Tag;
 use crate::tags::pose::{BodyPose, TagObservation, body_pose};
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector2, Vector3};
 use std::collections::BTreeMap;
 
 /// Corners that differ from the folder's by more than this many sd belong to a base that has moved.
@@ -92,19 +92,27 @@ pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Opt
 pub struct RigPose {
     /// Pose in the left camera's frame.
     pub left_from_tag: Isometry3<f64>,
-    /// Information on a correction in the tag's frame; the rotation's part is that of the shared orientation.
-    pub information: nalgebra::Matrix6<f64>,
+    /// Information that this pair's corners alone give on a correction in the tag's frame.
+    pub information: Matrix6<f64>,
     /// Sightings.
     pub observations: Vec<TagObservation>,
 }
 
-/// Rig tag poses, one entry a pair. The second value says whether the orientation was shared.
+/// The rig tag in all pairs.
+#[derive(Debug, Clone)]
+pub struct RigPoses {
+    /// One entry a pair; none where the tag is not seen.
+    pub poses: Vec<Option<RigPose>>,
+    /// Information of all pairs on the orientation that they share, tag's frame; none where each has its own.
+    pub shared_turn: Option<Matrix3<f64>>,
+}
+
+/// Rig tag poses of all pairs.
 #[must_use]
-pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> (Vec<Option<RigPose>>, bool) {
-    let Some(groove) = &rig.groove else { return (vec![None; pairs.len()], false) };
-    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else {
-        return (vec![None; pairs.len()], false);
-    };
+pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
+    let none = || RigPoses { poses: vec![None; pairs.len()], shared_turn: None };
+    let Some(groove) = &rig.groove else { return none() };
+    let Some(known) = rig.tags.iter().find(|t| t.id == groove.tag) else { return none() };
     let alone: Vec<Option<RigPose>> = pairs
         .iter()
         .map(|tags| {
@@ -130,45 +138,60 @@ pub fn observations_of(known: &RigTag, tags: &PairTags) -> Vec<TagObservation> {
         .collect()
 }
 
-fn share_orientation(mut poses: Vec<Option<RigPose>>) -> (Vec<Option<RigPose>>, bool) {
-    use nalgebra::{Matrix3, Vector3};
+/// A pair's information on the rig tag, its shift eliminated.
+#[derive(Debug, Clone)]
+pub struct TurnBlocks {
+    /// `M = I_ww - I_wt I_tt^-1 I_tw`.
+    pub marginal: Matrix3<f64>,
+    /// `I_wt`.
+    pub cross: Matrix3<f64>,
+    /// `I_tt^-1`.
+    pub shift: Matrix3<f64>,
+}
+
+impl RigPose {
+    /// None where the corners leave a direction open.
+    #[must_use]
+    pub fn blocks(&self) -> Option<TurnBlocks> {
+        let i = &self.information;
+        let turn: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
+        let cross: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();
+        let shift = i.fixed_view::<3, 3>(3, 3).into_owned().try_inverse()?;
+        Some(TurnBlocks { marginal: turn - cross * shift * cross.transpose(), cross, shift })
+    }
+}
+
+fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
     let Some(reference) = poses.iter().flatten().next().map(|p| p.left_from_tag.rotation) else {
-        return (poses, false);
-    };
-    let blocks = |p: &RigPose| {
-        let i = &p.information;
-        let ww: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();
-        let wt: Matrix3<f64> = i.fixed_view::<3, 3>(0, 3).into_owned();
-        let tt: Matrix3<f64> = i.fixed_view::<3, 3>(3, 3).into_owned();
-        let inverse = tt.try_inverse()?;
-        Some((ww - wt * inverse * wt.transpose(), wt, tt, inverse))
+        return RigPoses { poses, shared_turn: None };
     };
     let (mut total, mut pull, mut turns) = (Matrix3::zeros(), Vector3::zeros(), Vec::new());
     for p in poses.iter().flatten() {
-        let Some((marginal, ..)) = blocks(p) else { return (poses, false) };
+        let Some(TurnBlocks { marginal, .. }) = p.blocks() else {
+            return RigPoses { poses, shared_turn: None };
+        };
         let turn = (reference.inverse() * p.left_from_tag.rotation).scaled_axis();
         total += marginal;
         pull += marginal * turn;
         turns.push((marginal, turn));
     }
-    let Some(mean) = total.try_inverse().map(|t| t * pull) else { return (poses, false) };
+    let Some(mean) = total.try_inverse().map(|t| t * pull) else {
+        return RigPoses { poses, shared_turn: None };
+    };
     let chi2: f64 = turns.iter().map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0]).sum();
     let degrees = 3.0 * (turns.len() as f64 - 1.0);
     // Twice the noise stated is still noise; a rig that turns differs by far more.
     if turns.len() < 2 || chi2 > 4.0 * degrees + 12.0 {
-        return (poses, false);
+        return RigPoses { poses, shared_turn: None };
     }
     let shared = reference * nalgebra::UnitQuaternion::from_scaled_axis(mean);
     for p in poses.iter_mut().flatten() {
-        let Some((_, wt, tt, inverse)) = blocks(p) else { continue };
+        let Some(TurnBlocks { cross, shift, .. }) = p.blocks() else { continue };
         let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
         // The position that goes with the shared orientation.
-        let shift = -(inverse * wt.transpose() * turn);
-        let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * shift;
+        let by = -(shift * cross.transpose() * turn);
+        let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * by;
         p.left_from_tag = Isometry3::from_parts(moved.into(), shared);
-        let ww = total + wt * inverse * wt.transpose();
-        p.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&ww);
-        p.information.fixed_view_mut::<3, 3>(3, 3).copy_from(&tt);
     }
-    (poses, true)
+    RigPoses { poses, shared_turn: Some(total) }
 }

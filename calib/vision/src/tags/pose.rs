@@ -12,7 +12,7 @@ use crate::camera::Camera;
 use crate::rigid::{hat, pose_from_parts, updated};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::{Tag, tag_corners};
-use nalgebra::{Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
 /// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not show.
@@ -145,6 +145,24 @@ pub fn linearise(
         }
     }
     Some((chi2, information, gradient))
+}
+
+/// Derivative of the right-hand side of [`linearise`] by the cameras' parameters, 6 x parameters.
+#[must_use]
+pub fn gradient_by_calibration(
+    stereo: &StereoCameras,
+    observations: &[TagObservation],
+    pose: &Isometry3<f64>,
+) -> DMatrix<f64> {
+    let gradient =
+        |s: &StereoCameras| linearise(s, observations, pose).map_or_else(Vector6::zeros, |found| found.2);
+    let now = gradient(stereo);
+    let mut out = DMatrix::zeros(6, stereo.parameters());
+    for k in 0..stereo.parameters() {
+        let h = stereo.difference_step(k);
+        out.set_column(k, &((gradient(&stereo.moved(k, h)) - now) / h));
+    }
+    out
 }
 
 /// The two poses that a single view of a square allows: from its homography, and that tilted the other way about the line of sight.

@@ -1,7 +1,7 @@
 //! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
 
 use crate::host::{io_error, is_timeout};
-use std::io::Read;
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 use wcal_core::clock::HostClock;
@@ -71,6 +71,12 @@ impl Camera for NetCamera {
         }
         let (kind, expected) = (DeviceErrorKind::Unsupported, "no exposure and gain: the stream has none");
         Err(DeviceError::new(kind, &self.name, "configure", expected, "a setting"))
+    }
+
+    fn show_board(&mut self, view: Option<usize>) -> Result<bool, DeviceError> {
+        let line = view.map_or_else(|| "board off\n".to_owned(), |k| format!("board {k}\n"));
+        self.link.write_all(line.as_bytes()).map_err(|e| io_error(&self.name, "show the board", &e))?;
+        Ok(true)
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {

@@ -82,6 +82,12 @@ pub struct Outcome {
     pub before_ratio: Option<f64>,
     /// See `before_ratio`.
     pub after_ratio: Option<f64>,
+    /// The session's cameras look on (else they would have); none where nobody asked.
+    pub pictures: Option<bool>,
+    /// Contact error over what the shapes state, before and after.
+    pub contact_before_ratio: Option<f64>,
+    /// See `contact_before_ratio`.
+    pub contact_after_ratio: Option<f64>,
     /// The same of an oracle that knows the effect exactly and fits K and the zero.
     pub oracle_ratio: f64,
     /// Values inside the stated 95 % interval, and values.
@@ -227,6 +233,8 @@ pub fn score(
         before_ratio: held.as_ref().map(|h| h.before / floor),
         after_ratio: held.as_ref().map(|h| h.after / floor),
         covered: held.map(|h| (h.covered, h.values)),
+        contact_before_ratio: contact_ratio(verify, "before"),
+        contact_after_ratio: contact_ratio(verify, "after"),
         extra: classes.iter().filter(|c| c.is_disjoint(&want)).count(),
         set_size: alternatives.len().max(usize::from(verdict == "effect")),
         in_set,
@@ -414,6 +422,7 @@ fn blank(name: &str, case: &Case) -> Outcome {
         design: Some(t.design),
         noise: t.noise.kind.name().into(),
         wire: Some(t.wire),
+        pictures: case.looked.map(|l| l.pictures),
         delta: t.projected_size_in_noises,
         delta_each: t.sizes_each.values().filter_map(Value::as_f64).fold(f64::INFINITY, f64::min).min(1e9),
         rival_sigma: t.nearest_rival.as_ref().map(|r| r.sigma),
@@ -428,6 +437,11 @@ fn blank(name: &str, case: &Case) -> Outcome {
 fn floor_nmm(t: &Truth) -> f64 {
     let det = t.k[0][0] * t.k[1][1] - t.k[0][1] * t.k[1][0];
     t.new_pose_noise_pm / det.abs().sqrt()
+}
+
+/// Contact error of a model over what the shapes state; none without pictures.
+fn contact_ratio(verify: &Value, model: &str) -> Option<f64> {
+    Some(verify[model]["contact_rmse_mm"].as_f64()? / verify["noise_floor"]["contact_mm"].as_f64()?)
 }
 
 fn driver_right(t: &Truth, verify: &Value) -> bool {

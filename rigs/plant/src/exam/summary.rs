@@ -3,6 +3,7 @@
 use serde::Serialize;
 use statrs::distribution::{Beta, ContinuousCDF};
 
+use super::pictures::picture_goals;
 use super::score::{FollowUp, Kind, Outcome, Part};
 use crate::Design;
 use crate::noise::Noise;
@@ -36,7 +37,7 @@ pub fn clopper_pearson(hits: usize, trials: usize) -> (f64, f64) {
 }
 
 /// Which side of a number a goal lies on.
-enum Side {
+pub(super) enum Side {
     AtLeast(f64),
     AtMost(f64),
     /// The upper bound stays below.
@@ -46,7 +47,13 @@ enum Side {
     None,
 }
 
-fn share(score: &str, goal: &str, of: &[&Outcome], hit: impl Fn(&Outcome) -> bool, side: Side) -> Goal {
+pub(super) fn share(
+    score: &str,
+    goal: &str,
+    of: &[&Outcome],
+    hit: impl Fn(&Outcome) -> bool,
+    side: Side,
+) -> Goal {
     let hits = of.iter().filter(|o| hit(o)).count();
     rate(score, goal, hits, of.len(), side)
 }
@@ -76,7 +83,7 @@ fn quantile_of(mut values: Vec<f64>, quantile: f64) -> f64 {
     values[i] + f * (values[(i + 1).min(values.len() - 1)] - values[i])
 }
 
-fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
+pub(super) fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
     values.retain(|v| v.is_finite());
     let value = quantile_of(values.clone(), quantile);
     let met = (!values.is_empty() && most.is_finite()).then_some(value <= most);
@@ -108,6 +115,10 @@ fn practice_like(o: &Outcome) -> bool {
 /// The table of goals for a set of outcomes: first those of sessions like the practice sessions, then those of every kind
 /// of noise, then what holds for all.
 pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
+    let (looked, outcomes): (Vec<&Outcome>, Vec<&Outcome>) =
+        outcomes.iter().partition(|o| o.pictures.is_some());
+    let outcomes: Vec<Outcome> = outcomes.into_iter().cloned().collect();
+    let outcomes = outcomes.as_slice();
     let practice: Vec<Outcome> = outcomes.iter().filter(|o| practice_like(o)).cloned().collect();
     let mut out = practice_goals(&practice);
     out.extend(noise_goals(outcomes));
@@ -115,8 +126,9 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
         let of = outcomes.iter().filter(|o| o.design.is_some_and(|o| d.contains(&o)));
         of.map(|o| o.seconds).collect::<Vec<_>>()
     };
-    let all: Vec<&Outcome> = outcomes.iter().collect();
+    let all: Vec<&Outcome> = outcomes.iter().chain(looked.iter().copied()).collect();
     let long = [Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase];
+    out.extend(picture_goals(&looked));
     out.push(share("crashes", "0", &all, |o| o.kind == Kind::Crash, Side::AtMost(0.0)));
     out.push(number("slowest paper session, s", "<= 10", seconds(&[Design::Paper]), 1.0, 10.0));
     out.push(number("slowest session of about 360 rows, s", "<= 60", seconds(&long), 1.0, 60.0));
@@ -249,7 +261,7 @@ pub struct NoiseRow {
 pub fn by_noise(outcomes: &[Outcome]) -> Vec<NoiseRow> {
     let names = Noise::ALL.iter().map(|n| n.name()).chain(ScalarNoise::ALL.iter().map(|n| n.name()));
     let of = |name: &str| -> Vec<&Outcome> {
-        let here = outcomes.iter().filter(|o| o.noise == name);
+        let here = outcomes.iter().filter(|o| o.noise == name && o.pictures.is_none());
         here.filter(|o| !matches!(o.label.as_str(), "pair" | "unknown" | "adversarial")).collect()
     };
     names

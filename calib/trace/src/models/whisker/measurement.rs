@@ -11,10 +11,9 @@ use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
-use crate::method::fit::Weights;
+use crate::method::fit::{Fit, Weights};
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
-use crate::method::linear::stack;
 use crate::method::noise::{Estimated, Noise};
 use crate::method::search::{Hypothesis, SearchResult, declared};
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
@@ -22,14 +21,44 @@ use crate::verify::{HeldOut, SessionModel, VerifyOptions};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
-use wcal_core::verify_document::{EffectParameter, MapLeftOut, NextMeasurement, NoiseFloor, TwinFault};
+use wcal_core::verify_document::{
+    EffectParameter, MapLeftOut, NextMeasurement, NoiseFloor, SecondWitness, TwinFault,
+};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
+/// Searches under another weight of the pictures.
+const MAX_RESCALED: usize = 3;
+/// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
+const OVERSTATED: f64 = 1.25;
+/// Share of the whole gain from which one witness decides alone.
+const DECIDES: f64 = 0.8;
 /// Two-sided 95 % of a Gaussian.
 const NORMAL_95: f64 = 1.96;
 /// From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
 const REFIT_STEPS: usize = 2;
+
+/// Errors that are stated; the contact's where there are pictures.
+const QUANTITIES: [Quantity; 3] = [
+    Quantity { key: "wavelength_rmse_pm", unit: "pm" },
+    Quantity { key: "moment_rmse_nmm", unit: "N mm" },
+    Quantity { key: "contact_rmse_mm", unit: "mm" },
+];
+
+/// `system` with its pictures weighed by what `fit` leaves of both witnesses; `scale` is the weight under which it was made.
+fn rescaled(system: WhiskerSystem, fit: &Fit, scale: f64) -> WhiskerSystem {
+    if system.pictures().is_none() {
+        return system;
+    }
+    let overstated = reduced_chi(fit, scale);
+    let factor = if overstated > OVERSTATED { overstated } else { 1.0 };
+    system.with_picture_scale(fit.readings_variance().sqrt() / factor)
+}
+
+/// Scatter of the pictures about a fit over what they state.
+fn reduced_chi(fit: &Fit, scale: f64) -> f64 {
+    (fit.witness.norm_squared() / (fit.witness_count.max(1) as f64)).sqrt() / scale
+}
 
 impl SessionModel for WhiskerSystem {
     type Row = WhiskerRow;
@@ -76,12 +105,28 @@ impl SessionModel for WhiskerSystem {
         let known = Weights::independent(self.noise_inputs().known);
         let base = declared(&self, &known, options.search.seed)?;
         let system = self.whitened(&base.fit);
-        let explained = explain(&system, &options.search)?;
-        // An effect that was not declared hides how much noise the channels share.
-        let again = system.clone().whitened(&explained.found.accepted().fit);
-        if again.whitening_change(&system) > WHITENING_CHANGED {
-            let explained = explain(&again, &options.search)?;
-            return Some((again, explained));
+        let system = match system.pictures() {
+            Some(_) => {
+                let base = declared(&system, &known, options.search.seed)?;
+                system.with_picture_scale(base.fit.readings_variance().sqrt())
+            }
+            None => system,
+        };
+        let mut explained = explain(&system, &options.search)?;
+        // An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
+        let mut system = system;
+        for _ in 0..if system.pictures().is_some() { MAX_RESCALED } else { 1 } {
+            let fit = &explained.found.accepted().fit;
+            let whitened = system.clone().whitened(fit);
+            let again = rescaled(whitened, fit, system.picture_scale());
+            let change = again.picture_scale() / system.picture_scale();
+            if again.whitening_change(&system) <= WHITENING_CHANGED
+                && change.max(1.0 / change) <= WHITENING_CHANGED
+            {
+                break;
+            }
+            explained = explain(&again, &options.search)?;
+            system = again;
         }
         Some((system, explained))
     }
@@ -97,6 +142,7 @@ impl SessionModel for WhiskerSystem {
             floor: NoiseFloor {
                 wavelength_pm: floor.map(|f| f.sd_pm),
                 moment_nmm: floor.filter(|_| gain > 0.0).map(|f| f.sd_pm / gain),
+                contact_mm: self.pictures().map(|p| p.contact_floor_mm()),
                 source: floor.map_or("none", |f| f.source).to_owned(),
                 ..NoiseFloor::default()
             },
@@ -137,10 +183,7 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn quantities(&self) -> &'static [Quantity] {
-        &[
-            Quantity { key: "wavelength_rmse_pm", unit: "pm" },
-            Quantity { key: "moment_rmse_nmm", unit: "N mm" },
-        ]
+        if self.pictures().is_some() { &QUANTITIES } else { &QUANTITIES[..2] }
     }
 
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
@@ -157,7 +200,11 @@ impl SessionModel for WhiskerSystem {
         let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
         HeldOut {
             group: r.group,
-            errors: vec![wavelength.iter().copied().collect(), moment.iter().copied().collect()],
+            errors: [wavelength, moment]
+                .map(|e| e.iter().copied().collect::<Vec<f64>>())
+                .into_iter()
+                .chain(self.pictures().map(|_| p.contact_error_mm.into_iter().collect()))
+                .collect(),
             inside95: vec![inside(0), inside(1)],
         }
     }
@@ -207,6 +254,29 @@ impl SessionModel for WhiskerSystem {
         (0..2).map(of_channel).collect()
     }
 
+    fn second_witness(&self, found: &SearchResult, accepted: &Hypothesis) -> Option<SecondWitness> {
+        let shapes = self.data.shapes.as_ref()?;
+        let mut report = SecondWitness { left_out: shapes.left_out.clone(), ..SecondWitness::default() };
+        let Some(pictures) = self.pictures() else { return Some(report) };
+        let (base, fit) = (&found.base.fit, &accepted.fit);
+        let variance = fit.readings_variance();
+        report.pairs = pictures.len();
+        report.left_out.extend(pictures.left_out().iter().cloned());
+        report.reduced_chi = reduced_chi(fit, self.picture_scale());
+        report.gain_wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / variance;
+        report.gain_pictures =
+            (base.witness.norm_squared() - fit.witness.norm_squared()) / self.picture_scale().powi(2);
+        let gains = [report.gain_wavelengths, report.gain_pictures].map(|g| g.max(0.0));
+        let share = gains[1] / (gains[0] + gains[1]).max(1e-300);
+        let decided = match share {
+            s if s >= DECIDES => "pictures",
+            s if s <= 1.0 - DECIDES => "wavelengths",
+            _ => "both",
+        };
+        report.decided = (!fit.terms.is_empty()).then(|| decided.to_owned());
+        Some(report)
+    }
+
     fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
@@ -214,16 +284,36 @@ impl SessionModel for WhiskerSystem {
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
         notes.extend(cross_check(self, found));
+        notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
         notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
         notes
     }
+}
+
+/// What the pictures add, in words.
+fn witness_note(s: &SecondWitness) -> String {
+    if s.pairs == 0 {
+        return "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
+    }
+    let used = format!(
+        "Pictures: {} pairs count beside the wavelengths; they scatter about the accepted model {:.2} times as far as the shapes state",
+        s.pairs, s.reduced_chi
+    );
+    let gains = s.decided.as_ref().map_or_else(String::new, |decided| {
+        let by = if decided == "both" { "both witnesses" } else { decided };
+        format!(
+            "; the accepted effects lower the misfit by {:.0} variances in the wavelengths and {:.0} in the pictures: {by} decided",
+            s.gain_wavelengths, s.gain_pictures
+        )
+    });
+    format!("{used}{gains}.")
 }
 
 /// What the group lasso keeps on the declared model's residual.
 fn cross_check(system: &WhiskerSystem, found: &SearchResult) -> Option<String> {
     let base = &found.base.fit;
     let sd = found.best.fit.variance().sqrt();
-    let kept = group_lasso(&found.first_test.signatures, &stack(&base.residual), base.dof, sd)?;
+    let kept = group_lasso(&found.first_test.signatures, &base.stacked(), base.dof, sd)?;
     let names: Vec<String> =
         kept.iter().map(|k| format!("{} ({:.1} sd)", system.catalogue()[k.effect].id(), k.size_sd)).collect();
     let list = if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };

@@ -11,6 +11,7 @@ pub mod next;
 mod noise;
 pub mod path;
 pub mod physical;
+pub mod pictures;
 pub mod plan_check;
 pub mod predictions;
 pub mod residual_tables;
@@ -25,6 +26,7 @@ pub mod twin_check;
 pub mod verify;
 
 pub use physical::PhysicalModel;
+pub use pictures::{Pictures, Seen};
 pub use stream::PhysicalStream;
 pub use system::{ActiveEffect, Memory, Moments, WhiskerEffect, WhiskerSystem};
 pub use verify::{Verified, WhiskerVerification, verify_whisker};

@@ -37,6 +37,7 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
         direction: Some(pose.direction),
         speed_mm_s: Some(pose.speed_mm_s),
         dwell_s: Some(pose.dwell_s),
+        pair: None,
         groove_mm: line.map(|l| l.origin_mm + l.direction * pose.stage_mm),
         ..template.clone()
     }
@@ -99,8 +100,14 @@ fn design_at(system: &WhiskerSystem, proposal: &Proposal, terms: &[EffectTerm]) 
 }
 
 /// Noncentrality (in variances) by which new readings separate `a` (taken as true) from `b` once b is refitted. They come from a later
-/// session with a zero of its own, known from a rest reading before each.
-fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64>)], variance: f64) -> f64 {
+/// session with a zero of its own, known from a rest reading before each. `seen`: by how much the pictures that are there separate them.
+fn separation(
+    b: &Fit,
+    present: &DMatrix<f64>,
+    seen: f64,
+    new: &[(DMatrix<f64>, DMatrix<f64>)],
+    variance: f64,
+) -> f64 {
     let channels = b.residual.ncols();
     let n = b.design.nrows();
     let total = n + new.len() + 1;
@@ -131,7 +138,7 @@ fn separation(b: &Fit, present: &DMatrix<f64>, new: &[(DMatrix<f64>, DMatrix<f64
         let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
         difference.column_mut(c).copy_from_slice(&column);
     }
-    basis.project_off(&stack(&difference)).norm_squared() / variance
+    (basis.project_off(&stack(&difference)).norm_squared() + seen) / variance
 }
 
 /// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.
@@ -152,6 +159,7 @@ pub fn next_measurement(
     let variance = best.fit.variance();
     // The present readings separate each pair by what their predictions differ.
     let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
+    let seen: Vec<f64> = rivals.iter().map(|r| (&r.fit.witness - &best.fit.witness).norm_squared()).collect();
     let candidates = proposals(system);
     let evaluated: Vec<Evaluated> = candidates
         .iter()
@@ -172,7 +180,7 @@ pub fn next_measurement(
         (0..rivals.len())
             .map(|r| {
                 let new: Vec<_> = poses.iter().map(|&k| evaluated[k].against[r].clone()).collect();
-                separation(&rivals[r].fit, &present[r], &new, variance)
+                separation(&rivals[r].fit, &present[r], seen[r], &new, variance)
             })
             .collect()
     };

@@ -19,6 +19,8 @@ pub struct Predicted {
     pub shift_pm: [f64; 2],
     /// Base moment predicted from the pose, N mm.
     pub pose_moment_nmm: [f64; 2],
+    /// Distance of the contact that the cameras saw from the one that the pose predicts, mm; none without a picture.
+    pub contact_error_mm: Option<f64>,
 }
 
 /// Every reading under one model, and the sensitivity that turns shifts into moments.
@@ -44,11 +46,18 @@ pub fn predict(
     let (sensed, base) = system.moments(terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
     let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
+    let mut contact = vec![None; base.len()];
+    if let Some(pictures) = system.pictures() {
+        for ((i, _, shown), predicted) in pictures.each().zip(system.seen(terms)?) {
+            contact[i] = Some((shown.groove_mm - predicted.groove_mm).norm());
+        }
+    }
     let readings = inferred.iter().zip(&base).enumerate().map(|(i, (m, b))| Predicted {
         moment_nmm: m.moment_nmm,
         moment_sd_nmm: m.sd_nmm,
         shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
         pose_moment_nmm: *b,
+        contact_error_mm: contact[i],
     });
     Some(Predictions { readings: readings.collect(), sensitivity: model.sensitivity() })
 }
@@ -75,6 +84,7 @@ pub fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights
             moment_sd_nmm: [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()],
             shift_pm: [shifts[(i, 0)], shifts[(i, 1)]],
             pose_moment_nmm: moments[i],
+            contact_error_mm: None,
         }
     };
     Some(Predictions { readings: (0..n).map(of).collect(), sensitivity: k })

@@ -1,13 +1,14 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
 
 use crate::whisker::branch_cache::BranchCache;
+use crate::whisker::path::Node;
 use crate::whisker::solve_cache::{SolveCache, positions};
 use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
-use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_rod::{Equilibrium, Guess, Line, Outcome, Rod, Softening, Tangential, Touch};
 
 /// Mechanical deviations from the nominal whisker and bench.
@@ -21,6 +22,10 @@ pub struct RodParameters {
     pub softening: Option<Softening>,
     /// Relative change of EI from root to tip.
     pub taper: f64,
+    /// Straight part less the declared one, mm.
+    pub straight_change_mm: f64,
+    /// Radius of the arc less the declared one, mm.
+    pub arc_radius_change_mm: f64,
     /// Share of the wire's weight that acts (0 undeclared, 1 full).
     pub weight: f64,
     /// Friction coefficient along the wire; independent of the tables.
@@ -36,6 +41,8 @@ impl Default for RodParameters {
             compliance_rad_per_nmm: [0.0; 2],
             softening: None,
             taper: 0.0,
+            straight_change_mm: 0.0,
+            arc_radius_change_mm: 0.0,
             weight: 0.0,
             friction: 0.0,
             moving_share: 1.0,
@@ -59,6 +66,8 @@ impl RodParameters {
         for k in 0..3 {
             sum += ((self.offset_mm[k] - other.offset_mm[k]) / 0.5).powi(2);
         }
+        sum += (self.straight_change_mm - other.straight_change_mm).powi(2);
+        sum += (self.arc_radius_change_mm - other.arc_radius_change_mm).powi(2);
         for k in 0..2 {
             sum += ((self.compliance_rad_per_nmm[k] - other.compliance_rad_per_nmm[k]) / 5e-3).powi(2);
         }
@@ -77,7 +86,8 @@ impl RodParameters {
                 key.extend([2, onset_per_m.to_bits(), hardening.to_bits()]);
             }
         }
-        key.extend([self.taper.to_bits(), self.weight.to_bits()]);
+        let further = [self.taper, self.weight, self.straight_change_mm, self.arc_radius_change_mm];
+        key.extend(further.map(f64::to_bits));
         key
     }
 }
@@ -95,7 +105,7 @@ pub struct RodTables {
     /// So few readings that each is solved for by itself.
     sparse: bool,
     pub(crate) points: SolveCache,
-    touches: Mutex<HashMap<(usize, [u64; 3]), Touch>>,
+    touches: Mutex<HashMap<(usize, [u64; 5]), Touch>>,
     pub(crate) walked: BranchCache,
     tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
     slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
@@ -118,9 +128,19 @@ fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
     wanted.iter().map(Vec::len).sum::<usize>() <= SPARSE_POSITIONS * used
 }
 
+/// The wire with another straight part and another arc.
+fn wire_of(spec: &WhiskerSpec, rod_parameters: &RodParameters) -> WhiskerSpec {
+    let mut wire = spec.clone();
+    if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut wire.rest_shape {
+        *straight_mm += rod_parameters.straight_change_mm;
+        *arc_radius_mm += rod_parameters.arc_radius_change_mm;
+    }
+    wire
+}
+
 /// A wire with the given deviations in a medium.
 pub(crate) fn rod_of(spec: &WhiskerSpec, fluid_kg_m3: f64, rod_parameters: &RodParameters) -> Option<Rod> {
-    let mut rod = Rod::new(spec, MESH_MM).ok()?;
+    let mut rod = Rod::new(&wire_of(spec, rod_parameters), MESH_MM).ok()?;
     let [y, z] = rod_parameters.compliance_rad_per_nmm;
     let largest = y.abs().max(z.abs());
     if largest > 0.0 {
@@ -247,7 +267,7 @@ impl RodTables {
         found.into_iter().map(|f| f.1).collect()
     }
 
-    /// First touch; it depends on the groove's offset alone.
+    /// First touch; it depends on the groove's offset and the wire at rest alone.
     pub(crate) fn touch(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> Touch {
         let find =
             || rod.first_touch(&self.line(l, rod_parameters), MARGIN_MM - self.start_mm[l], self.reach_mm[l]);
@@ -255,7 +275,9 @@ impl RodTables {
         if kept.len() > 4096 {
             kept.clear();
         }
-        *kept.entry((l, rod_parameters.offset_mm.map(f64::to_bits))).or_insert_with(find)
+        let [x, y, z] = rod_parameters.offset_mm;
+        let [straight, radius] = [rod_parameters.straight_change_mm, rod_parameters.arc_radius_change_mm];
+        *kept.entry((l, [x, y, z, straight, radius].map(f64::to_bits))).or_insert_with(find)
     }
 
     fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {
@@ -332,15 +354,15 @@ impl RodTables {
     /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
     fn frictionless(
         &self,
-        nodes: &[crate::whisker::path::Node],
+        nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
         if self.sparse && rod_parameters.weight == 0.0 {
-            return Some(self.solved_moments(nodes, xs_mm, rod_parameters)?.to_vec());
+            return self.solved_moments(nodes, xs_mm, rod_parameters);
         }
         let tables = self.tables(rod_parameters)?;
-        let at = |(node, x): (&crate::whisker::path::Node, &f64)| match node.line.filter(|_| !node.rest) {
+        let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
             Some(l) => tables[l].moment(*x),
             None => Some([0.0; 2]),
         };
@@ -350,7 +372,7 @@ impl RodTables {
     /// Moment components at every node of the path, N mm; `xs_mm` are the nodes' effective stage positions.
     pub fn moments(
         &self,
-        nodes: &[crate::whisker::path::Node],
+        nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
     ) -> Option<Vec<[f64; 2]>> {
@@ -359,43 +381,98 @@ impl RodTables {
             return Some(frictionless);
         }
         let slips = self.slip_tables(rod_parameters)?;
-        let mut contact: Option<(usize, f64, f64)> = None;
-        let mut out = Vec::with_capacity(nodes.len());
-        for ((node, &x), frictionless) in nodes.iter().zip(xs_mm).zip(frictionless) {
-            let Some(l) = node.line.filter(|_| !node.rest) else {
-                contact = None;
-                out.push([0.0; 2]);
-                continue;
-            };
+        let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
+        let moment = |k: usize| {
+            let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
             let slip = slips[l].as_ref()?;
-            if x <= slip.touch_mm {
-                contact = None;
-                out.push([0.0; 2]);
-                continue;
-            }
-            let (mut s, from) = match contact {
-                Some((line, s, from)) if line == l => (s, from),
-                _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
-            };
-            let friction =
-                rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
-            let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
-            for k in 1..=pieces {
-                slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
-            }
-            contact = Some((l, s, x));
-            let ratio = slip.ratio_at(x, s, friction);
-            let (with, without) = (slip.moment(x, ratio), slip.moment(x, 0.0));
+            let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));
             // The fine table carries the size, the coarse one only the difference that friction makes.
-            out.push([frictionless[0] + with[0] - without[0], frictionless[1] + with[1] - without[1]]);
+            Some([0, 1].map(|c| frictionless[k][c] + with[c] - without[c]))
+        };
+        (0..nodes.len()).map(moment).collect()
+    }
+
+    /// Equilibria at the nodes `wanted`, friction included; none where the wire is free there.
+    pub(crate) fn contacts(
+        &self,
+        nodes: &[Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+        wanted: &[usize],
+    ) -> Option<Vec<Option<Equilibrium>>> {
+        // Where every reading is solved for anyway, the cameras' poses are among them.
+        let free: Vec<Option<Equilibrium>> = if self.sparse && rod_parameters.weight == 0.0 {
+            let all = self.solved_contacts(nodes, xs_mm, rod_parameters)?;
+            wanted.iter().map(|&k| all[k]).collect()
+        } else {
+            let some: Vec<Node> = wanted.iter().map(|&k| nodes[k]).collect();
+            let xs: Vec<f64> = wanted.iter().map(|&k| xs_mm[k]).collect();
+            self.solved_contacts(&some, &xs, rod_parameters)?.to_vec()
+        };
+        if rod_parameters.friction <= 0.0 {
+            return Some(free);
         }
-        Some(out)
+        let slips = self.slip_tables(rod_parameters)?;
+        let held = stick_slip(&slips, nodes, xs_mm, rod_parameters)?;
+        let rod = self.rod(rod_parameters)?;
+        let stuck = |(e, &k): (&Option<Equilibrium>, &usize)| {
+            let (Some(e), Some(h)) = (e, held[k]) else { return *e };
+            let found = rod.solve(&e.point_mm, &Guess::from(e), Tangential::Stick(h.arclength_mm));
+            Some(found.unwrap_or(Equilibrium { arclength_mm: h.arclength_mm, ..*e }))
+        };
+        Some(free.iter().zip(wanted).map(stuck).collect())
     }
 
     /// Contact arc length at stage position `x_mm` on line `l` under the declared model, mm.
     pub fn arclength_mm(&self, l: usize, x_mm: f64) -> Option<f64> {
         Some(self.tables(&RodParameters::default())?[l].arclength(x_mm))
     }
+}
+
+/// Where friction holds the contact.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    /// Arc length, mm.
+    arclength_mm: f64,
+    /// Tangential over normal force.
+    ratio: f64,
+}
+
+/// Contact under friction along the path: it sticks inside the cone and slips at its edge; none where the wire is free.
+fn stick_slip(
+    slips: &[Option<SlipTable>],
+    nodes: &[Node],
+    xs_mm: &[f64],
+    rod_parameters: &RodParameters,
+) -> Option<Vec<Option<Held>>> {
+    let mut contact: Option<(usize, f64, f64)> = None;
+    let mut out = Vec::with_capacity(nodes.len());
+    for (node, &x) in nodes.iter().zip(xs_mm) {
+        let Some(l) = node.line.filter(|_| !node.rest) else {
+            contact = None;
+            out.push(None);
+            continue;
+        };
+        let slip = slips[l].as_ref()?;
+        if x <= slip.touch_mm {
+            contact = None;
+            out.push(None);
+            continue;
+        }
+        let (mut s, from) = match contact {
+            Some((line, s, from)) if line == l => (s, from),
+            _ => (slip.arclength(slip.touch_mm, 0.0), slip.touch_mm),
+        };
+        let friction = rod_parameters.friction * if node.moving { rod_parameters.moving_share } else { 1.0 };
+        // Small steps: the play is taken up along the way, not at its end.
+        let pieces = ((x - from).abs() / FRICTION_STEP_MM).ceil().max(1.0) as usize;
+        for k in 1..=pieces {
+            slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
+        }
+        contact = Some((l, s, x));
+        out.push(Some(Held { arclength_mm: s, ratio: slip.ratio_at(x, s, friction) }));
+    }
+    Some(out)
 }
 
 /// Substep of the groove for the stick-slip play, mm.

@@ -7,12 +7,12 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use wcal_rod::{Equilibrium, Rod};
 
-/// Moments at the nodes of one path, N mm.
-type Moments = Arc<Vec<[f64; 2]>>;
+/// Equilibria at the nodes of one path; none where the wire is free.
+pub(crate) type Contacts = Arc<Vec<Option<Equilibrium>>>;
 
-/// Moments by stage positions and wire.
+/// Equilibria by stage positions and wire.
 #[derive(Default)]
-pub(crate) struct SolveCache(Mutex<HashMap<Vec<u64>, Moments>>);
+pub(crate) struct SolveCache(Mutex<HashMap<Vec<u64>, Contacts>>);
 
 /// Sets of stage positions and wires whose moments are kept.
 const SOLVED_SETS: usize = 256;
@@ -35,21 +35,24 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
 }
 
 impl RodTables {
-    /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before one of them.
-    pub(crate) fn solved_moments(
+    /// Frictionless equilibria at the nodes, each solved for; none where the branch ends before one of them.
+    pub(crate) fn solved_contacts(
         &self,
         nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
-    ) -> Option<Moments> {
+    ) -> Option<Contacts> {
         let mut key = rod_parameters.key();
-        key.extend(xs_mm.iter().map(|x| x.to_bits()));
+        for (node, x) in nodes.iter().zip(xs_mm) {
+            let line = node.line.filter(|_| !node.rest).map_or(u64::MAX, |l| l as u64);
+            key.extend([x.to_bits(), line]);
+        }
         if let Some(found) = self.points.0.lock().ok()?.get(&key) {
             return Some(found.clone());
         }
         let rod = self.rod(rod_parameters)?;
         let wanted = positions(nodes, xs_mm, self.lines.len());
-        let solved: Vec<Vec<[f64; 2]>> = wanted
+        let solved: Vec<Vec<Option<Equilibrium>>> = wanted
             .par_iter()
             .enumerate()
             .map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs))
@@ -58,7 +61,7 @@ impl RodTables {
         for (node, x) in nodes.iter().zip(xs_mm) {
             out.push(match node.line.filter(|_| !node.rest) {
                 Some(l) => solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?],
-                None => [0.0; 2],
+                None => None,
             });
         }
         let out = Arc::new(out);
@@ -70,25 +73,38 @@ impl RodTables {
         Some(out)
     }
 
+    /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before one of them.
+    pub(crate) fn solved_moments(
+        &self,
+        nodes: &[Node],
+        xs_mm: &[f64],
+        rod_parameters: &RodParameters,
+    ) -> Option<Vec<[f64; 2]>> {
+        let contacts = self.solved_contacts(nodes, xs_mm, rod_parameters)?;
+        let moment =
+            |e: &Option<Equilibrium>| e.map_or([0.0; 2], |e| self.axes.components_nmm(&e.moment_nmm));
+        Some(contacts.iter().map(moment).collect())
+    }
+
     fn solve_line(
         &self,
         rod: &Rod,
         l: usize,
         rod_parameters: &RodParameters,
         xs: &[f64],
-    ) -> Option<Vec<[f64; 2]>> {
+    ) -> Option<Vec<Option<Equilibrium>>> {
         if xs.is_empty() {
             return Some(Vec::new());
         }
         let touch_mm = self.touch(rod, l, rod_parameters).x_mm;
-        let loaded = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
-        let mut out = vec![[0.0; 2]; loaded];
-        let rest = &xs[loaded..];
-        let equilibria = match self.warm_start(rod, l, rod_parameters, touch_mm, rest) {
+        let free = xs.iter().position(|x| *x > touch_mm).unwrap_or(xs.len());
+        let mut out = vec![None; free];
+        let held = &xs[free..];
+        let equilibria = match self.warm_start(rod, l, rod_parameters, touch_mm, held) {
             Some(near) => near,
-            None => self.walk(rod, l, rod_parameters, touch_mm, rest)?,
+            None => self.walk(rod, l, rod_parameters, touch_mm, held)?,
         };
-        out.extend(equilibria.iter().map(|e| self.axes.components_nmm(&e.moment_nmm)));
+        out.extend(equilibria.into_iter().map(Some));
         Some(out)
     }
 

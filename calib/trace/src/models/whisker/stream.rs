@@ -205,6 +205,7 @@ mod tests {
             samples: None,
             seating: 0,
             sealed: false,
+            pair: None,
         };
         let rows: Vec<WhiskerRow> = shifts.iter().enumerate().map(row).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();

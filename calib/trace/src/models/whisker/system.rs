@@ -1,15 +1,16 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
+use super::pictures::{Pictures, Seen};
 use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Fit;
+use crate::method::fit::{Fit, Weights};
 use crate::whisker::effects;
 use crate::whisker::path::{WhiskerPath, temperature_walk};
 use crate::whisker::rod_tables::{RodParameters, RodTables};
 use crate::whisker::temperature::RandomWalkModel;
-use nalgebra::{DMatrix, Matrix2, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 use std::sync::Arc;
-use wcal_core::observation::{WhiskerData, WhiskerRow};
+use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
 
 /// Two moment components a reading, N mm.
 pub type Moments = Vec<[f64; 2]>;
@@ -22,8 +23,23 @@ pub trait Memory: Send {
     fn accept(&mut self, dt_s: Option<f64>, moment_nmm: [f64; 2]);
 }
 
+/// Who sees a change of the poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Observers {
+    /// Where the groove really was: gratings and cameras.
+    Both,
+    /// Gratings alone: their readings are late.
+    Gratings,
+    /// Cameras alone: their pictures are late.
+    Cameras,
+}
+
 /// Where an effect of the whisker acts; every hook does nothing by default.
 pub trait WhiskerEffect: Effect {
+    /// Who sees the poses that it changes: the gratings, the cameras, or both.
+    fn observers(&self) -> Observers {
+        Observers::Both
+    }
     /// Changes the effective stage position of every node, mm.
     fn pose(&self, _values: &Values, _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
     /// Changes the mechanics of wire, root and groove.
@@ -44,6 +60,8 @@ pub trait WhiskerEffect: Effect {
             *m = sensed;
         }
     }
+    /// Changes what pairs of pictures show: faults of the cameras' setup.
+    fn pictures(&self, _values: &Values, _seen: &mut [Seen]) {}
     /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
     fn columns(
         &self,
@@ -94,27 +112,6 @@ impl ActiveEffect {
     }
 }
 
-/// Why a session does not give what a law needs; none where it does.
-fn unmet(need: Need, path: &WhiskerPath, data: &WhiskerData) -> Option<&'static str> {
-    let has = &path.columns;
-    match need {
-        Need::Time | Need::Clock => (!has.time).then_some("the session has no time stamps"),
-        Need::Temperature => (!has.temperature).then_some("the session has no temperature"),
-        Need::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
-        Need::MovingBase => Some("the base does not move on the stage, so the fluid does not drag on it"),
-        Need::Weight if !has.gravity => Some("the session does not give the direction of gravity"),
-        Need::Weight => data
-            .whisker
-            .density_kg_m3
-            .is_none()
-            .then_some("the session does not give the density of the wire"),
-        Need::BothDirections => {
-            (!has.both_directions).then_some("the session has no readings of both directions")
-        }
-        Need::Order | Need::Slope | Need::Covariate => None,
-    }
-}
-
 /// A whisker session, its declared model and the catalogue.
 #[derive(Clone)]
 pub struct WhiskerSystem {
@@ -134,7 +131,28 @@ pub struct WhiskerSystem {
     scored: Vec<bool>,
     seatings: u32,
     walk: Option<RandomWalkModel>,
-    pm: Matrix2<f64>,
+    whitening: Matrix2<f64>,
+    pictures: Option<Arc<Pictures>>,
+    picture_scale: f64,
+}
+
+/// Points of the loaded wire at arc lengths, mm: cubic in between its nodes, whose tangents are known.
+fn points_at(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], arclengths_mm: &[f64]) -> Vec<Vector3<f64>> {
+    let at = |s: &f64| {
+        let j = nodes.partition_point(|n| n.0 <= *s).clamp(1, nodes.len() - 1);
+        let (a, b) = (&nodes[j - 1], &nodes[j]);
+        let h = b.0 - a.0;
+        if h <= 0.0 {
+            return b.1;
+        }
+        let x = (s - a.0) / h;
+        let (x2, x3) = (x * x, x * x * x);
+        a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
+            + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
+            + b.1 * (3.0 * x2 - 2.0 * x3)
+            + b.2.column(0) * (h * (x3 - x2))
+    };
+    arclengths_mm.iter().map(at).collect()
 }
 
 /// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
@@ -179,10 +197,13 @@ impl WhiskerSystem {
         let walk = temperature_walk(&data.rows.iter().collect::<Vec<_>>(), &data.fbg);
         let path = Self::path(data, rows, walk);
         let rod_tables = RodTables::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
-        Ok(Self::assemble(data, path, owned(rows), walk, Arc::new(rod_tables), Matrix2::identity()))
+        let rows = owned(rows);
+        let pictures = Pictures::new(&rows, &path, data.shapes.as_ref()).map(Arc::new);
+        let blank = Self::assemble(data, path, rows, walk, Arc::new(rod_tables), Matrix2::identity());
+        Ok(Self { pictures, ..blank })
     }
 
-    /// The same bench with other rows, none deeper than those that it was made for.
+    /// The same rod with other rows, none deeper than those that it was made for, and without pictures.
     #[must_use]
     pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
         Self::assemble(
@@ -191,7 +212,7 @@ impl WhiskerSystem {
             owned(rows),
             self.walk,
             self.rod_tables.clone(),
-            self.pm,
+            self.whitening,
         )
     }
 
@@ -206,16 +227,18 @@ impl WhiskerSystem {
         rows: Arc<Vec<WhiskerRow>>,
         walk: Option<RandomWalkModel>,
         rod_tables: Arc<RodTables>,
-        pm: Matrix2<f64>,
+        whitening: Matrix2<f64>,
     ) -> Self {
         let effects = effects::whisker_catalogue();
         let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Effect>).collect();
         let n = path.readings.len();
         let shifts = DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]);
         Self {
+            pictures: None,
+            picture_scale: 1.0,
             // Never singular: a unit matrix with one direction stretched.
-            measured: shifts * dynamic(&pm.try_inverse().unwrap_or_else(Matrix2::identity)),
-            pm,
+            measured: shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity)),
+            whitening,
             known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
             // Unsealed rows stand behind those of the points table.
@@ -237,17 +260,118 @@ impl WhiskerSystem {
         terms.iter().map(|t| ActiveEffect::new(self.effects[t.effect].clone(), t.clone())).collect()
     }
 
+    /// Why the session does not give what a law needs; none where it does.
+    fn unmet(&self, need: Need) -> Option<&'static str> {
+        let has = &self.path.columns;
+        let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
+        match need {
+            Need::Time | Need::Clock => (!has.time).then_some("the session has no time stamps"),
+            Need::Temperature => (!has.temperature).then_some("the session has no temperature"),
+            Need::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
+            Need::MovingBase => Some("the base does not move on the stage, so the fluid does not drag on it"),
+            Need::Weight if !has.gravity => Some("the session does not give the direction of gravity"),
+            Need::Weight => {
+                let known = self.data.whisker.density_kg_m3.is_some();
+                (!known).then_some("the session does not give the density of the wire")
+            }
+            Need::BothDirections => {
+                (!has.both_directions).then_some("the session has no readings of both directions")
+            }
+            Need::Pictures => self
+                .pictures
+                .is_none()
+                .then_some("the session has no pictures (shapes.json) that can be used"),
+            Need::StraightArc => {
+                let given = matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. });
+                (!given).then_some("the session declares the wire's points, not a straight part and an arc")
+            }
+            Need::MovingPictures => {
+                let none = !self.pictures.as_ref().is_some_and(moving);
+                none.then_some("no pair of pictures was taken while the stage moved")
+            }
+            Need::Order | Need::Slope | Need::Covariate => None,
+        }
+    }
+
+    /// Effective stage positions of the nodes, mm, and the rod, without what only `unseen` see.
+    fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
+        let mut xs: Vec<f64> = self.path.nodes.iter().map(|n| n.x_mm).collect();
+        let mut rod_parameters = RodParameters::default();
+        for a in active.iter().filter(|a| a.effect.observers() != unseen) {
+            a.effect.pose(&a.values(), &self.path, &mut xs);
+            a.effect.rod(&a.values(), &mut rod_parameters);
+        }
+        (xs, rod_parameters)
+    }
+
+    /// What the pairs would show under `terms`, in their order; none where the model has no solution.
+    #[must_use]
+    pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<Seen>> {
+        let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
+        let active = self.active(terms);
+        let (xs, rod_parameters) = self.driven(&active, Observers::Gratings);
+        let nodes = pictures.nodes();
+        let held = self.rod_tables.contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
+        let rod = self.rod_tables.rod(&rod_parameters)?;
+        let mut seen = Vec::with_capacity(nodes.len());
+        for ((node, e), (_, stations_mm, shown)) in nodes.iter().zip(held).zip(pictures.each()) {
+            let l = self.path.nodes[*node].line?;
+            let groove_mm = self.rod_tables.line(l, &rod_parameters).point(xs[*node]);
+            seen.push(match e {
+                Some(e) => Seen {
+                    groove_mm,
+                    arclength_mm: e.arclength_mm,
+                    tangent: e.tangent,
+                    stations_mm: points_at(&rod.loaded_shape(&e), stations_mm),
+                    ..shown.clone()
+                },
+                // Before first touch the wire is where it rests.
+                None => Seen {
+                    groove_mm,
+                    arclength_mm: self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm,
+                    stations_mm: stations_mm.iter().map(|s| rod.shape.rest_point(*s)).collect(),
+                    ..shown.clone()
+                },
+            });
+        }
+        for a in &active {
+            a.effect.pictures(&a.values(), &mut seen);
+        }
+        Some(seen)
+    }
+
+    /// The pairs that count beside the wavelengths.
+    #[must_use]
+    pub fn pictures(&self) -> Option<&Pictures> {
+        self.pictures.as_deref()
+    }
+
+    /// The same readings beside pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
+    #[must_use]
+    pub fn with_picture_scale(mut self, sd: f64) -> Self {
+        self.picture_scale = sd;
+        self
+    }
+
+    /// What a stated standard deviation of the pictures weighs, in the engine's channels.
+    #[must_use]
+    pub fn picture_scale(&self) -> f64 {
+        self.picture_scale
+    }
+
+    /// The same readings without the pictures.
+    #[must_use]
+    pub fn without_pictures(mut self) -> Self {
+        self.pictures = None;
+        self
+    }
+
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
     #[must_use]
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
-        let mut xs: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
-        let mut rod_parameters = RodParameters::default();
         let active = self.active(terms);
-        for a in &active {
-            a.effect.pose(&a.values(), path, &mut xs);
-            a.effect.rod(&a.values(), &mut rod_parameters);
-        }
+        let (xs, rod_parameters) = self.driven(&active, Observers::Cameras);
         let base = self.rod_tables.moments(&path.nodes, &xs, &rod_parameters)?;
         let mut sensed = base.clone();
         for a in &active {
@@ -266,8 +390,15 @@ impl WhiskerSystem {
     /// column have coefficients of their own in each channel, so a mixture of channels is the same model.
     #[must_use]
     pub fn whitened(self, fit: &Fit) -> Self {
-        let pm = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
-        Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, pm)
+        let whitening = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
+        self.in_channels(whitening)
+    }
+
+    /// The same readings in other channels.
+    fn in_channels(self, whitening: Matrix2<f64>) -> Self {
+        let (pictures, picture_scale) = (self.pictures, self.picture_scale);
+        let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
+        Self { pictures, picture_scale, ..same }
     }
 
     /// Mixture that gives the gratings' noise from noise that is alike and apart, pm; none where no reference noise is shared.
@@ -277,7 +408,7 @@ impl WhiskerSystem {
         let k = Vector2::from(self.data.fbg.temperature_pm_per_degc.filter(|_| compensated)?);
         let along = k.try_normalize(0.0)?;
         let across = Vector2::new(-along[1], along[0]);
-        let own = (&fit.residual * across).norm_squared() / (0.5 * fit.dof).max(1.0);
+        let own = (&fit.residual * across).norm_squared() / (0.5 * fit.readings_dof()).max(1.0);
         let shared = k.norm_squared() * self.walk?.noise_sd().powi(2);
         let stretch = (1.0 + shared / own).sqrt();
         stretch.is_finite().then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
@@ -286,26 +417,26 @@ impl WhiskerSystem {
     /// The same readings in the channels of `other`.
     #[must_use]
     pub fn with_whitening_of(self, other: &Self) -> Self {
-        Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, other.pm)
+        self.in_channels(other.whitening).with_picture_scale(other.picture_scale)
     }
 
     /// How far apart two systems' mixtures of channels are: largest ratio of their shared noise.
     #[must_use]
     pub fn whitening_change(&self, other: &Self) -> f64 {
-        let (a, b) = (self.pm.determinant(), other.pm.determinant());
+        let (a, b) = (self.whitening.determinant(), other.whitening.determinant());
         (a / b).max(b / a)
     }
 
     /// Standard deviation of one compensated shift under `fit`, pm: mean of both gratings.
     #[must_use]
     pub fn noise_sd_pm(&self, fit: &Fit) -> f64 {
-        (fit.variance() * self.pm.norm_squared() / 2.0).sqrt()
+        (fit.variance() * self.whitening.norm_squared() / 2.0).sqrt()
     }
 
     /// From the noise in the engine's channels to that of a compensated shift, pm: mean of both gratings.
     #[must_use]
     pub fn noise_factor(&self) -> f64 {
-        (self.pm.norm_squared() / 2.0).sqrt()
+        (self.whitening.norm_squared() / 2.0).sqrt()
     }
 
     /// Seatings in the points table.
@@ -335,7 +466,7 @@ impl WhiskerSystem {
 
 impl MeasurementModel for WhiskerSystem {
     fn channels_pm(&self) -> DMatrix<f64> {
-        dynamic(&self.pm)
+        dynamic(&self.whitening)
     }
 
     fn measured(&self) -> &DMatrix<f64> {
@@ -357,13 +488,28 @@ impl MeasurementModel for WhiskerSystem {
         design.iter().all(|v| v.is_finite()).then_some(design)
     }
 
+    fn witness(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
+        let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
+        let seen = self.seen(terms)?;
+        let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
+        w.iter().all(|v| v.is_finite()).then_some(w)
+    }
+
+    fn witness_readings(&self) -> Arc<Vec<usize>> {
+        self.pictures.as_ref().map_or_else(Arc::default, |p| p.readings())
+    }
+
+    fn witness_variance(&self) -> f64 {
+        self.picture_scale.powi(2)
+    }
+
     fn catalogue(&self) -> &[Arc<dyn Effect>] {
         &self.catalogue
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
         let needs = self.effects[effect].needs();
-        needs.into_iter().find_map(|need| unmet(need, &self.path, &self.data)).map(str::to_owned)
+        needs.into_iter().find_map(|need| self.unmet(need)).map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {

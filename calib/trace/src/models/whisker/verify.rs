@@ -1,7 +1,7 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::physical::PhysicalModel;
-use super::residual_tables::{Branch, PredictionRow, branches, isolability, prediction_rows};
+use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolability, prediction_rows};
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
@@ -31,7 +31,7 @@ pub struct WhiskerVerification {
     /// Rod branch along each trajectory: (identifier, stage positions, moments).
     pub branches: Vec<Branch>,
     /// Names and matrix of cosines between explanations of one effect.
-    pub isolability: (Vec<String>, Vec<Vec<f64>>),
+    pub isolability: Cosines,
     /// Every reading of the session, unsealed ones among them.
     pub whole: WhiskerSystem,
     /// Record of the unsealing; none where nothing was sealed.
@@ -86,8 +86,14 @@ fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for r in rows {
         // The point is the row's name and the line its place: neither was measured.
-        let row =
-            WhiskerRow { point: 0, line: 0, role: Role::Calibration, source: String::new(), ..r.clone() };
+        let row = WhiskerRow {
+            point: 0,
+            line: 0,
+            role: Role::Calibration,
+            source: String::new(),
+            pair: None,
+            ..r.clone()
+        };
         *seen.entry(format!("{row:?}")).or_default() += 1;
     }
     let copies: usize = seen.values().map(|c| c - 1).sum();

@@ -1,6 +1,8 @@
 //! The catalogues: one file an effect.
 
 mod base_compliance;
+mod board_scale;
+mod camera_pose;
 mod contact_offset;
 mod creep;
 mod dead_zone;
@@ -9,6 +11,9 @@ mod fluid_drag;
 mod gravity;
 mod groove_friction;
 mod hysteresis;
+mod picture_clock;
+mod rest_shape;
+mod rig_tag;
 mod slip_outliers;
 mod stage_backlash;
 mod stage_periodic;
@@ -45,6 +50,11 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
         Arc::new(slip_outliers::SlipOutliers),
         Arc::new(fluid_drag::FluidDrag),
         Arc::new(gravity::Gravity),
+        Arc::new(camera_pose::CameraPose),
+        Arc::new(board_scale::BoardScale),
+        Arc::new(rig_tag::RigTag),
+        Arc::new(picture_clock::PictureClock),
+        Arc::new(rest_shape::RestShape),
     ]
 }
 

@@ -4,6 +4,7 @@ use super::law;
 use crate::effect::{Effect, EffectModel, Need, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
+use crate::whisker::system::Observers;
 
 /// See the module.
 pub struct TimeLag;
@@ -24,6 +25,10 @@ impl Effect for TimeLag {
 }
 
 impl WhiskerEffect for TimeLag {
+    fn observers(&self) -> Observers {
+        Observers::Gratings
+    }
+
     fn pose(&self, values: &Values, path: &WhiskerPath, xs_mm: &mut [f64]) {
         let lag_s = values.of("lag_s");
         for (node, x) in path.nodes.iter().zip(xs_mm.iter_mut()) {

@@ -1,0 +1,271 @@
+//! `[files] shapes`: what the cameras saw of the session's poses (`shapes.json`), each pair with its row of the points table.
+//!
+//! A pair that cannot be used beside the wavelengths is left out by name and the rest is used. All are left out where the file belongs to
+//! another session, or to other cameras or another rig than the session states, or where its shared covariance is none. Only a file
+//! that is no shapes.json is an error.
+
+use crate::error::{InputError, SessionError, quote};
+use nalgebra::{DMatrix, Matrix3};
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
+use wcal_core::provenance::sha256_hex;
+use wcal_core::shapes_document::{
+    ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
+};
+use wcal_core::{InputFile, Purpose, Role};
+
+/// Largest file that is read: some thousand pairs.
+const MAX_BYTES: u64 = 1 << 28;
+/// Most pairs: a session has some hundred poses.
+const MAX_PAIRS: usize = 20_000;
+/// Most errors that pairs share: the parameters of two cameras, of tags and light are some fifty.
+const MAX_SHARED: usize = 200;
+/// Most own errors of a pair.
+const MAX_OWN: usize = 500;
+/// Longest list of stations of a pair.
+const MAX_STATIONS: usize = 2000;
+/// Largest length that is believed, mm, and largest effect of an error in its unit.
+const MAX_MM: f64 = 1e4;
+/// Largest derivative: a radian moves a point of the scene by its distance, a pixel by far less.
+const MAX_DERIVATIVE: f64 = 1e7;
+/// Relative size of a negative eigenvalue that is rounding.
+const ROUNDING: f64 = 1e-6;
+
+/// What a session says of the cameras and the rig that its shapes must come from; none where it does not say.
+#[derive(Debug, Default)]
+pub(crate) struct Expected {
+    /// Identifier of the session.
+    pub session: String,
+    /// `cameras_sha256` of `[provenance]`.
+    pub cameras_sha256: Option<String>,
+    /// `shapes_rig_sha256` of `[provenance]`.
+    pub rig_sha256: Option<String>,
+}
+
+/// shapes.json, each pair read by itself so that a damaged one does not take the others with it.
+#[derive(Deserialize)]
+struct Shapes {
+    format: String,
+    pairs: Vec<ReadPair>,
+    #[serde(default)]
+    shared_parameters: Vec<SharedParameter>,
+    #[serde(default)]
+    shared_covariance: Vec<Vec<Option<f64>>>,
+    #[serde(default)]
+    source: ShapesSource,
+}
+
+/// A pair, or its name and why it cannot be read.
+struct ReadPair(Result<PairDocument, PairLeftOut>);
+
+impl<'de> Deserialize<'de> for ReadPair {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = serde_json::Value::deserialize(deserializer)?;
+        let name = value["name"].as_str().unwrap_or("a pair without name").to_owned();
+        let pair = PairDocument::deserialize(value);
+        Ok(Self(pair.map_err(|e| PairLeftOut { name, why: format!("it cannot be read: {e}") })))
+    }
+}
+
+/// Reads the shapes and gives each usable pair to its row.
+///
+/// # Errors
+/// Where the file cannot be read or is no shapes.json.
+pub(crate) fn read(
+    path: &Path,
+    name: &str,
+    expected: &Expected,
+    rows: &mut [WhiskerRow],
+) -> Result<(SessionShapes, InputFile), SessionError> {
+    let io = |e| SessionError::io("reading", path, e);
+    let size = std::fs::metadata(path).map_err(io)?.len();
+    if size > MAX_BYTES {
+        let found = format!("{size} bytes");
+        return Err(InputError::new(name, format!("at most {MAX_BYTES} bytes"), found).into());
+    }
+    let bytes = std::fs::read(path).map_err(io)?;
+    let document = parsed(name, &bytes)?;
+    let covariance: Vec<Vec<f64>> = document
+        .shared_covariance
+        .iter()
+        .map(|row| row.iter().map(|v| v.unwrap_or(f64::NAN)).collect())
+        .collect();
+    let all = foreign(&document.source, expected)
+        .or_else(|| no_covariance(&covariance, document.shared_parameters.len()));
+    let by_point: BTreeMap<i64, usize> = rows.iter().enumerate().map(|(k, row)| (row.point, k)).collect();
+    let mut left_out = Vec::new();
+    for pair in document.pairs {
+        let pair = match (pair.0, &all) {
+            (Ok(pair), None) => pair,
+            (Ok(pair), Some(why)) => {
+                left_out.push(PairLeftOut { name: pair.name, why: why.clone() });
+                continue;
+            }
+            (Err(damaged), _) => {
+                left_out.push(damaged);
+                continue;
+            }
+        };
+        let place = pair.point.and_then(|point| by_point.get(&point).copied());
+        // At rest the wire is free: such a pair says nothing of a contact, and nothing is wrong with it.
+        if place.is_some_and(|k| rows[k].role == Role::Rest) {
+            continue;
+        }
+        let taken = place.is_some_and(|k| rows[k].pair.is_some());
+        let why = match (unusable(&pair, document.shared_parameters.len()), place) {
+            (Some(why), _) => Some(why),
+            (None, None) => Some(match pair.point {
+                Some(point) => format!("its point {point} is not in the points table"),
+                None => "it names no point of the session".to_owned(),
+            }),
+            (None, Some(_)) => taken.then(|| "another pair has its point already".to_owned()),
+        };
+        match (why, place) {
+            (None, Some(k)) => rows[k].pair = Some(Arc::new(pair)),
+            (why, _) => left_out.push(PairLeftOut { name: pair.name, why: why.unwrap_or_default() }),
+        }
+    }
+    let shapes = SessionShapes {
+        file: name.to_owned(),
+        parameters: document.shared_parameters,
+        covariance: if all.is_none() { covariance } else { Vec::new() },
+        left_out,
+    };
+    let input = InputFile { path: name.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Fit };
+    Ok((shapes, input))
+}
+
+/// The document, its numbers not yet judged.
+fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
+    let document: Shapes = serde_json::from_slice(bytes).map_err(|e| {
+        InputError::new(name, "shapes.json as stereo-shape writes it", e.to_string()).at(e.line())
+    })?;
+    if document.format != SHAPES_FORMAT {
+        let found = quote(&document.format);
+        return Err(InputError::new(name, format!("{SHAPES_FORMAT:?}"), found).field("format"));
+    }
+    if document.pairs.len() > MAX_PAIRS {
+        let found = document.pairs.len().to_string();
+        return Err(InputError::new(name, format!("at most {MAX_PAIRS} pairs"), found).field("pairs"));
+    }
+    Ok(document)
+}
+
+/// Why none of the pairs belongs to this session; none where they may.
+fn foreign(source: &ShapesSource, expected: &Expected) -> Option<String> {
+    if let Some(other) = source.session.as_ref().filter(|s| **s != expected.session) {
+        return Some(format!(
+            "the pictures are those of session {}, not of {}",
+            quote(other),
+            quote(&expected.session)
+        ));
+    }
+    let differs = |stated: &str, wanted: &Option<String>| {
+        !stated.is_empty() && wanted.as_ref().is_some_and(|w| w != stated)
+    };
+    if differs(&source.cameras_sha256, &expected.cameras_sha256) {
+        return Some(
+            "the shapes were made with another calibration of the cameras than the session states".to_owned(),
+        );
+    }
+    differs(&source.rig_sha256, &expected.rig_sha256)
+        .then(|| "the shapes were made with another rig than the session states".to_owned())
+}
+
+/// Why the covariance of the shared errors is none; none where it is one.
+fn no_covariance(covariance: &[Vec<f64>], shared: usize) -> Option<String> {
+    let square = covariance.len() == shared && covariance.iter().all(|row| row.len() == shared);
+    if shared > MAX_SHARED || !square {
+        let rows = covariance.len();
+        return Some(format!(
+            "shared_covariance has {rows} rows for {shared} parameters, {MAX_SHARED} at most"
+        ));
+    }
+    if shared == 0 {
+        return None;
+    }
+    // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance is taken as known.
+    let sd: Vec<f64> = (0..shared).map(|i| covariance[i][i].sqrt()).collect();
+    let correlation = DMatrix::from_fn(shared, shared, |i, j| match sd[i] * sd[j] {
+        scale if scale > 0.0 => covariance[i][j] / scale,
+        scale => scale,
+    });
+    let numbers = correlation.iter().chain(&sd).all(|v| v.is_finite() && v.abs() <= MAX_DERIVATIVE);
+    let symmetric = numbers && (&correlation - correlation.transpose()).amax() <= ROUNDING;
+    let positive = symmetric && correlation.symmetric_eigenvalues().iter().all(|v| *v >= -ROUNDING);
+    (!positive).then(|| "shared_covariance is no covariance".to_owned())
+}
+
+/// Why a pair cannot stand beside the wavelengths; none where it can.
+fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
+    if pair.status != "ok" {
+        let unsaid = pair.why.is_empty();
+        return Some(if unsaid { "stereo-shape rejected it".to_owned() } else { pair.why.clone() });
+    }
+    let Some(groove) = &pair.groove else { return Some("the rig tag is not seen".to_owned()) };
+    let contact = match groove.contact.as_str() {
+        "" | "vertex" => None,
+        "none" => Some("the wire does not touch the groove".to_owned()),
+        other => Some(format!("the wire is not in the groove's vertex (contact {})", quote(other))),
+    };
+    let errors = || pair.errors.as_ref().and_then(|e| inconsistent(pair, e, shared));
+    contact.or_else(|| wrong_numbers(groove)).or_else(errors)
+}
+
+/// A coordinate or a standard deviation that can be true.
+fn sensible(v: &f64) -> bool {
+    v.is_finite() && v.abs() <= MAX_MM
+}
+
+/// What is wrong with the groove's numbers; none where nothing is.
+fn wrong_numbers(groove: &GrooveDocument) -> Option<String> {
+    let places = groove.position_mm.iter().chain(&groove.axis).chain([&groove.contact_arclength_mm]);
+    if !places.into_iter().all(sensible) {
+        return Some("its groove is no place".to_owned());
+    }
+    let sds = groove.sd_mm.iter().chain([&groove.contact_arclength_sd_mm]);
+    if !sds.into_iter().all(|sd| sensible(sd) && *sd > 0.0) {
+        return Some("a standard deviation of its groove is not positive".to_owned());
+    }
+    let covariance = Matrix3::from(groove.covariance_mm2?);
+    let numbers = covariance.iter().all(sensible);
+    let symmetric = (covariance - covariance.transpose()).amax() <= ROUNDING * covariance.amax();
+    let positive = numbers && symmetric && covariance.cholesky().is_some();
+    (!positive).then(|| "the covariance of its groove is not positive definite".to_owned())
+}
+
+/// What does not fit in a pair's errors; none where all does.
+fn inconsistent(pair: &PairDocument, errors: &PairErrors, shared: usize) -> Option<String> {
+    let stations = errors.stations.len();
+    let arcs = errors.stations_mm.iter();
+    if stations > MAX_STATIONS || arcs.len() != stations || !errors.stations_mm.iter().all(sensible) {
+        return Some(format!("it has {} arc lengths for {stations} stations", errors.stations_mm.len()));
+    }
+    if let Some(k) = errors.stations.iter().find(|k| **k >= pair.centreline_mm.len()) {
+        return Some(format!(
+            "its station {k} is not on a centre line of {} points",
+            pair.centreline_mm.len()
+        ));
+    }
+    if !pair.centreline_mm.iter().flatten().all(sensible) {
+        return Some("its centre line is no line".to_owned());
+    }
+    if errors.shared.len() != shared || errors.own.len() > MAX_OWN {
+        let (own, of) = (errors.own.len(), errors.shared.len());
+        return Some(format!("it has {own} own errors and {of} derivatives for {shared} shared parameters"));
+    }
+    let whole = |c: &ErrorColumn, most: f64| {
+        let lengths = c.centreline_mm.is_empty() || c.centreline_mm.len() == stations;
+        let mut numbers =
+            c.centreline_mm.iter().flatten().chain(&c.groove_mm).chain([&c.contact_arclength_mm]);
+        lengths && numbers.all(|v| v.is_finite() && v.abs() <= most)
+    };
+    let own = errors.own.iter().all(|c| whole(c, MAX_MM));
+    let derivatives = errors.shared.iter().all(|c| whole(c, MAX_DERIVATIVE));
+    let floor = sensible(&errors.floor_mm) && errors.floor_mm >= 0.0;
+    (!(own && derivatives && floor))
+        .then(|| "an error of it does not cover the stations, or is no number".to_owned())
+}

@@ -1,0 +1,399 @@
+//! Errors of a pair's observations: its own, and those that all pairs share (`shapes.json`, [`PairErrors`]).
+//!
+//! ```text
+//! curve:   dc = C^-1 n - (K C^-1)' x + G q                       n: noise of the pictures, x: base, q: cameras
+//! line:    dp(s) = J(s) dc + l a                                  l: uneven light, a: left camera's axis
+//! vertex:  dg = R (-hat(v) w + t) + [hat(g) -I] x,                w: turn of the rig tag, t: its shift
+//! tag:     w = M^-1 sum_i (g_w - I_wt I_tt^-1 g_t)_i,   t = I_tt^-1 (g_t - I_tw w),   M = sum_i M_i      g: change of a gradient
+//! groove:  ds = u' B (dg - dp(s)),   d(position) = dp(s) + u ds,   B = I - C_t W A (groove.rs),   u: the wire's tangent
+//! ```
+//! With the base held, the pairs are independent of each other: `x` is one error of all of them, of covariance `(I_tags + sum M_i)^-1`.
+//! So is the turn of a rig that only shifts: the cameras turn it by what all its pictures together say, not by one pair's share.
+//! Sources: JCGM 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
+
+use crate::rig::RigGroove;
+use crate::rigid::hat;
+use crate::shape::describe::places;
+use crate::shape::groove::GrooveFound;
+use crate::shape::joint::{PairUncertainty, depth_axis};
+use crate::shape::pair_fit::PairFit;
+use crate::shape::shared_errors::length_change_mm;
+use crate::stereo::StereoCameras;
+use crate::tags::base_pose::RigPoses;
+use crate::tags::pose::gradient_by_calibration;
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6, Vector3};
+use rayon::prelude::*;
+use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
+
+/// Distance of the stations on the centre line, in points of it: 3 mm.
+const STATION_POINTS: usize = 6;
+/// What the list of own errors may leave out, sd, mm: far below what any picture shows.
+const LEFT_OUT_MM: f64 = 3e-4;
+/// Errors of setup beside the cameras: board, base, rig tag's place and turn, light, end.
+const SETUP: usize = 15;
+
+/// Places of the shared parameters in every list.
+#[derive(Debug, Clone, Copy)]
+struct Layout {
+    cameras: usize,
+}
+
+impl Layout {
+    fn of(stereo: &StereoCameras) -> Self {
+        Self { cameras: stereo.parameters() }
+    }
+    fn board(self) -> usize {
+        self.cameras
+    }
+    fn base(self) -> usize {
+        self.cameras + 1
+    }
+    fn tag_place(self) -> usize {
+        self.cameras + 7
+    }
+    fn tag_turn(self) -> usize {
+        self.cameras + 10
+    }
+    fn light(self) -> usize {
+        self.cameras + 13
+    }
+    fn end(self) -> usize {
+        self.cameras + 14
+    }
+    fn count(self) -> usize {
+        self.cameras + SETUP
+    }
+}
+
+/// What all pairs of a folder share: the parameters, their covariance, and how the cameras move the rig tag.
+pub(crate) struct Shared {
+    layout: Layout,
+    pub(crate) parameters: Vec<SharedParameter>,
+    pub(crate) covariance: DMatrix<f64>,
+    /// Derivative of each pair's rig tag gradient by the cameras, 6 x parameters.
+    pulls: Vec<Option<DMatrix<f64>>>,
+    /// Derivative of the shared turn by the cameras, 3 x parameters; none where each pair has its own.
+    turn: Option<Matrix3xX<f64>>,
+}
+
+impl Shared {
+    pub(crate) fn new(
+        stereo: &StereoCameras,
+        uncertain: &[Option<PairUncertainty>],
+        rigs: &RigPoses,
+    ) -> Self {
+        let layout = Layout::of(stereo);
+        let mut covariance = DMatrix::zeros(layout.count(), layout.count());
+        let mut put = |at: usize, block: &DMatrix<f64>| {
+            covariance.view_mut((at, at), block.shape()).copy_from(block);
+        };
+        if let Some(c) = &stereo.covariance {
+            put(0, c);
+        }
+        if let Some(u) = uncertain.iter().flatten().find(|u| u.base_shared) {
+            put(layout.base(), &dynamic(&u.base));
+        }
+        let turn_covariance = rigs.shared_turn.and_then(|total| total.try_inverse());
+        if let Some(c) = &turn_covariance {
+            put(layout.tag_turn(), &DMatrix::from_column_slice(3, 3, c.as_slice()));
+        }
+        put(layout.light(), &DMatrix::identity(2, 2));
+        let pull = |p: &Option<crate::tags::base_pose::RigPose>| {
+            p.as_ref().map(|p| gradient_by_calibration(stereo, &p.observations, &p.left_from_tag))
+        };
+        let pulls: Vec<Option<DMatrix<f64>>> = rigs.poses.par_iter().map(pull).collect();
+        let turn = turn_covariance.map(|c| {
+            let mut all = DMatrix::zeros(3, layout.cameras);
+            for (p, pull) in rigs.poses.iter().zip(&pulls) {
+                if let (Some(b), Some(pull)) = (p.as_ref().and_then(|p| p.blocks()), pull) {
+                    all += pull.rows(0, 3) - b.cross * b.shift * pull.rows(3, 3);
+                }
+            }
+            c * all
+        });
+        Self { layout, parameters: parameters(stereo), covariance, pulls, turn }
+    }
+
+    /// Covariance of what a pair's own and shared columns displace.
+    fn covariance_of(&self, own: &DMatrix<f64>, shared: &DMatrix<f64>) -> DMatrix<f64> {
+        own * own.transpose() + shared * &self.covariance * shared.transpose()
+    }
+
+    /// Adds to the columns of the cameras what a board of another size does: it scales the cameras' distance.
+    fn put_cameras(&self, stereo: &StereoCameras, to: &mut DMatrix<f64>, by_cameras: &DMatrix<f64>) {
+        to.columns_mut(0, self.layout.cameras).copy_from(by_cameras);
+        let baseline = &stereo.right_from_left.translation.vector;
+        let last = by_cameras.columns(self.layout.cameras - 3, 3);
+        to.set_column(self.layout.board(), &(last * baseline));
+    }
+}
+
+fn dynamic(m: &Matrix6<f64>) -> DMatrix<f64> {
+    DMatrix::from_column_slice(6, 6, m.as_slice())
+}
+
+fn parameters(stereo: &StereoCameras) -> Vec<SharedParameter> {
+    let parameter = |name: String, unit: &str, cause: &str| SharedParameter {
+        name,
+        unit: unit.to_owned(),
+        cause: cause.to_owned(),
+    };
+    let axes = [("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("tx", "mm"), ("ty", "mm"), ("tz", "mm")];
+    let mut all = Vec::new();
+    for (side, camera) in ["left", "right"].iter().zip(&stereo.cameras) {
+        for name in camera.parameter_names() {
+            // Pinhole parameters are in pixels, coefficients of the lens have no unit.
+            let unit = if crate::camera::PINHOLE_NAMES.contains(&name) { "px" } else { "1" };
+            all.push(parameter(format!("{side} {name}"), unit, "cameras"));
+        }
+    }
+    all.extend(axes.map(|(axis, unit)| parameter(format!("right_from_left {axis}"), unit, "cameras")));
+    all.push(parameter("board-scale".to_owned(), "1", "board-scale"));
+    all.extend(axes.map(|(axis, unit)| parameter(format!("base-tag {axis}"), unit, "base-tag")));
+    all.extend(["x", "y", "z"].map(|axis| parameter(format!("rig-tag {axis}"), "mm", "rig-tag")));
+    all.extend(["rx", "ry", "rz"].map(|axis| parameter(format!("rig-tag {axis}"), "rad", "rig-tag")));
+    all.extend(["line", "end"].map(|name| parameter(name.to_owned(), "1", name)));
+    all
+}
+
+/// How the vertex position that the rig tag states, base frame, follows each error: 3 rows, own and shared columns.
+pub(crate) struct VertexErrors {
+    /// Noise of this pair's corners of the rig tag.
+    own: DMatrix<f64>,
+    /// Derivative by the base's correction.
+    by_base: DMatrix<f64>,
+    shared: DMatrix<f64>,
+    /// Covariance of all errors together, mm^2.
+    pub(crate) covariance: Matrix3<f64>,
+}
+
+impl VertexErrors {
+    /// None where the tag's corners leave its pose open.
+    pub(crate) fn new(
+        stereo: &StereoCameras,
+        shared: &Shared,
+        rigs: &RigPoses,
+        pair: usize,
+        fit: &PairFit,
+        groove: &RigGroove,
+        u: &PairUncertainty,
+    ) -> Option<Self> {
+        let (pose, pull) = (rigs.poses[pair].as_ref()?, shared.pulls[pair].as_ref()?);
+        let layout = shared.layout;
+        let base_from_left = fit.left_from_base.inverse();
+        let in_left = pose.left_from_tag * nalgebra::Point3::from(groove.position_in_tag_mm);
+        let vertex = (base_from_left * in_left).coords;
+        let to_base: Matrix3<f64> =
+            *(base_from_left.rotation * pose.left_from_tag.rotation).to_rotation_matrix().matrix();
+        let lever = -hat(&groove.position_in_tag_mm);
+        let mut columns = DMatrix::zeros(3, layout.count());
+        let (own, by_cameras) = match &shared.turn {
+            // The shift that goes with a turn: t = I_tt^-1 (g_t - I_tw w).
+            Some(turn) => {
+                let b = pose.blocks()?;
+                let by_turn = to_base * (lever - b.shift * b.cross.transpose());
+                columns.columns_mut(layout.tag_turn(), 3).copy_from(&by_turn);
+                let own = to_base * b.shift.cholesky()?.l();
+                let by_cameras = by_turn * turn + to_base * b.shift * pull.rows(3, 3);
+                (DMatrix::from_column_slice(3, 3, own.as_slice()), dense(by_cameras))
+            }
+            None => {
+                let covariance = pose.information.try_inverse()?;
+                let mut by_pose = DMatrix::zeros(3, 6);
+                by_pose.columns_mut(0, 3).copy_from(&(to_base * lever));
+                by_pose.columns_mut(3, 3).copy_from(&to_base);
+                let by_cameras = &by_pose * (covariance * pull);
+                (by_pose * dynamic(&covariance.cholesky()?.l()), by_cameras)
+            }
+        };
+        // A base that is turned by w and shifted by d sees the point at p - d - w x p.
+        let mut by_base = DMatrix::zeros(3, 6);
+        by_base.columns_mut(0, 3).copy_from(&hat(&vertex));
+        by_base.columns_mut(3, 3).copy_from(&-Matrix3::identity());
+        let by_cameras = by_cameras + &by_base * u.by_calibration.rows(0, 6);
+        shared.put_cameras(stereo, &mut columns, &by_cameras);
+        if u.base_shared {
+            columns.columns_mut(layout.base(), 6).copy_from(&by_base);
+        }
+        // A tag that sits elsewhere on its body takes the vertex that it states with it.
+        columns.columns_mut(layout.tag_place(), 3).copy_from(&to_base);
+        let mut covariance = shared.covariance_of(&own, &columns);
+        if !u.base_shared {
+            covariance += &by_base * dynamic(&u.base) * by_base.transpose();
+        }
+        let covariance = Matrix3::from_iterator(covariance.iter().copied());
+        Some(Self { own, by_base, shared: columns, covariance })
+    }
+}
+
+fn dense(m: Matrix3xX<f64>) -> DMatrix<f64> {
+    DMatrix::from_column_slice(3, m.ncols(), m.as_slice())
+}
+
+/// Errors of a pair, and the covariances of groove position and contact arc length that they add up to.
+pub(crate) struct Errors {
+    pub(crate) document: PairErrors,
+    pub(crate) groove_mm2: Matrix3<f64>,
+    pub(crate) arclength_mm2: f64,
+}
+
+/// Errors of a pair's centre line, groove and length.
+pub(crate) fn pair_errors(
+    stereo: &StereoCameras,
+    shared: &Shared,
+    fit: &PairFit,
+    u: &PairUncertainty,
+    groove: Option<(&GrooveFound, &VertexErrors)>,
+) -> Errors {
+    let stations: Vec<(usize, (f64, usize, f64))> = places(fit).enumerate().step_by(STATION_POINTS).collect();
+    let jacobian = fit.model.jacobian(&fit.state);
+    let at = |node: usize, f: f64| {
+        (jacobian.columns(3 * node, 3) * (1.0 - f) + jacobian.columns(3 * node + 3, 3) * f).transpose()
+    };
+    // Rows: stations, foot point of the vertex on the wire, vertex by the tag, length.
+    let m = 3 * stations.len();
+    let mut by_curve = DMatrix::zeros(m + 3, fit.model.parameters());
+    for (row, (_, (_, node, f))) in stations.iter().enumerate() {
+        by_curve.rows_mut(3 * row, 3).copy_from(&at(*node, *f));
+    }
+    if let Some((found, _)) = groove {
+        by_curve.rows_mut(m, 3).copy_from(&at(found.node, found.share));
+    }
+    let own = own_columns(fit, u, &by_curve, groove.map(|g| g.1));
+    let all = shared_columns(stereo, shared, fit, u, &by_curve, groove.map(|g| g.1));
+    let observed = |columns: &DMatrix<f64>| observations(columns, m, groove.map(|g| g.0));
+    let (own, all) = (observed(&own), observed(&all));
+    let covariance = shared.covariance_of(&own.rows(m, 4).into_owned(), &all.rows(m, 4).into_owned());
+    let (kept, floor_mm) = principal(own);
+    let column = |c: nalgebra::DVectorView<f64>, digits: fn(f64) -> f64| ErrorColumn {
+        centreline_mm: (0..stations.len()).map(|k| std::array::from_fn(|d| digits(c[3 * k + d]))).collect(),
+        groove_mm: std::array::from_fn(|d| digits(c[m + d])),
+        contact_arclength_mm: digits(c[m + 3]),
+        length_mm: digits(c[m + 4]),
+    };
+    let document = PairErrors {
+        stations: stations.iter().map(|s| s.0).collect(),
+        stations_mm: stations.iter().map(|s| nanometres(s.1.0)).collect(),
+        own: kept.column_iter().map(|c| column(c, nanometres)).collect(),
+        floor_mm,
+        shared: all.column_iter().map(|c| column(c, significant)).collect(),
+    };
+    let groove_mm2 = Matrix3::from_fn(|i, j| covariance[(i, j)]);
+    Errors { document, groove_mm2, arclength_mm2: covariance[(3, 3)] }
+}
+
+/// Own errors: curve with base and cameras held, the base where it is this pair's own, corners of the rig tag, the end.
+fn own_columns(
+    fit: &PairFit,
+    u: &PairUncertainty,
+    by_curve: &DMatrix<f64>,
+    vertex: Option<&VertexErrors>,
+) -> DMatrix<f64> {
+    let (rows, of_curve) = (by_curve.nrows(), u.own.ncols());
+    let base = if u.base_shared { None } else { u.base.cholesky().map(|c| dynamic(&c.l())) };
+    let of_base = base.as_ref().map_or(0, DMatrix::ncols);
+    let of_tag = vertex.map_or(0, |v| v.own.ncols());
+    let mut columns = DMatrix::zeros(rows + 4, of_curve + of_base + of_tag + 1);
+    columns.view_mut((0, 0), (rows, of_curve)).copy_from(&(by_curve * &u.own));
+    if let Some(base) = &base {
+        columns.view_mut((0, of_curve), (rows, of_base)).copy_from(&(by_curve * &u.by_base * base));
+        if let Some(v) = vertex {
+            columns.view_mut((rows, of_curve), (3, of_base)).copy_from(&(&v.by_base * base));
+        }
+    }
+    if let Some(v) = vertex {
+        columns.view_mut((rows, of_curve + of_base), (3, of_tag)).copy_from(&v.own);
+    }
+    let end = (fit.length_sd_mm.powi(2) - fit.length_shared_mm.powi(2)).max(0.0).sqrt();
+    columns[(rows + 3, of_curve + of_base + of_tag)] = end;
+    columns
+}
+
+/// Derivatives by the shared parameters.
+fn shared_columns(
+    stereo: &StereoCameras,
+    shared: &Shared,
+    fit: &PairFit,
+    u: &PairUncertainty,
+    by_curve: &DMatrix<f64>,
+    vertex: Option<&VertexErrors>,
+) -> DMatrix<f64> {
+    let (layout, rows) = (shared.layout, by_curve.nrows());
+    let mut line = DMatrix::zeros(rows, layout.count());
+    let by_cameras = by_curve * u.by_calibration.rows(6, fit.model.parameters());
+    shared.put_cameras(stereo, &mut line, &by_cameras);
+    if u.base_shared {
+        line.columns_mut(layout.base(), 6).copy_from(&(by_curve * &u.by_base));
+    }
+    // A line that is off in one picture moves the whole wire in depth.
+    let depth = depth_axis(fit) * u.shared_mm;
+    for row in 0..rows / 3 {
+        line.view_mut((3 * row, layout.light()), (3, 1)).copy_from(&depth);
+    }
+    let mut length = DMatrix::zeros(1, layout.count());
+    let by_cameras = DMatrix::from_fn(1, layout.cameras, |_, k| {
+        let h = stereo.difference_step(k);
+        let error = DVector::from_fn(layout.cameras, |i, _| if i == k { h } else { 0.0 });
+        length_change_mm(stereo, fit, u, &error) / h
+    });
+    shared.put_cameras(stereo, &mut length, &by_cameras);
+    length[layout.end()] = fit.length_shared_mm;
+    let mut columns = DMatrix::zeros(rows + 4, layout.count());
+    columns.rows_mut(0, rows).copy_from(&line);
+    if let Some(v) = vertex {
+        columns.rows_mut(rows, 3).copy_from(&v.shared);
+    }
+    columns.row_mut(rows + 3).copy_from(&length);
+    columns
+}
+
+/// From (stations, foot, vertex, length) to (stations, groove position, contact arc length, length).
+fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) -> DMatrix<f64> {
+    let count = columns.ncols();
+    let mut out = DMatrix::zeros(m + 5, count);
+    out.rows_mut(0, m).copy_from(&columns.rows(0, m));
+    out.row_mut(m + 4).copy_from(&columns.row(m + 6));
+    let Some(found) = groove else { return out };
+    for k in 0..count {
+        let of = |row: usize| Vector3::new(columns[(row, k)], columns[(row + 1, k)], columns[(row + 2, k)]);
+        let (foot, vertex) = (of(m), of(m + 3));
+        let along = found.tangent.dot(&(found.follow * (vertex - foot)));
+        out.view_mut((m, k), (3, 1)).copy_from(&(foot + found.tangent * along));
+        out[(m + 3, k)] = along;
+    }
+    out
+}
+
+/// The same covariance by as few independent columns as leave out less than [`LEFT_OUT_MM`] anywhere, and what they leave out.
+fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
+    let parts = (&columns * columns.transpose()).symmetric_eigen();
+    let mut order: Vec<usize> = (0..columns.nrows()).collect();
+    order.sort_by(|a, b| parts.eigenvalues[*b].total_cmp(&parts.eigenvalues[*a]));
+    let scaled = |k: usize| parts.eigenvectors.column(k) * parts.eigenvalues[k].max(0.0).sqrt();
+    let mut left = columns.row_iter().map(|r| r.norm_squared()).collect::<Vec<f64>>();
+    let mut kept = Vec::new();
+    for k in order {
+        let most = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
+        if most <= LEFT_OUT_MM {
+            return (from_columns(columns.nrows(), &kept), most);
+        }
+        let column = scaled(k);
+        left.iter_mut().zip(column.iter()).for_each(|(l, c)| *l -= c * c);
+        kept.push(column);
+    }
+    (from_columns(columns.nrows(), &kept), 0.0)
+}
+
+fn from_columns(rows: usize, columns: &[DVector<f64>]) -> DMatrix<f64> {
+    if columns.is_empty() { DMatrix::zeros(rows, 0) } else { DMatrix::from_columns(columns) }
+}
+
+/// To a nanometre: an error of an error.
+fn nanometres(x: f64) -> f64 {
+    (x * 1e6).round() / 1e6
+}
+
+/// Eight digits: parameters of cameras are strongly correlated, and their parts cancel.
+fn significant(x: f64) -> f64 {
+    format!("{x:.7e}").parse().unwrap_or(x)
+}

@@ -1,0 +1,237 @@
+//! What a pair of cameras makes of the wire, without drawing pictures: `shapes.json` with noise, errors that all pairs share, and faults of
+//! the cameras' setup (SIMULATED).
+//!
+//! ```text
+//! z = true shape + own noise (each pair) + S q (shared: a shift and turn of the base's frame, the board's scale) + fault
+//! ```
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use serde_json::{Value, json};
+
+type V3 = Vector3<f64>;
+
+/// Spacing of the centre line's points, mm.
+pub const STEP_MM: f64 = 0.5;
+/// Every so many points of the line is a station.
+const STATION_EVERY: usize = 8;
+
+/// The wire at one pose, as it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shown {
+    /// The wire's centre in the groove, base frame, mm.
+    pub groove_mm: V3,
+    /// Arc length of the contact, mm.
+    pub arclength_mm: f64,
+    /// Tangent there.
+    pub tangent: V3,
+    /// Centre line from the root on, mm.
+    pub line_mm: Vec<V3>,
+    /// Arc lengths of its points, mm.
+    pub arcs_mm: Vec<f64>,
+}
+
+/// How well the cameras see.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cameras {
+    /// Noise of each pair, every direction, mm.
+    pub own_mm: f64,
+    /// Shift that all pairs share, each axis, mm.
+    pub shift_mm: f64,
+    /// Turn that all pairs share, each axis, rad.
+    pub turn_rad: f64,
+    /// Error of the board's scale that is stated.
+    pub scale: f64,
+}
+
+impl Default for Cameras {
+    fn default() -> Self {
+        Self { own_mm: 0.02, shift_mm: 0.01, turn_rad: 2e-4, scale: 1e-4 }
+    }
+}
+
+/// A fault of the cameras' setup.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Fault {
+    /// None.
+    None,
+    /// Every length is off by this factor less one.
+    BoardScale(f64),
+    /// The rig tag sits this far off, mm.
+    RigTag([f64; 3]),
+    /// Everything is displaced by this much from this share of the pairs on, mm.
+    Moved([f64; 3], f64),
+}
+
+/// What an error does: to the groove, the contact's arc length and the stations, mm.
+struct Column {
+    groove: V3,
+    arc: f64,
+    stations: Vec<V3>,
+}
+
+impl Column {
+    fn json(&self) -> Value {
+        json!({
+            "centreline_mm": self.stations.iter().map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>(),
+            "groove_mm": [self.groove.x, self.groove.y, self.groove.z],
+            "contact_arclength_mm": self.arc,
+            "length_mm": 0.0,
+        })
+    }
+}
+
+/// Two unit vectors across `t`.
+fn across(t: &V3) -> [V3; 2] {
+    let far = if t.y.abs() < 0.7 { V3::y() } else { V3::z() };
+    let first = t.cross(&far).normalize();
+    [first, t.cross(&first)]
+}
+
+/// `shapes.json` of the poses `shown`, each with its point.
+pub fn shapes_json(
+    session: &str,
+    shown: &[(usize, Shown)],
+    cameras: &Cameras,
+    fault: Fault,
+    seed: u64,
+) -> Value {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_cafe);
+    let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+    // A shift and a turn of the base's frame and the scale of the board: one draw for all pairs.
+    let q: Vec<f64> = [cameras.shift_mm; 3]
+        .iter()
+        .chain(&[cameras.turn_rad; 3])
+        .chain(&[cameras.scale])
+        .map(|sd| sd * normal())
+        .collect();
+    let mut pairs = Vec::new();
+    for (k, (point, s)) in shown.iter().enumerate() {
+        let stations: Vec<usize> = (0..s.line_mm.len()).step_by(STATION_EVERY).collect();
+        let places: Vec<V3> = stations.iter().map(|&i| s.line_mm[i]).collect();
+        let zeros = || vec![V3::zeros(); places.len()];
+        let mut own = Vec::new();
+        // Along the wire the tag errs, and the foot with it; across it the wire does.
+        own.push(Column { groove: s.tangent * cameras.own_mm, arc: cameras.own_mm, stations: zeros() });
+        own.extend(across(&s.tangent).map(|n| Column {
+            groove: n * cameras.own_mm,
+            arc: 0.0,
+            stations: zeros(),
+        }));
+        own.push(Column { groove: V3::zeros(), arc: 0.5 * cameras.own_mm, stations: zeros() });
+        for (i, at) in stations.iter().enumerate() {
+            let next = s.line_mm[(at + 1).min(s.line_mm.len() - 1)];
+            let before = s.line_mm[at.saturating_sub(1)];
+            for n in across(&(next - before).normalize()) {
+                let mut moved = zeros();
+                moved[i] = n * cameras.own_mm;
+                own.push(Column { groove: V3::zeros(), arc: 0.0, stations: moved });
+            }
+        }
+        let axes = [V3::x(), V3::y(), V3::z()];
+        let mut shared: Vec<Column> =
+            axes.iter().map(|a| Column { groove: *a, arc: 0.0, stations: vec![*a; places.len()] }).collect();
+        shared.extend(axes.iter().map(|a| Column {
+            groove: a.cross(&s.groove_mm),
+            arc: 0.0,
+            stations: places.iter().map(|p| a.cross(p)).collect(),
+        }));
+        let scaled = || Column { groove: s.groove_mm, arc: s.arclength_mm, stations: places.clone() };
+        shared.push(scaled());
+        // Taken as known by the pictures' evaluation: their derivatives say what a fault would do.
+        shared.push(scaled());
+        shared.extend(axes.iter().map(|a| {
+            let along = s.tangent.dot(a);
+            Column { groove: s.tangent * along, arc: along, stations: zeros() }
+        }));
+        let (mut groove, mut arc, mut line) = (s.groove_mm, s.arclength_mm, s.line_mm.clone());
+        // Errors and faults of groove and contact, by their derivatives.
+        let mut sizes = q.clone();
+        sizes.resize(shared.len(), 0.0);
+        let later = |from: f64| k as f64 >= from * (shown.len() - 1) as f64;
+        match fault {
+            Fault::None => {}
+            Fault::BoardScale(e) => sizes[7] += e,
+            Fault::RigTag(offset) => (0..3).for_each(|a| sizes[8 + a] += offset[a]),
+            Fault::Moved(by, from) if later(from) => (0..3).for_each(|a| sizes[a] += by[a]),
+            Fault::Moved(..) => {}
+        }
+        for (c, size) in shared.iter().zip(&sizes) {
+            groove += c.groove * *size;
+            arc += c.arc * size;
+        }
+        // The line's points take the same shared errors and faults as the stations.
+        let turn = V3::new(q[3], q[4], q[5]);
+        let shift = V3::new(q[0], q[1], q[2]);
+        for p in &mut line {
+            let mut by = shift + turn.cross(p) + *p * q[6];
+            match fault {
+                Fault::BoardScale(e) => by += *p * e,
+                Fault::Moved(m, from) if later(from) => by += V3::from(m),
+                _ => {}
+            }
+            *p += by;
+        }
+        for c in &own {
+            let size = normal();
+            groove += c.groove * size;
+            arc += c.arc * size;
+            for (i, by) in stations.iter().zip(&c.stations) {
+                line[*i] += by * size;
+            }
+        }
+        let sd = cameras.own_mm.hypot(cameras.shift_mm);
+        pairs.push(json!({
+            "name": format!("{point:05}"),
+            "status": "ok",
+            "point": point,
+            "centreline_mm": line.iter().map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>(),
+            "centreline_sd_mm": vec![sd; line.len()],
+            "length_mm": s.arcs_mm.last(),
+            "groove": {
+                "position_mm": [groove.x, groove.y, groove.z],
+                "sd_mm": [sd, sd, sd],
+                "contact_arclength_mm": arc,
+                "contact_arclength_sd_mm": sd,
+                "axis": [s.tangent.x, s.tangent.y, s.tangent.z],
+                "contact": "vertex",
+            },
+            "errors": {
+                "stations": stations,
+                "stations_mm": stations.iter().map(|i| s.arcs_mm[*i]).collect::<Vec<_>>(),
+                "own": own.iter().map(Column::json).collect::<Vec<_>>(),
+                "floor_mm": 1e-3,
+                "shared": shared.iter().map(Column::json).collect::<Vec<_>>(),
+            },
+        }));
+    }
+    let named = |name: &str, unit: &str, cause: &str| json!({"name": name, "unit": unit, "cause": cause});
+    let parameters = vec![
+        named("base-tag x", "mm", "base-tag"),
+        named("base-tag y", "mm", "base-tag"),
+        named("base-tag z", "mm", "base-tag"),
+        named("base-tag rx", "rad", "base-tag"),
+        named("base-tag ry", "rad", "base-tag"),
+        named("base-tag rz", "rad", "base-tag"),
+        named("right_from_left scale", "1", "cameras"),
+        named("board-scale", "1", "board-scale"),
+        named("rig-tag x", "mm", "rig-tag"),
+        named("rig-tag y", "mm", "rig-tag"),
+        named("rig-tag z", "mm", "rig-tag"),
+    ];
+    let (s, t) = (cameras.shift_mm, cameras.turn_rad);
+    let sds = [s, s, s, t, t, t, cameras.scale, 0.0, 0.0, 0.0, 0.0];
+    let covariance: Vec<Vec<f64>> = (0..sds.len())
+        .map(|i| (0..sds.len()).map(|j| if i == j { sds[i] * sds[i] } else { 0.0 }).collect())
+        .collect();
+    json!({
+        "format": "wcal-shapes/1",
+        "pairs": pairs,
+        "shared_parameters": parameters,
+        "shared_covariance": covariance,
+        "source": {"cameras_sha256": "", "rig_sha256": "", "session": session},
+        "warnings": ["SIMULATED by the examiner's plant"],
+    })
+}

@@ -1,0 +1,244 @@
+//! What the pages say is there: links, pages of the book, commands and their options, files, and the keys of the files that people write.
+
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Folders that a page's `path` in backticks may begin with.
+const ROOTS: [&str; 9] =
+    ["calib/", "rigs/", "tests/", "fixtures/", "docs/", "examples/", "firmware-notes/", "fuzz/", ".ci/"];
+
+fn repository(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// Every page by its path in the repository.
+fn pages() -> BTreeMap<String, String> {
+    let mut names: Vec<String> =
+        ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"].map(str::to_owned).to_vec();
+    let mut folders = vec!["docs/src".to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(repository(&folder)).unwrap() {
+            let entry = entry.unwrap();
+            let name = format!("{folder}/{}", entry.file_name().to_string_lossy());
+            if entry.path().is_dir() {
+                folders.push(name)
+            } else if name.ends_with(".md") {
+                names.push(name)
+            }
+        }
+    }
+    names.into_iter().map(|n| (n.clone(), fs::read_to_string(repository(&n)).unwrap())).collect()
+}
+
+/// The page without its fenced blocks, and those blocks' lines.
+fn parts(page: &str) -> (String, Vec<String>) {
+    let (mut prose, mut code) = (String::new(), Vec::new());
+    for (k, part) in page.split("```").enumerate() {
+        if k % 2 == 0 {
+            prose.push_str(part)
+        } else {
+            code.extend(part.replace("\\\n", " ").lines().map(str::to_owned))
+        }
+    }
+    (prose, code)
+}
+
+/// Anchors of a page's headings, as the book and GitHub make them.
+fn anchors(page: &str) -> BTreeSet<String> {
+    let headings = page.lines().filter(|l| l.starts_with('#')).map(|l| l.trim_start_matches('#').trim());
+    let slug = |h: &str| -> String {
+        let kept = h
+            .to_lowercase()
+            .chars()
+            .filter(|c| c.is_alphanumeric() || " -_".contains(*c))
+            .collect::<String>();
+        kept.replace(' ', "-")
+    };
+    headings.map(slug).collect()
+}
+
+/// Links of a page that lead nowhere.
+fn dead_links(name: &str, page: &str) -> Vec<String> {
+    let folder = repository(name).parent().unwrap().to_owned();
+    let (prose, _) = parts(page);
+    let targets = prose.split("](").skip(1).filter_map(|t| t.split(')').next()).map(str::to_owned);
+    let dead = |target: &String| {
+        if target.contains("://") {
+            return false;
+        }
+        let (path, anchor) = target.split_once('#').map_or((target.as_str(), None), |(p, a)| (p, Some(a)));
+        let file = if path.is_empty() { repository(name) } else { folder.join(path) };
+        let lacks = |a: &str| !fs::read_to_string(&file).is_ok_and(|text| anchors(&text).contains(a));
+        !file.exists() || anchor.is_some_and(lacks)
+    };
+    targets.filter(dead).collect()
+}
+
+#[test]
+fn no_link_is_dead() {
+    for (name, page) in pages() {
+        assert_eq!(dead_links(&name, &page), Vec::<String>::new(), "{name}");
+    }
+    let bad = "[a](none.md) [b](README.md#nowhere) [c](README.md) [d](https://example.org/x)";
+    assert_eq!(dead_links("README.md", bad), ["none.md", "README.md#nowhere"], "negative control");
+}
+
+#[test]
+fn the_book_has_every_page() {
+    let summary = fs::read_to_string(repository("docs/src/SUMMARY.md")).unwrap();
+    let missing = |all: &[String]| -> Vec<String> {
+        let of = |n: &&String| {
+            n.strip_prefix("docs/src/")
+                .is_some_and(|n| n != "SUMMARY.md" && !summary.contains(&format!("({n})")))
+        };
+        all.iter().filter(of).cloned().collect()
+    };
+    let all: Vec<String> = pages().into_keys().collect();
+    assert_eq!(missing(&all), Vec::<String>::new());
+    assert_eq!(missing(&["docs/src/lost.md".to_owned()]), ["docs/src/lost.md"], "negative control");
+}
+
+fn help(arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The program's commands, each with its help.
+fn commands() -> BTreeMap<String, String> {
+    let list = help(&["--help"]);
+    let list = list.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let names = list.lines().filter(|l| l.starts_with("  ") && !l.starts_with("   "));
+    names.filter_map(|l| l.split_whitespace().next()).map(|n| (n.to_owned(), help(&[n, "--help"]))).collect()
+}
+
+/// Commands and options in code that the program does not have.
+fn unknown_commands(page: &str, commands: &BTreeMap<String, String>) -> Vec<String> {
+    let (prose, mut code) = parts(page);
+    code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));
+    let mut unknown = Vec::new();
+    for line in code.iter().flat_map(|c| c.split([';', '|'])).map(str::trim) {
+        let Some(rest) = line.strip_prefix("wcal ") else { continue };
+        let line = rest.split("    # ").next().unwrap();
+        let mut words = line.split_whitespace();
+        let Some(name) = words.next().filter(|w| w.chars().all(|c| c.is_ascii_lowercase() || c == '-'))
+        else {
+            continue;
+        };
+        if name.starts_with("--") {
+            continue;
+        }
+        let Some(help) = commands.get(name) else {
+            unknown.push(format!("wcal {name}"));
+            continue;
+        };
+        let options = words.filter_map(|w| w.trim_start_matches('[').strip_prefix("--"));
+        let option = |w: &str| w.split(['=', ']']).next().unwrap_or_default().to_owned();
+        let lacking = options.map(option).filter(|o| !help.contains(&format!("--{o}")) && o != "help");
+        unknown.extend(lacking.map(|o| format!("wcal {name} --{o}")));
+    }
+    unknown
+}
+
+#[test]
+fn every_command_and_option_that_a_page_names_is_there() {
+    let commands = commands();
+    assert!(commands.len() > 18, "{:?}", commands.keys());
+    // The changelog tells of what went.
+    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
+        assert_eq!(unknown_commands(&page, &commands), Vec::<String>::new(), "{name}");
+    }
+    let bad = "`wcal verify S --out D` `wcal brew tea`\n```sh\nwcal verify S --sugar 2\n```\n";
+    assert_eq!(unknown_commands(bad, &commands), ["wcal verify --sugar", "wcal brew"], "negative control");
+}
+
+/// Files and folders of the repository in backticks that are not there.
+fn missing_files(page: &str) -> Vec<String> {
+    let (prose, code) = parts(page);
+    let spans = prose.split('`').skip(1).step_by(2).map(str::to_owned).chain(code);
+    let words: Vec<String> =
+        spans.flat_map(|s| s.split_whitespace().map(str::to_owned).collect::<Vec<_>>()).collect();
+    let of_ours = |w: &&String| ROOTS.iter().any(|root| w.starts_with(root)) && !w.contains(['*', '<']);
+    let path = |w: &String| w.trim_end_matches([',', ';', ':', ')']).to_owned();
+    words.iter().filter(of_ours).map(path).filter(|p| !repository(p).exists()).collect()
+}
+
+#[test]
+fn every_file_that_a_page_names_is_there() {
+    let named = pages();
+    assert!(named["docs/src/method.md"].contains("`calib/"));
+    for (name, page) in &named {
+        // The changelog tells of what went, the lab notes of what was.
+        if name != "CHANGELOG.md" {
+            assert_eq!(missing_files(page), Vec::<String>::new(), "{name}");
+        }
+    }
+    assert_eq!(
+        missing_files("`calib/nowhere/lib.rs` and `calib/core`"),
+        ["calib/nowhere/lib.rs"],
+        "negative control"
+    );
+}
+
+/// Keys of a TOML document, those of its tables too.
+fn keys(table: &toml::Table, out: &mut BTreeSet<String>) {
+    for (key, value) in table {
+        out.insert(key.clone());
+        let tables = match value {
+            toml::Value::Table(inner) => vec![inner],
+            toml::Value::Array(items) => items.iter().filter_map(toml::Value::as_table).collect(),
+            _ => Vec::new(),
+        };
+        // What a unit says of itself is the unit's, and where data come from is free.
+        if !["devices", "controls", "provenance"].contains(&key.as_str()) {
+            tables.into_iter().for_each(|t| keys(t, out));
+        }
+    }
+}
+
+/// Whether the reference has a key or table in backticks.
+fn names(reference: &str, key: &str) -> bool {
+    [format!("`{key}`"), format!("`[{key}]`"), format!("`[[{key}]]`")]
+        .iter()
+        .any(|name| reference.contains(name))
+}
+
+/// Keys of a text that the reference does not have.
+fn unnamed_keys(text: &str, reference: &str) -> Vec<String> {
+    let mut all = BTreeSet::new();
+    keys(&text.parse().unwrap(), &mut all);
+    all.into_iter().filter(|k| !names(reference, k)).collect()
+}
+
+#[test]
+fn every_key_of_the_files_that_people_write_stands_in_the_reference() {
+    let reference = fs::read_to_string(repository("docs/src/formats.md")).unwrap();
+    let files = [
+        "calib/cli/templates/session.toml",
+        "calib/cli/templates/rig.toml",
+        "calib/cli/templates/plan.toml",
+        "calib/cli/templates/sweeps.toml",
+        "rigs/paper/rig.toml",
+        "rigs/virtual/rig.toml",
+        "rigs/virtual/scenario.toml",
+        "rigs/plans/rich.toml",
+        "fixtures/stereo_bench/rig.toml",
+        "fixtures/whiskerfbg/session.toml",
+        "fixtures/practice/case-004/session.toml",
+        "fixtures/nist/pontius/session.toml",
+        "fixtures/pneumatic/pk-7bar/session.toml",
+    ];
+    for file in files {
+        let text = fs::read_to_string(repository(file)).unwrap();
+        assert_eq!(unnamed_keys(&text, &reference), Vec::<String>::new(), "{file}");
+        // Keys that a template only shows in a comment are keys, too.
+        let shown = text.lines().filter_map(|l| l.strip_prefix("# ")?.split_once(" = ")).map(|(key, _)| key);
+        let plain = |k: &&str| k.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+        let lacking: Vec<&str> = shown.filter(plain).filter(|k| !names(&reference, k)).collect();
+        assert_eq!(lacking, Vec::<&str>::new(), "{file}, in comments");
+    }
+    assert_eq!(unnamed_keys("[stage]\nshoe_size = 43", &reference), ["shoe_size"], "negative control");
+}

@@ -1,0 +1,96 @@
+//! The second witness: pictures beside the wavelengths, on paper-like sessions of the independent plant (SIMULATED).
+
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
+
+#[path = "second_witness/draws.rs"]
+mod draws;
+
+use draws::{Answer, BOARD, Draw, answer, both, compliance, offset};
+use wcal_core::verify_document::Verdict;
+use wcal_plant::shapes::Fault;
+
+fn of(effect: &[wcal_plant::Effect], fault: Fault, pictures: bool, seed: u64) -> Answer {
+    answer(&Draw { effects: effect.to_vec(), fault, pictures, seed })
+}
+
+#[test]
+fn pictures_tell_a_contact_offset_from_a_root_that_turns() {
+    for seed in 1..=3 {
+        let with = of(&[offset()], Fault::None, true, seed);
+        assert!(with.names_only("contact-offset"), "{seed}: {with:?}");
+        // The contact is where it is seen, as well as the shapes state it.
+        assert!(with.contact_after_mm < 1.2 * with.contact_floor_mm, "{seed}: {with:?}");
+        assert!(with.contact_before_mm > 1.5 * with.contact_floor_mm, "{seed}: {with:?}");
+        let with = of(&[compliance()], Fault::None, true, seed);
+        assert!(with.names_only("base-compliance"), "{seed}: {with:?}");
+        // Control: wavelengths alone do not part them.
+        let alone = [offset(), compliance()].map(|e| of(&[e], Fault::None, false, seed));
+        assert!(alone.iter().any(|a| a.verdict != Verdict::Effect), "{seed}: {alone:?}");
+        assert!(!alone[1].names_only("base-compliance"), "{seed}: {alone:?}");
+    }
+}
+
+#[test]
+fn nothing_is_named_where_nothing_acts() {
+    for seed in 1..=4 {
+        let a = of(&[], Fault::None, true, seed);
+        assert!(a.verdict == Verdict::Adequate, "{seed}: {a:?}");
+    }
+}
+
+#[test]
+fn a_fault_of_the_cameras_is_called_one() {
+    for seed in 1..=2 {
+        let a = of(&[], BOARD, true, seed);
+        assert!(a.names_only("board-scale") && a.witness.as_deref() == Some("pictures"), "{seed}: {a:?}");
+        let a = of(&[], Fault::RigTag([0.3, 0.0, 0.0]), true, seed);
+        assert!(a.names_only("rig-tag"), "{seed}: {a:?}");
+        let a = of(&[], Fault::Moved([0.0, 0.15, 0.1], 0.5), true, seed);
+        assert!(a.names_only("camera-pose"), "{seed}: {a:?}");
+    }
+}
+
+/// Rates over some tens of draws, printed: `cargo test --test second_witness rates -- --ignored --nocapture`.
+#[test]
+#[ignore = "some minutes"]
+fn rates() {
+    let draws: u64 = std::env::var("WCAL_DRAWS").ok().and_then(|d| d.parse().ok()).unwrap_or(30);
+    let kinds: [(&str, Vec<wcal_plant::Effect>, Fault, Option<&str>); 7] = [
+        ("null", vec![], Fault::None, None),
+        ("contact-offset", vec![offset()], Fault::None, Some("contact-offset")),
+        ("base-compliance", vec![compliance()], Fault::None, Some("base-compliance")),
+        ("offset + compliance", both(), Fault::None, None),
+        ("board-scale", vec![], BOARD, Some("board-scale")),
+        ("rig-tag", vec![], Fault::RigTag([0.3, 0.0, 0.0]), Some("rig-tag")),
+        ("camera-pose", vec![], Fault::Moved([0.0, 0.15, 0.1], 0.5), Some("camera-pose")),
+    ];
+    for (name, effects, fault, wanted) in kinds {
+        for pictures in [false, true] {
+            if !pictures && fault != Fault::None {
+                continue;
+            }
+            let started = std::time::Instant::now();
+            let answers: Vec<Answer> =
+                (0..draws).map(|seed| of(&effects, fault, pictures, 100 + seed)).collect();
+            let right = |a: &&Answer| match wanted {
+                Some(id) => a.names_only(id),
+                None if effects.is_empty() => a.verdict == Verdict::Adequate,
+                None => a.names_both(["contact-offset", "base-compliance"]),
+            };
+            let count = |f: &dyn Fn(&Answer) -> bool| answers.iter().filter(|a| f(a)).count();
+            println!(
+                "{name:<20} pictures {pictures:<5} right {}/{draws} ambiguous {} adequate {} unknown {}; {:.1} s each; others: {:?}",
+                answers.iter().filter(right).count(),
+                count(&|a| a.verdict == Verdict::Ambiguous),
+                count(&|a| a.verdict == Verdict::Adequate),
+                count(&|a| a.verdict == Verdict::UnknownEffect),
+                started.elapsed().as_secs_f64() / draws as f64,
+                answers
+                    .iter()
+                    .filter(|a| !right(a))
+                    .map(|a| (a.verdict, a.effects.clone()))
+                    .collect::<Vec<_>>()
+            );
+        }
+    }
+}

@@ -6,8 +6,9 @@ use serde_json::{Value, json};
 use wcal_track::bootstrap::{ErrorOf, mean_interval95, object_interval95};
 use wcal_track::evaluate::ObjectScores;
 
+/// Mean over objects; not a number without any, which a document has as null.
 pub(super) fn mean(rows: &[ObjectScores], value: impl Fn(&ObjectScores) -> f64) -> f64 {
-    rows.iter().map(value).sum::<f64>() / rows.len().max(1) as f64
+    rows.iter().map(value).sum::<f64>() / rows.len() as f64
 }
 
 /// Errors of a row that are means over objects.
@@ -34,7 +35,8 @@ pub(super) fn document(
     let best = "network, speed known";
     let objects: Vec<Value> =
         ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
-    let methods: Vec<Value> = rows.iter().map(|(set, name, r)| method(set, name, r)).collect();
+    let scored = rows.iter().filter(|(_, _, r)| !r.is_empty());
+    let methods: Vec<Value> = scored.map(|(set, name, r)| method(set, name, r)).collect();
     json!({
         "format": FORMAT, "simulated": true, "quick": args.quick, "model": model, "calibration": null,
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
@@ -71,13 +73,27 @@ pub(super) fn object(o: &ObjectScores, set: &str) -> Value {
             "along_track_mm": object_interval95(&o.sweeps, |s| s.along)}})
 }
 
-/// `0.22 [0.18, 0.27]` out of a row.
+/// `0.22 [0.18, 0.27]` out of a row, `-` where there is no value.
 pub(super) fn stated(row: &Value, key: &str) -> String {
-    let value = row[key].as_f64().unwrap_or(f64::NAN);
+    let Some(value) = row[key].as_f64() else { return "-".to_owned() };
     let interval: Vec<f64> =
         row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
     match interval[..] {
         [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
         _ => format!("{value:.2}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mean_over_nothing_is_no_number() {
+        let means = json!({"seen_mean_mm": mean(&[], |o| o.all.rmse_mm)});
+        assert!(means["seen_mean_mm"].is_null());
+        assert_eq!(stated(&means, "seen_mean_mm"), "-");
+        let row = json!({"rmse_mm": 0.224, "interval95": {"rmse_mm": [0.18, 0.27]}});
+        assert_eq!(stated(&row, "rmse_mm"), "0.22 [0.18, 0.27]");
     }
 }

@@ -4,7 +4,7 @@
 //! ```text
 //! R' = R hat(0, -k2, k1),  p' = R e_x,    k_d(s) = k_d,rest(s) + sum_j c_dj B_j(s)
 //! d p(s) / d c_dj = integral_0^s B_j(u) a_d(u) x (p(s) - p(u)) du,    a_1 = R e_z, a_2 = -R e_y
-//! roughness = sum_d sum_j (c_d,j-1 - 2 c_dj + c_d,j+1)^2
+//! roughness = sum_d sum_j (c_d,j-1 - 2 c_dj + c_d,j+1)^2        without the j about a force (the groove's)
 //! ```
 //! Integrated by half steps of constant curvature. Sources: Bishop, "There Is More than One Way to Frame a Curve", 1975 (frame without
 //! twist); Eilers and Marx, "Flexible Smoothing with B-splines and Penalties", 1996 (roughness).
@@ -29,6 +29,8 @@ pub struct CurveModel {
     /// First spline and the four values at every interval's middle.
     basis: Vec<(usize, [f64; 4])>,
     penalty: DMatrix<f64>,
+    /// Second differences of each direction that the penalty leaves out.
+    unpunished: usize,
 }
 
 /// Parameters of a curve.
@@ -86,7 +88,19 @@ impl CurveModel {
             ));
         }
         let splines = segments + 3;
-        Self { step_mm, nodes: intervals + 1, splines, nominal, basis, penalty: penalty(splines) }
+        let penalty = penalty(splines, |_| true);
+        Self { step_mm, nodes: intervals + 1, splines, nominal, basis, penalty, unpunished: 0 }
+    }
+
+    /// The same curve with a force at an arc length. The curvature's slope jumps there by the force over the bending stiffness (n' = -F
+    /// delta, m' = -t x n): a corner that smoothing must not round, for the wire would be seen short of where it is pushed to.
+    #[must_use]
+    pub fn with_force_at(&self, arc_mm: f64) -> Self {
+        let knot_mm = (self.nodes - 1) as f64 * self.step_mm / (self.splines - 3) as f64;
+        // The second difference `row` is centred on knot `row`.
+        let punished = |row: usize| (row as f64 * knot_mm - arc_mm).abs() >= knot_mm;
+        let unpunished = (0..self.splines - 2).filter(|row| !punished(*row)).count();
+        Self { penalty: penalty(self.splines, punished), unpunished, ..self.clone() }
     }
 
     /// Parameters: root offsets and both directions' coefficients.
@@ -239,7 +253,7 @@ impl CurveModel {
     /// Rank of the penalty: second differences of both directions.
     #[must_use]
     pub fn penalty_rank(&self) -> usize {
-        2 * (self.splines - 2)
+        2 * (self.splines - 2 - self.unpunished)
     }
 
     /// The state that follows given curvature deviations (one a node) as closely as the splines can.
@@ -265,10 +279,11 @@ impl CurveModel {
     }
 }
 
-fn penalty(splines: usize) -> DMatrix<f64> {
+fn penalty(splines: usize, punished: impl Fn(usize) -> bool) -> DMatrix<f64> {
     let n = ROOT + 2 * splines;
     let mut form = DMatrix::<f64>::zeros(n, n);
-    for start in (0..2).flat_map(|d| (0..splines - 2).map(move |r| ROOT + d * splines + r)) {
+    let rows: Vec<usize> = (0..splines - 2).filter(|row| punished(*row)).collect();
+    for start in (0..2).flat_map(|d| rows.iter().map(move |r| ROOT + d * splines + r)) {
         for (i, a) in [1.0, -2.0, 1.0].into_iter().enumerate() {
             for (j, b) in [1.0, -2.0, 1.0].into_iter().enumerate() {
                 form[(start + i, start + j)] += a * b;

@@ -6,9 +6,9 @@ use crate::rig::Rig;
 use crate::shape::curve_fit::Prior;
 use crate::shape::describe::{describe, tag_document};
 use crate::shape::groove::find_groove;
-use crate::shape::joint::{Joint, uncertainties};
+use crate::shape::joint::{Joint, ROOT_CLAMPED, uncertainties};
 use crate::shape::pair_errors::{Shared, VertexErrors, pair_errors};
-use crate::shape::pair_fit::{PairFit, ROOT_FREE, fit_pair};
+use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
 use crate::shape::shared_errors::{camera_errors, shared_errors};
 use crate::stages::{Stage, StageClock};
 use crate::stereo::StereoCameras;
@@ -17,13 +17,11 @@ use crate::tags::base_pose::{
 };
 use crate::tags::detection::{Search, Tag, find_tags};
 use crate::tags::pose as tag_pose;
-use nalgebra::Vector6;
+use nalgebra::{Point3, Vector6};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 
-/// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few micrometres.
-const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// chi2 of 6 beyond which tags and wire disagree; the chance of more is 4e-5.
 const DISAGREEMENT: f64 = 30.0;
 /// Length from the root without a piece in either picture at which the root counts as not seen, mm.
@@ -303,12 +301,16 @@ fn fit_one(
     if off_px > TAG_MISFIT_PX {
         return Err(exchanged_or_foreign(base, &own, off_px));
     }
+    let mut vertex_mm = None;
     for tag in rig.tags.iter().filter(|t| t.base_from_tag.is_none()) {
         let seen = observations_of(tag, &loaded.tags);
-        let moved = tag_pose::body_pose(stereo, &seen)
-            .map(|own| tag_pose::residual_rms_px(stereo, &seen, &own.left_from_body))
-            .filter(|off_px| *off_px > TAG_MISFIT_PX);
-        if let Some(off_px) = moved {
+        let Some(own) = tag_pose::body_pose(stereo, &seen) else { continue };
+        if let Some(groove) = rig.groove.as_ref().filter(|g| g.tag == tag.id) {
+            let in_left = own.left_from_body * Point3::from(groove.position_in_tag_mm);
+            vertex_mm = Some((pose.left_from_body.inverse() * in_left).coords);
+        }
+        let off_px = tag_pose::residual_rms_px(stereo, &seen, &own.left_from_body);
+        if off_px > TAG_MISFIT_PX {
             return Err(format!(
                 "tag {} {} lies {off_px:.1} px from any pose that both cameras share: pictures not taken together, or another tag size",
                 tag.family, tag.id
@@ -316,7 +318,15 @@ fn fit_one(
         }
     }
     let prior = Prior { base: pose.information, base_offset: Vector6::zeros(), root_sd, smoothing: 1e6 };
-    fit_pair(stereo, rig, &loaded.pictures, &pose.left_from_body, &prior, start, times)
+    let scene = Scene {
+        stereo,
+        rig,
+        pictures: &loaded.pictures,
+        left_from_base: &pose.left_from_body,
+        vertex_mm,
+        prior: &prior,
+    };
+    fit_pair(&scene, start, times)
 }
 
 /// Why the base tag's corners fit no pose.

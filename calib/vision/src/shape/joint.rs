@@ -20,6 +20,8 @@ use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector6};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+/// Root offsets where the base's tags and the wire agree on the frame: the clamp holds to a few micrometres (mm, rad).
+pub(crate) const ROOT_CLAMPED: [f64; 2] = [0.003, 1e-4];
 /// Shift of a whole line that pieces share, in widths of the wire: uneven light across it and the camera's tone curve on unequal sides.
 const LINE_FLOOR_WIDTHS: f64 = 0.004;
 /// Width in blurs above which a picture resolves the light across the wire, and that shift grows with the width.
@@ -80,7 +82,7 @@ pub struct PairUncertainty {
     pub own: DMatrix<f64>,
     /// Derivative of the curve's parameters by the base's correction.
     pub by_base: DMatrix<f64>,
-    /// Covariance of the base's correction by the pictures' noise.
+    /// Covariance of the base's correction by the pictures' noise and the clamp.
     pub base: Matrix6<f64>,
     /// Whether all pairs share that base; a pair whose base stands elsewhere has its own.
     pub base_shared: bool,
@@ -140,7 +142,7 @@ pub(crate) fn uncertainties(
                 shared_mm: line_shift_mm(stereo, fit),
                 own: part.own.clone(),
                 by_base: -part.carried.transpose(),
-                base: (others + part.information).try_inverse()?,
+                base: (others + part.information).try_inverse()? + clamp_covariance(root_sd),
                 base_shared,
             })
         })
@@ -167,6 +169,17 @@ fn covariance(
         covariance += &response * c * response.transpose();
     }
     Some((covariance, response))
+}
+
+/// What the clamp's own offsets do to the base. All pairs show one clamp: its error does not average out over them, though each pair's
+/// wire begins there.
+fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
+    if root_sd != ROOT_CLAMPED {
+        // The frame follows the tags alone.
+        return Matrix6::zeros();
+    }
+    let (shift, turn) = (root_sd[0].powi(2), root_sd[1].powi(2));
+    Matrix6::from_diagonal(&Vector6::new(0.0, turn, turn, 0.0, shift, shift))
 }
 
 /// Shift in depth of a whole line by uneven light across it, mm.

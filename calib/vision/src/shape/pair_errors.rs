@@ -29,6 +29,8 @@ use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 const STATION_POINTS: usize = 6;
 /// What the list of own errors may leave out, sd, mm: far below what any picture shows.
 const LEFT_OUT_MM: f64 = 3e-4;
+/// How well the side of a board's squares is known, as a share of it: what etched and printed boards state (2 to 10 um in 60 mm).
+const BOARD_SCALE_SD: f64 = 1e-4;
 /// Errors of setup beside the cameras: board, base, rig tag's place and turn, light, end.
 const SETUP: usize = 15;
 
@@ -90,6 +92,7 @@ impl Shared {
         if let Some(c) = &stereo.covariance {
             put(0, c);
         }
+        put(layout.board(), &DMatrix::from_element(1, 1, BOARD_SCALE_SD.powi(2)));
         if let Some(u) = uncertain.iter().flatten().find(|u| u.base_shared) {
             put(layout.base(), &dynamic(&u.base));
         }

@@ -14,7 +14,7 @@ use crate::wire::appearance::fit_appearance;
 use crate::wire::piece::{Appearance, Piece};
 use crate::wire::search::find_wire;
 use crate::wire::tip::find_tip;
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix6, Vector3};
 
 /// A fitted pair.
 #[derive(Debug, Clone)]
@@ -76,46 +76,50 @@ const SCATTER_REJECT: f64 = 3.0;
 const GROWTH_MM: f64 = 2.0;
 /// Distance of the curvature splines' knots, mm.
 const KNOT_MM: f64 = 2.5;
+/// Distance of the vertex from the wire within which the groove may push it, mm.
+const CONTACT_NEAR_MM: f64 = 1.0;
+/// A pair before its wire is found.
+pub struct Scene<'a> {
+    /// Cameras.
+    pub stereo: &'a StereoCameras,
+    /// Rig.
+    pub rig: &'a Rig,
+    /// Pictures, left and right.
+    pub pictures: &'a [Picture; 2],
+    /// Pose of the base.
+    pub left_from_base: &'a Isometry3<f64>,
+    /// Where the rig tag puts the groove's vertex, base frame, mm; none where it is not seen.
+    pub vertex_mm: Option<Vector3<f64>>,
+    /// What is known besides the pictures.
+    pub prior: &'a Prior,
+}
+
 /// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where it ended.
 ///
 /// # Errors
 /// A sentence that says why the pair cannot be used.
-pub fn fit_pair(
-    stereo: &StereoCameras,
-    rig: &Rig,
-    pictures: &[Picture; 2],
-    left_from_base: &Isometry3<f64>,
-    prior: &Prior,
-    start: Option<&PairFit>,
-    times: &StageClock,
-) -> Result<PairFit, String> {
-    let fitted = |begun| {
-        times
-            .time(Stage::Fit, || refine(stereo, rig, pictures, left_from_base, prior, begun, start.is_some()))
-    };
+pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>, times: &StageClock) -> Result<PairFit, String> {
+    let fitted = |begun| times.time(Stage::Fit, || refine(scene, begun, start.is_some()));
     if let Some(fit) = start {
         return fitted(fit.clone());
     }
-    let search = |wide| {
-        times
-            .time(Stage::Search, || begin(stereo, rig, pictures, left_from_base, prior, wide))
-            .and_then(fitted)
-    };
+    let search = |wide| times.time(Stage::Search, || begin(scene, wide)).and_then(fitted);
     // What is lost in a gap or beside the wire is searched for once more; the first reason stands where that does not help.
     search(false).or_else(|why| search(true).map_err(|_| why))
 }
 
+/// The arc length at which the groove pushes a curve, mm; none where it is not there.
+fn pushed_at(model: &CurveModel, state: &CurveState, vertex_mm: &Vector3<f64>) -> Option<f64> {
+    let off = |p: &Vector3<f64>| (p - vertex_mm).norm();
+    let points = model.shape(state).points;
+    let (k, near) = points.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
+    (off(near) < CONTACT_NEAR_MM).then_some(k as f64 * model.step_mm)
+}
+
 /// Follows the curve that the search found through the pieces of both pictures.
-fn refine(
-    stereo: &StereoCameras,
-    rig: &Rig,
-    pictures: &[Picture; 2],
-    left_from_base: &Isometry3<f64>,
-    prior: &Prior,
-    begun: PairFit,
-    again: bool,
-) -> Result<PairFit, String> {
-    let PairFit { model, mut state, mut appearances, polarity, mut noise, .. } = begun;
+fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, String> {
+    let Scene { stereo, rig, pictures, left_from_base, vertex_mm, prior } = *scene;
+    let PairFit { mut model, mut state, mut appearances, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
     // A wire that starts elsewhere is followed from there; whether the base stands elsewhere too is for the folder to tell.
@@ -159,6 +163,9 @@ fn refine(
             state = found.ok_or("no curve of the wire's length passes through the pieces")?;
             round += 1;
             continue;
+        }
+        if let Some(arc_mm) = vertex_mm.and_then(|at| pushed_at(&model, &state, &at)) {
+            model = model.with_force_at(arc_mm);
         }
         // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
         for inner in 0..3 {
@@ -270,14 +277,8 @@ fn refine(
 }
 
 /// The curve that the search found, before anything is measured.
-fn begin(
-    stereo: &StereoCameras,
-    rig: &Rig,
-    pictures: &[Picture; 2],
-    left_from_base: &Isometry3<f64>,
-    prior: &Prior,
-    wide: bool,
-) -> Result<PairFit, String> {
+fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
+    let Scene { stereo, rig, pictures, left_from_base, prior, .. } = *scene;
     let root_free = prior.root_sd == ROOT_FREE;
     let (found, polarity) = find_wire(stereo, rig, pictures, left_from_base, root_free, wide)?;
     let model = CurveModel::new(&rig.whisker, REACH * rig.whisker.length_mm, KNOT_MM, true);

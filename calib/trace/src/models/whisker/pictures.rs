@@ -304,7 +304,8 @@ fn observed(
                 let v = values(&moved(column, &kept), &normals);
                 own += &v * v.transpose();
             }
-            for (j, column) in errors.shared.iter().enumerate() {
+            // Sealed pairs were fitted apart from the others; where their list is another they are looked at, never weighed.
+            for (j, column) in errors.shared.iter().take(shapes.parameters.len()).enumerate() {
                 columns.set_column(j, &values(&moved(column, &kept), &normals));
             }
             own

@@ -226,7 +226,14 @@ fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
 #[test]
 fn the_first_run_runs() {
     let folder = after("docs/src/guide/start.md");
-    assert!(folder.path().join("demo-out/report.html").exists());
+    // Its pages come again from the documents beside them.
+    let pages = ["", "practice-004/", "pontius/", "whiskerfbg/"]
+        .map(|f| folder.path().join(format!("demo-out/{f}report.html")));
+    let first = pages.clone().map(|p| (fs::read(&p).unwrap(), fs::remove_file(p).unwrap()).0);
+    assert!(shell(folder.path(), "wcal report demo-out").output().unwrap().status.success());
+    for (page, first) in pages.iter().zip(first) {
+        assert!(fs::read(page).unwrap() == first, "{}: another page", page.display());
+    }
 }
 
 #[test]

@@ -144,6 +144,7 @@ fn what_the_program_writes_is_as_schemas_and_reference_say() {
     let (all, folder) = (schemas(), written::folder());
     let documents = written::documents(folder.path());
     columns_stand_in_the_reference(folder.path());
+    written::pages_come_again(folder.path());
     let mut wrong = Vec::new();
     for (name, from, document) in &documents {
         let found = errors(&closed(&all[*name]), document);

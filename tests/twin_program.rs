@@ -1,5 +1,9 @@
 //! `wcal twin --engine mujoco` as a user runs it, on two released poses (SIMULATED labels).
 
+#[path = "support/not_run.rs"]
+mod not_run;
+
+use not_run::not_run;
 use std::process::Command;
 
 #[test]
@@ -9,7 +13,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
         .args(["-c", "echo '{\"do\":\"hello\"}' | \"$0\"", engine.to_str().unwrap()])
         .output();
     if !hello.is_ok_and(|o| String::from_utf8_lossy(&o.stdout).contains("mujoco")) {
-        eprintln!("skipped: {} has no MuJoCo", engine.display());
+        not_run(format!("{} has no MuJoCo", engine.display()));
         return;
     }
     let fixture = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/whiskerfbg");
@@ -25,7 +29,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
         let text: Vec<&str> = text.lines().filter(kept).collect();
         std::fs::write(folder.path().join(name), text.join("\n") + "\n").unwrap();
     }
-    let out = folder.path().join("out.csv");
+    let (out, page) = (folder.path().join("out.csv"), folder.path().join("page.html"));
     let run = |labels: bool| {
         if !labels {
             let path = folder.path().join("session.toml");
@@ -41,6 +45,8 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
             "--preset",
             "released",
             "--no-tip",
+            "--report",
+            page.to_str().unwrap(),
             "--out",
         ];
         let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
@@ -64,6 +70,12 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let table = std::fs::read_to_string(&out).unwrap();
     let row = |point: &str| table.lines().find(|l| l.starts_with(point)).unwrap().to_owned();
     assert!(row("9,").contains(",held,true") && row("11,").contains(",several,"), "{table}");
+    // The page comes again from the document beside it.
+    let first = std::fs::read(&page).unwrap();
+    std::fs::remove_file(&page).unwrap();
+    let again =
+        Command::new(env!("CARGO_BIN_EXE_wcal")).arg("report").arg(page.with_extension("json")).status();
+    assert!(again.unwrap().success() && std::fs::read(&page).unwrap() == first);
     // The same without any label.
     let (code, said) = run(false);
     assert!(code == Some(3) && said.contains("1 of 2 poses have no certain moment: 11"), "{said}");

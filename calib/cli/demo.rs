@@ -1,13 +1,14 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::report::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
-use wcal_report::{IndexEntry, render_index};
+use wcal_report::{IndexEntry, Page, render_index};
 use wcal_session::load;
 
 /// Arguments of `wcal demo`.
@@ -74,7 +75,6 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     for name in &names {
         kind.check(&args.out.join(name), args.overwrite.force)?;
     }
-    let mut entries = Vec::new();
     let progress = crate::progress::Progress::new("demo");
     progress.hear_search();
     for r in RECORDINGS {
@@ -96,9 +96,32 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         )?;
         results.finish()?;
         print_text(&report, &out);
-        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
     drop(progress);
+    println!("report: {}", write_index(&args.out)?.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Folders of a demonstration's recordings, in their order; none where it is no demonstration.
+pub fn folders(place: &Path) -> Vec<PathBuf> {
+    let folders: Vec<PathBuf> = RECORDINGS.iter().map(|r| place.join(r.name)).collect();
+    if folders.iter().all(|f| f.join("report.json").is_file()) { folders } else { Vec::new() }
+}
+
+/// Writes the first page from what the recordings' folders say; its path.
+///
+/// # Errors
+/// Where one of their documents is not what it should be, or the disk does not take the page.
+pub fn write_index(place: &Path) -> anyhow::Result<PathBuf> {
+    let mut entries = Vec::new();
+    for r in RECORDINGS {
+        let stored = place.join(r.name).join("report.json");
+        let page = read_page(&stored).with_context(|| stored.display().to_string())?;
+        let Page::Session(report) = page else {
+            bail!("{}: expected a session's page, found another", stored.display());
+        };
+        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
+    }
     // The page starts with what was measured.
     entries.reverse();
     let introduction = [
@@ -107,8 +130,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         "whiskerfbg-27: a whisker sensor, where the data leave several explanations open. pontius: a load cell of NIST, declared as a \
          straight line. case-004: a whisker bench without any effect.",
     ];
-    let page = args.out.join("report.html");
+    let page = place.join("report.html");
     write_atomic(&page, render_index(TITLE, &introduction, &entries).as_bytes())?;
-    println!("report: {}", page.display());
-    Ok(ExitCode::SUCCESS)
+    Ok(page)
 }

@@ -25,7 +25,7 @@ or rows had no label.")]
 pub struct FitGprArgs {
     /// Session folder (kind "whisker")
     pub session: PathBuf,
-    /// Folder for calibration.json and fit-gpr.json
+    /// Folder for calibration.json, fit-gpr.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Write over what is no earlier result
@@ -74,7 +74,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-gpr",
     document: "fit-gpr.json",
     says: "wcal-map/",
-    files: &["calibration.json"],
+    files: &["calibration.json", "report.html"],
     kept: &[],
     resumes: false,
 };
@@ -133,6 +133,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
 
     out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);
     out.put("fit-gpr.json", serde_json::to_vec_pretty(&result)?);
+    out.put("report.html", wcal_report::render_map(&result));
     out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);

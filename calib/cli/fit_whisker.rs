@@ -92,7 +92,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-whisker",
     document: "whisker.toml",
     says: "wcal-whisker/",
-    files: &["whisker.xml", "dynamics.csv", "dynamics.html"],
+    files: &["whisker.xml", "dynamics.csv", "dynamics.html", "dynamics.json"],
     kept: &[],
     resumes: false,
 };

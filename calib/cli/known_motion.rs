@@ -9,6 +9,7 @@ use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use wcal_core::observation::MomentAxes;
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
@@ -16,7 +17,8 @@ use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReadin
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Settings, bound_mm, locate,
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Settings, bound_mm,
+    locate,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -79,6 +81,15 @@ pub struct TrackedSession {
     pub trajectories: Vec<TrackedTrajectory>,
 }
 
+/// The moments of a wire with its accepted mechanics.
+pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
+    let friction = match wire.friction {
+        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+        _ => Friction::NONE,
+    };
+    MomentField::new(&wire.rod, axes, friction)
+}
+
 /// Locates the contact on each trajectory; `chosen` tells which readings of the system's path are used.
 ///
 /// # Errors
@@ -89,13 +100,7 @@ pub fn track(
     chosen: impl Fn(usize) -> bool,
 ) -> Result<TrackedSession> {
     let GrooveMotion { wire, changed, readings } = motion;
-    let table = |wire: &AcceptedWire| {
-        let friction = match wire.friction {
-            mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
-            _ => Friction::NONE,
-        };
-        MomentField::new(&wire.rod, &system.data.moments, friction)
-    };
+    let table = |wire: &AcceptedWire| moment_field(wire, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
     let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
     for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
@@ -180,32 +185,38 @@ impl TrackedSession {
 
     /// What was found on each trajectory, for track.json.
     pub fn summary(&self) -> Vec<Value> {
-        self.trajectories
-            .iter()
-            .map(|t| {
-                let i = &t.found.innovations;
-                json!({
-                    "trajectory": t.id, "readings": t.readings.len(),
-                    "regions": t.found.posterior.as_ref().map(|p| p.regions()),
-                    "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
-                    "disagreement": t.found.disagreement.map(Disagreement::name),
-                })
-            })
-            .collect()
+        let of = |t: &TrackedTrajectory| {
+            let mut summary = found_summary(&t.found);
+            summary["trajectory"] = t.id.into();
+            summary["readings"] = t.readings.len().into();
+            summary
+        };
+        self.trajectories.iter().map(of).collect()
     }
 
     /// What speaks against motion and moments, trajectory by trajectory.
     pub fn disagreements(&self) -> Vec<String> {
         let of = |t: &TrackedTrajectory| {
-            let i = &t.found.innovations;
-            let said = t.found.disagreement?.sentence();
-            Some(format!(
-                "trajectory {}: {said} (chi2 {:.0} for {:.0} degrees of freedom)",
-                t.id, i.plain, i.dof
-            ))
+            Some(format!("trajectory {}: {}", t.id, disagreement_sentence(&t.found)?))
         };
         self.trajectories.iter().filter_map(of).collect()
     }
+}
+
+/// What an episode told, for track.json.
+pub fn found_summary(found: &Located) -> Value {
+    let i = &found.innovations;
+    json!({
+        "regions": found.posterior.as_ref().map(Posterior::regions),
+        "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
+        "disagreement": found.disagreement.map(Disagreement::name),
+    })
+}
+
+/// What speaks against motion and moments; none where nothing does.
+pub fn disagreement_sentence(found: &Located) -> Option<String> {
+    let (i, said) = (&found.innovations, found.disagreement?.sentence());
+    Some(format!("{said} (chi2 {:.0} for {:.0} degrees of freedom)", i.plain, i.dof))
 }
 
 /// Trajectories of which fewer than half of the readings lie in their regions.

@@ -17,6 +17,7 @@ mod plan_check;
 mod predict;
 mod progress;
 mod reduce;
+mod report;
 mod report_input;
 mod session_folder;
 mod simulate;
@@ -74,6 +75,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Contact points from a recording of wavelengths, through a calibration and a trained tracker
     Track(track::TrackArgs),
+    /// The page of a result again, from its stored documents
+    Report(report::ReportArgs),
     /// Score a trained tracker beside the baselines
     Evaluate(evaluate::EvaluateArgs),
     /// Which effects a plan can tell apart, before anything is measured
@@ -117,6 +120,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Train(args) => train::run(args),
         Command::Track(args) => track::run(args),
+        Command::Report(args) => report::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::PlanCheck(args) => plan_check::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),

@@ -70,7 +70,9 @@ impl ResultKind<'_> {
     fn foreign(&self, folder: &Path) -> Result<Option<String>> {
         let (mut told, mut others) = (false, None);
         for name in entries(folder)? {
-            if matches(self.document, &name) {
+            if self.files.contains(&name.as_str()) {
+                others.get_or_insert(name);
+            } else if matches(self.document, &name) {
                 let text = fs::read_to_string(folder.join(&name)).unwrap_or_default();
                 let own = text.contains(self.says);
                 // A damaged document of a command that goes on is one that it makes again.

@@ -93,7 +93,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "simulate",
     document: "*.json",
     says: "\"wcal-sweep",
-    files: &["*.parquet", "report.html"],
+    files: &["*.parquet", "report.html", "report.json"],
     kept: &["convex", "slurm"],
     resumes: true,
 };
@@ -201,7 +201,8 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     write(&args.out, &name, text.as_bytes())?;
     if args.report {
         let page = report::page(&document, &args.out, &dataset.shards())?;
-        write(&args.out, "report.html", page.as_bytes())?;
+        write(&args.out, "report.json", page.to_json()?.as_bytes())?;
+        write(&args.out, "report.html", page.render().as_bytes())?;
     }
     if args.json {
         println!("{text}");

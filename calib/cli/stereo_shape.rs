@@ -5,6 +5,7 @@ mod session;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
+use crate::report::put_page;
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
-use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
+use wcal_report::{Fact, Page, ShapePair, ShapePicture, ShapesInput};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
@@ -71,7 +72,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-shape",
     document: "shapes.json",
     says: "wcal-shapes/",
-    files: &["report.html", "overlay-*.png"],
+    files: &["report.html", "report.json", "overlay-*.png"],
     kept: &[],
     resumes: false,
 };
@@ -296,8 +297,7 @@ fn put_report(
         rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),
         pairs,
     };
-    out.put("report.html", render_shapes(&input));
-    Ok(())
+    put_page(out, "report", &Page::Shapes(input))
 }
 
 /// A pair's numbers in words.

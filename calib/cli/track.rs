@@ -6,6 +6,8 @@ mod groove;
 mod known_motion;
 mod live;
 mod motion;
+mod motion_log;
+mod motion_table;
 mod output;
 mod table;
 mod trust;
@@ -23,6 +25,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trust::{CheckedCalibration, WhiskerModel};
 use wcal_acquisition::rig::Rig;
+use wcal_core::Purpose;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
 use wcal_track::model_file::{load, read_card};
@@ -32,6 +35,7 @@ use wcal_track::model_file::{load, read_card};
 #[command(after_help = "Examples:
   wcal track readings.csv --calibration calibration.json --model model --out track.csv
   wcal track session --calibration calibration.json --out track.csv
+  wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
@@ -45,7 +49,8 @@ Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibratio
 A session folder without --model: the contact comes from physics, not from a network. The moments of the points table and the way of the
 groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
 groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
-and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why.
+and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
+so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
@@ -64,6 +69,19 @@ pub struct TrackArgs {
     /// Folder of `wcal train`; ID=DIR for one of several whiskers. A session folder needs none: how its groove moves is known
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
+    /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
+    /// base_qz; _m for metres): the contact comes from physics, no model is needed. Without it such columns of the table serve
+    #[arg(long, value_name = "CSV", conflicts_with = "model")]
+    pub motion: Option<PathBuf>,
+    /// What the clock of the motion is ahead of that of the readings, s
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub motion_offset_s: f64,
+    /// Standard deviation of that offset, s
+    #[arg(long, value_name = "S", default_value_t = 0.01)]
+    pub motion_clock_sd_s: f64,
+    /// Standard deviation of the logged motion in each coordinate, mm
+    #[arg(long, value_name = "MM", default_value_t = 0.02)]
+    pub motion_sd_mm: f64,
     /// Rig: rig.toml or the folder that holds it; a session folder has its own
     #[arg(long, value_name = "RIG")]
     pub rig: Option<PathBuf>,
@@ -136,12 +154,14 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
     if args.model.is_empty() {
         let folder = args.source.as_deref().filter(|s| s.join("session.toml").is_file());
-        let Some(folder) = folder else {
-            bail!(
-                "--model: expected one (only the groove of a session folder moves in a known way), found none"
-            );
+        return match (folder, &args.source) {
+            (Some(folder), _) if args.motion.is_none() => known_motion::track(args, folder),
+            (Some(folder), _) => motion_table::track(args, &points_table(folder)?),
+            (None, Some(table)) if table.is_file() => motion_table::track(args, table),
+            _ => bail!(
+                "--model: expected one, or a table or session folder whose motion is known (--motion), found none"
+            ),
         };
-        return known_motion::track(args, folder);
     }
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
@@ -194,6 +214,15 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (Source::Interrogator, Some((place, rig))) => live::track(args, &place, &rig, &loaded),
         (_, None) => bail!("expected --rig RIG for a stream, found none"),
     }
+}
+
+/// The points table of a session folder.
+fn points_table(folder: &Path) -> Result<PathBuf> {
+    let session = wcal_session::load(folder)?;
+    let table = session.inputs.iter().find(|i| i.purpose == Purpose::Fit);
+    table
+        .map(|i| folder.join(&i.path))
+        .ok_or_else(|| anyhow!("{}: expected a points table, found none", folder.display()))
 }
 
 /// What the arguments ask for, and the rig of a stream with its place.

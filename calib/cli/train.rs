@@ -207,7 +207,7 @@ fn on_pass(pass: &Pass) {
 }
 
 /// Learning curves and what was learned from.
-fn page(card: &Card) -> String {
+pub fn page(card: &Card) -> String {
     let line = |value: fn(&Pass) -> f64| card.passes.iter().map(|p| [p.epoch as f64, value(p)]).collect();
     let mark = best(&card.passes).map(|b| (b.epoch as f64, "kept".to_owned()));
     let x = "pass".to_owned();

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove;
-use wcal_report::{Fact, TwinInput, render_twin};
+use wcal_report::{Fact, Page, TwinInput};
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
 
@@ -42,7 +42,7 @@ pub struct TwinArgs {
     /// Leave out the two further runs that state the groove tip's shape, friction and softness apart
     #[arg(long)]
     pub no_tip: bool,
-    /// Page to write: the MuJoCo twin's own error, and what the groove's tip does to the moment
+    /// Page to write, with the document that it is made of (NAME.json) beside it: the MuJoCo twin's own error, and what the groove's tip does to the moment
     #[arg(long, value_name = "HTML")]
     pub report: Option<PathBuf>,
     /// Table to write
@@ -99,7 +99,9 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
             };
             let (lines, findings) = mujoco::by_mujoco(data, preset, !args.no_tip)?;
             if let Some(path) = &args.report {
-                wcal_core::files::write_atomic(path, page(args, &session.id, findings).as_bytes())?;
+                let page = page(args, &session.id, findings);
+                write_file(&path.with_extension("json"), page.to_json()?.as_bytes())?;
+                write_file(path, page.render().as_bytes())?;
             }
             lines
         }
@@ -131,12 +133,12 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(3))
 }
 
-fn page(args: &TwinArgs, session: &str, findings: mujoco::Findings) -> String {
+fn page(args: &TwinArgs, session: &str, findings: mujoco::Findings) -> Page {
     let preset = match args.preset {
         Preset::Released => "released",
         Preset::Paper => "paper",
     };
-    render_twin(&TwinInput {
+    Page::Twin(TwinInput {
         title: format!("MuJoCo twin at the poses of {session}"),
         facts: vec![
             Fact::new("preset", preset),

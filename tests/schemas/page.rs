@@ -10,10 +10,11 @@ const HEAD: &str = "# JSON documents\n\n\
     absent, the table says so; units are in the names.\n";
 
 /// Files first, then what `--json` prints.
-const ORDER: [&str; 24] = [
+const ORDER: [&str; 25] = [
     "verify",
     "calibration",
     "fit-gpr",
+    "report",
     "unsealed",
     "run",
     "stereo",

@@ -2,14 +2,14 @@
 
 use crate::error::CalibrationError;
 use std::path::Path;
-use wcal_core::FbgSpec;
 use wcal_core::stream::MomentStream;
+use wcal_core::{FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
 use wcal_trace::verify::SessionModel;
 use wcal_trace::verify::judgement::Judged;
 use wcal_trace::verify::session_model::Quantity;
-use wcal_trace::whisker::groove_motion::GrooveMotion;
+use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, Sensed};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.
@@ -58,6 +58,11 @@ pub trait WhiskerCalibration {
     /// # Errors
     /// Where it cannot be inverted.
     fn stream(&self) -> Result<Box<dyn MomentStream>, CalibrationError>;
+    /// A table's moments, and the wire that `whisker` describes as the calibration has it.
+    ///
+    /// # Errors
+    /// Where the table cannot be read, lacks a column, or the wire cannot be bent.
+    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError>;
     /// A session's moments and the ways of its groove, not its place; none where nothing can be computed.
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion>;
 }
@@ -71,7 +76,18 @@ pub enum SessionSystem<'a> {
     Scalar(&'a ScalarSystem),
 }
 
-impl SessionSystem<'_> {
+impl<'a> SessionSystem<'a> {
+    /// The whisker that it is.
+    ///
+    /// # Errors
+    /// [`CalibrationError::OtherKind`] for other kinds.
+    pub(crate) fn as_whisker(&self) -> Result<&'a WhiskerSystem, CalibrationError> {
+        match self {
+            Self::Whisker(system) => Ok(system),
+            Self::Scalar(system) => Err(CalibrationError::other_kind(system.kind(), "whisker")),
+        }
+    }
+
     /// Kind of the session.
     #[must_use]
     pub fn kind(&self) -> &str {
@@ -102,6 +118,41 @@ pub struct AppliedTable {
     pub outside: Option<String>,
     /// What is odd about the table of readings.
     pub warnings: Vec<SessionWarning>,
+}
+
+/// A table through a calibration, with the wire that its contacts bend.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensedTable {
+    /// Rows in the table's order.
+    pub rows: Vec<SensedRow>,
+    /// Wire.
+    pub wire: AcceptedWire,
+    /// The wire by one standard deviation of each of the first common unknowns.
+    pub changed: Vec<AcceptedWire>,
+    /// What is odd about the table of readings.
+    pub warnings: Vec<SessionWarning>,
+}
+
+/// A row of [`SensedTable`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensedRow {
+    /// Number of the reading.
+    pub point: i64,
+    /// Its line in the table.
+    pub line: usize,
+    /// Time, s, where the table has it.
+    pub t_s: Option<f64>,
+    /// Whether the strain-isolated grating was read.
+    pub reference: bool,
+    /// Moments.
+    pub sensed: Sensed,
+}
+
+impl SensedRow {
+    pub(crate) fn new(row: &WhiskerRow, sensed: Sensed) -> Self {
+        let reference = row.reference_shift_pm.is_some();
+        Self { point: row.point, line: row.line, t_s: row.t_s, reference, sensed }
+    }
 }
 
 /// Moments of one reading.

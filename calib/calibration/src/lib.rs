@@ -14,7 +14,10 @@ mod physical;
 mod scalar;
 mod trust;
 
-pub use apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+pub use apply::{
+    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
+    WhiskerCalibration,
+};
 pub use artefact::{CalibrationModel, of_whisker, provenance, read_calibration, read_unsealed, seal};
 pub use error::CalibrationError;
 pub use given::GivenCalibration;

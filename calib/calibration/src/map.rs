@@ -1,10 +1,13 @@
 //! A fitted wavelength-to-moment map.
 
-use crate::apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+use crate::apply::{
+    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
+    WhiskerCalibration,
+};
 use crate::error::CalibrationError;
 use std::path::Path;
-use wcal_core::FbgSpec;
 use wcal_core::stream::MomentStream;
+use wcal_core::{FbgSpec, WhiskerSpec};
 use wcal_map::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
 use wcal_trace::verify::judgement::Judged;
@@ -61,12 +64,7 @@ impl Calibration for MapArtefact {
         session: SessionSystem<'_>,
         only_sealed: bool,
     ) -> Result<Option<Vec<Judged>>, CalibrationError> {
-        match session {
-            SessionSystem::Whisker(system) => Ok(judgement::of_map(system, self, only_sealed)),
-            SessionSystem::Scalar(_) => {
-                Err(CalibrationError::other_kind(session.kind(), self.session_kind()))
-            }
-        }
+        Ok(judgement::of_map(session.as_whisker()?, self, only_sealed))
     }
 
     fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
@@ -103,6 +101,21 @@ impl WhiskerCalibration for MapArtefact {
             }
         };
         Ok(MomentTable { rows: table.rows.iter().map(one).collect(), warnings: table.warnings })
+    }
+
+    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
+        let place = table;
+        let table = load_table(place, &self.fbg)?;
+        let shifts = table.rows.iter().map(|r| r.compensated_pm(&self.fbg));
+        let found = groove_motion::of_shifts(shifts, whisker, self)
+            .ok_or_else(|| CalibrationError::content(place, "expected a wire that can be bent"))?;
+        let rows = table.rows.iter().zip(found.readings).map(|(row, sensed)| SensedRow::new(row, sensed));
+        Ok(SensedTable {
+            rows: rows.collect(),
+            wire: found.wire,
+            changed: found.changed,
+            warnings: table.warnings,
+        })
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {

@@ -1,11 +1,14 @@
 //! The traced whisker model: sensitivity and accepted effects. Memory effects run over a table's own history.
 
-use crate::apply::{AppliedTable, Calibration, MomentRow, MomentTable, SessionSystem, WhiskerCalibration};
+use crate::apply::{
+    AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
+    WhiskerCalibration,
+};
 use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
-use wcal_core::{FbgSpec, MomentAxes, WhiskerRow};
-use wcal_session::load_table;
+use wcal_core::{FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
+use wcal_session::{SessionWarning, load_table};
 use wcal_trace::verify::judgement::Judged;
 use wcal_trace::whisker::groove_motion::{self, GrooveMotion};
 use wcal_trace::whisker::path::WhiskerPath;
@@ -53,12 +56,7 @@ impl Calibration for PhysicalModel {
         session: SessionSystem<'_>,
         only_sealed: bool,
     ) -> Result<Option<Vec<Judged>>, CalibrationError> {
-        match session {
-            SessionSystem::Whisker(system) => Ok(judgement::of_model(system, self, only_sealed)),
-            SessionSystem::Scalar(_) => {
-                Err(CalibrationError::other_kind(session.kind(), self.session_kind()))
-            }
-        }
+        Ok(judgement::of_model(session.as_whisker()?, self, only_sealed))
     }
 
     fn whisker(&self) -> Option<&dyn WhiskerCalibration> {
@@ -77,35 +75,31 @@ impl WhiskerCalibration for PhysicalModel {
     }
 
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
-        let place = table;
-        let table = load_table(place, &self.fbg)?;
-        // New readings belong to the last seating that the calibration saw.
-        let last = self.seatings.saturating_sub(1);
-        let rows: Vec<WhiskerRow> =
-            table.rows.iter().map(|r| WhiskerRow { seating: last, ..r.clone() }).collect();
-        let rows: Vec<&WhiskerRow> = rows.iter().collect();
-        let history = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &self.fbg, None, None);
-        if let Some((id, column)) = self.missing_column(&history) {
-            let detail = format!("the calibration carries {id}: expected {column} in every row, found none");
-            return Err(CalibrationError::content(place, detail));
-        }
-        let inferred = self.infer(&history, None);
-        let mut order: Vec<usize> = (0..rows.len()).collect();
-        order.sort_by_key(|&i| history.rows[i]);
+        let History { rows, path, warnings } = history(self, table)?;
+        let inferred = self.infer(&path, None);
         let one = |i: usize| {
-            let (row, m) = (rows[history.rows[i]], &inferred[i]);
+            let (row, m) = (&rows[path.rows[i]], &inferred[i]);
             MomentRow {
                 point: row.point,
                 line: row.line,
                 reference: row.reference_shift_pm.is_some(),
                 t_s: row.t_s,
-                shift_pm: history.readings[i].shift_pm,
+                shift_pm: path.readings[i].shift_pm,
                 moment_nmm: m.moment_nmm,
                 sd_nmm: m.sd_nmm,
                 valid: m.valid,
             }
         };
-        Ok(MomentTable { rows: order.into_iter().map(one).collect(), warnings: table.warnings })
+        Ok(MomentTable { rows: in_order(&path).into_iter().map(one).collect(), warnings })
+    }
+
+    fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError> {
+        let History { rows, path, warnings } = history(self, table)?;
+        let found = groove_motion::of_readings(&path, whisker, self)
+            .ok_or_else(|| CalibrationError::content(table, "expected a wire that can be bent"))?;
+        let one = |i: usize| SensedRow::new(&rows[path.rows[i]], found.readings[i].clone());
+        let rows = in_order(&path).into_iter().map(one).collect();
+        Ok(SensedTable { rows, wire: found.wire, changed: found.changed, warnings })
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {
@@ -119,4 +113,32 @@ impl WhiskerCalibration for PhysicalModel {
         })?;
         Ok(Box::new(stream))
     }
+}
+
+/// A table's readings in order of time.
+struct History {
+    rows: Vec<WhiskerRow>,
+    path: WhiskerPath,
+    warnings: Vec<SessionWarning>,
+}
+
+fn history(model: &PhysicalModel, place: &Path) -> Result<History, CalibrationError> {
+    let table = load_table(place, &model.fbg)?;
+    // New readings belong to the last seating that the calibration saw.
+    let seating = model.seatings.saturating_sub(1);
+    let rows: Vec<WhiskerRow> = table.rows.into_iter().map(|r| WhiskerRow { seating, ..r }).collect();
+    let all: Vec<&WhiskerRow> = rows.iter().collect();
+    let path = WhiskerPath::new(&all, &[], &MomentAxes::default(), &model.fbg, None, None);
+    if let Some((id, column)) = model.missing_column(&path) {
+        let detail = format!("the calibration carries {id}: expected {column} in every row, found none");
+        return Err(CalibrationError::content(place, detail));
+    }
+    Ok(History { rows, path, warnings: table.warnings })
+}
+
+/// Indices of a path's readings in the table's order.
+fn in_order(path: &WhiskerPath) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..path.rows.len()).collect();
+    order.sort_by_key(|&i| path.rows[i]);
+    order
 }

@@ -2,6 +2,7 @@
 
 use crate::output::OutputFolder;
 use crate::progress::Progress;
+use crate::report::put_page;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
@@ -13,7 +14,7 @@ use wcal_mujoco::dynamics::{
     DynamicsFit, Parameters, Score, Sensitivity, Targets, Trial, fit_dynamics, ring_down_s,
 };
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_report::{DynamicsInput, DynamicsTrial, Fact, render_dynamics};
+use wcal_report::{DynamicsInput, DynamicsTrial, Fact, Page};
 
 /// Arguments of the fit of damping and contact.
 #[derive(Debug, Args)]
@@ -110,7 +111,7 @@ pub fn dynamics(
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);
     out.put("dynamics.csv", table(&fit.trials)?);
-    out.put("dynamics.html", page(&fit, &why));
+    put_page(out, "dynamics", &page(&fit, &why))?;
     let dynamics = Dynamics {
         simulated: true,
         damping_s: fit.options.damping_s,
@@ -235,7 +236,7 @@ fn table(trials: &[Trial]) -> anyhow::Result<String> {
     Ok(text)
 }
 
-fn page(fit: &DynamicsFit, why: &[String]) -> String {
+fn page(fit: &DynamicsFit, why: &[String]) -> Page {
     let mut trials = Vec::new();
     let mut best = 0;
     for (k, Trial { stage, parameters: p, score: s }) in fit.trials.iter().enumerate() {
@@ -273,5 +274,5 @@ fn page(fit: &DynamicsFit, why: &[String]) -> String {
         Fact::new("trials", fit.trials.len().to_string()),
     ];
     let title = "Damping and contact of the MuJoCo model".to_owned();
-    render_dynamics(&DynamicsInput { title, facts, choice: why.to_vec(), trials, best })
+    Page::Dynamics(DynamicsInput { title, facts, choice: why.to_vec(), trials, best })
 }

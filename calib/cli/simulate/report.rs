@@ -6,8 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use wcal_mujoco::columns::{Column, read};
 use wcal_report::{
-    EnginesCompared, ExampleSample, ExampleSweep, Fact, SpeedDifference, SweepsInput, SweptObject,
-    render_sweeps,
+    EnginesCompared, ExampleSample, ExampleSweep, Fact, Page, SpeedDifference, SweepsInput, SweptObject,
 };
 
 /// Shards that are searched for sweeps to draw.
@@ -21,7 +20,7 @@ type Table = BTreeMap<String, Column>;
 ///
 /// # Errors
 /// Where a shard cannot be read.
-pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<String> {
+pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<Page> {
     let counts = |of: &BTreeMap<String, u64>| of.iter().map(|(k, n)| (k.clone(), *n)).collect::<Vec<_>>();
     let mut verdicts = counts(&document.verdicts);
     verdicts.sort_by_key(|(name, n)| (name != "kept", std::cmp::Reverse(*n)));
@@ -46,7 +45,7 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         facts.push(Fact::new("sweeps a second and core", format!("{rate:.1}")));
     }
     let faults = [&document.missing, &document.left_out, &document.notes];
-    Ok(render_sweeps(&SweepsInput {
+    Ok(Page::Sweeps(SweepsInput {
         title: format!("{} sweeps over {} objects", document.sweeps, document.objects.len()),
         facts,
         warnings: faults.into_iter().flatten().cloned().collect(),

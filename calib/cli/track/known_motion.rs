@@ -111,7 +111,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
 }
 
 /// A place as a row of the track has it; none where nothing was found.
-fn answer(place: &Place) -> Option<Prediction> {
+pub fn answer(place: &Place) -> Option<Prediction> {
     let at = place.place_mm?;
     let c = place.covariance_mm2;
     Some(Prediction {

@@ -26,7 +26,10 @@ impl Flags {
     /// Moments and known motion do not belong together.
     pub const MOTION_DISAGREES: Self = Self(512);
 
-    const NAMES: [(Self, &'static str); 10] = [
+    /// The motion at this time is not known.
+    pub const MOTION_LOST: Self = Self(1024);
+
+    const NAMES: [(Self, &'static str); 11] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -37,6 +40,7 @@ impl Flags {
         (Self::FILLING, "filling"),
         (Self::UNTRAINED_MOTION, "untrained-motion"),
         (Self::MOTION_DISAGREES, "motion-disagrees"),
+        (Self::MOTION_LOST, "motion-lost"),
     ];
 
     /// Both.

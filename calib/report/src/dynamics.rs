@@ -1,14 +1,16 @@
 //! The page of a fit of damping and contact: every trial, the trade between the demands, and the choice. The trials are simulated.
 
+use crate::document::or_nan;
 use crate::input::Fact;
 use crate::markup::{Cell, Table, paragraph};
 use crate::number::number;
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Marker, Plot};
 use crate::sections::{legend, series};
+use serde::{Deserialize, Serialize};
 
 /// What the page shows.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DynamicsInput {
     /// Heading.
     pub title: String,
@@ -23,21 +25,26 @@ pub struct DynamicsInput {
 }
 
 /// A trial.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DynamicsTrial {
     /// Stage of the search.
     pub stage: String,
     /// Parameters and results in words.
     pub label: String,
     /// Bounce over the undamped wire's.
+    #[serde(deserialize_with = "or_nan")]
     pub bounce_ratio: f64,
     /// Change of the mean moment between two speeds, %.
+    #[serde(deserialize_with = "or_nan")]
     pub bias_percent: f64,
     /// Ripple, N mm.
+    #[serde(deserialize_with = "or_nan")]
     pub ripple_nmm: f64,
     /// Deepest overlap, mm.
+    #[serde(deserialize_with = "or_nan")]
     pub overlap_mm: f64,
     /// Sum of squares of the demands.
+    #[serde(deserialize_with = "or_nan")]
     pub total: f64,
 }
 

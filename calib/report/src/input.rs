@@ -2,8 +2,8 @@
 //!
 //! Everything is public and serialisable; an empty list means "not part of this run" and the section says so.
 
+use crate::document::or_nan;
 use serde::{Deserialize, Serialize};
-use wcal_core::map_document::MapDocument;
 use wcal_core::verify_document::{EffectParameter, HeldOutError, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord};
 
@@ -19,10 +19,9 @@ pub struct ReportInput {
     pub accepted_on_request: bool,
     /// Name and value of what the reader should know of the session: wire, medium, rows by role, devices.
     pub facts: Vec<Fact>,
-    /// Result of `verify`.
+    /// Result of `verify`; stored in verify.json and nowhere else.
+    #[serde(skip_serializing)]
     pub verify: VerifyDocument,
-    /// Result of `fit-gpr`.
-    pub map: Option<MapDocument>,
     /// Every reading with its residuals, in time order.
     pub residuals: Vec<ResidualRecord>,
     /// Further held-out errors beside `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
@@ -31,7 +30,7 @@ pub struct ReportInput {
     pub steps: Vec<Fact>,
     /// Tests of the omnibus gate.
     pub gate: Vec<GateTest>,
-    /// Names of the two moments, e.g. `x moment` and `z moment`; used by the twin check, the map table and the errors.
+    /// Names of the two moments, e.g. `x moment` and `z moment`; used by the twin check and the errors.
     pub moment_names: [String; 2],
     /// Twin check, one entry a trajectory.
     pub twin: Vec<TwinTrajectory>,
@@ -41,8 +40,6 @@ pub struct ReportInput {
     pub isolability: Option<Isolability>,
     /// Explanations that were refitted, best first.
     pub explanations: Vec<Explanation>,
-    /// Observed against nominal coverage of the stated intervals.
-    pub coverage: Vec<CoverageCurve>,
     /// Program, command, seed and files by hash.
     pub provenance: Provenance,
     /// Versions of what took part, e.g. `rustc` and `1.95.0`.
@@ -59,7 +56,6 @@ impl ReportInput {
             accepted_on_request: false,
             facts: Vec::new(),
             verify,
-            map: None,
             residuals: Vec::new(),
             further_errors: Vec::new(),
             steps: Vec::new(),
@@ -69,7 +65,6 @@ impl ReportInput {
             evidence: Vec::new(),
             isolability: None,
             explanations: Vec::new(),
-            coverage: Vec::new(),
             provenance,
             versions: Vec::new(),
         }
@@ -178,6 +173,7 @@ pub struct RodBranch {
     /// Stage positions in order, mm.
     pub stage_mm: Vec<f64>,
     /// Moments at those positions, N mm, same length.
+    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: Vec<[f64; 2]>,
 }
 
@@ -189,6 +185,7 @@ pub struct TwinMark {
     /// Stage position, mm.
     pub stage_mm: f64,
     /// Moments, N mm.
+    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: [f64; 2],
     /// Kind of fault; `None` for a good label.
     pub fault: Option<String>,
@@ -223,9 +220,10 @@ pub struct Isolability {
     /// Effect identifiers, n of them.
     pub names: Vec<String>,
     /// n rows of n cosines, -1 to 1; NaN where a signature is absorbed.
+    #[serde(deserialize_with = "or_nan")]
     pub cosine: Vec<Vec<f64>>,
     /// The same in the wavelengths alone; none without pictures.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_nan")]
     pub cosine_without_pictures: Option<Vec<Vec<f64>>>,
 }
 
@@ -235,22 +233,12 @@ pub struct Explanation {
     /// Effects; empty: the declared model alone.
     pub effects: Vec<String>,
     /// ln(likelihood / likelihood of the best), zero for the best, else negative.
+    #[serde(deserialize_with = "or_nan")]
     pub log_likelihood_ratio: f64,
     /// Bootstrap p-value of that ratio.
     pub p_value: Option<f64>,
     /// Not rejected.
     pub survives: bool,
-}
-
-/// Observed against nominal coverage of one model's intervals.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CoverageCurve {
-    /// Model.
-    pub name: String,
-    /// Nominal coverages, 0 to 1.
-    pub nominal: Vec<f64>,
-    /// Observed coverages, same length.
-    pub observed: Vec<f64>,
 }
 
 /// A line of the overview page.

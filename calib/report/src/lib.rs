@@ -11,6 +11,8 @@
 //! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
 //! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
+//! - [`render_map`]: the page of a map from wavelengths to moments, from `fit-gpr.json`.
+//! - [`Page`]: any of them as `report.json` stores it, to be made again.
 //!
 //! ```
 //! # use wcal_core::verify_document::*;
@@ -26,8 +28,10 @@
 //! assert!(page.starts_with("<!DOCTYPE html>"));
 //! ```
 
+mod document;
 mod dynamics;
 mod input;
+mod map;
 mod markup;
 mod number;
 mod page;
@@ -38,11 +42,13 @@ mod sweeps;
 mod tracking;
 mod twin;
 
+pub use document::{Page, PageError, REPORT_FORMAT};
 pub use dynamics::{DynamicsInput, DynamicsTrial, render_dynamics};
 pub use input::{
-    CoverageCurve, EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError,
-    ReportInput, RodBranch, TwinMark, TwinTrajectory, model_after,
+    EvidenceRow, Explanation, Fact, GateTest, IndexEntry, Isolability, NamedError, ReportInput, RodBranch,
+    TwinMark, TwinTrajectory, model_after,
 };
+pub use map::render_map;
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{render, render_index, render_many};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};

@@ -1,12 +1,14 @@
 //! The page of a twin's labels: its own error, and what the groove's tip does to the moments. All of it is simulated.
 
+use crate::document::or_nan;
 use crate::input::Fact;
 use crate::markup::{Cell, Table, list, paragraph};
 use crate::number::significant;
 use crate::page::simulated;
+use serde::{Deserialize, Serialize};
 
 /// What a twin's report shows.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct TwinInput {
     /// Heading.
     pub title: String,
@@ -21,15 +23,18 @@ pub struct TwinInput {
 }
 
 /// An effect of the groove's tip on the moment, % of the moment in an ideal groove.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TipEffect {
     /// What was added.
     pub name: String,
     /// Mean change along the moment: these add up.
+    #[serde(deserialize_with = "or_nan")]
     pub along_percent: f64,
     /// Root mean square of the whole change.
+    #[serde(deserialize_with = "or_nan")]
     pub rms_percent: f64,
     /// Largest change, and the pose.
+    #[serde(deserialize_with = "or_nan")]
     pub largest_percent: f64,
     /// See `largest_percent`.
     pub at_point: i64,

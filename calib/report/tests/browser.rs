@@ -1,13 +1,16 @@
 //! Opens the sample pages in a real browser: no console message, every section laid out, nothing wider than a phone.
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test that fails should say where")]
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 #[path = "../examples/sample/data.rs"]
 mod data;
 mod headless;
+#[path = "../../../tests/support/not_run.rs"]
+mod not_run;
 
 use std::fs;
 use wcal_report::{
-    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_many, render_shapes,
+    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_many, render_map,
+    render_shapes,
 };
 
 /// A pair whose names would break a careless page.
@@ -42,6 +45,7 @@ fn pages_load_without_a_word_on_the_console() {
         ("many.html", render_many("Many", &[], &samples[..2])),
         ("index.html", render_index("Index", &[], &entries)),
         ("shapes.html", render_shapes(&shapes())),
+        ("map.html", render_map(&data::map())),
     ];
     for (name, page) in pages {
         let path = folder.path().join(name);
@@ -70,7 +74,8 @@ fn nothing_is_wider_than_a_phone() {
     let Some(browser) = headless::browser() else { return };
     let page = render(&data::whisker());
     let entries = [IndexEntry::of(&data::whisker(), "report.html")];
-    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes())] {
+    let map = render_map(&data::map());
+    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes()), &map] {
         assert!(headless::content_width(&browser, page, 400) <= 400);
     }
     let wide = page.replace("<main>", "<main><div style=\"width:900px\">wide</div>");

@@ -8,8 +8,9 @@ use quick_xml::events::Event;
 use wcal_core::Provenance;
 use wcal_core::verify_document::{HeldOutError, NoiseFloor, SecondWitness, UnknownEffect, Verdict};
 use wcal_report::{
-    CoverageCurve, Fact, IndexEntry, Isolability, ReportInput, number, p_value, percent, render,
-    render_index, render_many, with_interval,
+    DynamicsInput, DynamicsTrial, EnginesCompared, ExampleSample, ExampleSweep, Fact, IndexEntry,
+    Isolability, Page, PageError, ReportInput, ShapesInput, SpeedDifference, SweepsInput, TipEffect,
+    TwinInput, number, p_value, percent, render, render_index, render_many, render_map, with_interval,
 };
 
 /// Parses the page strictly; returns its text without tags, or what is wrong with it.
@@ -51,6 +52,7 @@ fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
     let mut pages: Vec<String> = samples.iter().map(render).collect();
     pages.push(render_many("Many", &["Introduction."], &samples));
     pages.push(render_index("Index", &[], &entries));
+    pages.push(render_map(&data::map()));
     for page in &pages {
         text_of(page).unwrap();
         let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
@@ -83,7 +85,6 @@ fn every_section_is_there_and_the_contents_lead_to_it() {
         "twin",
         "residuals",
         "predicted",
-        "map",
         "evidence",
         "detectable",
         "noise",
@@ -105,8 +106,8 @@ fn pages_of_empty_sessions_say_what_is_missing() {
         let text = text_of(&page).unwrap();
         assert!(text.contains("No residual records"), "{kind}");
         assert!(text.contains("No held-out error was computed"), "{kind}");
-        // Nothing to check and no map: neither is spoken of.
-        assert!(!page.contains("id=\"twin\"") && !page.contains("id=\"map\""), "{kind}");
+        // Nothing to check: not spoken of.
+        assert!(!page.contains("id=\"twin\""), "{kind}");
     }
 }
 
@@ -161,11 +162,6 @@ fn every_number_of_the_result_shows_up() {
         wanted.extend(row.p_adjusted.map(p_value));
         wanted.extend(row.log_likelihood_ratio.map(number));
     }
-    for c in &input.map.as_ref().unwrap().candidates {
-        wanted.extend(c.loo_rmse_nmm.map(number));
-        wanted.extend(c.coverage95.map(percent));
-        wanted.extend(c.loto_rmse_nmm.unwrap().map(number));
-    }
     wanted.extend(input.explanations.iter().map(|e| number(e.log_likelihood_ratio)));
     for record in &input.residuals {
         wanted.extend([record.measured, record.predicted_before, record.predicted_after].map(number));
@@ -219,10 +215,9 @@ fn hostile_text_stays_text() {
     input.evidence[0].status = text();
     input.explanations[0].effects = vec![text()];
     input.isolability.as_mut().unwrap().names[0] = text();
-    input.coverage[0].name = text();
     input.provenance.command = vec![text()];
     input.provenance.inputs[0].path = text();
-    let map = input.map.as_mut().unwrap();
+    let mut map = data::map();
     map.chosen = text();
     map.candidates[0].name = text();
     map.identifiability.warnings = vec![text()];
@@ -235,7 +230,8 @@ fn hostile_text_stays_text() {
         record.covariates.push((text(), record.measured));
     }
     let index = render_index(HOSTILE, &[HOSTILE], &[IndexEntry::of(&input, HOSTILE)]);
-    for page in [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index] {
+    let pages = [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
+    for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));
     }
@@ -274,13 +270,13 @@ fn broken_numbers_leave_the_page_whole() {
             cosine_without_pictures: Some(vec![vec![value]]),
         });
         input.explanations[1].log_likelihood_ratio = value;
-        input.coverage =
-            vec![CoverageCurve { name: "c".into(), nominal: vec![0.5, value], observed: vec![value] }];
-        input.map.as_mut().unwrap().candidates[0].coverage95 = [value; 2];
-        let page = render(&input);
-        text_of(&page).unwrap();
-        let body = &page[page.find("<body>").unwrap()..];
-        assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
+        let mut map = data::map();
+        map.candidates[0].coverage95 = [value; 2];
+        for page in [render(&input), render_map(&map)] {
+            text_of(&page).unwrap();
+            let body = &page[page.find("<body>").unwrap()..];
+            assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
+        }
     }
 }
 
@@ -306,4 +302,99 @@ fn large_sessions_are_thinned_but_keep_what_was_rejected() {
         larger.residuals.extend_from_slice(&input.residuals);
     }
     assert!(render(&larger).len() < 2 * page.len());
+}
+
+#[test]
+fn a_map_has_every_candidate_and_its_errors() {
+    let map = data::map();
+    let text = text_of(&render_map(&map)).unwrap();
+    for c in &map.candidates {
+        let numbers =
+            [c.loo_rmse_nmm.map(number), c.coverage95.map(percent), c.loto_rmse_nmm.unwrap().map(number)];
+        assert!(
+            numbers.iter().flatten().all(|n| text.contains(n.as_str())) && text.contains(&c.name),
+            "{}",
+            c.name
+        );
+    }
+    assert!(text.contains("thin-plate (chosen)") && text.contains("SIMULATED"));
+    let measured = render_map(&wcal_core::map_document::MapDocument { simulated: false, ..map });
+    assert!(!measured.contains(">SIMULATED<"), "measured data must not carry the badge");
+}
+
+#[test]
+fn a_stored_page_is_the_same_page_again() {
+    for mut input in data::all() {
+        // JSON has no NaN: it comes back as such.
+        input.explanations.iter_mut().for_each(|e| e.log_likelihood_ratio = f64::NAN);
+        if let Some(isolability) = &mut input.isolability {
+            isolability.cosine[0][1] = f64::NAN;
+        }
+        let verify = serde_json::to_string_pretty(&input.verify).unwrap();
+        let page = Page::Session(Box::new(input));
+        let stored = page.to_json().unwrap();
+        assert!(!stored.contains("\"verdict\""), "verify.json alone says what was found");
+        let again = Page::from_json(&stored, Some(&verify)).unwrap();
+        assert_eq!(again.render(), page.render());
+
+        // What is cut off, of another version, or without its result is told, and gives no page.
+        for end in [0, 1, stored.len() / 2, stored.len() - 3] {
+            assert!(
+                matches!(Page::from_json(&stored[..end], Some(&verify)), Err(PageError::Content(_))),
+                "{end}"
+            );
+        }
+        assert!(matches!(
+            Page::from_json(&stored, Some(&verify[..verify.len() / 2])),
+            Err(PageError::Result(_))
+        ));
+        assert!(matches!(Page::from_json(&stored, None), Err(PageError::NoResult)));
+        let other = stored.replace("wcal-report/1", "wcal-report/99");
+        assert!(
+            matches!(Page::from_json(&other, Some(&verify)), Err(PageError::Format(f)) if f == "wcal-report/99")
+        );
+        let lacking = stored.replace("\"residuals\"", "\"residues\"");
+        assert!(
+            matches!(Page::from_json(&lacking, Some(&verify)), Err(PageError::Content(e)) if e.to_string().contains("residuals"))
+        );
+    }
+}
+
+#[test]
+fn pages_of_every_kind_come_again_with_numbers_that_are_not_known() {
+    let nan = f64::NAN;
+    let trial = DynamicsTrial {
+        stage: "coarse".into(),
+        bias_percent: nan,
+        ripple_nmm: 0.25,
+        total: nan,
+        ..Default::default()
+    };
+    let sample =
+        ExampleSample { t_s: 0.1, moment_nmm: [nan, 1.5], event: "none".into(), ..Default::default() };
+    let tip = TipEffect {
+        name: "play".into(),
+        along_percent: nan,
+        rms_percent: 0.5,
+        largest_percent: 1.0,
+        at_point: 7,
+    };
+    let pages = [
+        Page::Dynamics(DynamicsInput { trials: vec![trial], ..Default::default() }),
+        Page::Twin(TwinInput { tip: vec![tip], poses: 2, ..Default::default() }),
+        Page::Shapes(ShapesInput { rejected: vec![["a".into(), "b".into()]], ..Default::default() }),
+        Page::Sweeps(SweepsInput {
+            verdicts: vec![("kept".into(), 2)],
+            engines: Some(EnginesCompared {
+                by_speed: vec![SpeedDifference { bias: nan, contact_mm: [nan, 0.5], ..Default::default() }],
+                ..Default::default()
+            }),
+            examples: vec![ExampleSweep { title: "can".into(), samples: vec![sample.clone(), sample] }],
+            ..Default::default()
+        }),
+    ];
+    for page in pages {
+        let again = Page::from_json(&page.to_json().unwrap(), None).unwrap();
+        assert_eq!(again.render(), page.render());
+    }
 }

@@ -2,6 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 use std::collections::BTreeMap;
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_plant::session::{Case, Make, Request, Want, draw_under};
@@ -135,6 +138,75 @@ fn contacts_are_found_at_the_bound_and_their_regions_hold() {
         assert!((s.ellipse as f64 / n - 0.95).abs() < 0.07, "{design:?}: {s}");
         assert!(s.doubted == 0, "{design:?}: {s}");
     }
+}
+
+/// A push, a hold, a way back, a way aside and a turn of the base, by the tracker's own rod: what the plant's stage cannot do.
+fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let noise_nmm = 4e-3;
+    let arclength_mm = rng.random_range(20.0..48.0);
+    let (touch, _) = field.free(arclength_mm);
+    let push = Vector3::new(0.3, rng.random_range(-0.8..0.8), 0.9).normalize();
+    let aside = push.cross(&Vector3::x()).normalize();
+    // Way along the push and aside (mm), and the turn about y (rad), reading by reading.
+    let mut ways = vec![(-1.5, 0.0, 0.0), (-0.5, 0.0, 0.0)];
+    ways.extend((1..=6).map(|k| (f64::from(k), 0.0, 0.0)));
+    ways.extend([(6.0, 0.0, 0.0); 3]);
+    ways.extend([(5.0, 0.0, 0.0), (4.0, 0.0, 0.0), (3.5, 0.0, 0.0)]);
+    ways.extend((1..=4).map(|k| (3.5, 0.5 * f64::from(k), 0.0)));
+    ways.extend((1..=4).map(|k| (4.0 + 0.5 * f64::from(k), 2.0, 0.01 * f64::from(k))));
+    let row = |(k, (along, across, turn)): (usize, &(f64, f64, f64))| {
+        let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), *turn);
+        // The point turns about the root with the base's frame and is carried along.
+        let moved_mm = push * *along + aside * *across;
+        let place = turn * touch + moved_mm;
+        let held = (place - touch).dot(&push) > 0.0;
+        let m = if held { field.held(&place, 0.0).unwrap().moment_nmm } else { [0.0; 2] };
+        MotionRow {
+            t_s: k as f64,
+            moment_nmm: m.map(|m| m + noise_nmm * rng.sample::<f64, _>(StandardNormal)),
+            noise_nmm2: Matrix2::identity() * noise_nmm * noise_nmm,
+            shared_nmm: Vec::new(),
+            shared_way_mm: Vec::new(),
+            moved_mm,
+            turn,
+            velocity_mm_s: Vector3::zeros(),
+            moved_sd_mm: 0.0,
+            free: false,
+            visit: 0,
+        }
+    };
+    let rows: Vec<MotionRow> = ways.iter().enumerate().map(row).collect();
+    let last = rows.len() - 1;
+    let place = rows[last].turn * touch + rows[last].moved_mm;
+    (Episode { rows, push: None }, place)
+}
+
+#[test]
+fn motion_in_any_direction_with_holds_reversals_and_turns_is_followed() {
+    let field = field(&drawn(1, Design::Paper));
+    let settings = Settings::default();
+    let (mut held, mut ratios, mut ignored) = (0, Vec::new(), 0);
+    const EPISODES: usize = 20;
+    for seed in 0..EPISODES as u64 {
+        let (episode, place) = wandering(&field, seed);
+        let path = ContactPath::new(&field, &episode).unwrap();
+        let last = episode.rows.len() - 1;
+        let truth = path.state_of(&place, last, None).unwrap();
+        let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
+        let found = locate(&field, &episode, &settings).unwrap();
+        assert!(found.disagreement.is_none(), "{seed}: {:?}", found.innovations);
+        held += usize::from(found.posterior.unwrap().holds(&truth));
+        ratios.push((found.places[last].place_mm.unwrap() - place).norm() / bound);
+        // Control: the same motion without its turn.
+        let mut straight = episode.clone();
+        straight.rows.iter_mut().for_each(|r| r.turn = Rotation3::identity());
+        ignored += usize::from(locate(&field, &straight, &settings).unwrap().disagreement.is_some());
+    }
+    ratios.sort_by(f64::total_cmp);
+    assert!(held >= EPISODES - 3, "{held} of {EPISODES}: {ratios:?}");
+    assert!((0.2..1.3).contains(&ratios[EPISODES / 2]), "{ratios:?}");
+    assert!(ignored * 2 > EPISODES, "{ignored} of {EPISODES}");
 }
 
 /// Control: moments that are off by more than their noise says are not covered, and doubted.

@@ -9,7 +9,7 @@ use wcal_report::*;
 #[path = "whisker.rs"]
 mod whisker;
 
-pub use whisker::whisker;
+pub use whisker::{map, whisker};
 
 const SAMPLE: &str = "SIMULATED SAMPLE, all numbers invented to show the page";
 

@@ -5,7 +5,7 @@
 mod data;
 
 use std::{env, fs, io, path::PathBuf};
-use wcal_report::{IndexEntry, render, render_index, render_many};
+use wcal_report::{IndexEntry, render, render_index, render_many, render_map};
 
 fn main() -> io::Result<()> {
     let folder = PathBuf::from(env::args().nth(1).unwrap_or_else(|| ".".into()));
@@ -17,6 +17,7 @@ fn main() -> io::Result<()> {
         fs::write(folder.join(&name), render(input))?;
         entries.push(IndexEntry::of(input, name));
     }
+    fs::write(folder.join("map.html"), render_map(&data::map()))?;
     let introduction = ["Invented sessions that show what a report looks like."];
     fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;
     fs::write(folder.join("many.html"), render_many("Sample sessions", &introduction, &sessions))?;

@@ -76,7 +76,6 @@ pub fn whisker() -> ReportInput {
     ];
     input.residuals = whisker_residuals();
     input.twin = (1..=9).map(twin).collect();
-    input.map = Some(map());
     input.further_errors = vec![NamedError {
         name: "black-box GP (rival)".into(),
         error: whisker_error(0.911, [0.80, 1.03], 0.0131, [0.0110, 0.0152]),
@@ -170,16 +169,11 @@ fn tracing(input: &mut ReportInput) {
         explanation(&["stage-backlash"], -3.8, Some(0.012), false),
         explanation(&["hysteresis"], -11.2, Some(0.0005), false),
     ];
-    let nominal: Vec<f64> = (1..20).map(|k| 0.05 * f64::from(k)).collect();
-    let bend = |by: f64| nominal.iter().map(|n| n + by * n * (1.0 - n)).collect();
-    input.coverage = vec![
-        CoverageCurve { name: "thin-plate".into(), nominal: nominal.clone(), observed: bend(0.07) },
-        CoverageCurve { name: "affine".into(), nominal: nominal.clone(), observed: bend(-0.35) },
-    ];
     input.versions = vec![Fact::new("rustc", "1.95.0")];
 }
 
-fn map() -> MapDocument {
+/// Maps of the same session.
+pub fn map() -> MapDocument {
     let candidate = |name: &str, loo: [f64; 2], coverage: [f64; 2], evidence| MapCandidate {
         name: name.into(),
         loo_rmse_nmm: loo,

@@ -146,7 +146,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {
         out += &super::figure(
-            input,
+            input.verify.simulated,
             "forest",
             &charts,
             "Held-out root-mean-square errors with their 95 % intervals, logarithmic scale. Dashed: noise floor.",

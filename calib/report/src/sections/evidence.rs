@@ -117,7 +117,7 @@ fn ambiguity(input: &ReportInput) -> String {
         rules: Vec::new(),
     };
     figure(
-        input,
+        input.verify.simulated,
         "forest",
         &chart.svg(),
         "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
@@ -139,14 +139,14 @@ fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
         )
     };
     let mut out = figure(
-        input,
+        input.verify.simulated,
         "wide",
         &map("Isolability matrix", &matrix.cosine),
         "Isolability: cosines between the signatures once the nuisance parameters have taken their part. Outlined pairs (0.995 and above) are one class on this data; a dash stands for a signature that is absorbed.",
     );
     if let Some(values) = &matrix.cosine_without_pictures {
         out += &figure(
-            input,
+            input.verify.simulated,
             "wide",
             &map("Isolability without the pictures", values),
             "The same in the wavelengths alone: what is outlined here and not above is told apart by the pictures.",

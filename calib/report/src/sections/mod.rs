@@ -4,7 +4,6 @@ pub(crate) mod before_after;
 mod calibration;
 mod evidence;
 mod found;
-mod map;
 mod noise;
 mod predicted;
 mod provenance;
@@ -50,13 +49,6 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         title: "Measured against predicted",
         body: predicted::body(input),
     });
-    if let Some(map) = &input.map {
-        sections.push(Section {
-            id: "map",
-            title: "Map from wavelengths to moments",
-            body: map::body(input, map),
-        });
-    }
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
     sections.push(Section {
         id: "detectable",
@@ -74,8 +66,8 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
 }
 
 /// A chart or several under one caption; simulated data is labelled at the picture itself, since pictures travel alone.
-fn figure(input: &ReportInput, class: &str, charts: &str, caption: &str) -> String {
-    let tag = if input.verify.simulated { "<span class=\"pill sim\">SIMULATED</span> " } else { "" };
+pub(crate) fn figure(simulated: bool, class: &str, charts: &str, caption: &str) -> String {
+    let tag = if simulated { "<span class=\"pill sim\">SIMULATED</span> " } else { "" };
     format!(
         "<figure class=\"{class}\"><div class=\"charts\">{charts}</div><figcaption>{tag}{}</figcaption></figure>\n",
         escape(caption)

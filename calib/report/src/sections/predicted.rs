@@ -32,7 +32,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         charts += &chart(k, channel, "after", unit, &both, &records, after);
     }
     figure(
-        input,
+        input.verify.simulated,
         "square",
         &charts,
         "Measured against predicted readings; on the line they agree. Crosses mark rejected readings.",

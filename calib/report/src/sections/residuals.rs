@@ -171,7 +171,7 @@ impl<'a> View<'a> {
             charts
         };
         let class = if self.close.is_some() { "three" } else { "pair" };
-        figure(input, class, &charts, &format!("Residuals against {label}."))
+        figure(input.verify.simulated, class, &charts, &format!("Residuals against {label}."))
     }
 
     fn chart(&self, column: &str, title: &str, y: &Axis, residual: fn(&ResidualRecord) -> f64) -> String {

@@ -37,7 +37,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     out += &legend(&input.moment_names);
     let charts: String = input.twin.iter().map(|t| chart(input, t, &kinds)).collect();
     out + &figure(
-        input,
+        input.verify.simulated,
         "many",
         &charts,
         match has_labels(input) {

@@ -29,8 +29,7 @@ pub fn browser() -> Option<PathBuf> {
     let found =
         env::split_paths(&path).flat_map(|dir| names.map(|name| dir.join(name))).find(|p| p.is_file());
     if found.is_none() {
-        assert!(env::var_os("CI").is_none(), "CI is set, but no Chromium is installed to open the report in");
-        eprintln!("SKIPPED: no Chromium is installed, the report was not opened in a browser");
+        super::not_run::not_run("no Chromium is installed to open the report in");
     }
     found
 }

@@ -37,7 +37,7 @@ pub struct ContactPath<'a> {
 }
 
 /// Whether a reading is loaded beyond its noise.
-fn loaded(row: &MotionRow) -> bool {
+pub(crate) fn loaded(row: &MotionRow) -> bool {
     let shared: f64 = row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
     let sd = (row.noise_nmm2.trace() + shared).max(0.0).sqrt();
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd

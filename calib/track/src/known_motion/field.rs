@@ -213,7 +213,8 @@ impl MomentField {
     fn solve(&self, key: Key) -> Option<Node> {
         let target = place(&key);
         let (s_mm, wire) = self.nearest(&target);
-        if s_mm < ROOT_MM {
+        // No wire reaches farther than it is long; a motion in the wrong unit asks for places metres away.
+        if s_mm < ROOT_MM || target.norm() > self.rod.shape.length_mm {
             return None;
         }
         let way = wire - target;
@@ -323,6 +324,7 @@ mod tests {
         assert!(field.held(&(tip - tangent * 0.5), 0.0).is_some());
         assert!(field.held(&(tip + tangent * 0.5), 0.0).is_none());
         assert!(field.held(&Vector3::new(-5.0, 0.0, 3.0), 0.0).is_none());
+        assert!(field.held(&Vector3::new(2e4, 0.0, 4e4), 0.0).is_none(), "metres away");
     }
 
     #[test]

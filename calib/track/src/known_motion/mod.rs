@@ -31,17 +31,21 @@
 pub mod bound;
 pub mod check;
 pub mod contact_path;
+pub mod episodes;
 pub mod field;
 pub mod likelihood;
+pub mod motion_log;
 pub mod posterior;
 
 pub use bound::bound_mm;
 pub use check::{Disagreement, Innovations};
+pub use episodes::episodes;
 pub use field::{Friction, MomentField};
+pub use motion_log::{LogRow, Lost, Motion, MotionLog};
 pub use posterior::{Posterior, Region};
 
 use crate::TrackError;
-use contact_path::ContactPath;
+use contact_path::{ContactPath, loaded};
 use likelihood::Likelihood;
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
 
@@ -93,12 +97,14 @@ pub struct Settings {
     pub first_mm: f64,
     /// Share of grossly wrong readings.
     pub gross_share: f64,
+    /// Readings of an episode that the posterior is made of; of more, every second, third, ...
+    pub max_rows: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is known.
-        Self { gap_sd_mm: 0.5, clock_sd_s: 0.0, first_mm: 8.0, gross_share: 0.01 }
+        Self { gap_sd_mm: 0.5, clock_sd_s: 0.0, first_mm: 8.0, gross_share: 0.01, max_rows: 400 }
     }
 }
 
@@ -134,15 +140,29 @@ pub struct Located {
 /// For rows that cannot be used: no push direction, times that do not go forward, numbers that are not finite.
 pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, TrackError> {
     check_rows(episode)?;
+    let all = episode;
+    let Some(whole) = ContactPath::new(field, episode) else {
+        let found = Located::nothing(episode);
+        if !episode.rows.iter().any(loaded) {
+            return Ok(found);
+        }
+        // A loaded wire and a motion without direction.
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        return Ok(Located { disagreement, innovations, ..found });
+    };
+    let chosen = thinned(episode, settings.max_rows);
+    let rows = chosen.iter().map(|&k| episode.rows[k].clone()).collect();
+    let episode = &Episode { rows, push: Some(whole.push) };
     let Some(path) = ContactPath::new(field, episode) else {
-        return Ok(Located::nothing(episode));
+        return Ok(Located::nothing(all));
     };
     let mut likelihood = Likelihood::new(&path, settings, None)?;
     let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
         // Loaded readings that no place on the wire explains.
         let innovations = Innovations::unexplained(episode.rows.len());
         let disagreement = check::disagreement(field, episode, settings, &innovations);
-        return Ok(Located { disagreement, innovations, ..Located::nothing(episode) });
+        return Ok(Located { disagreement, innovations, ..Located::nothing(all) });
     };
     let (plain, dof) = likelihood.innovation(&path, &first.state);
     // What depends on the state (clock, noise of the motion, gross readings) is taken at the best one.
@@ -159,8 +179,9 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
     let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
     let innovations = Innovations { plain, robust, dof, gross, rows: episode.rows.len() };
     let disagreement = check::disagreement(field, episode, settings, &innovations);
+    let is_gross = |k: usize| chosen.binary_search(&k).is_ok_and(|n| likelihood.regular[n] < 0.5);
     Ok(Located {
-        places: posterior.places(&path, &likelihood),
+        places: posterior.places(&whole, is_gross),
         posterior: Some(posterior),
         disagreement,
         innovations,
@@ -183,6 +204,14 @@ impl Located {
             },
         }
     }
+}
+
+/// Readings that the posterior is made of: evenly, with the first loaded one, which the way counts from.
+fn thinned(episode: &Episode, max_rows: usize) -> Vec<usize> {
+    let n = episode.rows.len();
+    let stride = n.div_ceil(max_rows.max(1)).max(1);
+    let first = episode.rows.iter().position(loaded).unwrap_or(0);
+    (first % stride..n).step_by(stride).collect()
 }
 
 fn check_rows(episode: &Episode) -> Result<(), TrackError> {

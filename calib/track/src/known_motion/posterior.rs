@@ -301,7 +301,7 @@ impl Posterior {
     }
 
     /// Mean and covariance of the point's place at the reference, with the direction of the push taken from `path`.
-    pub(crate) fn places(&self, path: &ContactPath<'_>, likelihood: &Likelihood) -> Vec<Place> {
+    pub(crate) fn places(&self, path: &ContactPath<'_>, is_gross: impl Fn(usize) -> bool) -> Vec<Place> {
         (0..path.rows.len())
             .map(|row| {
                 let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
@@ -334,7 +334,7 @@ impl Posterior {
                     place_mm: Some(mean),
                     covariance_mm2: square / total - mean * mean.transpose() + motion,
                     contact: contact / total,
-                    gross: likelihood.regular[row] < 0.5,
+                    gross: is_gross(row),
                 }
             })
             .collect()

@@ -9,9 +9,11 @@
 //! reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
-use super::rod_tables::RodParameters;
-use super::system::{ActiveEffect, WhiskerSystem};
+use super::rod_tables::{RodParameters, rod_of};
+use super::system::{AIR_KG_M3, ActiveEffect, WhiskerSystem};
+use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use wcal_core::WhiskerSpec;
 use wcal_map::{MapArtefact, MapPredictor};
 use wcal_rod::Rod;
 
@@ -70,13 +72,30 @@ pub struct GrooveMotion {
     pub readings: Vec<MovedReading>,
 }
 
-/// Moments of a reading: mean, own noise, whether the calibration vouches for them, and common unknowns: moments and way.
-struct Sensed {
-    moment_nmm: [f64; 2],
-    noise_nmm2: Matrix2<f64>,
-    valid: bool,
-    shared_nmm: Vec<[f64; 2]>,
-    shared_way_mm: Vec<f64>,
+/// Moments of a reading through a calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensed {
+    /// Base moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Covariance of the reading's own noise, (N mm)^2.
+    pub noise_nmm2: Matrix2<f64>,
+    /// Inside the region that the calibration was fitted in.
+    pub valid: bool,
+    /// See [`MovedReading::shared_nmm`].
+    pub shared_nmm: Vec<[f64; 2]>,
+    /// See [`MovedReading::shared_way_mm`].
+    pub shared_way_mm: Vec<f64>,
+}
+
+/// Readings without a stage through a calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensedReadings {
+    /// Wire.
+    pub wire: AcceptedWire,
+    /// See [`GrooveMotion::changed`].
+    pub changed: Vec<AcceptedWire>,
+    /// In the order of the path.
+    pub readings: Vec<Sensed>,
 }
 
 /// Stage and wire under one set of values.
@@ -86,8 +105,10 @@ struct Mechanics {
     wire: AcceptedWire,
 }
 
-fn mechanics(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Mechanics> {
-    let path = &system.path;
+/// The rod with the given deviations.
+type RodOf<'a> = &'a dyn Fn(&RodParameters) -> Option<Rod>;
+
+fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Option<Mechanics> {
     let mut rod = RodParameters::default();
     let mut xs_mm: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
     for active in &model.terms() {
@@ -95,7 +116,7 @@ fn mechanics(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Mechanics>
         active.effect.pose(&active.values(), path, &mut xs_mm);
     }
     let wire = AcceptedWire {
-        rod: system.rod_tables.rod(&rod)?,
+        rod: rod_of(&rod)?,
         friction: rod.friction,
         moving_share: rod.moving_share,
         offset_mm: Vector3::from(rod.offset_mm),
@@ -103,20 +124,21 @@ fn mechanics(system: &WhiskerSystem, model: &PhysicalModel) -> Option<Mechanics>
     Some(Mechanics { xs_mm, wire })
 }
 
-/// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
-/// position would take theirs from the groove's place: the system must have none.
-#[must_use]
-pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
-    let path = &system.path;
+/// The readings of a path, and the stage positions of its nodes.
+fn through(
+    path: &WhiskerPath,
+    rod_of: RodOf<'_>,
+    model: &PhysicalModel,
+) -> Option<(SensedReadings, Vec<f64>)> {
     let inverse = model.sensitivity().try_inverse()?;
-    let Mechanics { xs_mm, wire } = mechanics(system, model)?;
+    let Mechanics { xs_mm, wire } = mechanics(path, rod_of, model)?;
     let inferred = model.infer(path, None);
     let terms = model.terms();
     let felt = model.sensed(&terms, path, &inverse);
     let noise_pm = vec![model.noise_sd_pm; felt.len()];
     let (gradients, _) = model.gradients(&terms, path, &felt, &inverse, &noise_pm);
     let (factor, mechanical) = factor(model);
-    let others = factor.column_iter().map(|f| mechanics(system, &with_values(model, f.as_slice())));
+    let others = factor.column_iter().map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
     let others = others.collect::<Option<Vec<Mechanics>>>()?;
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
     let mut node_of = vec![0; path.readings.len()];
@@ -136,9 +158,45 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
             shared_way_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
         }
     };
-    let readings = readings(system, &xs_mm, sensed);
+    let readings = (0..path.readings.len()).map(sensed).collect();
     let changed = others.into_iter().take(mechanical).map(|o| o.wire).collect();
-    Some(GrooveMotion { wire, changed, readings })
+    Some((SensedReadings { wire, changed, readings }, xs_mm))
+}
+
+/// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
+/// position would take theirs from the groove's place: the system must have none.
+#[must_use]
+pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
+    let (SensedReadings { wire, changed, readings: sensed }, xs_mm) =
+        through(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
+    Some(GrooveMotion { wire, changed, readings: readings(system, &xs_mm, &sensed) })
+}
+
+/// Readings of a path without a stage, of a wire in air; as [`of_model`].
+#[must_use]
+pub fn of_readings(
+    path: &WhiskerPath,
+    whisker: &WhiskerSpec,
+    model: &PhysicalModel,
+) -> Option<SensedReadings> {
+    through(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
+}
+
+fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> Sensed {
+    let p = predictor.predict(shift_pm);
+    let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
+    Sensed {
+        moment_nmm: p.moment_nmm,
+        noise_nmm2: Matrix2::from_diagonal(&Vector2::from(noise)),
+        valid: p.is_valid(),
+        shared_nmm: vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]],
+        shared_way_mm: vec![0.0; 2],
+    }
+}
+
+/// A wire without accepted deviations.
+fn nominal(rod: Rod) -> AcceptedWire {
+    AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() }
 }
 
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
@@ -146,28 +204,29 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
-    let sensed = |i: usize| {
-        let p = predictor.predict(system.path.readings[i].shift_pm);
-        let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
-        Sensed {
-            moment_nmm: p.moment_nmm,
-            noise_nmm2: Matrix2::from_diagonal(&Vector2::from(noise)),
-            valid: p.is_valid(),
-            shared_nmm: vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]],
-            shared_way_mm: vec![0.0; 2],
-        }
-    };
-    let rod = system.rod_tables.rod(&RodParameters::default())?;
-    let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
-    Some(GrooveMotion { wire, changed: Vec::new(), readings: readings(system, &xs, sensed) })
+    let sensed = system.path.readings.iter().map(|r| sensed_by_map(&mut predictor, r.shift_pm));
+    let sensed: Vec<Sensed> = sensed.collect();
+    let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
+    Some(GrooveMotion { wire, changed: Vec::new(), readings: readings(system, &xs, &sensed) })
+}
+
+/// Readings without a stage by their compensated shifts (pm); as [`of_map`].
+#[must_use]
+pub fn of_shifts(
+    shifts_pm: impl Iterator<Item = [f64; 2]>,
+    whisker: &WhiskerSpec,
+    map: &MapArtefact,
+) -> Option<SensedReadings> {
+    let mut predictor = MapPredictor::new(map).ok()?;
+    Some(SensedReadings {
+        wire: nominal(rod_of(whisker, AIR_KG_M3, &RodParameters::default())?),
+        changed: Vec::new(),
+        readings: shifts_pm.map(|s| sensed_by_map(&mut predictor, s)).collect(),
+    })
 }
 
 /// Readings on trajectories; `xs_mm` are the nodes' stage positions.
-fn readings(
-    system: &WhiskerSystem,
-    xs_mm: &[f64],
-    mut sensed: impl FnMut(usize) -> Sensed,
-) -> Vec<MovedReading> {
+fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[Sensed]) -> Vec<MovedReading> {
     let path = &system.path;
     let mut stage_mm = vec![0.0; path.readings.len()];
     for (node, x) in path.nodes.iter().zip(xs_mm) {
@@ -182,7 +241,7 @@ fn readings(
         visit += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
         let Some(line) = r.line else { continue };
-        let Sensed { moment_nmm, noise_nmm2, valid, shared_nmm, shared_way_mm } = sensed(i);
+        let Sensed { moment_nmm, noise_nmm2, valid, shared_nmm, shared_way_mm } = sensed[i].clone();
         out.push(MovedReading {
             reading: i,
             line,
@@ -279,7 +338,7 @@ mod tests {
 
     #[test]
     fn the_common_unknowns_are_the_covariance_and_the_first_are_the_wires() {
-        let lag = effect("time-lag", "pose", vec![0.1]);
+        let lag = effect("time-lag", "delay", vec![0.1]);
         let friction = effect("groove-friction", "coulomb", vec![0.2]);
         for (effects, wires) in [(vec![], 0), (vec![lag.clone()], 0), (vec![lag, friction], 1)] {
             let model = model(effects);

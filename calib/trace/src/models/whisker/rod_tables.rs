@@ -102,7 +102,6 @@ pub struct RodTables {
     start_mm: Vec<f64>,
     reach_mm: Vec<f64>,
     pub(crate) axes: MomentAxes,
-    step_mm: f64,
     /// So few readings that each is solved for by itself.
     sparse: bool,
     pub(crate) points: SolveCache,
@@ -129,6 +128,34 @@ fn is_sparse(path: &crate::whisker::path::WhiskerPath) -> bool {
     wanted.iter().map(Vec::len).sum::<usize>() <= SPARSE_POSITIONS * used
 }
 
+/// The wire with another straight part and another arc.
+fn wire_of(spec: &WhiskerSpec, rod_parameters: &RodParameters) -> WhiskerSpec {
+    let mut wire = spec.clone();
+    if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut wire.rest_shape {
+        *straight_mm += rod_parameters.straight_change_mm;
+        *arc_radius_mm += rod_parameters.arc_radius_change_mm;
+    }
+    wire
+}
+
+/// A wire with the given deviations in a medium.
+pub(crate) fn rod_of(spec: &WhiskerSpec, fluid_kg_m3: f64, rod_parameters: &RodParameters) -> Option<Rod> {
+    let mut rod = Rod::new(&wire_of(spec, rod_parameters), MESH_MM).ok()?;
+    let [y, z] = rod_parameters.compliance_rad_per_nmm;
+    let largest = y.abs().max(z.abs());
+    if largest > 0.0 {
+        rod.compliance_rad_per_nmm = largest;
+        rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
+    }
+    rod.section.softening = rod_parameters.softening;
+    rod.section.taper = rod_parameters.taper;
+    if rod_parameters.weight != 0.0 {
+        rod = rod.with_weight(spec, fluid_kg_m3);
+        rod.weight_n_per_mm *= rod_parameters.weight;
+    }
+    Some(rod)
+}
+
 impl RodTables {
     /// Bench of a whisker and the lines that its readings use.
     ///
@@ -147,7 +174,6 @@ impl RodTables {
             start_mm: path.start_mm.clone(),
             reach_mm: path.reach_mm.clone(),
             axes: path.moments.clone(),
-            step_mm: MESH_MM,
             sparse: is_sparse(path),
             points: SolveCache::default(),
             touches: Mutex::new(HashMap::new()),
@@ -159,30 +185,7 @@ impl RodTables {
 
     /// The rod with the given deviations.
     pub(crate) fn rod(&self, rod_parameters: &RodParameters) -> Option<Rod> {
-        let mut rod = Rod::new(&self.wire(rod_parameters), self.step_mm).ok()?;
-        let [y, z] = rod_parameters.compliance_rad_per_nmm;
-        let largest = y.abs().max(z.abs());
-        if largest > 0.0 {
-            rod.compliance_rad_per_nmm = largest;
-            rod.compliance_axes = Vector3::new(0.0, y / largest, z / largest);
-        }
-        rod.section.softening = rod_parameters.softening;
-        rod.section.taper = rod_parameters.taper;
-        if rod_parameters.weight != 0.0 {
-            rod = rod.with_weight(&self.spec, self.fluid_kg_m3);
-            rod.weight_n_per_mm *= rod_parameters.weight;
-        }
-        Some(rod)
-    }
-
-    /// The wire with another straight part and another arc.
-    fn wire(&self, rod_parameters: &RodParameters) -> WhiskerSpec {
-        let mut wire = self.spec.clone();
-        if let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = &mut wire.rest_shape {
-            *straight_mm += rod_parameters.straight_change_mm;
-            *arc_radius_mm += rod_parameters.arc_radius_change_mm;
-        }
-        wire
+        rod_of(&self.spec, self.fluid_kg_m3, rod_parameters)
     }
 
     pub(crate) fn line(&self, l: usize, rod_parameters: &RodParameters) -> Line {

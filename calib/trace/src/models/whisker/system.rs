@@ -168,11 +168,14 @@ fn rates(readings: &[crate::whisker::path::Reading]) -> Vec<f64> {
         .collect()
 }
 
+/// Density of air, kg/m^3.
+pub(crate) const AIR_KG_M3: f64 = 1.2;
+
 /// Density of the medium, kg/m^3.
 fn fluid_kg_m3(medium: &str) -> f64 {
     match medium {
         "water" => 998.2,
-        _ => 1.2,
+        _ => AIR_KG_M3,
     }
 }
 

@@ -1,0 +1,122 @@
+//! `wcal report`: a page again, from the documents that its command stored.
+
+use crate::output::{OutputFolder, write_file};
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use wcal_core::map_document::MAP_FORMAT;
+use wcal_report::{Page, REPORT_FORMAT, render_map};
+use wcal_track::model_file::read_card;
+
+/// Arguments of `wcal report`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal verify session --out out
+  wcal report out
+
+Nothing is computed: the page comes from report.json (with verify.json where a session was verified), evaluation.json, model.json, fit-gpr.json or
+dynamics.json. The page of `wcal twin --report NAME.html` has its document beside it: wcal report NAME.json.")]
+pub struct ReportArgs {
+    /// Folder of results, or one document
+    pub place: PathBuf,
+}
+
+/// Documents of which a page is made, and the page's name.
+const DOCUMENTS: [(&str, &str); 5] = [
+    ("report.json", "report.html"),
+    ("evaluation.json", "report.html"),
+    ("model.json", "report.html"),
+    ("fit-gpr.json", "report.html"),
+    ("dynamics.json", "dynamics.html"),
+];
+
+/// Adds a page and the document that it is made of: `NAME.html`, `NAME.json`.
+///
+/// # Errors
+/// None that a page can cause.
+pub fn put_page(out: &mut OutputFolder<'_>, name: &str, page: &Page) -> anyhow::Result<()> {
+    out.put(&format!("{name}.json"), page.to_json()?);
+    out.put(&format!("{name}.html"), page.render());
+    Ok(())
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Where no document is there, or one is not what its page needs.
+pub fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
+    for page in pages_again(&args.place)? {
+        println!("report: {}", page.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes every page of a place anew; their paths.
+fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let mut made = Vec::new();
+    let mut again = |document: PathBuf, page: PathBuf| -> anyhow::Result<()> {
+        let html = html_of(&document).with_context(|| document.display().to_string())?;
+        write_file(&page, html.as_bytes())?;
+        made.push(page);
+        Ok(())
+    };
+    if !place.is_dir() {
+        let name = place.file_name().unwrap_or_default();
+        let page = DOCUMENTS.iter().find(|(document, _)| name == *document);
+        again(
+            place.to_owned(),
+            page.map_or_else(|| place.with_extension("html"), |(_, page)| place.with_file_name(page)),
+        )?;
+        return Ok(made);
+    }
+    for (document, page) in DOCUMENTS {
+        if place.join(document).is_file() {
+            again(place.join(document), place.join(page))?;
+        }
+    }
+    if made.is_empty() {
+        for folder in crate::demo::folders(place) {
+            made.extend(pages_again(&folder)?);
+        }
+        if !made.is_empty() {
+            made.push(crate::demo::write_index(place)?);
+        }
+    }
+    let names = DOCUMENTS.map(|(document, _)| document).join(", ");
+    ensure!(
+        !made.is_empty(),
+        "{}: expected a document that a page is made of ({names}), found none",
+        place.display()
+    );
+    Ok(made)
+}
+
+/// The page of one document.
+fn html_of(path: &Path) -> anyhow::Result<String> {
+    let text = std::fs::read_to_string(path)?;
+    let document: Value = serde_json::from_str(&text)?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    Ok(match document["format"].as_str() {
+        Some(REPORT_FORMAT) => read_page(path)?.render(),
+        Some(MAP_FORMAT) => render_map(&serde_json::from_value(document)?),
+        Some(crate::evaluate::FORMAT) => crate::evaluate::report::page(&document)?,
+        Some(wcal_track::model_file::FORMAT) => crate::train::page(&read_card(folder)?),
+        found => bail!(
+            "format: expected {REPORT_FORMAT}, {MAP_FORMAT}, {} or {}, found {found:?}",
+            crate::evaluate::FORMAT,
+            wcal_track::model_file::FORMAT
+        ),
+    })
+}
+
+/// A page out of `report.json`, with the `verify.json` beside it.
+///
+/// # Errors
+/// Where one of them is not what a page needs.
+pub fn read_page(path: &Path) -> anyhow::Result<Page> {
+    let text = std::fs::read_to_string(path)?;
+    let verify = std::fs::read_to_string(path.with_file_name("verify.json")).ok();
+    Ok(Page::from_json(&text, verify.as_deref())?)
+}

@@ -1,0 +1,286 @@
+//! Tracks of a table whose readings were taken in a known relative motion: no network.
+
+use super::groove::{KnownGroove, known_places};
+use super::known_motion::answer;
+use super::motion_log::{LoggedMotion, has_motion, read};
+use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::trust::{TrustIssues, calibration_issues};
+use super::{Outcome, TrackArgs, exit_code};
+use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
+use crate::simulated::is_simulated;
+use anyhow::{Context, Result, anyhow, bail};
+use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
+use rayon::prelude::*;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::ExitCode;
+use wcal_calibration::{SensedRow, SensedTable, of_whisker};
+use wcal_core::observation::MomentAxes;
+use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::known_motion::{
+    Episode, Located, Lost, Motion, MotionRow, Place, Settings, episodes, locate,
+};
+use wcal_track::stream::BasePose;
+
+/// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
+const ZERO: f64 = 0.5;
+/// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
+const SAME_POSE_MM: f64 = 1.0;
+
+/// A reading with its motion.
+struct MovedRow<'a> {
+    row: &'a SensedRow,
+    t_s: f64,
+    motion: Result<Motion, Lost>,
+}
+
+/// Tracks the readings of a table along the motion of `--motion`, or of its own columns.
+///
+/// # Errors
+/// Where table, motion or calibration cannot be used.
+pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
+    let [place] = &args.calibration[..] else {
+        bail!("--calibration: expected one for a table, found {}", args.calibration.len());
+    };
+    if args.motion.is_none() && !has_motion(table)? {
+        bail!(
+            "--model: expected one, or a motion (--motion, or columns object_x_mm .. or base_x_mm .. of {}), found none",
+            table.display()
+        );
+    }
+    for (option, value) in
+        [("--motion-sd-mm", args.motion_sd_mm), ("--motion-clock-sd-s", args.motion_clock_sd_s)]
+    {
+        if !(value.is_finite() && value >= 0.0) {
+            bail!("{option}: expected 0 or more, found {value}");
+        }
+    }
+    let place = Path::new(place);
+    let (file, issues) = calibration_issues(place)?;
+    let issues = TrustIssues::of(issues);
+    for issue in issues.messages() {
+        eprintln!("{}: {issue}", if args.force { "warning" } else { "refused" });
+    }
+    if !issues.none() && !args.force {
+        return Ok(ExitCode::from(4));
+    }
+    let whisker = file.whisker.as_ref().ok_or_else(|| {
+        anyhow!(
+            "{}: expected a calibration that says of which whisker it is, found an older one",
+            place.display()
+        )
+    })?;
+    let sensed =
+        of_whisker(place, &file)?.sensed(table, whisker).with_context(|| place.display().to_string())?;
+    for warning in &sensed.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let motion_file = args.motion.as_deref().unwrap_or(table);
+    let LoggedMotion { log, posed } = read(motion_file, args.motion_offset_s)?;
+    let SensedTable { rows, wire, changed, .. } = &sensed;
+    let field = moment_field(wire, &MomentAxes::default())
+        .with_changed(changed.iter().map(|w| moment_field(w, &MomentAxes::default())).collect());
+
+    // Every reading with the motion at its time.
+    let middle = field.free(0.5 * field.length_mm()).0;
+    let moved = moved_rows(table, rows, |t_s| log.at(t_s, &middle))?;
+    if let [Some(first), Some(last)] = [moved.first(), moved.last()] {
+        log.check_clock([first.t_s, last.t_s]).with_context(|| motion_file.display().to_string())?;
+    }
+    for line in log.jumps() {
+        eprintln!(
+            "{}: line {line}: the motion jumps; contacts before and after are tracked apart",
+            motion_file.display()
+        );
+    }
+    let (mut known, pieces, index) = with_motion(&moved, args.motion_sd_mm);
+
+    // Each contact by itself.
+    let ranges = episodes(&field, &mut known, &pieces);
+    let settings = Settings { clock_sd_s: args.motion_clock_sd_s, ..Settings::default() };
+    let found = ranges.par_iter().map(|[from, to]| {
+        let episode = Episode { rows: known[*from..*to].to_vec(), push: None };
+        Ok(locate(&field, &episode, &settings)?)
+    });
+    let found = found.collect::<Result<Vec<Located>>>()?;
+    let mut places: BTreeMap<usize, (&Place, &Located, usize)> = BTreeMap::new();
+    for (n, ([from, _], located)) in ranges.iter().zip(&found).enumerate() {
+        places.extend(located.places.iter().enumerate().map(|(k, p)| (index[from + k], (p, located, n))));
+    }
+
+    let mut files = TrackFiles::create(&args.out, false)?;
+    let mut groove = KnownGroove::new(known_places(table)?, whisker);
+    let codes = issues.codes();
+    let (mut outside, mut flagged) = (0_u64, 0_u64);
+    let mut lost: BTreeMap<&'static str, u64> = BTreeMap::new();
+    for (k, m) in moved.iter().enumerate() {
+        let (here, mut flags) = (places.get(&k), Flags::default());
+        if let Err(why) = &m.motion {
+            *lost.entry(why.name()).or_default() += 1;
+            flags = flags.with(Flags::MOTION_LOST);
+        }
+        if here.is_some_and(|(_, located, _)| located.disagreement.is_some()) {
+            flags = flags.with(Flags::MOTION_DISAGREES);
+        }
+        let answer = here.and_then(|(place, ..)| answer(place));
+        if let (Some(groove), Some(answer)) = (&mut groove, &answer) {
+            groove.push(m.t_s, answer);
+        }
+        let s = &m.row.sensed;
+        outside += u64::from(!s.valid);
+        flagged += u64::from(!flags.none());
+        let base = m.motion.as_ref().ok().filter(|_| posed).map(base_pose);
+        files.row(&TrackRow {
+            point: m.row.point,
+            t_s: m.t_s,
+            whisker: "",
+            flags,
+            doubts: &codes,
+            moments: Some(StreamMoments { moment_nmm: s.moment_nmm, sd_nmm: sd_nmm(m.row), valid: s.valid }),
+            answer: answer.as_ref(),
+            base_mm_s: m.motion.as_ref().ok().map(|m| -m.velocity_mm_s.z),
+            base,
+            touching: None,
+            segment: here.map(|(.., n)| *n as u64),
+        })?;
+    }
+    let simulated = is_simulated(table) || file.provenance.simulated;
+    if simulated {
+        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
+    }
+    let disagreements: Vec<String> = found
+        .iter()
+        .enumerate()
+        .filter_map(|(n, f)| Some(format!("contact {n}: {}", disagreement_sentence(f)?)))
+        .collect();
+    let contacts: Vec<_> = ranges
+        .iter()
+        .zip(&found)
+        .map(|([from, to], f)| {
+            let mut summary = found_summary(f);
+            summary["from_s"] = known[*from].t_s.into();
+            summary["to_s"] = known[to - 1].t_s.into();
+            summary["readings"] = (to - from).into();
+            summary
+        })
+        .collect();
+    let lost_rows: u64 = lost.values().sum();
+    let summary = json!({
+        "format": FORMAT, "source": table, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged,
+        "unusable_rows": lost_rows, "outside_valid_region": outside, "doubts": issues.messages(), "method": "known-motion",
+        "calibration_sha256": file.content_sha256, "place": "axis of the wire at the contact, base frame",
+        "motion": {"file": motion_file, "span_s": log.span_s(), "offset_s": args.motion_offset_s, "lost_rows": lost,
+            "jump_lines": log.jumps().collect::<Vec<_>>()},
+        "contacts": contacts, "known_groove": groove.as_ref().and_then(KnownGroove::summary),
+    });
+    files.finish(&summary, args.json)?;
+    if outside > 0 {
+        eprintln!(
+            "{outside} of {} readings lie outside the valid region; marked in outside_valid_region",
+            rows.len()
+        );
+    }
+    if lost_rows > 0 {
+        let why: Vec<String> = lost.iter().map(|(name, n)| format!("{name} {n}")).collect();
+        eprintln!(
+            "the motion of {lost_rows} of {} readings is not known ({}); marked motion-lost in status",
+            rows.len(),
+            why.join(", ")
+        );
+    }
+    for said in &disagreements {
+        eprintln!("{said}; marked motion-disagrees in status");
+    }
+    if ranges.is_empty() {
+        eprintln!("no contact: no reading is loaded beyond its noise where the motion is known");
+    }
+    if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
+        eprintln!("{said}");
+    }
+    let misstated = groove.as_ref().is_some_and(KnownGroove::misstated);
+    Ok(exit_code(
+        args,
+        Outcome {
+            outside: outside > 0,
+            misstated,
+            lost: lost_rows > 0,
+            untrained: !disagreements.is_empty(),
+        },
+    ))
+}
+
+/// Readings in order of time with their motion.
+fn moved_rows<'a>(
+    table: &Path,
+    rows: &'a [SensedRow],
+    at: impl Fn(f64) -> Result<Motion, Lost>,
+) -> Result<Vec<MovedRow<'a>>> {
+    let mut last_s = f64::NEG_INFINITY;
+    let mut moved = Vec::with_capacity(rows.len());
+    for row in rows {
+        let place = || format!("{}: line {}: t_s", table.display(), row.line);
+        let Some(t_s) = row.t_s else { bail!("{}: expected a time, found none", place()) };
+        if !(t_s > last_s) {
+            bail!("{}: expected a later time than {last_s}, found {t_s}", place());
+        }
+        last_s = t_s;
+        moved.push(MovedRow { row, t_s, motion: at(t_s) });
+    }
+    Ok(moved)
+}
+
+/// The readings whose motion is known, the piece of the motion that each is in, and its index among all.
+fn with_motion(moved: &[MovedRow<'_>], moved_sd_mm: f64) -> (Vec<MotionRow>, Vec<u32>, Vec<usize>) {
+    let (mut known, mut pieces, mut index) = (Vec::new(), Vec::new(), Vec::new());
+    for (k, m) in moved.iter().enumerate() {
+        let Ok(motion) = &m.motion else { continue };
+        let s = &m.row.sensed;
+        // A zero of its own, by the noise: two more unknowns that all rows share.
+        let zero = s.noise_nmm2.cholesky().map_or_else(Default::default, |c| c.l() * ZERO);
+        let mut shared_nmm = s.shared_nmm.clone();
+        shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
+        known.push(MotionRow {
+            t_s: m.t_s,
+            moment_nmm: s.moment_nmm,
+            noise_nmm2: s.noise_nmm2,
+            shared_way_mm: Vec::new(),
+            shared_nmm,
+            moved_mm: motion.moved_mm,
+            turn: motion.turn,
+            velocity_mm_s: motion.velocity_mm_s,
+            moved_sd_mm,
+            free: false,
+            visit: 0,
+        });
+        pieces.push(motion.piece);
+        index.push(k);
+    }
+    // Rows of one pose have one noise from pose to pose: each counts for its share.
+    let poses: Vec<f64> = (0..known.len()).map(|k| same_pose(&known, k)).collect();
+    for (row, n) in known.iter_mut().zip(poses) {
+        row.noise_nmm2 *= n;
+    }
+    (known, pieces, index)
+}
+
+/// Rows around one that are of its pose.
+fn same_pose(rows: &[MotionRow], k: usize) -> f64 {
+    let near = |r: &&MotionRow| (r.moved_mm - rows[k].moved_mm).norm() < 0.5 * SAME_POSE_MM;
+    let (before, after) = rows.split_at(k);
+    (before.iter().rev().take_while(near).count() + after.iter().take_while(near).count()).max(1) as f64
+}
+
+/// Pose of the base where the object's frame is the world's.
+fn base_pose(motion: &Motion) -> BasePose {
+    let back: Rotation3<f64> = motion.turn.inverse();
+    let place = Translation3::from(back * -motion.moved_mm);
+    let world_from_base = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back));
+    BasePose { world_from_base, velocity_mm_s: Some(-motion.velocity_mm_s) }
+}
+
+/// Standard deviations of a row's moments, N mm.
+fn sd_nmm(row: &SensedRow) -> [f64; 2] {
+    let shared = |c: usize| row.sensed.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
+    [0, 1].map(|c| (row.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())
+}

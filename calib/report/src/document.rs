@@ -1,0 +1,130 @@
+//! `report.json` (format `wcal-report/1`): what a page shows and no other document of its command says, so that it can be made again.
+//!
+//! A session's page stands on `verify.json`, which is not repeated here. Numbers that JSON cannot hold are null.
+
+use crate::dynamics::{DynamicsInput, render_dynamics};
+use crate::input::ReportInput;
+use crate::page::render;
+use crate::shapes::{ShapesInput, render_shapes};
+use crate::sweeps::{SweepsInput, render_sweeps};
+use crate::twin::{TwinInput, render_twin};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Value, json};
+
+/// Format tag of `report.json`.
+pub const REPORT_FORMAT: &str = "wcal-report/1";
+
+/// A page by what it shows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Page {
+    /// A session through `verify`.
+    Session(Box<ReportInput>),
+    /// Shapes from stereo pictures.
+    Shapes(ShapesInput),
+    /// A sweep dataset.
+    Sweeps(SweepsInput),
+    /// A twin's labels.
+    Twin(TwinInput),
+    /// A fit of damping and contact.
+    Dynamics(DynamicsInput),
+}
+
+/// Why a document gives no page.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// No JSON, or other keys and types than a page has.
+    #[error("expected a page's document, found: {0}")]
+    Content(#[from] serde_json::Error),
+    /// The same of the result that it shows.
+    #[error("verify.json: expected the result of verify, found: {0}")]
+    Result(#[source] serde_json::Error),
+    /// Another format or version.
+    #[error("format: expected {REPORT_FORMAT}, found {0:?}")]
+    Format(String),
+    /// A session's page without the result that it shows.
+    #[error("expected verify.json beside the page of a session, found none")]
+    NoResult,
+}
+
+impl Page {
+    /// The page as HTML.
+    #[must_use]
+    pub fn render(&self) -> String {
+        match self {
+            Self::Session(input) => render(input),
+            Self::Shapes(input) => render_shapes(input),
+            Self::Sweeps(input) => render_sweeps(input),
+            Self::Twin(input) => render_twin(input),
+            Self::Dynamics(input) => render_dynamics(input),
+        }
+    }
+
+    /// The document, on one line.
+    ///
+    /// # Errors
+    /// None that a page can cause.
+    pub fn to_json(&self) -> Result<String, PageError> {
+        let document = json!({"format": REPORT_FORMAT, "page": serde_json::to_value(self)?});
+        Ok(format!("{document}\n"))
+    }
+
+    /// Reads the document; `verify` is the text of the `verify.json` beside it, which a session needs.
+    ///
+    /// # Errors
+    /// Another format, a document that is cut off or lacks keys, or a session without its result.
+    pub fn from_json(text: &str, verify: Option<&str>) -> Result<Self, PageError> {
+        let mut document: Value = serde_json::from_str(text)?;
+        let format = document["format"].as_str().unwrap_or_default();
+        if format != REPORT_FORMAT {
+            return Err(PageError::Format(format.to_owned()));
+        }
+        let mut page = document["page"].take();
+        if let Some(Value::Object(session)) = page.get_mut("session") {
+            let verify = verify.ok_or(PageError::NoResult)?;
+            session.insert("verify".to_owned(), serde_json::from_str(verify).map_err(PageError::Result)?);
+        }
+        Ok(serde_json::from_value(page)?)
+    }
+}
+
+/// Numbers that may be NaN, which JSON has as null.
+pub(crate) trait Nullable: Sized {
+    /// The same with null in such places.
+    type Written: for<'de> Deserialize<'de>;
+    /// NaN where null stands.
+    fn read(written: Self::Written) -> Self;
+}
+
+impl Nullable for f64 {
+    type Written = Option<Self>;
+    fn read(written: Self::Written) -> Self {
+        written.unwrap_or(Self::NAN)
+    }
+}
+
+impl Nullable for [f64; 2] {
+    type Written = [Option<f64>; 2];
+    fn read(written: Self::Written) -> Self {
+        written.map(f64::read)
+    }
+}
+
+impl<T: Nullable> Nullable for Vec<T> {
+    type Written = Vec<T::Written>;
+    fn read(written: Self::Written) -> Self {
+        written.into_iter().map(T::read).collect()
+    }
+}
+
+impl<T: Nullable> Nullable for Option<T> {
+    type Written = Option<T::Written>;
+    fn read(written: Self::Written) -> Self {
+        written.map(T::read)
+    }
+}
+
+/// For `deserialize_with`.
+pub(crate) fn or_nan<'de, D: Deserializer<'de>, T: Nullable>(numbers: D) -> Result<T, D::Error> {
+    T::Written::deserialize(numbers).map(T::read)
+}

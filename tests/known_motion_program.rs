@@ -1,0 +1,279 @@
+//! `wcal track` along a known motion as a user runs it, on a session whose groove is known (SIMULATED).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
+
+fn wcal(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Readings and motion of three trajectories: time, wavelengths and groove as written, the motion along each from its stage.
+struct Record {
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+    /// Time and way of the object, base frame, mm.
+    motion: Vec<(f64, [f64; 3])>,
+}
+
+impl Record {
+    fn read() -> Self {
+        let session: toml::Table =
+            std::fs::read_to_string(format!("{SESSION}/session.toml")).unwrap().parse().unwrap();
+        let directions: BTreeMap<i64, Vec<f64>> = session["trajectory"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|t| {
+                let of = t["direction"].as_array().unwrap().iter().map(|v| v.as_float().unwrap());
+                (t["id"].as_integer().unwrap(), of.collect())
+            })
+            .collect();
+        let table = std::fs::read_to_string(format!("{SESSION}/points.csv")).unwrap();
+        let split = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+        let header = split(table.lines().next().unwrap());
+        let at = |name: &str| header.iter().position(|c| c == name).unwrap();
+        let (trajectory, stage, time) = (at("trajectory"), at("stage_mm"), at("t_s"));
+        let chosen: Vec<i64> = directions.keys().copied().filter(|id| *id < 100).take(3).collect();
+        let rows: Vec<Vec<String>> = table
+            .lines()
+            .skip(1)
+            .map(split)
+            .filter(|r| chosen.contains(&r[trajectory].parse().unwrap()))
+            .collect();
+        let motion = rows.iter().map(|r| {
+            let id: i64 = r[trajectory].parse().unwrap();
+            let way: f64 = r[stage].parse().unwrap();
+            // The groove is mounted anew for each trajectory: far away, in no time.
+            let d = &directions[&id];
+            (r[time].parse().unwrap(), [0, 1, 2].map(|k| d[k] * way + 1e5 * id as f64))
+        });
+        let motion = motion.collect();
+        Self { header, rows, motion }
+    }
+
+    /// The readings without the stage.
+    fn write_table(&self, path: &Path, groove: bool, scale: f64) {
+        let at = |name: &str| self.header.iter().position(|c| c == name).unwrap();
+        let mut names = vec!["point", "t_s", "fbg_ref_nm", "fbg_1_nm", "fbg_2_nm"];
+        if groove {
+            names.extend(["groove_x_mm", "groove_y_mm", "groove_z_mm", "role", "speed_mm_s"]);
+        }
+        let mut out = names.join(",") + "\n";
+        let first = &self.rows[0];
+        for row in &self.rows {
+            let cell = |name: &&str| {
+                let (value, zero) = (&row[at(name)], &first[at(name)]);
+                if scale == 1.0 || !matches!(*name, "fbg_1_nm" | "fbg_2_nm") {
+                    return value.clone();
+                }
+                let [value, zero]: [f64; 2] = [value, zero].map(|v| v.parse().unwrap());
+                (zero + scale * (value - zero)).to_string()
+            };
+            writeln!(out, "{}", names.iter().map(cell).collect::<Vec<_>>().join(",")).unwrap();
+        }
+        std::fs::write(path, out).unwrap();
+    }
+
+    fn write_motion(&self, path: &Path, columns: &str, row: impl Fn(usize, f64, [f64; 3]) -> String) {
+        let mut out = format!("{columns}\n");
+        for (k, (t_s, way)) in self.motion.iter().enumerate() {
+            writeln!(out, "{}", row(k, *t_s, *way)).unwrap();
+        }
+        std::fs::write(path, out).unwrap();
+    }
+}
+
+const MM: &str = "t_s,object_x_mm,object_y_mm,object_z_mm";
+
+fn plain(t_s: f64, [x, y, z]: [f64; 3]) -> String {
+    format!("{t_s},{x},{y},{z}")
+}
+
+/// A run: exit code, what was said, track.json and the rows' status.
+struct Run {
+    code: Option<i32>,
+    said: String,
+    summary: serde_json::Value,
+    status: Vec<String>,
+}
+
+impl Run {
+    #[track_caller]
+    fn rmse_mm(&self) -> f64 {
+        self.summary["known_groove"]["rmse_mm"].as_f64().unwrap_or_else(|| panic!("{}", self.said))
+    }
+
+    fn with_status(&self, name: &str) -> usize {
+        self.status.iter().filter(|s| s.split('|').any(|s| s == name)).count()
+    }
+}
+
+#[test]
+fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let said = wcal(&["verify", SESSION, "--out", path("out").to_str().unwrap()]);
+    assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
+    let calibration = path("out/calibration.json");
+    let record = Record::read();
+    let (table, log) = (path("table.csv"), path("motion.csv"));
+    record.write_table(&table, true, 1.0);
+    // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
+    let blind = path("blind.csv");
+    record.write_table(&blind, false, 1.0);
+    let track = |table: &PathBuf, more: &[&str]| {
+        let out = path("track.csv");
+        let _ = std::fs::remove_file(&out);
+        let names = [table, &calibration, &out].map(|p| p.to_str().unwrap().to_owned());
+        let [table, calibration, out] = &names;
+        let run = wcal(
+            &[&["track", table, "--calibration", calibration, "--out", out, "--json"][..], more].concat(),
+        );
+        let rows = std::fs::read_to_string(out).unwrap_or_default();
+        let status = rows.lines().skip(1).map(|l| l.split(',').nth(17).unwrap().to_owned()).collect();
+        Run {
+            code: run.status.code(),
+            said: text(&run.stderr),
+            summary: serde_json::from_slice(&run.stdout).unwrap_or_default(),
+            status,
+        }
+    };
+    let motion = ["--motion", log.to_str().unwrap()];
+    let along = |more: &[&str]| track(&table, &[&motion[..], more].concat());
+
+    record.write_motion(&log, MM, |_, t, way| plain(t, way));
+    let good = along(&[]);
+    assert_eq!(good.code, Some(0), "{}", good.said);
+    assert!(good.rmse_mm() < 0.6 && good.status.iter().all(|s| s == "ok"), "{}", good.said);
+    assert_eq!(good.summary["method"], "known-motion");
+    assert_eq!(good.summary["contacts"].as_array().unwrap().len(), 3, "{}", good.summary);
+
+    // The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
+    record.write_motion(&log, "t_s,object_x_m,object_y_m,object_z_m", |_, t, way| {
+        plain(t, way.map(|v| 1e-3 * v))
+    });
+    assert!((along(&[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
+    record.write_motion(&log, MM, |_, t, way| plain(t + 500.0, way));
+    assert!((along(&["--motion-offset-s", "500"]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
+    let posed = "t_s,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
+    // A quarter turn about z: the base's x is the world's y. The base goes where the object comes from.
+    let half = 0.5_f64.sqrt();
+    record.write_motion(&log, posed, |_, t, [x, y, z]| format!("{t},{},{},{},{half},0,0,{half}", y, -x, -z));
+    assert!((along(&[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
+    let joined = path("joined.csv");
+    let both = std::fs::read_to_string(&table).unwrap();
+    let columns = record.motion.iter().map(|(_, [x, y, z])| format!("{x},{y},{z}"));
+    let columns = std::iter::once("object_x_mm,object_y_mm,object_z_mm".to_owned()).chain(columns);
+    let lines: Vec<String> = both.lines().zip(columns).map(|(a, b)| format!("{a},{b}")).collect();
+    std::fs::write(&joined, lines.join("\n") + "\n").unwrap();
+    assert!((track(&joined, &[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
+    // Without any motion there must be a model.
+    let none = track(&table, &[]);
+    assert!(none.code == Some(1) && none.said.contains("--motion"), "{}", none.said);
+
+    let along = |more: &[&str]| track(&blind, &[&motion[..], more].concat());
+    // Rows that say so: metres called millimetres, a way reversed, another clock rate, another calibration's moments.
+    let doubted = |run: &Run, name: &str| {
+        assert_eq!(run.code, Some(3), "{name}: {}", run.said);
+        assert!(run.with_status("motion-disagrees") > 20 && run.said.contains(name), "{name}: {}", run.said);
+    };
+    record.write_motion(&log, MM, |_, t, way| plain(t, way.map(|v| 1e-3 * v)));
+    doubted(&along(&[]), "metres");
+    record.write_motion(&log, MM, |_, t, way| plain(t, way.map(|v| -v)));
+    doubted(&along(&[]), "reversed");
+    let start = record.motion[0].0;
+    record.write_motion(&log, MM, |_, t, way| plain(start + 1.05 * (t - start), way));
+    let slow = along(&[]);
+    assert!(slow.code == Some(3) && slow.with_status("motion-disagrees") > 20, "{}", slow.said);
+    record.write_motion(&log, MM, |_, t, way| plain(t, way));
+    let other = path("other.csv");
+    record.write_table(&other, false, 1.4);
+    let other = track(&other, &motion);
+    assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
+
+    // A pose that is lost, and a jump within a contact: rows that are marked, contacts that are parted.
+    let n = record.motion.len();
+    record.write_motion(
+        &log,
+        MM,
+        |k, t, way| if (10..30).contains(&k) { format!("{t},,,") } else { plain(t, way) },
+    );
+    let lost = along(&[]);
+    assert_eq!((lost.code, lost.with_status("motion-lost")), (Some(3), 20), "{}", lost.said);
+    assert_eq!(lost.summary["motion"]["lost_rows"]["gap"], 20, "{}", lost.summary);
+    let contacts = |run: &Run| run.summary["contacts"].as_array().unwrap().len();
+    record.write_motion(&log, MM, |k, t, way| plain(t, if k < 20 { way } else { way.map(|v| v + 3e4) }));
+    let jumped = along(&[]);
+    assert!(contacts(&jumped) > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
+    assert!(n > 60);
+
+    // Errors with exit code 1.
+    let refused = |name: &str| {
+        let run = along(&[]);
+        assert!(run.code == Some(1) && run.said.contains(name), "{name}: {}", run.said);
+    };
+    record.write_motion(&log, MM, |_, t, way| plain(t + 1e6, way));
+    refused("overlap");
+    record.write_motion(&log, MM, |_, t, way| plain(1e3 * t, way));
+    refused("expected seconds");
+    record.write_motion(&log, MM, |k, t, way| if k == 5 { format!("{t},nan,0,0") } else { plain(t, way) });
+    refused("line 7");
+    record.write_motion(&log, MM, |k, t, way| plain(if k == 5 { t - 1e4 } else { t }, way));
+    refused("expected a later time");
+    record.write_motion(&log, "t_s,x,y,z", |_, t, way| plain(t, way));
+    refused("object_x_mm");
+    record.write_motion(&log, posed, |_, t, [x, y, z]| format!("{t},{x},{y},{z},1,1,0,0"));
+    refused("unit quaternion");
+    std::fs::write(&log, format!("{MM}\n1,0,0,0\n")).unwrap();
+    refused("at least two rows");
+}
+
+/// Negative control of the comparison with the groove: the same readings, the groove said to be 5 mm farther out.
+#[test]
+fn a_groove_that_is_not_where_the_session_says_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let said = wcal(&["verify", SESSION, "--out", &path("out")]);
+    assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
+    let track = |session: &str| {
+        let calibration = path("out/calibration.json");
+        let run =
+            wcal(&["track", session, "--calibration", &calibration, "--out", &path("track.csv"), "--json"]);
+        let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap_or_default();
+        (run.status.code(), text(&run.stderr), summary["groove_tracking"].clone())
+    };
+    let (code, said, true_groove) = track(SESSION);
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(true_groove["trajectories_held"], true_groove["trajectories"], "{said}");
+
+    let shifted = folder.path().join("shifted");
+    std::fs::create_dir(&shifted).unwrap();
+    for file in ["session.toml", "holdout.csv"] {
+        std::fs::copy(format!("{SESSION}/{file}"), shifted.join(file)).unwrap();
+    }
+    let table = std::fs::read_to_string(format!("{SESSION}/points.csv")).unwrap();
+    let x = table.lines().next().unwrap().split(',').position(|c| c == "groove_x_mm").unwrap();
+    let shift = |(k, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if k > 0 {
+            cells[x] = (cells[x].parse::<f64>().unwrap() + 5.0).to_string();
+        }
+        cells.join(",")
+    };
+    let table: Vec<String> = table.lines().enumerate().map(shift).collect();
+    std::fs::write(shifted.join("points.csv"), table.join("\n") + "\n").unwrap();
+    let (code, said, groove) = track(shifted.to_str().unwrap());
+    assert_eq!(code, Some(4), "{said}");
+    assert_eq!(groove["trajectories_held"], 0, "{said}");
+    let rmse_mm = groove["rmse_mm"].as_f64().unwrap();
+    assert!((rmse_mm - 5.0).abs() < 0.5, "{said}");
+}

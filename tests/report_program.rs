@@ -1,0 +1,74 @@
+//! `wcal report` as a user meets it: a page again, and what it says of documents that give none. That every page comes again byte for byte
+//! stands in `schemas.rs`, which has them all.
+
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+fn wcal(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+/// What the program says of a folder in which `name` holds `text`; every page must be as it was.
+fn said_of(folder: &Path, name: &str, text: Option<&str>) -> String {
+    let (path, page) = (folder.join(name), folder.join("report.html"));
+    let (before, first) = (fs::read(&path).ok(), fs::read(&page).ok());
+    match text {
+        Some(text) => fs::write(&path, text).unwrap(),
+        None => fs::remove_file(&path).unwrap(),
+    }
+    let (code, said) = wcal(&["report", folder.to_str().unwrap()]);
+    assert_eq!(code, Some(1), "{name}: {said}");
+    assert_eq!(fs::read(&page).ok(), first, "{name}: a page was written");
+    match before {
+        Some(bytes) => fs::write(&path, bytes).unwrap(),
+        None => fs::remove_file(&path).unwrap(),
+    }
+    said
+}
+
+#[test]
+fn a_page_comes_again_and_documents_that_give_none_are_named() {
+    let place = tempfile::tempdir().unwrap();
+    let folder = place.path().join("out");
+    let out = folder.to_str().unwrap();
+    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    assert_eq!(wcal(&["verify", session.to_str().unwrap(), "--out", out]).0, Some(0));
+    let page = folder.join("report.html");
+    let first = fs::read(&page).unwrap();
+    fs::write(&page, "another").unwrap();
+    assert_eq!(wcal(&["report", folder.join("report.json").to_str().unwrap()]).0, Some(0));
+    assert!(fs::read(&page).unwrap() == first, "the same page");
+
+    let stored = fs::read_to_string(folder.join("report.json")).unwrap();
+    let cut = &stored[..stored.len() / 2];
+    let told = |name: &str, text: Option<&str>, words: &[&str]| {
+        let said = said_of(&folder, name, text);
+        assert!(said.contains(name) && words.iter().all(|w| said.contains(w)), "{name}: {said}");
+    };
+    told("report.json", Some(cut), &["EOF"]);
+    told("report.json", Some(""), &["EOF"]);
+    told(
+        "report.json",
+        Some("{\"format\": \"wcal-report/99\", \"page\": {}}"),
+        &["wcal-report/1", "wcal-report/99"],
+    );
+    told("report.json", Some("[1, 2]"), &["format"]);
+    told("report.json", Some("{\"format\": \"wcal-report/1\", \"page\": {\"poem\": {}}}"), &["poem"]);
+    told("report.json", Some(&stored.replace("\"residuals\"", "\"residues\"")), &["residuals"]);
+    told("report.json", None, &["report.json", "found none"]);
+    told("verify.json", Some("{"), &["EOF"]);
+    told("verify.json", None, &["verify.json"]);
+    told("evaluation.json", Some("{\"format\": \"wcal-evaluation/1\"}"), &["methods"]);
+    told("model.json", Some("{\"format\": \"wcal-model/1\"}"), &["model.json"]);
+    told("fit-gpr.json", Some("{\"format\": \"wcal-map/1\"}"), &["points"]);
+
+    let empty = place.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    let (code, said) = wcal(&["report", empty.to_str().unwrap()]);
+    assert!(code == Some(1) && said.contains("report.json") && said.contains("found none"), "{said}");
+    assert_eq!(fs::read_dir(&empty).unwrap().count(), 0);
+}

@@ -1,24 +1,26 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
+mod document;
 pub mod report;
 mod tables;
+mod text;
 mod virtual_bench;
 mod work;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::picture_output::provenance;
 use crate::progress::Progress;
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
 use clap::Args;
+use document::document;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
+use text::{print, print_tables, print_told};
 use wcal_mujoco::read::manifests;
 use wcal_mujoco::{Mesh, objects};
-use wcal_track::bootstrap::{ErrorOf, mean_interval95, object_interval95};
 use wcal_track::classes::coverage_by_class;
 use wcal_track::evaluate::{Method, ObjectScores, score_objects};
 use wcal_track::filter::BayesSettings;
@@ -258,204 +260,4 @@ fn streaming<'a>(tracker: &Tracker, all_series: impl Iterator<Item = &'a SweepSe
     let total: f64 = times_us.iter().sum();
     let p99 = times_us.get(times_us.len() * 99 / 100).copied().unwrap_or(0.0);
     json!({"samples_per_s": (times_us.len() as f64 / total * 1e6).round(), "p99_us": p99.round()})
-}
-
-fn mean(rows: &[ObjectScores], value: impl Fn(&ObjectScores) -> f64) -> f64 {
-    rows.iter().map(value).sum::<f64>() / rows.len().max(1) as f64
-}
-
-/// Errors of a row that are means over objects.
-const MEANS: [(&str, ErrorOf); 4] = [
-    ("rmse_mm", |s| s.surface),
-    ("true_contact_rmse_mm", |s| s.contact),
-    ("followed_rmse_mm", |s| s.followed_surface),
-    ("followed_true_contact_rmse_mm", |s| s.followed_contact),
-];
-
-/// 95 % intervals of the means over objects.
-fn intervals(rows: &[ObjectScores]) -> Value {
-    MEANS.iter().map(|(name, of)| (*name, json!(mean_interval95(rows, *of)))).collect()
-}
-
-fn document(
-    rows: &[(&str, &str, Vec<ObjectScores>)],
-    streaming: &Value,
-    model: &str,
-    args: &EvaluateArgs,
-) -> Value {
-    let of =
-        |set: &str, name: &str| rows.iter().find(|r| r.0 == set && r.1 == name).map_or(&[][..], |r| &r.2[..]);
-    let best = "network, speed known";
-    let objects: Vec<Value> =
-        ["seen", "unseen"].iter().flat_map(|set| of(set, best).iter().map(move |o| object(o, set))).collect();
-    let methods: Vec<Value> = rows.iter().map(|(set, name, r)| method(set, name, r)).collect();
-    json!({
-        "format": FORMAT, "simulated": true, "quick": args.quick, "model": model, "calibration": null,
-        "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
-            "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm), "interval95": both_means(of("seen", best), of("unseen", best)),
-            "objects": objects},
-        "bootstrap": {"level": 0.95, "means": "whole objects are drawn again", "object": "whole sweeps are drawn again"},
-        "methods": methods, "streaming": streaming,
-        "provenance": provenance([args.model.join("model.json").as_path()]),
-    })
-}
-
-/// A method's row in evaluation.json.
-fn method(set: &str, name: &str, r: &[ObjectScores]) -> Value {
-    json!({"set": set, "method": name, "rmse_mm": mean(r, |o| o.all.rmse_mm),
-        "true_contact_rmse_mm": mean(r, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(r, |o| o.all.p95_mm),
-        "followed_rmse_mm": mean(r, |o| o.followed.rmse_mm),
-        "followed_true_contact_rmse_mm": mean(r, |o| o.followed.true_contact_rmse_mm),
-        "detection_f1": mean(r, |o| o.detection.f1), "interval95": intervals(r)})
-}
-
-/// 95 % intervals of the two means.
-fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Value {
-    let of: ErrorOf = |s| s.surface;
-    json!({"seen_mean_mm": mean_interval95(seen, of), "unseen_mean_mm": mean_interval95(unseen, of)})
-}
-
-/// An object's row in evaluation.json.
-fn object(o: &ObjectScores, set: &str) -> Value {
-    json!({"name": o.name, "set": set, "rmse_mm": o.all.rmse_mm, "true_contact_rmse_mm": o.all.true_contact_rmse_mm,
-        "along_track_mm": o.all.along_track_mm, "p95_mm": o.all.p95_mm, "coverage90": o.all.coverage90,
-        "followed": o.followed, "detection": o.detection, "sweeps": o.sweeps.len(),
-        "interval95": {"rmse_mm": object_interval95(&o.sweeps, |s| s.surface),
-            "true_contact_rmse_mm": object_interval95(&o.sweeps, |s| s.contact),
-            "along_track_mm": object_interval95(&o.sweeps, |s| s.along)}})
-}
-
-/// `0.22 [0.18, 0.27]` out of a row.
-fn stated(row: &Value, key: &str) -> String {
-    let value = row[key].as_f64().unwrap_or(f64::NAN);
-    let interval: Vec<f64> =
-        row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
-    match interval[..] {
-        [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
-        _ => format!("{value:.2}"),
-    }
-}
-
-/// Two contacts, and what a random split hides.
-fn print_told(document: &Value) {
-    let two = &document["two_contacts"];
-    if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
-        println!(
-            "two contacts: F1 {f1:.2}; {:.0} % of them are explained by one contact as well",
-            100.0 * share
-        );
-    }
-    if let Some(f1) = document["two_contacts_network"]["detection"]["f1"].as_f64() {
-        println!("two contacts by the network: F1 {f1:.2}");
-    }
-    let given = &document["two_contacts_told_before"];
-    if let (Some(before), Some(f1)) = (given["f1_as_before"].as_f64(), given["f1"].as_f64()) {
-        println!(
-            "two contacts given the true count one sample before: F1 {before:.2} unchanged count, {f1:.2} with the moments"
-        );
-    }
-    for set in ["seen", "unseen"] {
-        for c in document["classes"][set].as_array().into_iter().flatten() {
-            let [common, own] = ["common", "by_class"].map(|k| c[k][1].as_f64().unwrap_or(f64::NAN));
-            let (class, objects) = (c["class"].as_str().unwrap_or(""), &c["objects"]);
-            println!(
-                "90 % regions, {set} {class} ({objects} objects): {common:.3} common, {own:.3} by class"
-            );
-        }
-    }
-    let leak = &document["leak"];
-    if !leak.is_null() {
-        println!(
-            "random split: test {} mm; unseen objects {} mm; the difference is the leakage of the split",
-            stated(leak, "random_split_mm"),
-            stated(leak, "unseen_objects_mm")
-        );
-    }
-}
-
-fn print_tables(document: &Value) {
-    let number = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
-    let real = &document["virtual_real"];
-    if real.is_null() {
-        return;
-    }
-    println!(
-        "VIRTUAL real bench: seen {}, unseen {}, worst {} mm (verify: {}, accepted {})",
-        stated(real, "seen_mean_mm"),
-        stated(real, "unseen_mean_mm"),
-        stated(real, "worst_mm"),
-        real["verdict"],
-        real["accepted"]
-    );
-    let covers = &real["coverage90"];
-    println!(
-        "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
-        number(&covers["seen"]),
-        number(&covers["unseen"])
-    );
-    let faces = &document["faces"];
-    for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
-        let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));
-        println!(
-            "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
-        );
-    }
-    let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
-    for r in rows("ablations") {
-        println!(
-            "  {:28} {:>20} {:>20}",
-            r["name"].as_str().unwrap_or(""),
-            stated(&r, "rmse_mm"),
-            stated(&r, "followed_rmse_mm")
-        );
-    }
-    let speeds = rows("speed");
-    if speeds.is_empty() {
-        return;
-    }
-    println!("speed mm/s: constant, random (mm)");
-    for r in &speeds {
-        println!(
-            "  {:4.0} {:>20} {:>20}",
-            number(&r["mm_s"]),
-            stated(r, "constant_mm"),
-            stated(r, "random_mm")
-        );
-    }
-    println!(
-        "  slope {:.3} s, {:.3} s",
-        tables::slope_s(&speeds, "constant_mm"),
-        tables::slope_s(&speeds, "random_mm")
-    );
-    println!("simulation, virtual air, virtual water (mm)");
-    for r in rows("sim2real") {
-        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| stated(&r, k));
-        println!("  {:18} {s:>20} {a:>20} {w:>20}", r["name"].as_str().unwrap_or(""));
-    }
-}
-
-fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
-    println!(
-        "SIMULATED; mean over objects of the RMSE in mm; followed: 2 mm of the base's way after an onset, jump or slip"
-    );
-    println!(
-        "{:7} {:21} {:>19} {:>19} {:>19} {:>19} {:>7} {:>6}",
-        "objects", "method", "surface", "followed", "contact", "followed", "cover90", "F1"
-    );
-    for (set, name, r) in rows.iter().filter(|r| !r.2.is_empty()) {
-        let cover = r.iter().filter_map(|o| o.all.coverage90).collect::<Vec<_>>();
-        let cover = if cover.is_empty() {
-            "-".to_owned()
-        } else {
-            format!("{:.3}", cover.iter().sum::<f64>() / cover.len() as f64)
-        };
-        let row = method(set, name, r);
-        let [a, b, c, d] =
-            ["rmse_mm", "followed_rmse_mm", "true_contact_rmse_mm", "followed_true_contact_rmse_mm"]
-                .map(|k| stated(&row, k));
-        println!(
-            "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
-            mean(r, |o| o.detection.f1)
-        );
-    }
 }

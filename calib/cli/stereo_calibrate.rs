@@ -4,6 +4,7 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
+use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -12,7 +13,7 @@ use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::calibrate::reference::differences;
-use wcal_vision::camera::lens::{FISHEYE, OPENCV5};
+use wcal_vision::camera::lens::{Lens, OPENCV5, lens_named, lenses};
 use wcal_vision::pairs::list_pictures;
 
 /// What is on the board.
@@ -24,15 +25,6 @@ pub enum PatternName {
     Charuco,
     /// A grid of AprilTags.
     Aprilgrid,
-}
-
-/// Model of the lenses.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum LensName {
-    /// OpenCV's five coefficients: normal and mildly wide lenses.
-    Opencv5,
-    /// OpenCV's fisheye (Kannala-Brandt, equidistant): fields up to nearly 180 degrees.
-    Fisheye,
 }
 
 /// Arguments of `wcal stereo-calibrate`.
@@ -65,9 +57,9 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// Model of both cameras' lenses
-    #[arg(long, value_enum, default_value_t = LensName::Opencv5)]
-    pub lens: LensName,
+    /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for fields up to nearly 180 degrees
+    #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
+    pub lens: String,
     /// An earlier calibration of these cameras, or another tool's (stereo.json, OpenCV, Kalibr, both ROS files): warns where they
     /// differ in scale, sides, focal lengths or the convention for pixel centres, which no picture shows by itself
     #[arg(long, num_args = 1..=2, value_name = "FILE")]
@@ -139,10 +131,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         },
     };
     let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
-    let lens = match args.lens {
-        LensName::Opencv5 => OPENCV5,
-        LensName::Fisheye => FISHEYE,
-    };
+    let lens = lens_named(&args.lens, Lens::model).map_err(anyhow::Error::msg)?;
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = {
         let progress = Progress::new("stereo-calibrate");

@@ -1,27 +1,30 @@
 //! `wcal verify`: the residual loop on a session.
 
-use crate::known_motion::{self, groove_sentence};
+mod text;
+
+pub use text::print_text;
+
+use crate::known_motion;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
-use crate::simulated::{is_simulated, mark_table, word};
+use crate::simulated::{is_simulated, mark_table};
 use crate::unseal_record::UnsealRecord;
 use clap::Args;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
+use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, provenance, seal,
 };
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
-use wcal_core::{Provenance, ResidualRecord, SessionData, Unsealing, VerificationStatus, WhiskerData};
+use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::method::search::Options;
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
-use wcal_trace::whisker::residual_tables::PredictionRow;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 /// Arguments of `wcal verify`.
@@ -319,144 +322,4 @@ fn valid_until(days: Option<u32>) -> anyhow::Result<Option<String>> {
     let Some(days) = days else { return Ok(None) };
     let hours = jiff::Span::new().try_hours(24 * i64::from(days))?;
     Ok(Some(jiff::Timestamp::now().checked_add(hours)?.to_string()))
-}
-
-fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
-    let mut csv = String::from(
-        "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,\
-         moment_1_sd_nmm,moment_2_sd_nmm,fbg_1_pm_before,fbg_2_pm_before,fbg_1_pm_after,fbg_2_pm_after\n",
-    );
-    for r in rows {
-        let role = serde_json::to_value(r.role)?;
-        write!(csv, "{},{},{}", r.source, r.point, role.as_str().unwrap_or_default())?;
-        for pair in [r.before.moment_nmm, r.after.moment_nmm, r.after.moment_sd_nmm] {
-            write!(csv, ",{:.7},{:.7}", pair[0], pair[1])?;
-        }
-        for p in [&r.before, &r.after] {
-            write!(csv, ",{:.5},{:.5}", p.shift_pm[0] + r.thermal_pm[0], p.shift_pm[1] + r.thermal_pm[1])?;
-        }
-        csv.push('\n');
-    }
-    Ok(csv)
-}
-
-/// Every reading with what both models say of it, in the session's units; a residual is measured less predicted.
-fn scalar_csv(data: ScalarData<'_>, records: &[ResidualRecord]) -> String {
-    let axis = matches!(data, ScalarData::Axis(_));
-    // Of an axis the model's response is the error, measured less commanded.
-    let (name, columns, residual) = if axis {
-        ("error_um", "commanded_mm,measured_mm", "residual_um")
-    } else {
-        ("response", "stimulus", "residual")
-    };
-    let mut csv = format!(
-        "source,point,role,{name}_measured,{name}_before,{name}_after,{name}_sd,rejected,{columns},{residual}_before,{residual}_after\n"
-    );
-    let place = if axis { "commanded_mm" } else { "stimulus" };
-    let stimulus = |r: &ResidualRecord| {
-        r.covariates.iter().find(|(name, _)| name == place).map_or(f64::NAN, |(_, value)| *value)
-    };
-    for r in records {
-        let why = r.rejected.as_deref().unwrap_or_default();
-        let values = [r.measured, r.predicted_before, r.predicted_after, r.noise_sd].map(|v| v.to_string());
-        let x = stimulus(r);
-        let place = if axis { format!("{x},{}", x + 1e-3 * r.measured) } else { x.to_string() };
-        let [before, after] = [r.predicted_before, r.predicted_after].map(|p| r.measured - p);
-        csv += &format!(
-            "{},{},{},{},{why},{place},{before},{after}\n",
-            r.source,
-            r.point,
-            r.role,
-            values.join(",")
-        );
-    }
-    csv
-}
-
-/// The result as a person reads it.
-pub fn print_text(report: &ReportInput, out: &Path) {
-    let v = &report.verify;
-    // Of a transducer the session declares the unit; the other kinds have theirs in the names.
-    let unit = report.residuals.first().map_or("", |r| r.unit.as_str()).trim();
-    let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
-    println!("{}{}: {}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
-    println!("  {}", v.reason);
-    for f in &v.twin.faults {
-        let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();
-        println!("  twin fault ({}): points {}: {}", f.kind, points.join(", "), f.detail);
-    }
-    for e in &v.effects {
-        let parameters: Vec<String> = e
-            .parameters
-            .iter()
-            .map(|p| {
-                let [low, high] = p.interval95.map(readable);
-                named(&format!("{} = {} [{low}, {high}]", p.name, readable(p.value)), &p.unit)
-            })
-            .collect();
-        println!(
-            "  {} (p = {:.1e}, class {}): {}",
-            e.id,
-            e.p_value,
-            e.class.join("/"),
-            parameters.join(", ")
-        );
-    }
-    if let (Some(b), Some(a)) = (&v.before, &v.after) {
-        println!("  held-out error ({}, {} readings):        before      after", a.split, a.points);
-        for (name, before) in &b.rmse {
-            let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
-            let name = if name == "response_rmse" { named(name, unit) } else { name.clone() };
-            println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
-        }
-        if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
-            for (k, axis) in ["1", "2"].iter().enumerate() {
-                let [before, after] = [b, a].map(|m| readable(m.moment_rmse_nmm_each[k]));
-                println!(
-                    "    {:<32} {before:>10} {after:>10}",
-                    format!("{} map, loo, moment_{axis}_nmm", b.map)
-                );
-            }
-        }
-    }
-    let n = &v.noise_floor;
-    for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
-        if let Some(floor) = floor {
-            println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
-        }
-    }
-    if let Some(floor) = n.contact_mm {
-        println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
-    }
-    if let Some(witness) = &v.witness {
-        println!("  decided by: {witness}");
-    }
-    if let Some(tracked) = &v.groove_tracking {
-        println!("  {}", groove_sentence(tracked));
-    }
-    for sentence in &v.identifiability {
-        println!("  {sentence}");
-    }
-    if let Some(c) = &v.calibration {
-        let verdict = if c.holds { "holds" } else { "does NOT hold" };
-        println!("  {} {verdict} on {} readings: {}", c.path, c.error.points, c.why);
-    }
-    if let Some(n) = &v.next_measurement {
-        println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
-    }
-    println!("  written to {}", out.display());
-}
-
-/// A name or number with its unit; "1" is no unit.
-fn named(what: &str, unit: &str) -> String {
-    if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
-}
-
-/// Four decimals, or an exponent where these would hide the number.
-fn readable(value: f64) -> String {
-    if value == 0.0 || (0.01..1e6).contains(&value.abs()) {
-        format!("{value:.4}")
-    } else {
-        format!("{value:.4e}")
-    }
 }

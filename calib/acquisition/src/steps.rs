@@ -28,6 +28,15 @@ const PICTURE: Duration = Duration::from_secs(3);
 /// Attempts to reach a lost stage again to stop it.
 const REACH: u32 = 5;
 
+/// Where a sweep failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Fault {
+    /// The stage itself.
+    Stage,
+    /// Interrogator, camera, mount, disk, or the user.
+    Elsewhere,
+}
+
 /// A sweep on its way.
 pub(crate) struct Sweep<'b, 'r, 'p> {
     pub(crate) bench: SweepBench<'b>,
@@ -38,6 +47,7 @@ pub(crate) struct Sweep<'b, 'r, 'p> {
     pub(crate) trajectory: Option<u32>,
     pub(crate) last: StageReading,
     pub(crate) unsettled: usize,
+    pub(crate) fault: Fault,
     pub(crate) progress: &'p mut dyn FnMut(&Progress),
 }
 
@@ -46,10 +56,14 @@ impl Sweep<'_, '_, '_> {
     pub(crate) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
         match self.bench.stage.read() {
             Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
-                self.bench.stage.start_home()?;
+                let started = self.bench.stage.start_home();
+                self.of_stage(started)?;
                 self.until_standing()?;
             }
-            other => self.note(other?)?,
+            reading => {
+                let reading = self.of_stage(reading)?;
+                self.note(reading)?;
+            }
         }
         let start = Instant::now();
         while lock(self.bench.monitor).device_s().is_none() {
@@ -221,7 +235,8 @@ impl Sweep<'_, '_, '_> {
     /// Moves to a depth and checks that the stage got there.
     fn go_to(&mut self, depth_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
         let target_mm = self.rig.stage.zero_mm + depth_mm;
-        self.bench.stage.start_move(target_mm, speed_mm_s)?;
+        let started = self.bench.stage.start_move(target_mm, speed_mm_s);
+        self.of_stage(started)?;
         self.until_standing()?;
         let off_mm = self.last.measured_mm - target_mm;
         if off_mm.abs() > ARRIVAL_MM {
@@ -275,7 +290,8 @@ impl Sweep<'_, '_, '_> {
         if let Some(fault) = lock(self.bench.monitor).fault() {
             return Err(fault.clone());
         }
-        let reading = self.bench.stage.read()?;
+        let reading = self.bench.stage.read();
+        let reading = self.of_stage(reading)?;
         self.note(reading)?;
         let (latest, counts, device_s) = {
             let monitor = lock(self.bench.monitor);
@@ -290,6 +306,14 @@ impl Sweep<'_, '_, '_> {
             device_s,
         });
         Ok(())
+    }
+
+    /// Remembers that it was the stage that failed.
+    fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
+        if done.is_err() {
+            self.fault = Fault::Stage;
+        }
+        done
     }
 
     fn note(&mut self, reading: StageReading) -> Result<(), DeviceError> {
@@ -342,8 +366,8 @@ impl Sweep<'_, '_, '_> {
         };
         // The cause is already an error on its way to the user.
         let _ = self.bench.recorder.event(host_s, &event);
-        let stage_at_fault = cause.device.starts_with("stage") || cause.kind == DeviceErrorKind::Stalled;
-        if stopped && !stage_at_fault {
+        // A stage that failed, or stands against something, is not moved again.
+        if stopped && self.fault == Fault::Elsewhere && cause.kind != DeviceErrorKind::Stalled {
             self.retract();
         }
         stopped

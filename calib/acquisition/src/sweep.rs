@@ -4,7 +4,7 @@ use crate::monitor::{Monitor, StreamCounts};
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
-use crate::steps::Sweep;
+use crate::steps::{Fault, Sweep};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -160,6 +160,7 @@ pub fn run(
         trajectory: None,
         last: StageReading::default(),
         unsettled: 0,
+        fault: Fault::Elsewhere,
         progress,
     };
     let mut done = 0;

@@ -76,7 +76,18 @@ pub enum SessionSystem<'a> {
     Scalar(&'a ScalarSystem),
 }
 
-impl SessionSystem<'_> {
+impl<'a> SessionSystem<'a> {
+    /// The whisker that it is.
+    ///
+    /// # Errors
+    /// [`CalibrationError::OtherKind`] for other kinds.
+    pub(crate) fn as_whisker(&self) -> Result<&'a WhiskerSystem, CalibrationError> {
+        match self {
+            Self::Whisker(system) => Ok(system),
+            Self::Scalar(system) => Err(CalibrationError::other_kind(system.kind(), "whisker")),
+        }
+    }
+
     /// Kind of the session.
     #[must_use]
     pub fn kind(&self) -> &str {

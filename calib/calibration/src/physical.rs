@@ -56,12 +56,7 @@ impl Calibration for PhysicalModel {
         session: SessionSystem<'_>,
         only_sealed: bool,
     ) -> Result<Option<Vec<Judged>>, CalibrationError> {
-        match session {
-            SessionSystem::Whisker(system) => Ok(judgement::of_model(system, self, only_sealed)),
-            SessionSystem::Scalar(_) => {
-                Err(CalibrationError::other_kind(session.kind(), self.session_kind()))
-            }
-        }
+        Ok(judgement::of_model(session.as_whisker()?, self, only_sealed))
     }
 
     fn whisker(&self) -> Option<&dyn WhiskerCalibration> {

@@ -1,6 +1,6 @@
 //! `report.html` of an evaluation, out of its document.
 
-use super::stated;
+use super::document::stated;
 use anyhow::ensure;
 use serde_json::Value;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
@@ -74,10 +74,7 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &[("simulation_mm", "simulation, mm"), ("air_mm", "air, mm"), ("water_mm", "water, mm")],
         ),
     ];
-    let mut facts = vec![
-        Fact::new("model, SHA-256", document["model"].as_str().unwrap_or("")),
-        Fact::new("streaming", format!("{} samples/s", document["streaming"]["samples_per_s"])),
-    ];
+    let mut facts = Vec::new();
     if !real.is_null() {
         for (name, key) in [("seen", "seen_mean_mm"), ("unseen", "unseen_mean_mm"), ("worst", "worst_mm")] {
             facts.push(Fact::new(format!("virtual bench, {name}"), format!("{} mm", stated(real, key))));
@@ -88,6 +85,18 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
         for (name, key) in [("seen", "seen_mean_mm"), ("unseen", "unseen_mean_mm")] {
             facts.push(Fact::new(format!("upright, no jumps, {name}"), format!("{} mm", stated(faces, key))));
         }
+    }
+    facts.push(Fact::new("streaming", format!("{} samples/s", document["streaming"]["samples_per_s"])));
+    facts.push(Fact::new("model, SHA-256", document["model"].as_str().unwrap_or("")));
+    let mut notes = vec![
+        "In brackets: 95 % intervals by bootstrap, over whole objects for means and over whole sweeps for one object.".to_owned(),
+        "The virtual real bench is a simulation with other physics; nothing of it was used in training.".to_owned(),
+    ];
+    if document["quick"] == true {
+        notes.insert(
+            0,
+            "QUICK: few objects and sweeps, so that the intervals are wide; not for comparisons.".to_owned(),
+        );
     }
     let speed = document["speed"].as_array().cloned().unwrap_or_default();
     let line = |key: &str| {
@@ -108,10 +117,7 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
         over: "Contact tracker".into(),
         title: "Evaluation".into(),
         facts,
-        notes: vec![
-            "In brackets: 95 % intervals by bootstrap, over whole objects for means and over whole sweeps for one object.".into(),
-            "The virtual real bench is a simulation with other physics; nothing of it was used in training.".into(),
-        ],
+        notes,
         curves,
         tables: tables.into_iter().flatten().collect(),
     }))

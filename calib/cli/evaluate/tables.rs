@@ -1,8 +1,9 @@
 //! The paper's tables II and III, the virtual real bench, and ablations. All of it is SIMULATED.
 
+use super::document::{both_means, intervals, mean, object};
 use super::virtual_bench::VirtualBench;
 use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
-use super::{EvaluateArgs, both_means, intervals, mean, meshes};
+use super::{EvaluateArgs, meshes};
 use crate::track::filters_for;
 use anyhow::Context;
 use serde_json::{Value, json};
@@ -161,8 +162,8 @@ impl Maker<'_> {
                 )
             };
             let [seen, unseen] = [score(0)?, score(1)?];
-            let objects = seen.iter().map(|o| super::object(o, "seen"));
-            let objects = objects.chain(unseen.iter().map(|o| super::object(o, "unseen")));
+            let objects = seen.iter().map(|o| object(o, "seen"));
+            let objects = objects.chain(unseen.iter().map(|o| object(o, "unseen")));
             let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
             Ok(json!({"seen_mean_mm": means(&seen), "unseen_mean_mm": means(&unseen),
                 "interval95": both_means(&seen, &unseen), "objects": objects.collect::<Vec<Value>>()}))
@@ -239,7 +240,7 @@ impl Maker<'_> {
         let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
         let mut interval95 = both_means(&rows_seen, &rows_unseen);
         interval95["worst_mm"] = json!(worst_interval95(&every, |s| s.surface));
-        let with_set = |set: &'static str| move |o: &ObjectScores| super::object(o, set);
+        let with_set = |set: &'static str| move |o: &ObjectScores| object(o, set);
         let objects: Vec<Value> = rows_seen
             .iter()
             .map(with_set("seen"))

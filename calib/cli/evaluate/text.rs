@@ -1,0 +1,126 @@
+//! What a person reads of an evaluation in the terminal.
+
+use super::document::{mean, method, stated};
+use super::tables::slope_s;
+use serde_json::Value;
+use wcal_track::evaluate::ObjectScores;
+
+/// Two contacts, and what a random split hides.
+pub(super) fn print_told(document: &Value) {
+    let two = &document["two_contacts"];
+    if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
+        println!(
+            "two contacts: F1 {f1:.2}; {:.0} % of them are explained by one contact as well",
+            100.0 * share
+        );
+    }
+    if let Some(f1) = document["two_contacts_network"]["detection"]["f1"].as_f64() {
+        println!("two contacts by the network: F1 {f1:.2}");
+    }
+    let given = &document["two_contacts_told_before"];
+    if let (Some(before), Some(f1)) = (given["f1_as_before"].as_f64(), given["f1"].as_f64()) {
+        println!(
+            "two contacts given the true count one sample before: F1 {before:.2} unchanged count, {f1:.2} with the moments"
+        );
+    }
+    for set in ["seen", "unseen"] {
+        for c in document["classes"][set].as_array().into_iter().flatten() {
+            let [common, own] = ["common", "by_class"].map(|k| c[k][1].as_f64().unwrap_or(f64::NAN));
+            let (class, objects) = (c["class"].as_str().unwrap_or(""), &c["objects"]);
+            println!(
+                "90 % regions, {set} {class} ({objects} objects): {common:.3} common, {own:.3} by class"
+            );
+        }
+    }
+    let leak = &document["leak"];
+    if !leak.is_null() {
+        println!(
+            "random split: test {} mm; unseen objects {} mm; the difference is the leakage of the split",
+            stated(leak, "random_split_mm"),
+            stated(leak, "unseen_objects_mm")
+        );
+    }
+}
+
+pub(super) fn print_tables(document: &Value) {
+    let number = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
+    let real = &document["virtual_real"];
+    if real.is_null() {
+        return;
+    }
+    println!(
+        "VIRTUAL real bench: seen {}, unseen {}, worst {} mm (verify: {}, accepted {})",
+        stated(real, "seen_mean_mm"),
+        stated(real, "unseen_mean_mm"),
+        stated(real, "worst_mm"),
+        real["verdict"],
+        real["accepted"]
+    );
+    let covers = &real["coverage90"];
+    println!(
+        "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
+        number(&covers["seen"]),
+        number(&covers["unseen"])
+    );
+    let faces = &document["faces"];
+    for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
+        let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));
+        println!(
+            "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
+        );
+    }
+    let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
+    for r in rows("ablations") {
+        println!(
+            "  {:28} {:>20} {:>20}",
+            r["name"].as_str().unwrap_or(""),
+            stated(&r, "rmse_mm"),
+            stated(&r, "followed_rmse_mm")
+        );
+    }
+    let speeds = rows("speed");
+    if speeds.is_empty() {
+        return;
+    }
+    println!("speed mm/s: constant, random (mm)");
+    for r in &speeds {
+        println!(
+            "  {:4.0} {:>20} {:>20}",
+            number(&r["mm_s"]),
+            stated(r, "constant_mm"),
+            stated(r, "random_mm")
+        );
+    }
+    println!("  slope {:.3} s, {:.3} s", slope_s(&speeds, "constant_mm"), slope_s(&speeds, "random_mm"));
+    println!("simulation, virtual air, virtual water (mm)");
+    for r in rows("sim2real") {
+        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| stated(&r, k));
+        println!("  {:18} {s:>20} {a:>20} {w:>20}", r["name"].as_str().unwrap_or(""));
+    }
+}
+
+pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
+    println!(
+        "SIMULATED; mean over objects of the RMSE in mm; followed: 2 mm of the base's way after an onset, jump or slip"
+    );
+    println!(
+        "{:7} {:21} {:>19} {:>19} {:>19} {:>19} {:>7} {:>6}",
+        "objects", "method", "surface", "followed", "contact", "followed", "cover90", "F1"
+    );
+    for (set, name, r) in rows.iter().filter(|r| !r.2.is_empty()) {
+        let cover = r.iter().filter_map(|o| o.all.coverage90).collect::<Vec<_>>();
+        let cover = if cover.is_empty() {
+            "-".to_owned()
+        } else {
+            format!("{:.3}", cover.iter().sum::<f64>() / cover.len() as f64)
+        };
+        let row = method(set, name, r);
+        let [a, b, c, d] =
+            ["rmse_mm", "followed_rmse_mm", "true_contact_rmse_mm", "followed_true_contact_rmse_mm"]
+                .map(|k| stated(&row, k));
+        println!(
+            "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
+            mean(r, |o| o.detection.f1)
+        );
+    }
+}

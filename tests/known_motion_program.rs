@@ -176,9 +176,13 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     let lines: Vec<String> = both.lines().zip(columns).map(|(a, b)| format!("{a},{b}")).collect();
     std::fs::write(&joined, lines.join("\n") + "\n").unwrap();
     assert!((track(&joined, &[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
-    // Without any motion there must be a model.
+    // Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.
     let none = track(&table, &[]);
-    assert!(none.code == Some(1) && none.said.contains("--motion"), "{}", none.said);
+    assert_eq!((none.code, &none.summary["method"]), (Some(3), &"moments-alone".into()), "{}", none.said);
+    let groove = &none.summary["known_groove"];
+    let loaded = none.with_status("motion-lost");
+    assert!(loaded as u64 >= groove["compared"].as_u64().unwrap() && loaded > 80, "{}", none.said);
+    assert!(groove["coverage90"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
 
     let along = |more: &[&str]| track(&blind, &[&motion[..], more].concat());
     // Rows that say so: metres called millimetres, a way reversed, another clock rate, another calibration's moments.

@@ -17,8 +17,8 @@ use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReadin
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Settings, bound_mm,
-    locate,
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Region, Settings,
+    bound_mm, locate,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -181,6 +181,13 @@ impl TrackedSession {
             }
         }
         Ok(all)
+    }
+
+    /// 95 % regions over the arc length of first touch, by line.
+    pub fn regions(&self) -> BTreeMap<usize, Vec<Region>> {
+        let of =
+            |t: &TrackedTrajectory| Some((t.readings.first()?.line, t.found.posterior.as_ref()?.regions()));
+        self.trajectories.iter().filter_map(of).collect()
     }
 
     /// What was found on each trajectory, for track.json.

@@ -369,7 +369,7 @@ mod tests {
         let place = |name: &&str| WHISKER_COLUMNS.iter().position(|known| known == name);
         let (own, last) = COLUMNS.split_at(COLUMNS.len() - 1);
         assert_eq!(last, ["stream"]);
-        let places: Vec<Option<usize>> = own.iter().map(|name| place(name)).collect();
+        let places: Vec<Option<usize>> = own.iter().map(&place).collect();
         assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?}");
         assert_eq!(place(&"shoe_size"), None, "negative control");
     }

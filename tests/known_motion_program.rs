@@ -125,6 +125,19 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
     let calibration = path("out/calibration.json");
     let record = Record::read();
+    // The calibration's report leads from the map's uncertainty to that of the contact.
+    let verified: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path("out/verify.json")).unwrap()).unwrap();
+    let rows = verified["groove_tracking"]["uncertainty"].as_array().unwrap();
+    assert!(rows.len() >= 2, "{verified}");
+    for row in rows {
+        let of = |key: &str| row[key].as_f64().unwrap();
+        // The noise of the readings adds to what the map does.
+        assert!(0.0 < of("contact_u_by_map_mm") && of("contact_u_by_map_mm") < of("contact_u_mm"), "{row}");
+        assert!(0.0 < of("moment_u_nmm") && of("moment_u_nmm") < 0.1 * of("moment_nmm"), "{row}");
+        println!("{row}");
+    }
+    assert!(std::fs::read_to_string(path("out/report.html")).unwrap().contains("Map U to contact U"));
     let (table, log) = (path("table.csv"), path("motion.csv"));
     record.write_table(&table, true, 1.0);
     // Nothing but what is measured: no answer can come from the groove, and none is compared with it.

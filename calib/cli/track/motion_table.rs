@@ -2,7 +2,7 @@
 
 use super::groove::{KnownGroove, known_places};
 use super::known_motion::answer;
-use super::motion_log::{LoggedMotion, has_motion, read};
+use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::{TrustIssues, calibration_issues};
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
@@ -18,6 +18,7 @@ use std::process::ExitCode;
 use wcal_calibration::{SensedRow, SensedTable, of_whisker};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_session::{SessionWarning, WarningKind};
 use wcal_track::known_motion::{
     Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
 };
@@ -67,7 +68,9 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     })?;
     let sensed =
         of_whisker(place, &file)?.sensed(table, whisker).with_context(|| place.display().to_string())?;
-    for warning in &sensed.warnings {
+    let of_motion =
+        |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
+    for warning in sensed.warnings.iter().filter(|w| !of_motion(w)) {
         eprintln!("warning: {warning}");
     }
     if args.motion.is_none() && !has_motion(table)? {

@@ -54,6 +54,22 @@ fn what_the_catalogue_lacks_is_called_unknown_and_tampered_sessions_get_no_name(
 }
 
 #[test]
+fn cameras_show_what_is_wrong_with_contacts_cameras_and_wire() {
+    let looked = [examine("pictures", 4, 2026), examine("nominals", 1, 2026)].concat();
+    assert!(looked.iter().all(|o| o.kind == Mark::Right), "{}", told(&looked));
+    // Contacts are where they are seen, as well as the shapes state it; errors that all pairs share move single sessions.
+    let after: Vec<f64> = looked.iter().filter_map(|o| o.contact_after_ratio).collect();
+    assert!(after.len() == looked.len() && after.iter().all(|r| *r < 1.6), "{after:?}");
+    // Control: without its pictures a fault of the cameras is no finding.
+    let without = examine("without-pictures", 2, 2026);
+    assert!(
+        without[1].verdict == "adequate" && without[1].contact_after_ratio.is_none(),
+        "{}",
+        told(&without)
+    );
+}
+
+#[test]
 fn noise_as_instruments_make_it_is_no_effect() {
     // Every kind of noise once; a gross reading is marked, and named as nothing but what it is.
     let noisy = examine("noise-null", 11, 77);

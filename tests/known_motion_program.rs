@@ -125,6 +125,19 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
     let calibration = path("out/calibration.json");
     let record = Record::read();
+    // The calibration's report leads from the map's uncertainty to that of the contact.
+    let verified: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path("out/verify.json")).unwrap()).unwrap();
+    let rows = verified["groove_tracking"]["uncertainty"].as_array().unwrap();
+    assert!(rows.len() >= 2, "{verified}");
+    for row in rows {
+        let of = |key: &str| row[key].as_f64().unwrap();
+        // The noise of the readings adds to what the map does.
+        assert!(0.0 < of("contact_u_by_map_mm") && of("contact_u_by_map_mm") < of("contact_u_mm"), "{row}");
+        assert!(0.0 < of("moment_u_nmm") && of("moment_u_nmm") < 0.1 * of("moment_nmm"), "{row}");
+        println!("{row}");
+    }
+    assert!(std::fs::read_to_string(path("out/report.html")).unwrap().contains("Map U to contact U"));
     let (table, log) = (path("table.csv"), path("motion.csv"));
     record.write_table(&table, true, 1.0);
     // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
@@ -175,10 +188,19 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
     let columns = std::iter::once("object_x_mm,object_y_mm,object_z_mm".to_owned()).chain(columns);
     let lines: Vec<String> = both.lines().zip(columns).map(|(a, b)| format!("{a},{b}")).collect();
     std::fs::write(&joined, lines.join("\n") + "\n").unwrap();
-    assert!((track(&joined, &[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
-    // Without any motion there must be a model.
+    let joined = track(&joined, &[]);
+    assert!(
+        (joined.rmse_mm() - good.rmse_mm()).abs() < 1e-3 && !joined.said.contains("not known"),
+        "{}",
+        joined.said
+    );
+    // Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.
     let none = track(&table, &[]);
-    assert!(none.code == Some(1) && none.said.contains("--motion"), "{}", none.said);
+    assert_eq!((none.code, &none.summary["method"]), (Some(3), &"moments-alone".into()), "{}", none.said);
+    let groove = &none.summary["known_groove"];
+    let loaded = none.with_status("motion-lost");
+    assert!(loaded as u64 >= groove["compared"].as_u64().unwrap() && loaded > 80, "{}", none.said);
+    assert!(groove["coverage90"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
 
     let along = |more: &[&str]| track(&blind, &[&motion[..], more].concat());
     // Rows that say so: metres called millimetres, a way reversed, another clock rate, another calibration's moments.

@@ -165,7 +165,9 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let wider: Vec<Vec<&str>> = wider.lines().skip(1).map(|l| l.split(',').collect()).collect();
     let column = names.iter().position(|n| *n == "var_xx_mm2").unwrap();
     let value = |row: &[&str]| row[column].parse::<f64>().ok();
-    let ratios: Vec<f64> = rows.iter().zip(&wider).filter_map(|(a, b)| Some(value(b)? / value(a)?)).collect();
+    // Rows in a motion that no sweep has are not the network's: they have what the moments alone tell.
+    let trained = rows.iter().zip(&wider).filter(|(a, _)| !a[status].contains("untrained-motion"));
+    let ratios: Vec<f64> = trained.filter_map(|(a, b)| Some(value(b)? / value(a)?)).collect();
     assert!(ratios.len() > 5 && ratios.iter().all(|r| (r - 4.0).abs() < 0.05), "{ratios:?}");
 
     // Damage and lack are named.

@@ -10,15 +10,15 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
-use wcal_core::verify_document::GrooveTracking;
+use wcal_core::verify_document::{ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Settings, bound_mm,
-    locate,
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Region, Settings,
+    bound_mm, locate,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -65,8 +65,12 @@ pub struct Compared {
     pub arclength_mm: f64,
     /// Distance in space, mm.
     pub error_mm: f64,
-    /// Cramer-Rao bound of that distance, mm.
+    /// Cramer-Rao bound of that distance, mm, and without the readings' own noise.
     pub bound_mm: f64,
+    /// See `bound_mm`.
+    pub bound_by_map_mm: f64,
+    /// Largest moment of the trajectory and its standard deviation by what all readings share, N mm.
+    pub moment_nmm: [f64; 2],
     /// Whether the 95 % region holds the groove.
     pub held: bool,
     /// Whether moments and motion disagree on the trajectory.
@@ -167,20 +171,30 @@ impl TrackedSession {
                 let truth = groove + trajectory.direction * reading.added_mm + self.wire.offset_mm;
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
                 if bound.is_none() {
-                    bound = bound_mm(&self.field, &t.episode, &settings, &state)?;
+                    let of = |episode| bound_mm(&self.field, episode, &settings, &state);
+                    bound = of(&t.episode)?.zip(of(&noiseless(&t.episode))?);
                 }
-                let Some(bound_mm) = bound else { continue };
+                let Some((bound_mm, bound_by_map_mm)) = bound else { continue };
                 all.push(Compared {
                     trajectory: t.id,
                     arclength_mm: state.s_mm,
                     error_mm: (at - truth).norm(),
                     bound_mm,
+                    bound_by_map_mm,
+                    moment_nmm: largest_moment(&t.episode),
                     held: posterior.holds(&state),
                     doubted: t.found.disagreement.is_some(),
                 });
             }
         }
         Ok(all)
+    }
+
+    /// 95 % regions over the arc length of first touch, by line.
+    pub fn regions(&self) -> BTreeMap<usize, Vec<Region>> {
+        let of =
+            |t: &TrackedTrajectory| Some((t.readings.first()?.line, t.found.posterior.as_ref()?.regions()));
+        self.trajectories.iter().filter_map(of).collect()
     }
 
     /// What was found on each trajectory, for track.json.
@@ -234,6 +248,47 @@ pub fn misstated(t: &GrooveTracking) -> bool {
     at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
 }
 
+/// The episode as readings without noise of their own would have it.
+fn noiseless(episode: &Episode) -> Episode {
+    const SHARE: f64 = 1e-6;
+    let mut episode = episode.clone();
+    episode.rows.iter_mut().for_each(|r| r.noise_nmm2 *= SHARE);
+    episode
+}
+
+/// Size of the largest moment of an episode, and its standard deviation by the common unknowns, N mm.
+fn largest_moment(episode: &Episode) -> [f64; 2] {
+    let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
+    let largest = episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+    largest.map_or([0.0; 2], |r| {
+        let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
+        [size(r), r.shared_nmm.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+    })
+}
+
+/// Expanded uncertainties by arc length of first touch, to whole millimetres.
+fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
+    const COVERAGE_FACTOR: f64 = 2.0;
+    let mut by_arclength: BTreeMap<i64, BTreeMap<u32, Compared>> = BTreeMap::new();
+    for c in compared {
+        by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
+    }
+    let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
+        let rms = |of: fn(&Compared) -> f64| {
+            (each.values().map(|c| of(c).powi(2)).sum::<f64>() / each.len() as f64).sqrt()
+        };
+        ContactUncertainty {
+            arclength_mm: at as f64,
+            trajectories: each.len(),
+            moment_nmm: rms(|c| c.moment_nmm[0]),
+            moment_u_nmm: COVERAGE_FACTOR * rms(|c| c.moment_nmm[1]),
+            contact_u_by_map_mm: COVERAGE_FACTOR * rms(|c| c.bound_by_map_mm),
+            contact_u_mm: COVERAGE_FACTOR * rms(|c| c.bound_mm),
+        }
+    };
+    by_arclength.into_iter().map(of).collect()
+}
+
 /// Errors, bound and coverage over readings; none where nothing was compared.
 pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
     let n = compared.len() as f64;
@@ -250,6 +305,7 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
         trajectories_held: trajectories(|_| true) - lost(compared),
         doubted: trajectories(|c| c.doubted),
         split: split.to_owned(),
+        uncertainty: uncertainty(compared),
     })
 }
 

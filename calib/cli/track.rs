@@ -5,6 +5,7 @@ mod feed;
 mod groove;
 mod known_motion;
 mod live;
+mod moments_alone;
 mod motion;
 mod motion_log;
 mod motion_table;
@@ -50,7 +51,8 @@ A session folder without --model: the contact comes from physics, not from a net
 groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
 groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
 and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
-so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost.
+so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost. Without a model and without
+any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
@@ -157,10 +159,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         return match (folder, &args.source) {
             (Some(folder), _) if args.motion.is_none() => known_motion::track(args, folder),
             (Some(folder), _) => motion_table::track(args, &points_table(folder)?),
-            (None, Some(table)) if table.is_file() => motion_table::track(args, table),
-            _ => bail!(
-                "--model: expected one, or a table or session folder whose motion is known (--motion), found none"
-            ),
+            (None, Some(table)) if table.is_file() && table.extension().is_none_or(|e| e != "mcap") => {
+                motion_table::track(args, table)
+            }
+            _ => {
+                bail!("--model: expected one for a stream, found none (tables and session folders need none)")
+            }
         };
     }
     let (source, rig) = source(args)?;

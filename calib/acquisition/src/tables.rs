@@ -358,3 +358,19 @@ fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
     table.insert("scatter_ms".to_owned(), Value::Float(fit.scatter_s * 1e3));
     Value::Table(table)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::COLUMNS;
+    use wcal_session::WHISKER_COLUMNS;
+
+    #[test]
+    fn a_recorded_table_has_the_columns_of_a_session_in_their_order() {
+        let place = |name: &&str| WHISKER_COLUMNS.iter().position(|known| known == name);
+        let (own, last) = COLUMNS.split_at(COLUMNS.len() - 1);
+        assert_eq!(last, ["stream"]);
+        let places: Vec<Option<usize>> = own.iter().map(&place).collect();
+        assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?}");
+        assert_eq!(place(&"shoe_size"), None, "negative control");
+    }
+}

@@ -153,6 +153,13 @@ impl SensedRow {
         let reference = row.reference_shift_pm.is_some();
         Self { point: row.point, line: row.line, t_s: row.t_s, reference, sensed }
     }
+
+    /// Standard deviations of the moments, N mm: noise and what all rows share.
+    #[must_use]
+    pub fn sd_nmm(&self) -> [f64; 2] {
+        let shared = |c: usize| self.sensed.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
+        [0, 1].map(|c| (self.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())
+    }
 }
 
 /// Moments of one reading.

@@ -3,33 +3,7 @@
 use super::{ImportArgs, Kind, Model};
 use anyhow::{Context, bail, ensure};
 use std::collections::BTreeMap;
-use wcal_session::TextTable;
-
-/// Columns of a whisker table, as in the session's reference.
-const WHISKER_COLUMNS: &[&str] = &[
-    "point",
-    "role",
-    "trajectory",
-    "replicate",
-    "t_s",
-    "stage_mm",
-    "direction",
-    "speed_mm_s",
-    "dwell_s",
-    "groove_x_mm",
-    "groove_y_mm",
-    "groove_z_mm",
-    "temperature_degc",
-    "fbg_ref_nm",
-    "fbg_1_nm",
-    "fbg_2_nm",
-    "fbg_ref_shift_nm",
-    "fbg_1_shift_nm",
-    "fbg_2_shift_nm",
-    "fbg_1_sd_pm",
-    "fbg_2_sd_pm",
-    "samples",
-];
+use wcal_session::{TextTable, WHISKER_COLUMNS};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
 const SCALAR_COLUMNS: &[&str] = &["t_s", "direction", "temperature_degc", "replicate", "cycle"];
@@ -151,7 +125,7 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         let (name, column) = pair("map", text)?;
         wanted.push((name.to_owned(), column.to_owned()));
     }
-    let known = if args.kind == Kind::Whisker { WHISKER_COLUMNS } else { SCALAR_COLUMNS };
+    let known: &[&str] = if args.kind == Kind::Whisker { &WHISKER_COLUMNS } else { SCALAR_COLUMNS };
     for name in known {
         let here = table.columns.iter().any(|c| c == name);
         if here && !wanted.iter().any(|(n, c)| n == name || c == name) {

@@ -49,6 +49,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
     let readings = motion.readings.clone();
     let tracked = locate(&system, motion, |_| true)?;
     let places = tracked.places();
+    let regions = tracked.regions();
     let codes = issues.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
     let (mut outside, mut flagged) = (0_u64, 0_u64);
@@ -74,6 +75,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
             base: None,
             touching: None,
             segment: None,
+            regions: regions.get(&r.line).map_or(&[], Vec::as_slice),
         })?;
     }
     // The groove's place enters here, after every answer.

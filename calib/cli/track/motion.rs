@@ -4,6 +4,8 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::StaticInverse;
+use wcal_track::arc::moments_alone;
 use wcal_track::network::Prediction;
 use wcal_track::train::TrainSettings;
 use wcal_track::untrained_motion::{MotionCheck, MotionSample};
@@ -26,19 +28,22 @@ impl Motions {
         self.check.restart();
     }
 
-    /// Flag of a row; `velocity_mm_s` is that of the base past what it touches, where it is known.
-    pub fn flag(
+    /// Judges a row: its flag, and its answer, which is what the moments alone tell where the network cannot know the motion. `velocity_mm_s`
+    /// is that of the base past what it touches, where it is known; `log_evidence` how well the filters foretold the row.
+    pub fn judge(
         &mut self,
-        t_s: f64,
-        m: &StreamMoments,
-        answer: &Prediction,
+        (t_s, m): (f64, &StreamMoments),
+        answer: Prediction,
+        log_evidence: Option<f64>,
         velocity_mm_s: Option<Vector3<f64>>,
-    ) -> Flags {
+        inverse: &StaticInverse,
+    ) -> (Flags, Prediction) {
         let contact = f64::from(answer.contact);
-        let sample = MotionSample { t_s, moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, contact, velocity_mm_s };
-        let Some(motion) = self.check.push(&sample) else { return Flags::default() };
+        let (moment_nmm, sd_nmm) = (m.moment_nmm, m.sd_nmm);
+        let sample = MotionSample { t_s, moment_nmm, sd_nmm, contact, velocity_mm_s, log_evidence };
+        let Some(motion) = self.check.push(&sample) else { return (Flags::default(), answer) };
         *self.rows.entry(motion.name()).or_default() += 1;
-        Flags::UNTRAINED_MOTION
+        (Flags::UNTRAINED_MOTION, moments_alone(inverse, moment_nmm, sd_nmm, &answer))
     }
 
     /// Whether a row has the flag.
@@ -60,8 +65,8 @@ impl Motions {
         if self.any() {
             let by: Vec<String> = self.rows.iter().map(|(name, n)| format!("{name} {n}")).collect();
             eprintln!(
-                "warning: {whose}{} of {rows} rows are contact in a motion that the model was never trained on ({}): their places and stated \
-                 regions are not to be trusted; marked untrained-motion in status",
+                "warning: {whose}{} of {rows} rows are contact in a motion that the model was never trained on ({}): their places are what \
+                 the moments alone tell, an arc of the wire; marked untrained-motion in status",
                 self.count(),
                 by.join(", ")
             );

@@ -28,6 +28,12 @@ fn place_columns(table: &TextTable, name: &str) -> Option<([usize; 3], f64)> {
     })
 }
 
+/// Whether a column is one of a motion.
+pub fn is_motion_column(name: &str) -> bool {
+    let places = ["object", "base"].iter().flat_map(|of| AXES.map(|axis| format!("{of}_{axis}_")));
+    TURN.contains(&name) || places.into_iter().any(|p| matches!(name.strip_prefix(&p), Some("mm" | "m")))
+}
+
 /// Whether a table has the columns of a motion.
 ///
 /// # Errors

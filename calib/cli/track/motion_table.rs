@@ -1,11 +1,11 @@
-//! Tracks of a table whose readings were taken in a known relative motion: no network.
+//! Tracks of a table without a network: along a known relative motion, or by the moments alone.
 
 use super::groove::{KnownGroove, known_places};
 use super::known_motion::answer;
-use super::motion_log::{LoggedMotion, has_motion, read};
+use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::{TrustIssues, calibration_issues};
-use super::{Outcome, TrackArgs, exit_code};
+use super::{Outcome, TrackArgs, exit_code, moments_alone};
 use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
@@ -18,8 +18,9 @@ use std::process::ExitCode;
 use wcal_calibration::{SensedRow, SensedTable, of_whisker};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_session::{SessionWarning, WarningKind};
 use wcal_track::known_motion::{
-    Episode, Located, Lost, Motion, MotionRow, Place, Settings, episodes, locate,
+    Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
 };
 use wcal_track::stream::BasePose;
 
@@ -35,7 +36,7 @@ struct MovedRow<'a> {
     motion: Result<Motion, Lost>,
 }
 
-/// Tracks the readings of a table along the motion of `--motion`, or of its own columns.
+/// Tracks the readings of a table along the motion of `--motion`, or of its own columns; by the moments alone where there is neither.
 ///
 /// # Errors
 /// Where table, motion or calibration cannot be used.
@@ -43,12 +44,6 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let [place] = &args.calibration[..] else {
         bail!("--calibration: expected one for a table, found {}", args.calibration.len());
     };
-    if args.motion.is_none() && !has_motion(table)? {
-        bail!(
-            "--model: expected one, or a motion (--motion, or columns object_x_mm .. or base_x_mm .. of {}), found none",
-            table.display()
-        );
-    }
     for (option, value) in
         [("--motion-sd-mm", args.motion_sd_mm), ("--motion-clock-sd-s", args.motion_clock_sd_s)]
     {
@@ -73,8 +68,13 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     })?;
     let sensed =
         of_whisker(place, &file)?.sensed(table, whisker).with_context(|| place.display().to_string())?;
-    for warning in &sensed.warnings {
+    let of_motion =
+        |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
+    for warning in sensed.warnings.iter().filter(|w| !of_motion(w)) {
         eprintln!("warning: {warning}");
+    }
+    if args.motion.is_none() && !has_motion(table)? {
+        return moments_alone::track(args, table, &sensed.rows, (&file, whisker, &issues));
     }
     let motion_file = args.motion.as_deref().unwrap_or(table);
     let LoggedMotion { log, posed } = read(motion_file, args.motion_offset_s)?;
@@ -109,6 +109,8 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
         places.extend(located.places.iter().enumerate().map(|(k, p)| (index[from + k], (p, located, n))));
     }
 
+    let regions: Vec<Vec<Region>> =
+        found.iter().map(|f| f.posterior.as_ref().map_or_else(Vec::new, Posterior::regions)).collect();
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut groove = KnownGroove::new(known_places(table)?, whisker);
     let codes = issues.codes();
@@ -137,12 +139,13 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             whisker: "",
             flags,
             doubts: &codes,
-            moments: Some(StreamMoments { moment_nmm: s.moment_nmm, sd_nmm: sd_nmm(m.row), valid: s.valid }),
+            moments: Some(StreamMoments { moment_nmm: s.moment_nmm, sd_nmm: m.row.sd_nmm(), valid: s.valid }),
             answer: answer.as_ref(),
             base_mm_s: m.motion.as_ref().ok().map(|m| -m.velocity_mm_s.z),
             base,
             touching: None,
             segment: here.map(|(.., n)| *n as u64),
+            regions: here.map_or(&[], |(.., n)| regions[*n].as_slice()),
         })?;
     }
     let simulated = is_simulated(table) || file.provenance.simulated;
@@ -277,10 +280,4 @@ fn base_pose(motion: &Motion) -> BasePose {
     let place = Translation3::from(back * -motion.moved_mm);
     let world_from_base = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back));
     BasePose { world_from_base, velocity_mm_s: Some(-motion.velocity_mm_s) }
-}
-
-/// Standard deviations of a row's moments, N mm.
-fn sd_nmm(row: &SensedRow) -> [f64; 2] {
-    let shared = |c: usize| row.sensed.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
-    [0, 1].map(|c| (row.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())
 }

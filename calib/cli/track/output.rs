@@ -8,6 +8,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::known_motion::Region;
 use wcal_track::network::Prediction;
 use wcal_track::stream::{BasePose, ContactEvent};
 
@@ -17,7 +18,7 @@ pub const FORMAT: &str = "wcal-track/2";
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
-     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment";
+     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95";
 
 const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
      ring_hz,ring_q,ring_amplitude_nmm,doubts";
@@ -54,6 +55,8 @@ pub struct TrackRow<'a> {
     pub touching: Option<bool>,
     /// Contact interval that the row belongs to.
     pub segment: Option<u64>,
+    /// 95 % region of highest density over the arc length.
+    pub regions: &'a [Region],
 }
 
 /// Appends numbers, or as many empty cells.
@@ -96,7 +99,9 @@ impl TrackRow<'_> {
         cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
         let touching = self.touching.map_or_else(String::new, |t| u8::from(t).to_string());
         let segment = self.segment.map_or_else(String::new, |n| n.to_string());
-        let _ = writeln!(out, ",{touching},{segment}");
+        let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
+        let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
+        let _ = writeln!(out, ",{touching},{segment},{regions}");
         out
     }
 

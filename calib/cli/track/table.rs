@@ -17,6 +17,7 @@ use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_track::arc::arclength_regions;
 use wcal_track::stream::BasePose;
 use wcal_track::{Sample, Tare};
 
@@ -64,6 +65,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
     let mut groove = KnownGroove::new(places, &loaded.card.whisker);
     let mut motions = Motions::new(&loaded.card.training);
+    let inverse = &loaded.tracker.inverse;
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut stream = loaded.stream();
@@ -94,18 +96,23 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
             sd_nmm: m.sd_nmm,
             valid: m.valid,
         });
-        let answer = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
+        let answered = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
         if flags.has(Flags::GAP) {
             found.gap();
         }
-        if let (Some(m), Some(answer)) = (&moments, &answer) {
+        let mut answer = None;
+        if let (Some(m), Some(answered)) = (&moments, answered) {
             let known = velocity.or(past_groove.get(&line).copied());
             let known = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
-            flags = flags.with(motions.flag(t_s, m, answer, known));
+            let (motion, judged) = motions.judge((t_s, m), answered, stream.log_evidence(), known, inverse);
+            flags = flags.with(motion);
             if let Some(groove) = &mut groove {
-                groove.push(t_s, answer);
+                groove.push(t_s, &judged);
             }
+            answer = Some(judged);
         }
+        let regions =
+            answer.as_ref().map_or_else(Vec::new, |a| arclength_regions(&inverse.nodes, &a.weights));
         let segment = found.row(t_s, answer.as_ref(), base, base_mm_s);
         outside += u64::from(usable && !m.valid);
         flagged += u64::from(!flags.none());
@@ -122,6 +129,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
             base,
             touching: None,
             segment,
+            regions: &regions,
         })?;
     }
     let simulated = is_simulated(path) || loaded.file.provenance.simulated;

@@ -19,6 +19,7 @@ use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
 use wcal_core::stream::StreamMoments;
+use wcal_track::arc::arclength_regions;
 use wcal_track::stream::{BaseMotion, Row, SignalChain, SignalChainSettings, first_mode_hz};
 use wcal_track::{Sample, Tare, TrackerStream};
 
@@ -294,7 +295,7 @@ impl Whisker<'_> {
         let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(base_mm_s);
         let moments =
             row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(row.t_s, m.moment_nmm), ..m });
-        let answer = match &moments {
+        let answered = match &moments {
             Some(m) => Some(self.stream.push(&Sample { t_s: row.t_s, moment_nmm: m.moment_nmm, base_mm_s })),
             None => {
                 // What happened in between is not known: the tracker starts anew.
@@ -304,12 +305,19 @@ impl Whisker<'_> {
             }
         };
         let mut flags = row.flags;
-        if let (Some(m), Some(answer)) = (&moments, &answer) {
-            flags = flags.with(self.motions.flag(row.t_s, m, answer, velocity));
+        let inverse = &self.loaded.tracker.inverse;
+        let mut answer = None;
+        if let (Some(m), Some(answered)) = (&moments, answered) {
+            let evidence = self.stream.log_evidence();
+            let (motion, judged) = self.motions.judge((row.t_s, m), answered, evidence, velocity, inverse);
+            flags = flags.with(motion);
             if let Some(groove) = &mut self.groove {
-                groove.push(row.t_s, answer);
+                groove.push(row.t_s, &judged);
             }
+            answer = Some(judged);
         }
+        let regions =
+            answer.as_ref().map_or_else(Vec::new, |a| arclength_regions(&inverse.nodes, &a.weights));
         let segment = self.found.row(row.t_s, answer.as_ref(), base, base_mm_s);
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
@@ -326,6 +334,7 @@ impl Whisker<'_> {
             base,
             touching: row.touching,
             segment,
+            regions: &regions,
         };
         files.row(&row)?;
         Ok(row.message())

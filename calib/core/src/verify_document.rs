@@ -307,6 +307,27 @@ pub struct GrooveTracking {
     pub doubted: usize,
     /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.
     pub split: String,
+    /// What the uncertainty of the map makes of a contact, by arc length.
+    #[serde(default)]
+    pub uncertainty: Vec<ContactUncertainty>,
+}
+
+/// Expanded uncertainties (twice the standard deviation) of a moment and of the contact that follows from it, on the trajectories of one arc
+/// length: root mean squares.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ContactUncertainty {
+    /// Arc length of first touch, mm.
+    pub arclength_mm: f64,
+    /// Trajectories.
+    pub trajectories: usize,
+    /// Moment at the deepest reading, N mm.
+    pub moment_nmm: f64,
+    /// Its uncertainty by the calibration alone, N mm.
+    pub moment_u_nmm: f64,
+    /// Uncertainty of the contact by the calibration and by where the object passes the free wire, mm.
+    pub contact_u_by_map_mm: f64,
+    /// The same with the noise of the readings, mm.
+    pub contact_u_mm: f64,
 }
 
 /// What the pictures say beside the wavelengths.

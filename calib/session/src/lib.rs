@@ -31,5 +31,5 @@ pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::SIMULATED_COLUMN;
 pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
 pub use warning::{SessionWarning, WarningKind};
-pub use whisker::{ReadingTable, load_table};
+pub use whisker::{ReadingTable, WHISKER_COLUMNS, load_table};
 pub use write::{SessionFiles, write_session};

@@ -10,6 +10,7 @@ use std::path::{Component, Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::{
     AxisData, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData, WhiskerData,
+    WhiskerRow,
 };
 
 /// Format tag of `session.toml`.
@@ -50,6 +51,7 @@ struct Files {
     twin: Option<String>,
     rest_shape: Option<String>,
     shapes: Option<String>,
+    holdout_shapes: Option<String>,
     pictures: Option<PathBuf>,
 }
 
@@ -196,10 +198,9 @@ fn read_files(
         twin: relative("twin")?,
         rest_shape: relative("rest_shape")?,
         shapes: relative("shapes")?,
+        holdout_shapes: relative("holdout_shapes")?,
         pictures: pictures_folder(&section, folder)?,
     };
-    // Sealed as the holdout is; nothing reads it yet, and it is no unknown key.
-    relative("holdout_shapes")?;
     if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
         warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
     }
@@ -262,23 +263,28 @@ fn load_whisker(
         Ok(table.rows)
     };
     let mut rows = read(&files.points, Purpose::Fit)?;
-    let shapes = match &files.shapes {
-        Some(name) => Some(crate::shapes::read(&folder.join(name), name, expected, &mut rows)?),
-        None => None,
+    let pairs = |name: &Option<String>, rows: &mut [WhiskerRow], purpose: Purpose| match name {
+        Some(name) => crate::shapes::read(&folder.join(name), name, expected, rows, purpose).map(Some),
+        None => Ok(None),
     };
+    let shapes = pairs(&files.shapes, &mut rows, Purpose::Fit)?;
     // A row that is sealed takes its pair with it.
     let mut holdout = seal(&mut rows, |r| r.role);
+    let mut sealed_shapes = None;
     if let Some(name) = &files.holdout {
-        holdout.extend(read(name, Purpose::Holdout)?);
+        let mut sealed = read(name, Purpose::Holdout)?;
+        // Seen by the same cameras, but no part of what is fitted: they show how far off the contact is.
+        sealed_shapes = pairs(&files.holdout_shapes, &mut sealed, Purpose::Holdout)?;
+        holdout.extend(sealed);
     }
-    let shapes = shapes.map(|(shapes, input)| {
-        inputs.push(input);
-        if !shapes.left_out.is_empty() {
-            let kind = WarningKind::PairsLeftOut(shapes.left_out.clone());
-            warnings.push(SessionWarning::new(&shapes.file, kind));
+    for (found, input) in shapes.iter().chain(&sealed_shapes) {
+        inputs.push(input.clone());
+        if !found.left_out.is_empty() {
+            let kind = WarningKind::PairsLeftOut(found.left_out.clone());
+            warnings.push(SessionWarning::new(&found.file, kind));
         }
-        shapes
-    });
+    }
+    let shapes = shapes.map(|(found, _)| found);
     // Where nothing was loaded there is nothing to predict but the zero.
     holdout.relabel(|r| r.sealed = r.role != Role::Rest);
     require_unsealed(&files.points, rows.len())?;

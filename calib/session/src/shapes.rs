@@ -79,6 +79,7 @@ pub(crate) fn read(
     name: &str,
     expected: &Expected,
     rows: &mut [WhiskerRow],
+    purpose: Purpose,
 ) -> Result<(SessionShapes, InputFile), SessionError> {
     let io = |e| SessionError::io("reading", path, e);
     let size = std::fs::metadata(path).map_err(io)?.len();
@@ -134,7 +135,7 @@ pub(crate) fn read(
         covariance: if all.is_none() { covariance } else { Vec::new() },
         left_out,
     };
-    let input = InputFile { path: name.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Fit };
+    let input = InputFile { path: name.to_owned(), sha256: sha256_hex(&bytes), purpose };
     Ok((shapes, input))
 }
 

@@ -69,6 +69,33 @@ enum Wavelengths {
     Shift { columns: [Column; 2], reference: Option<Column> },
 }
 
+/// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
+/// `stream` after them.
+pub const WHISKER_COLUMNS: [&str; 22] = [
+    "point",
+    "role",
+    "trajectory",
+    "replicate",
+    "t_s",
+    "stage_mm",
+    "direction",
+    "speed_mm_s",
+    "dwell_s",
+    "groove_x_mm",
+    "groove_y_mm",
+    "groove_z_mm",
+    "temperature_degc",
+    "fbg_ref_nm",
+    "fbg_1_nm",
+    "fbg_2_nm",
+    "fbg_ref_shift_nm",
+    "fbg_1_shift_nm",
+    "fbg_2_shift_nm",
+    "fbg_1_sd_pm",
+    "fbg_2_sd_pm",
+    "samples",
+];
+
 fn find_columns(
     table: &mut Table,
     fbg: &FbgSpec,

@@ -71,6 +71,33 @@ fn good_shapes_stand_with_their_rows() {
     assert_eq!(bare, Ok((vec![1, 2], vec![])));
 }
 
+/// Pairs of the holdout file have a document of their own; they are sealed with their rows.
+#[test]
+fn sealed_pairs_stand_with_sealed_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    Base::Whisker.write(folder.path());
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let toml = fs::read_to_string(folder.path().join("session.toml")).unwrap();
+    let files =
+        "[files]\nshapes = \"shapes.json\"\nholdout = \"holdout.csv\"\nholdout_shapes = \"sealed.json\"\n";
+    put("session.toml", &toml.replace("[files]\n", files));
+    put(
+        "holdout.csv",
+        &fs::read_to_string(folder.path().join("points.csv")).unwrap().replace("calibration", "holdout"),
+    );
+    put("shapes.json", &shapes().to_string());
+    let mut sealed = shapes();
+    sealed["pairs"][1]["point"] = json!(9);
+    put("sealed.json", &sealed.to_string());
+    let session = load(folder.path()).unwrap();
+    let said: Vec<String> = session.warnings.iter().map(ToString::to_string).collect();
+    assert!(said.len() == 1 && said[0].contains("sealed.json") && said[0].contains("point 9"), "{said:?}");
+    let SessionData::Whisker(data) = &session.data else { panic!("kind") };
+    assert_eq!(data.rows.iter().filter(|r| r.pair.is_some()).count(), 2);
+    let (rows, _) = data.holdout.unseal(&wcal_core::Seal::default());
+    assert_eq!(rows.iter().filter(|r| r.pair.is_some()).map(|r| r.point).collect::<Vec<_>>(), [1]);
+}
+
 #[test]
 fn a_pair_that_cannot_be_used_is_left_out_by_name() {
     type Edit = fn(&mut Value);

@@ -2,6 +2,7 @@
 //!
 //! Base frame throughout: lengths in mm, moments in N mm, time in s.
 
+pub mod arc;
 pub mod bootstrap;
 pub mod classes;
 mod device;

@@ -186,6 +186,12 @@ pub struct TrackerStream<'a> {
 }
 
 impl TrackerStream<'_> {
+    /// How well the last sample was foretold: see [`FeatureExtractor::log_evidence`].
+    #[must_use]
+    pub fn log_evidence(&self) -> Option<f64> {
+        self.features.log_evidence()
+    }
+
     /// The answer at a sample.
     pub fn push(&mut self, sample: &Sample) -> Prediction {
         let token = token(&mut self.features, &mut self.last_s, sample);

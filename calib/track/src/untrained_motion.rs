@@ -6,11 +6,13 @@
 //! Where w is not known the moments tell two motions apart that no sweep has. What the base passes pushes the free wire against its way,
 //! toward -z, which gives M_y > 0 at the root; a first touch toward +z (M_y < 0) comes from an object that goes after the wire. (Later in a
 //! sweep the tip, which hangs below the base, may well be pulled that way.) And moments that stand still for long are those of a base that
-//! does not move.
+//! does not move. And whatever the motion, the filters foretell each row from those before (p(m_t | m_1 .. m_{t-1})): where the mean logarithm
+//! of the last rows is lower than in any sweep, the contact does something that none does.
 
 use crate::train::TrainSettings;
 use nalgebra::Vector3;
 use serde::Serialize;
+use std::collections::VecDeque;
 
 /// Probability of contact from which a row is judged, and below which the contact is over (as for `segments`).
 const START_PROBABILITY: f64 = 0.6;
@@ -25,6 +27,11 @@ const ASIDE: f64 = 0.2;
 /// Part of the moment that a first touch toward +z must have to be one, and time for which the wire must have been free before it, s.
 const TOWARD: f64 = 0.3;
 const FREE_S: f64 = 0.5;
+/// Rows over which the filters' predictive densities are averaged, the least that one row counts, and the mean logarithm below which no
+/// sweep's rows lie (tests/untrained.rs), 1/(N mm)^2.
+const EVIDENCE_ROWS: usize = 8;
+const EVIDENCE_FLOOR: f64 = -20.0;
+const EVIDENCE_LOW: f64 = 0.0;
 /// Moments that change by less than this (N mm, and a part of them) for so long (s) stand still.
 const STILL_NMM: f64 = 0.01;
 const STILL_SHARE: f64 = 0.01;
@@ -42,6 +49,8 @@ pub enum UntrainedMotion {
     Aside,
     /// Faster than any sweep.
     Fast,
+    /// The moments go on as no filter foretells.
+    Unforeseen,
 }
 
 impl UntrainedMotion {
@@ -53,6 +62,7 @@ impl UntrainedMotion {
             Self::Against => "against",
             Self::Aside => "aside",
             Self::Fast => "fast",
+            Self::Unforeseen => "unforeseen",
         }
     }
 }
@@ -70,6 +80,8 @@ pub struct MotionSample {
     pub contact: f64,
     /// Velocity of the base past what it touches, base frame, mm/s, where it is known.
     pub velocity_mm_s: Option<Vector3<f64>>,
+    /// Logarithm of the filters' predictive density of the moments, 1/(N mm)^2; none where they foretold nothing.
+    pub log_evidence: Option<f64>,
 }
 
 /// Judges the rows of one whisker. Once a contact has been moved as no sweep is, all of it is in doubt to its end: network and filters
@@ -85,6 +97,8 @@ pub struct MotionCheck {
     first_touch: bool,
     /// Time and moments since when they have stood still.
     still: Option<(f64, [f64; 2])>,
+    /// Predictive densities of the last rows of the contact.
+    evidence: VecDeque<f64>,
 }
 
 impl MotionCheck {
@@ -99,6 +113,7 @@ impl MotionCheck {
             free_since: None,
             first_touch: false,
             still: None,
+            evidence: VecDeque::new(),
         }
     }
 
@@ -106,6 +121,7 @@ impl MotionCheck {
     pub fn restart(&mut self) {
         (self.touching, self.found, self.still) = (false, None, None);
         (self.free_since, self.first_touch) = (None, false);
+        self.evidence.clear();
     }
 
     /// Takes a row; what its motion is where no sweep has it.
@@ -122,6 +138,7 @@ impl MotionCheck {
         }
         if !self.touching {
             (self.found, self.still) = (None, None);
+            self.evidence.clear();
             return None;
         }
         let now = match row.velocity_mm_s {
@@ -129,6 +146,7 @@ impl MotionCheck {
             None => self.still(row).then_some(UntrainedMotion::Hold),
         };
         let now = now.or_else(|| self.touched_behind(row).then_some(UntrainedMotion::Against));
+        let now = now.or(self.unforeseen(row).then_some(UntrainedMotion::Unforeseen));
         self.found = now.or(self.found);
         self.found
     }
@@ -156,6 +174,17 @@ impl MotionCheck {
             return false;
         }
         row.t_s - since_s > STILL_S
+    }
+
+    /// Whether the last rows of the contact were foretold worse than in any sweep.
+    fn unforeseen(&mut self, row: &MotionSample) -> bool {
+        let Some(evidence) = row.log_evidence else { return false };
+        self.evidence.push_back(evidence.max(EVIDENCE_FLOOR));
+        if self.evidence.len() > EVIDENCE_ROWS {
+            self.evidence.pop_front();
+        }
+        let sum: f64 = self.evidence.iter().sum();
+        self.evidence.len() == EVIDENCE_ROWS && sum < EVIDENCE_LOW * EVIDENCE_ROWS as f64
     }
 
     /// Whether the free wire is touched first by what goes after it: nothing that the base passes does so.

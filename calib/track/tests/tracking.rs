@@ -460,7 +460,14 @@ fn judged(series: &SweepSeries, known: bool, from: f64) -> Vec<Option<UntrainedM
         let contact = if i.contact.is_some() { 1.0 } else { 0.0 };
         let velocity_mm_s = known.then(|| Vector3::z() * i.speed_mm_s);
         let moment_nmm = i.moment_nmm.map(|m| from * m);
-        check.push(&MotionSample { t_s: i.t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+        check.push(&MotionSample {
+            t_s: i.t_s,
+            moment_nmm,
+            sd_nmm: [0.001; 2],
+            contact,
+            velocity_mm_s,
+            log_evidence: None,
+        })
     };
     series.samples.iter().map(row).collect()
 }
@@ -496,7 +503,14 @@ fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
         let row = |(k, v): (usize, &Vector3<f64>)| {
             let (t_s, velocity_mm_s) = (0.1 * k as f64, Some(*v));
             let moment_nmm = [0.4 * contact, 0.1 * contact];
-            check.push(&MotionSample { t_s, moment_nmm, sd_nmm: [0.001; 2], contact, velocity_mm_s })
+            check.push(&MotionSample {
+                t_s,
+                moment_nmm,
+                sd_nmm: [0.001; 2],
+                contact,
+                velocity_mm_s,
+                log_evidence: None,
+            })
         };
         velocities.iter().enumerate().map(row).collect::<Vec<_>>()
     };
@@ -519,6 +533,7 @@ fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
             sd_nmm: [0.001; 2],
             contact: 1.0,
             velocity_mm_s: None,
+            log_evidence: None,
         };
         (0..10 * seconds).filter_map(|k| check.push(&row(k))).last()
     };

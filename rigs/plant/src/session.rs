@@ -16,7 +16,7 @@ use crate::effects::{Effect, Kind};
 use crate::layout::{Asked, Design, Planned, plan, plan_asked};
 use crate::noise::{self, Law, Noise};
 use crate::rivals::{Rival, nearest, oracle_error_nmm};
-use crate::shapes::{Cameras, Fault, Shown, shapes_json};
+use crate::shapes::{Cameras, Fault, Shown, contact_sigma, shapes_json};
 use crate::simulate::{Clean, Plant};
 
 /// What a session shall contain.
@@ -141,6 +141,8 @@ pub struct Truth {
     pub target_sigma: f64,
     /// False where the physical range ended before the target.
     pub target_reached: bool,
+    /// Each effect has 8 noises in the wavelengths or 5 in the contacts that cameras see; none where nobody looks.
+    pub clear: Option<bool>,
     /// Covariates any of which is the right driver (outside the catalogue).
     pub driver: Vec<String>,
     /// Shape outside the catalogue.
@@ -243,12 +245,18 @@ fn drawn(
     };
     let mut effects = Vec::new();
     let mut each = Map::new();
-    let mut target_reached = true;
+    let (mut target_reached, mut clear) = (true, true);
     for kind in kinds {
         let mut effect = Effect::draw(kind, end_s, &mut rng);
         let size = scale(&mut plant, &mut effect, &without, request.target_sigma)?;
         target_reached &= (size / request.target_sigma - 1.0).abs() < 0.05;
         each.insert(kind.name().0.into(), json!((size * 10.0).round() / 10.0));
+        if looked.is_some() {
+            let [with, without] = [plant.shown(std::slice::from_ref(&effect))?, plant.shown(&[])?];
+            let [with, without] = [with, without].map(|s| s.into_iter().flatten().collect::<Vec<_>>());
+            let contact = contact_sigma(&with, &without, &Cameras::default());
+            clear &= size >= NEAR_ENOUGH * CLEAR_SIGMA || contact >= CLEAR_CONTACT_SIGMA;
+        }
         effects.push(effect);
     }
     let clean = if effects.is_empty() { without.clone() } else { plant.clean(&effects)? };
@@ -258,6 +266,7 @@ fn drawn(
     let mut truth = truth(request, &plant, &effects, &clean, law);
     truth.wire = wire;
     (truth.sizes_each, truth.target_reached) = (each, target_reached);
+    truth.clear = looked.map(|_| clear);
     truth.projected_size_in_noises = (projected * 10.0).round() / 10.0;
     truth.flagged = truth.noise.gross.iter().map(|g| flag(&readings[g.row])).collect();
     truth.flagged.sort();
@@ -303,6 +312,11 @@ fn flag(reading: &Reading) -> Flag {
     let file = if reading.planned.holdout { "holdout.csv" } else { "points.csv" };
     Flag { source: file.into(), point: reading.point }
 }
+
+/// Size of a clear effect in noises of the wavelengths, the share of it that the scaling of effects keeps, and size in the contacts.
+const CLEAR_SIGMA: f64 = 8.0;
+const NEAR_ENOUGH: f64 = 0.97;
+const CLEAR_CONTACT_SIGMA: f64 = 5.0;
 
 /// Largest change of a zero when the whisker is seated anew, pm.
 const RESEAT_PM: f64 = 20.0;
@@ -468,6 +482,7 @@ fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[Clean], 
         sizes_each: Map::new(),
         target_sigma: request.target_sigma,
         target_reached: true,
+        clear: None,
         driver: driver.map_or_else(Vec::new, |d| d.0.iter().map(|s| (*s).to_owned()).collect()),
         shape: driver.map(|d| d.1.to_owned()),
         expected,

@@ -5,7 +5,7 @@
 //! z = true shape + own noise (each pair) + S q (shared: a shift and turn of the base's frame, the board's scale) + fault
 //! ```
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -81,6 +81,35 @@ impl Column {
             "length_mm": 0.0,
         })
     }
+}
+
+/// Size of a change of the contacts in standard deviations of what the cameras state: groove and arc length, shared errors included.
+pub fn contact_sigma(with: &[Shown], without: &[Shown], cameras: &Cameras) -> f64 {
+    let rows = 4 * with.len();
+    let mut change = DVector::zeros(rows);
+    let mut own = DMatrix::zeros(rows, rows);
+    let mut shared = DMatrix::zeros(rows, 7);
+    let variance = cameras.own_mm.powi(2);
+    for (k, (a, b)) in with.iter().zip(without).enumerate() {
+        let at = 4 * k;
+        change.fixed_rows_mut::<3>(at).copy_from(&(a.groove_mm - b.groove_mm));
+        change[at + 3] = a.arclength_mm - b.arclength_mm;
+        // Along the wire the tag errs, and the foot with it; across it the wire does.
+        own.fixed_view_mut::<3, 3>(at, at).fill_with_identity();
+        own.fixed_view_mut::<3, 1>(at, at + 3).copy_from(&b.tangent);
+        own.fixed_view_mut::<1, 3>(at + 3, at).copy_from(&b.tangent.transpose());
+        own[(at + 3, at + 3)] = 1.25;
+        for (j, axis) in [V3::x(), V3::y(), V3::z()].iter().enumerate() {
+            shared.fixed_view_mut::<3, 1>(at, j).copy_from(&(axis * cameras.shift_mm));
+            shared
+                .fixed_view_mut::<3, 1>(at, 3 + j)
+                .copy_from(&(axis.cross(&b.groove_mm) * cameras.turn_rad));
+        }
+        shared.fixed_view_mut::<3, 1>(at, 6).copy_from(&(b.groove_mm * cameras.scale));
+        shared[(at + 3, 6)] = b.arclength_mm * cameras.scale;
+    }
+    let covariance = own * variance + &shared * shared.transpose();
+    covariance.cholesky().map_or(f64::NAN, |c| change.dot(&c.solve(&change)).sqrt())
 }
 
 /// Two unit vectors across `t`.

@@ -112,10 +112,27 @@ fn groove(t: &GrooveTracking) -> String {
     } else {
         String::new()
     };
+    let mut table = Table::new(
+        "Map U to contact U (expanded, k = 2): known motion, the trajectories' own readings",
+        &[
+            "#arc length (mm)",
+            "#trajectories",
+            "#largest moment (N mm)",
+            "#U of it by the map (N mm)",
+            "#contact U by the map (mm)",
+            "#contact U (mm)",
+        ],
+    );
+    for u in &t.uncertainty {
+        let values = [u.moment_nmm, u.moment_u_nmm, u.contact_u_by_map_mm, u.contact_u_mm];
+        let counts = [number(u.arclength_mm), u.trajectories.to_string()];
+        table.row(counts.into_iter().chain(values.map(number)).map(Cell::Number).collect());
+    }
+    let table = if t.uncertainty.is_empty() { String::new() } else { table.html() };
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
          ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold the groove on {} of \
-         {} trajectories, whose readings share one error.{doubted}</p>",
+         {} trajectories, whose readings share one error.{doubted}</p>{table}",
         number(t.rmse_mm),
         t.points,
         number(t.bound_mm),

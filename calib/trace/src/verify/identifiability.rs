@@ -59,7 +59,7 @@ pub fn sentences<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
     }
     let first_value = all.len() - fit.tangents.len();
     let mut out = Vec::new();
-    for (k, tangent) in fit.tangents.iter().enumerate() {
+    for (k, tangent) in fit.stacked_tangents().iter().enumerate() {
         let name = &all[first_value + k].name;
         if fit.at_bound.get(k) == Some(&true) {
             out.push(format!("{name} is at the end of its physical range."));

@@ -51,6 +51,16 @@ pub struct Held {
 /// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
 type Values = Vec<[f64; 3]>;
 
+/// How a place is reached from the free wire.
+struct Way {
+    /// Arc length of the free wire's sample next to it, mm.
+    arclength_mm: f64,
+    /// Distance to that sample, mm.
+    length_mm: f64,
+    /// The node before on the way; none where the free wire is near.
+    before: Option<Key>,
+}
+
 struct Node {
     equilibrium: Equilibrium,
     values: Values,
@@ -197,9 +207,34 @@ impl MomentField {
         if let Some(known) = self.nodes.read().ok()?.get(&key) {
             return known.clone();
         }
-        let node = self.solve(key).map(Arc::new);
-        self.nodes.write().ok()?.insert(key, node.clone());
-        node
+        // Back to what is known, then outward: the stack does not grow with the way.
+        let mut unknown = vec![key];
+        while let Some(before) = unknown.last().and_then(|k| self.way(k)?.before) {
+            if self.nodes.read().ok()?.contains_key(&before) {
+                break;
+            }
+            unknown.push(before);
+        }
+        for key in unknown.into_iter().rev() {
+            let node = self.solve(key).map(Arc::new);
+            self.nodes.write().ok()?.insert(key, node);
+        }
+        self.nodes.read().ok()?.get(&key).cloned().flatten()
+    }
+
+    /// How a place is reached; none where no wire reaches.
+    fn way(&self, key: &Key) -> Option<Way> {
+        let target = place(key);
+        let (arclength_mm, wire) = self.nearest(&target);
+        // No wire reaches farther than it is long; a motion in the wrong unit asks for places metres away.
+        if arclength_mm < ROOT_MM || target.norm() > self.rod.shape.length_mm {
+            return None;
+        }
+        let way = wire - target;
+        let before = key_of(&(target + way * (PITCH_MM / way.norm().max(PITCH_MM))));
+        // Each step comes nearer to the wire, so that the way ends.
+        let near = way.norm() <= PITCH_MM || before == *key || (place(&before) - wire).norm() >= way.norm();
+        Some(Way { arclength_mm, length_mm: way.norm(), before: (!near).then_some(before) })
     }
 
     /// Sample of the free wire next to a place.
@@ -212,20 +247,15 @@ impl MomentField {
     /// From the free wire where it is near, else from the node before on the way to it: the branch that starts at first touch.
     fn solve(&self, key: Key) -> Option<Node> {
         let target = place(&key);
-        let (s_mm, wire) = self.nearest(&target);
-        // No wire reaches farther than it is long; a motion in the wrong unit asks for places metres away.
-        if s_mm < ROOT_MM || target.norm() > self.rod.shape.length_mm {
-            return None;
-        }
-        let way = wire - target;
-        let before = key_of(&(target + way * (PITCH_MM / way.norm().max(PITCH_MM))));
-        let near = way.norm() <= PITCH_MM || before == key || (place(&before) - wire).norm() >= way.norm();
-        let equilibrium = if near {
-            let free = Guess { force_n: Vector3::zeros(), arclength_mm: s_mm };
-            let found = self.rod.solve(&target, &free, Tangential::Frictionless).ok()?;
-            ((found.arclength_mm - s_mm).abs() <= JUMP * way.norm() + JUMP_MM).then_some(found)?
-        } else {
-            self.carried(&self.node(before)?.equilibrium, &target)?
+        let way = self.way(&key)?;
+        let equilibrium = match way.before {
+            None => {
+                let free = Guess { force_n: Vector3::zeros(), arclength_mm: way.arclength_mm };
+                let found = self.rod.solve(&target, &free, Tangential::Frictionless).ok()?;
+                let jump = (found.arclength_mm - way.arclength_mm).abs();
+                (jump <= JUMP * way.length_mm + JUMP_MM).then_some(found)?
+            }
+            Some(before) => self.carried(&self.node(before)?.equilibrium, &target)?,
         };
         let squared = target.norm_squared();
         let values = |e: &Equilibrium| {

@@ -1,7 +1,8 @@
 //! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `imports` reads them.
 
 use crate::calibrate::document::StereoDocument;
-use crate::camera::lens::FISHEYE;
+use crate::calibrate::import::KALIBR_COEFFICIENTS;
+use crate::camera::lens::{FISHEYE, OPENCV5};
 use crate::error::{OpenCvContext, VisionError};
 use crate::stereo::StereoCameras;
 use nalgebra::Matrix3;
@@ -39,7 +40,7 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     let lens = stereo.cameras[0].lens;
     let mut opencv = format!("%YAML:1.0\n---\n{mark}image_width: {w}\nimage_height: {h}\n");
     // OpenCV's own functions take D as five coefficients; those of its module fisheye take four.
-    if lens == FISHEYE {
+    if lens != OPENCV5 {
         let _ = writeln!(opencv, "distortion_model: {}", lens.model());
     }
     for (k, camera) in document.cameras.iter().enumerate() {
@@ -62,9 +63,10 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         }
         let _ = writeln!(kalibr, "  camera_model: pinhole");
         let _ = writeln!(kalibr, "  distortion_model: {}", lens.kalibr_model());
-        let _ = write!(kalibr, "  distortion_coeffs: [{}]", numbers(d[..4].iter().copied()));
+        let _ =
+            write!(kalibr, "  distortion_coeffs: [{}]", numbers(d.iter().take(KALIBR_COEFFICIENTS).copied()));
         // Kalibr's radtan has no k3: it is written beside, and a reader that ignores it is warned by the comment.
-        let _ = match d.get(4) {
+        let _ = match d.get(KALIBR_COEFFICIENTS) {
             Some(k3) => writeln!(kalibr, " # k3 = {k3:e} has no place in radtan\n  k3: {k3:e}"),
             None => writeln!(kalibr),
         };
@@ -102,7 +104,9 @@ fn rectify(document: &StereoDocument, stereo: &StereoCameras) -> Result<[Rectifi
     let right_from_left = &stereo.right_from_left;
     let doing = "rectify the cameras";
     let [k1, k2] = [0, 1].map(|c| Mat::from_slice_2d(&document.cameras[c].k));
-    let [d1, d2] = [0, 1].map(|c| &document.cameras[c].distortion.coefficients);
+    // Of a lens that OpenCV does not have the pinholes behind it are rectified.
+    let (known, none) = ([OPENCV5, FISHEYE].contains(&stereo.cameras[0].lens), vec![0.0; 4]);
+    let [d1, d2] = [0, 1].map(|c| if known { &document.cameras[c].distortion.coefficients } else { &none });
     let (d1, d2) = (Mat::from_slice(d1).doing(doing)?, Mat::from_slice(d2).doing(doing)?);
     let turn: Matrix3<f64> = right_from_left.rotation.to_rotation_matrix().into_inner();
     let r = Mat::from_slice_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| turn[(i, j)]))).doing(doing)?;

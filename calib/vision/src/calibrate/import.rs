@@ -8,7 +8,10 @@ use crate::error::VisionError;
 use nalgebra::{Matrix3, Vector3};
 use std::path::PathBuf;
 
-/// ImportedCamera between the brackets that follow `key:` (OpenCV and ROS write matrices so).
+/// Most coefficients of a model of Kalibr's.
+pub(crate) const KALIBR_COEFFICIENTS: usize = 4;
+
+/// Numbers between the brackets that follow `key:` (OpenCV and ROS write matrices so).
 fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>, VisionError> {
     let missing = |found: &str| {
         VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
@@ -46,7 +49,7 @@ fn scalar(name: &str, text: &str, key: &str) -> Result<usize, VisionError> {
         .ok_or_else(|| VisionError::content(name, format!("{key} as a whole number"), "none"))
 }
 
-/// ImportedCamera of an imported camera.
+/// An imported camera.
 #[derive(Debug, Clone)]
 pub struct ImportedCamera {
     /// `fx, fy, cx, cy`, px.
@@ -178,7 +181,8 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
         let lens = lens_named(named(part, "distortion_model").unwrap_or("none"), |lens| lens.kalibr_model())
             .map_err(|why| VisionError::content(name, "distortion_model of a known lens", why))?;
         let i = bracketed(name, part, "intrinsics", 4)?;
-        let mut coefficients = bracketed(name, part, "distortion_coeffs", 4)?;
+        let count = lens.coefficient_names().len().min(KALIBR_COEFFICIENTS);
+        let mut coefficients = bracketed(name, part, "distortion_coeffs", count)?;
         // Ours stands beside Kalibr's four.
         if lens == OPENCV5 {
             coefficients.push(named(part, "k3").and_then(|v| v.parse().ok()).unwrap_or(0.0));

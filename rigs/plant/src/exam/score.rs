@@ -84,6 +84,8 @@ pub struct Outcome {
     pub after_ratio: Option<f64>,
     /// The session's cameras look on (else they would have); none where nobody asked.
     pub pictures: Option<bool>,
+    /// Each effect is clear in the wavelengths or in the contacts (see [`Truth::clear`]).
+    pub clear: Option<bool>,
     /// Contact error over what the shapes state, before and after.
     pub contact_before_ratio: Option<f64>,
     /// See `contact_before_ratio`.
@@ -423,6 +425,7 @@ fn blank(name: &str, case: &Case) -> Outcome {
         noise: t.noise.kind.name().into(),
         wire: Some(t.wire),
         pictures: case.looked.map(|l| l.pictures),
+        clear: t.clear,
         delta: t.projected_size_in_noises,
         delta_each: t.sizes_each.values().filter_map(Value::as_f64).fold(f64::INFINITY, f64::min).min(1e9),
         rival_sigma: t.nearest_rival.as_ref().map(|r| r.sigma),

@@ -28,6 +28,10 @@ const MAX_STATIONS: usize = 12;
 const MIN_STATION_MM: f64 = 4.0;
 /// Part of the stated error below which nothing is believed, mm: rounding of the file and of the rod.
 const FLOOR_MM: f64 = 1e-3;
+/// No board is known better, as a share of its size: 0.01 mm in 100 mm of an etched or printed one.
+const BOARD_TOLERANCE: f64 = 1e-4;
+/// No tag is glued better, mm each axis.
+const TAG_TOLERANCE_MM: f64 = 0.01;
 /// Masks whose `M` is kept.
 const KEPT_MASKS: usize = 32;
 /// Shared shifts of the pairs that do not say what they share: one an axis.
@@ -119,7 +123,7 @@ impl Pictures {
         let shapes = shapes?;
         let of_node: HashMap<usize, usize> =
             path.nodes.iter().enumerate().filter_map(|(k, n)| Some((n.reading?, k))).collect();
-        let factor = root_of(&shapes.covariance);
+        let factor = root_of(&with_tolerances(shapes));
         let (mut pairs, mut readings, mut shared) = (Vec::new(), Vec::new(), Vec::new());
         let mut left_out = Vec::new();
         for (reading, &row) in path.rows.iter().enumerate() {
@@ -304,7 +308,8 @@ fn observed(
                 let v = values(&moved(column, &kept), &normals);
                 own += &v * v.transpose();
             }
-            for (j, column) in errors.shared.iter().enumerate() {
+            // Sealed pairs were fitted apart from the others; where their list is another they are looked at, never weighed.
+            for (j, column) in errors.shared.iter().take(shapes.parameters.len()).enumerate() {
                 columns.set_column(j, &values(&moved(column, &kept), &normals));
             }
             own
@@ -413,6 +418,22 @@ fn tangent_at(document: &PairDocument, groove: &GrooveDocument) -> Vector3<f64> 
         (line[b] - line[a]).try_normalize(1e-9)
     });
     along.unwrap_or_else(Vector3::x)
+}
+
+/// The shared covariance; a board and a rig tag that stereo-shape takes as known are known to their tolerances.
+fn with_tolerances(shapes: &SessionShapes) -> Vec<Vec<f64>> {
+    let mut covariance = shapes.covariance.clone();
+    for (k, parameter) in shapes.parameters.iter().enumerate() {
+        let tolerance = match (parameter.cause.as_str(), parameter.unit.as_str()) {
+            ("board-scale", _) => BOARD_TOLERANCE,
+            ("rig-tag", "mm") => TAG_TOLERANCE_MM,
+            _ => continue,
+        };
+        if let Some(variance) = covariance.get_mut(k).and_then(|row| row.get_mut(k)) {
+            *variance = variance.max(tolerance * tolerance);
+        }
+    }
+    covariance
 }
 
 /// `C^(1/2)`: columns are independent errors of one standard deviation; parameters of no variance are taken as known. The common shifts

@@ -11,10 +11,8 @@ use wcal_vision::camera::lens::{FISHEYE, Lens, OPENCV5, lenses};
 fn document_with(lens: &'static dyn Lens) -> StereoDocument {
     let pose =
         [[0.96, 0.0, -0.28, -118.0], [0.0, 1.0, 0.0, 2.0], [0.28, 0.0, 0.96, 25.0], [0.0, 0.0, 0.0, 1.0]];
-    let camera = match lens.model() {
-        "fisheye" => vec![-0.03, 4e-3, -2e-3, 5e-4],
-        _ => vec![-0.14, 0.2, 1e-4, -2e-4, 0.03],
-    };
+    let all = if lens == OPENCV5 { [-0.14, 0.2, 1e-4, -2e-4, 0.03] } else { [-0.03, 4e-3, -2e-3, 5e-4, 0.0] };
+    let camera = all[..lens.coefficient_names().len()].to_vec();
     let camera =
         || ImportedCamera { pinhole: [3450.0, 3452.0, 650.5, 470.25], lens, coefficients: camera.clone() };
     imported("here", [1280, 960], [camera(), camera()], pose).unwrap()

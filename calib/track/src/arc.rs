@@ -1,0 +1,165 @@
+//! What transverse moments alone tell of a contact: an arc, and no more.
+//!
+//! Every node k of the inverse explains the moments m by a place p_k with the normal n_k (`StaticInverse`); nothing but a prior weighs them:
+//!
+//! `w_k ~ l_k` on the wire (l_k the length that the node stands for), `TIP` in all at the tip's tilts; 0 where m cannot come from;
+//! `p = sum w_k p_k`, `C = sum w_k ((p_k - p)(p_k - p)' + c_k^2 s^2 n_k n_k') + s_min^2 1`, `c = |dp.n/dm|`, `s` the moments' standard deviation.
+//!
+//! Its regions are those of highest density over the arc length: one piece for each peak.
+
+use crate::inverse::{InverseSolution, Node, StaticInverse};
+use crate::known_motion::Region;
+use crate::network::Prediction;
+use nalgebra::{Matrix3, Vector3};
+
+/// Probability that a contact of which nothing is known is one of the tip. An assumption.
+const TIP: f64 = 0.15;
+/// Spread that the nodes do not tell, mm: friction leans the force, a wire is not its model.
+const MIN_SD_MM: f64 = 0.5;
+/// Mass of the stated regions.
+const REGION: f64 = 0.95;
+
+/// Length that each node stands for, mm; the tip's share it out among its tilts.
+fn lengths(nodes: &[Node]) -> Vec<f64> {
+    let at = |k: usize| nodes[k].arclength_mm;
+    let last = nodes.len() - 1;
+    let on_wire = |k: usize| 0.5 * (at((k + 1).min(last)) - at(k.saturating_sub(1)));
+    (0..nodes.len()).map(|k| if nodes[k].tilt > 0.0 { 0.0 } else { on_wire(k) }).collect()
+}
+
+/// The answer to moments (N mm) of which nothing else is known; probabilities and number of contacts are those of `answer`.
+#[must_use]
+pub fn moments_alone(
+    inverse: &StaticInverse,
+    moment_nmm: [f64; 2],
+    sd_nmm: [f64; 2],
+    answer: &Prediction,
+) -> Prediction {
+    let mut solutions = Vec::new();
+    inverse.solutions(moment_nmm, &mut solutions);
+    let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
+    let tilts = nodes.iter().filter(|n| n.tilt > 0.0).count().max(1) as f64;
+    let whole: f64 = lengths.iter().sum();
+    let prior = |k: usize| match nodes[k].tilt > 0.0 {
+        true => TIP / tilts,
+        false => (1.0 - TIP) * lengths[k] / whole,
+    };
+    let any = solutions.iter().any(|s| s.reachable);
+    let weight = |(k, s): (usize, &InverseSolution)| if s.reachable || !any { prior(k) } else { 0.0 };
+    let mut weights: Vec<f64> = solutions.iter().enumerate().map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|w| *w /= total);
+    let each = || weights.iter().zip(&solutions);
+    let mean: Vector3<f64> = each().map(|(w, s)| s.point_mm * *w).sum();
+    let normal: Vector3<f64> = each().map(|(w, s)| s.normal * *w).sum();
+    let noise_nmm = sd_nmm[0].hypot(sd_nmm[1]);
+    let mut covariance = Matrix3::identity() * MIN_SD_MM * MIN_SD_MM;
+    for (w, s) in each() {
+        let off = s.point_mm - mean;
+        let felt = s.normal * s.compliance_mm_per_nmm * noise_nmm;
+        covariance += (off * off.transpose() + felt * felt.transpose()) * *w;
+    }
+    let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
+    Prediction {
+        point_mm: [0, 1, 2].map(|i| mean[i] as f32),
+        covariance_mm2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| covariance[(i, j)] as f32)),
+        weights: weights.iter().map(|w| *w as f32).collect(),
+        normal: [0, 1, 2].map(|i| normal[i] as f32),
+        ..answer.clone()
+    }
+}
+
+/// 95 % region of highest density over the arc length of a posterior on the inverse's nodes: one piece for each peak. Empty without weights.
+#[must_use]
+pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {
+    if weights.len() != nodes.len() || nodes.len() < 2 {
+        return Vec::new();
+    }
+    // The tip's tilts are one place: the last node of the wire.
+    let on_wire = nodes.iter().position(|n| n.tilt > 0.0).unwrap_or(nodes.len());
+    let mut mass: Vec<f64> = weights[..on_wire].iter().map(|w| f64::from(*w)).collect();
+    let Some(tip) = mass.last_mut() else { return Vec::new() };
+    *tip += weights[on_wire..].iter().map(|w| f64::from(*w)).sum::<f64>();
+    let nodes = &nodes[..on_wire];
+    let lengths = lengths(nodes);
+    let mut order: Vec<usize> = (0..on_wire).collect();
+    order.sort_by(|a, b| (mass[*b] / lengths[*b]).total_cmp(&(mass[*a] / lengths[*a])));
+    let (mut inside, mut sum) = (vec![false; on_wire], 0.0);
+    for k in order {
+        if sum >= REGION {
+            break;
+        }
+        inside[k] = true;
+        sum += mass[k];
+    }
+    let mut pieces: Vec<Region> = Vec::new();
+    let at = |k: usize| nodes[k].arclength_mm;
+    for k in (0..on_wire).filter(|k| inside[*k]) {
+        let from_mm = if k == 0 { at(k) } else { 0.5 * (at(k - 1) + at(k)) };
+        let to_mm = if k + 1 == on_wire { at(k) } else { 0.5 * (at(k) + at(k + 1)) };
+        match pieces.last_mut().filter(|_| k > 0 && inside[k - 1]) {
+            Some(piece) => {
+                piece.to_mm = to_mm;
+                piece.probability += mass[k];
+            }
+            None => pieces.push(Region { from_mm, to_mm, probability: mass[k] }),
+        }
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::InverseGrid;
+    use wcal_core::observation::WhiskerSpec;
+
+    fn nodes() -> Vec<Node> {
+        let wire = (0..=20).map(|k| Node { arclength_mm: f64::from(k), tilt: 0.0 });
+        wire.chain([Node { arclength_mm: 20.0, tilt: 0.5 }]).collect()
+    }
+
+    #[test]
+    fn two_peaks_are_two_pieces_and_the_tilts_are_the_tip() {
+        let mut weights = vec![0.0_f32; 22];
+        (weights[5], weights[6], weights[21], weights[20]) = (0.3, 0.3, 0.3, 0.1);
+        let pieces = arclength_regions(&nodes(), &weights);
+        assert_eq!(pieces.len(), 2, "{pieces:?}");
+        assert!((pieces[0].probability - 0.6).abs() < 1e-6 && (pieces[0].to_mm - 6.5).abs() < 1e-9);
+        assert!((pieces[1].probability - 0.4).abs() < 1e-6 && (pieces[1].to_mm - 20.0).abs() < 1e-9);
+        assert!(arclength_regions(&nodes(), &[]).is_empty());
+        let even = vec![1.0 / 22.0; 22];
+        let all: f64 = arclength_regions(&nodes(), &even).iter().map(|p| p.probability).sum();
+        assert!((0.95..=1.0).contains(&all), "{all}");
+    }
+
+    #[test]
+    fn every_place_that_explains_the_moments_is_in_the_region() {
+        let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();
+        let unknown = Prediction {
+            contact: 0.9,
+            several: 0.0,
+            point_mm: [0.0; 3],
+            covariance_mm2: [[0.0; 3]; 3],
+            weights: Vec::new(),
+            normal: [0.0; 3],
+        };
+        let (mut held, mut all) = (0.0, 0.0);
+        for moment in [[0.3, 0.1], [-0.5, 0.2], [0.05, -0.2]] {
+            let answer = moments_alone(&inverse, moment, [1e-3; 2], &unknown);
+            let covariance = Matrix3::from_fn(|i, j| f64::from(answer.covariance_mm2[i][j]));
+            let mean = Vector3::from(answer.point_mm.map(f64::from));
+            let factor = covariance.cholesky().unwrap();
+            let mut solutions = Vec::new();
+            inverse.solutions(moment, &mut solutions);
+            for (s, w) in solutions.iter().zip(&answer.weights) {
+                let off = s.point_mm - mean;
+                all += f64::from(*w);
+                // 90 % of a Gaussian in space.
+                held += if off.dot(&factor.solve(&off)) < 6.25 { f64::from(*w) } else { 0.0 };
+            }
+            assert_eq!(answer.contact, 0.9);
+        }
+        assert!(held / all > 0.88, "{}", held / all);
+    }
+}

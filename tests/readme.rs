@@ -25,7 +25,7 @@ const PAGES: [(&str, usize); 6] = [
     ("docs/src/guide/own-table.md", 6),
     ("docs/src/guide/whisker.md", 5),
     ("docs/src/guide/bench.md", 10),
-    ("docs/src/guide/pictures.md", 3),
+    ("docs/src/guide/pictures.md", 6),
     (TRACKING, 5),
 ];
 const TRACKING: &str = "docs/src/guide/tracking.md";

@@ -419,17 +419,17 @@ fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
     };
     let done = run(&[]);
     assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
-    assert_eq!(names(), ["calibration.json", "predictions.csv", "report.html", "verify.json"]);
+    assert_eq!(names(), ["calibration.json", "predictions.csv", "report.html", "report.json", "verify.json"]);
     // Data that the checks refuse.
     let good = fs::read_to_string(folder.path().join("points.csv")).unwrap();
     let few: Vec<&str> = good.lines().take(6).collect();
     fs::write(folder.path().join("points.csv"), few.join("\n")).unwrap();
     assert_eq!(run(&[]).status.code(), Some(1));
-    assert_eq!(names(), ["report.html", "verify.json"]);
+    assert_eq!(names(), ["report.html", "report.json", "verify.json"]);
     // A whole result again, then a table that cannot even be read.
     fs::write(folder.path().join("points.csv"), &good).unwrap();
     assert_eq!(run(&[]).status.code(), Some(0));
-    assert_eq!(names().len(), 4);
+    assert_eq!(names().len(), 5);
     let text = fs::read_to_string(out.join("verify.json")).unwrap();
     assert!(text.contains("unsealed before"), "the second look is known as one: {text}");
     fs::write(folder.path().join("points.csv"), good.replace("calibration", "mystery")).unwrap();
@@ -439,7 +439,7 @@ fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
     fs::write(folder.path().join("points.csv"), &good).unwrap();
     assert_eq!(run(&[]).status.code(), Some(0));
     assert_eq!(run(&["--accept", "creep"]).status.code(), Some(1));
-    assert_eq!(names().len(), 4);
+    assert_eq!(names().len(), 5);
 }
 
 #[test]

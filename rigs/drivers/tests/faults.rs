@@ -24,7 +24,7 @@ fn runs() -> usize {
 enum Outcome {
     /// It stops with a fault of this kind, exit code 1.
     Stops(Kind),
-    /// It goes on and finishes: nothing is lost, exit code 0.
+    /// It goes on and finishes: nothing is lost, exit code 0 (3 where the computer itself was late).
     Survives,
     /// It finishes with exit code 3, and a warning says so.
     Warns(&'static str),
@@ -70,7 +70,11 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, k: usize) {
             assert_eq!(recorded.exit_code(), 1);
         }
         (Outcome::Survives, Ending::Finished) => {
-            assert_eq!(recorded.exit_code(), 0, "{fault:?} in run {k}: {warnings:?}");
+            // A computer that is busy with other things delays scans, which is said; the fault itself leaves no warning.
+            let busy = warnings.iter().all(|w| w.contains("late"));
+            assert!(busy, "{fault:?} in run {k}: {warnings:?}");
+            let expected = if warnings.is_empty() { 0 } else { 3 };
+            assert_eq!(recorded.exit_code(), expected, "{fault:?} in run {k}: {warnings:?}");
         }
         (Outcome::Warns(word), Ending::Finished) => {
             assert_eq!(recorded.exit_code(), 3, "{fault:?} in run {k}");

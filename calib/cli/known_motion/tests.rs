@@ -130,3 +130,23 @@ fn the_error_of_the_map_is_in_the_regions() {
     assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
     assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
 }
+
+#[test]
+fn the_groove_is_elsewhere_only_where_regions_and_bound_say_so() {
+    let of = |held: usize, rmse_mm: f64| {
+        misstated(&GrooveTracking {
+            rmse_mm,
+            bound_mm: 0.5,
+            coverage95: held as f64 / 9.0,
+            points: 27,
+            trajectories: 9,
+            trajectories_held: held,
+            doubted: 0,
+            split: "fit".to_owned(),
+            uncertainty: Vec::new(),
+        })
+    };
+    assert!(of(6, 5.0), "ten times the bound, and three of nine outside");
+    // Each alone is none: regions a little narrow at an error within the bound; a large error that the regions hold.
+    assert!(!of(6, 0.4) && !of(9, 5.0));
+}

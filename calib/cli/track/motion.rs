@@ -29,7 +29,7 @@ impl Motions {
     }
 
     /// Judges a row: its flag, and its answer, which is what the moments alone tell where the network cannot know the motion. `velocity_mm_s`
-    /// is that of the base past what it touches, where it is known; `log_evidence` how well the filters foretold the row.
+    /// is that of the base past what it touches, where it is known; `log_evidence` how well the filters predicted the row.
     pub fn judge(
         &mut self,
         (t_s, m): (f64, &StreamMoments),

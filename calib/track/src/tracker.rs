@@ -186,7 +186,7 @@ pub struct TrackerStream<'a> {
 }
 
 impl TrackerStream<'_> {
-    /// How well the last sample was foretold: see [`FeatureExtractor::log_evidence`].
+    /// How well the last sample was predicted: see [`FeatureExtractor::log_evidence`].
     #[must_use]
     pub fn log_evidence(&self) -> Option<f64> {
         self.features.log_evidence()

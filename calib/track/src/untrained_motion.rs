@@ -80,7 +80,7 @@ pub struct MotionSample {
     pub contact: f64,
     /// Velocity of the base past what it touches, base frame, mm/s, where it is known.
     pub velocity_mm_s: Option<Vector3<f64>>,
-    /// Logarithm of the filters' predictive density of the moments, 1/(N mm)^2; none where they foretold nothing.
+    /// Logarithm of the filters' predictive density of the moments, 1/(N mm)^2; none where they predicted nothing.
     pub log_evidence: Option<f64>,
 }
 
@@ -176,7 +176,7 @@ impl MotionCheck {
         row.t_s - since_s > STILL_S
     }
 
-    /// Whether the last rows of the contact were foretold worse than in any sweep.
+    /// Whether the last rows of the contact were predicted worse than in any sweep.
     fn unforeseen(&mut self, row: &MotionSample) -> bool {
         let Some(evidence) = row.log_evidence else { return false };
         self.evidence.push_back(evidence.max(EVIDENCE_FLOOR));

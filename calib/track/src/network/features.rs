@@ -158,7 +158,7 @@ impl<'a> FeatureExtractor<'a> {
         token
     }
 
-    /// Logarithm of the predictive density of the last sample by the filter that foretold it best, 1/(N mm)^2; none where neither foretold
+    /// Logarithm of the predictive density of the last sample by the filter that predicted it best, 1/(N mm)^2; none where neither predicted
     /// it: without contact and at a first contact.
     #[must_use]
     pub fn log_evidence(&self) -> Option<f64> {
@@ -198,7 +198,7 @@ fn posterior_or_uniform(filter: &BayesFilter<'_>) -> Vec<f64> {
     if posterior.is_empty() { vec![1.0 / nodes as f64; nodes] } else { posterior }
 }
 
-/// A filter's evidence as an input; 0 where it foretold nothing.
+/// A filter's evidence as an input; 0 where it predicted nothing.
 fn evidence(filter: &BayesFilter<'_>) -> f64 {
     let evidence = filter.log_evidence();
     if evidence == 0.0 { 0.0 } else { ((evidence - TYPICAL_LOG_EVIDENCE) / EVIDENCE_SCALE).max(-8.0) }

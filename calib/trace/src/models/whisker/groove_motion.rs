@@ -134,9 +134,9 @@ fn through(
     let Mechanics { xs_mm, wire } = mechanics(path, rod_of, model)?;
     let inferred = model.infer(path, None);
     let terms = model.terms();
-    let felt = model.sensed(&terms, path, &inverse);
-    let noise_pm = vec![model.noise_sd_pm; felt.len()];
-    let (gradients, _) = model.gradients(&terms, path, &felt, &inverse, &noise_pm);
+    let sensed = model.sensed(&terms, path, &inverse);
+    let noise_pm = vec![model.noise_sd_pm; sensed.len()];
+    let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
     let (factor, mechanical) = factor(model);
     let others = factor.column_iter().map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
     let others = others.collect::<Option<Vec<Mechanics>>>()?;

@@ -23,6 +23,7 @@ pub mod system;
 pub mod tables;
 pub mod temperature;
 pub mod twin_check;
+mod uncertainty;
 pub mod verify;
 
 pub use physical::PhysicalModel;

@@ -16,7 +16,9 @@ use inputs::{mjcf_options, objects_of};
 use slurm::{Handed, SlurmArgs};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_mujoco::{Dataset, Missing, SweepEngine, SweepPlan};
+use std::sync::Arc;
+use wcal_mujoco::MujocoSweeps;
+use wcal_sim::{Dataset, Missing, RodSweeps, SweepEngine, SweepPlan};
 
 /// Arguments of `wcal simulate`.
 #[derive(Debug, Args)]
@@ -124,9 +126,10 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     for line in left_out.iter().chain(&notes) {
         eprintln!("simulate: warning: {line}");
     }
-    let engine = match args.engine {
-        Engine::Rod => SweepEngine::Rod,
-        Engine::Mujoco => SweepEngine::Mujoco(Box::new(options)),
+    let mujoco = (args.engine == Engine::Mujoco).then_some(options);
+    let engine: Arc<dyn SweepEngine> = match &mujoco {
+        None => Arc::new(RodSweeps),
+        Some(options) => Arc::new(MujocoSweeps::new(options.clone())),
     };
     let dataset = Dataset { engine, whisker, plan, objects, sweeps: args.sweeps, seed: args.seed, share };
     if let Some(jobs) = args.jobs {
@@ -154,7 +157,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         }
     }
     let (totals, missing) = if check {
-        let survey = dataset.survey(&args.out);
+        let survey = dataset.survey(&args.out)?;
         (survey.totals, survey.missing)
     } else {
         let progress = Progress::new("simulate");
@@ -189,8 +192,9 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     for line in &missing {
         eprintln!("simulate: {line}");
     }
-    let twin = Twin::of(&dataset, &args.out)?;
-    let document = document(args, &dataset, &totals, Faults { left_out, notes, missing }, twin);
+    let twin = Twin::of(&dataset, mujoco.as_ref(), &args.out)?;
+    let document =
+        document(args, &dataset, mujoco.as_ref(), &totals, Faults { left_out, notes, missing }, twin);
     let text = serde_json::to_string_pretty(&document)?;
     let [share, shares] = dataset.share;
     let name = if shares == 1 {

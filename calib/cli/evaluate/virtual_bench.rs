@@ -17,12 +17,12 @@ use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
 use wcal_map::{Candidate, FitOptions, fit_map};
-use wcal_mujoco::SweepPlan;
-use wcal_mujoco::physics::{Medium, PhysicsPlan};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::session::draw_on;
 use wcal_plant::{Design, Kind, Request, Want};
+use wcal_sim::SweepPlan;
+use wcal_sim::physics::{Medium, PhysicsPlan};
 use wcal_track::{SweepSeries, Tare};
 
 /// The bench.

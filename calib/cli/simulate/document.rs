@@ -6,12 +6,13 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::Provenance;
-use wcal_mujoco::against::AgainstRod;
 use wcal_mujoco::compare::{Statics, statics};
 use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::rod_engine::LINKS;
-use wcal_mujoco::{Dataset, MujocoEngine, SweepEngine, SweepPlan, Total, shard};
+use wcal_mujoco::rod_comparison::{self, RodComparison};
+use wcal_mujoco::{MujocoEngine, sweeps};
+use wcal_sim::rod_engine::LINKS;
+use wcal_sim::{Dataset, SweepPlan, Total, shard};
 
 /// What the summary warns of.
 pub struct Faults {
@@ -25,7 +26,7 @@ pub struct Faults {
 pub struct Twin {
     /// The same sweeps by the rod, by speed.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub against_rod: Option<AgainstRod>,
+    pub against_rod: Option<RodComparison>,
     /// The links alone, under the rod's own contact force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub statics: Option<Statics>,
@@ -50,8 +51,8 @@ impl Twin {
     ///
     /// # Errors
     /// Where a shard cannot be read.
-    pub fn of(dataset: &Dataset, folder: &Path) -> anyhow::Result<Self> {
-        let SweepEngine::Mujoco(options) = &dataset.engine else { return Ok(Self::default()) };
+    pub fn of(dataset: &Dataset, mujoco: Option<&MjcfOptions>, folder: &Path) -> anyhow::Result<Self> {
+        let Some(options) = mujoco else { return Ok(Self::default()) };
         // A node that only checks shards may be without the engine.
         let statics =
             MujocoEngine::start().and_then(|mut engine| statics(&mut engine, &dataset.whisker, options));
@@ -65,9 +66,12 @@ impl Twin {
             hausdorff_mm: c.hausdorff_mm(),
         };
         Ok(Self {
-            against_rod: dataset.against_rod(folder)?,
+            against_rod: Some(rod_comparison::of_dataset(dataset, folder)?),
             statics: statics.ok(),
-            convex: dataset.convex(folder).into_iter().map(|(name, c)| (name, row(c))).collect(),
+            convex: sweeps::convex_parts(dataset, folder)
+                .into_iter()
+                .map(|(name, c)| (name, row(c)))
+                .collect(),
         })
     }
 }
@@ -118,6 +122,7 @@ const PAPER_SWEEPS: f64 = 15_600.0;
 pub fn document(
     args: &SimulateArgs,
     dataset: &Dataset,
+    mujoco: Option<&MjcfOptions>,
     totals: &BTreeMap<String, Total>,
     faults: Faults,
     twin: Twin,
@@ -140,10 +145,9 @@ pub fn document(
     DatasetDocument {
         format: shard::FORMAT,
         simulated: true,
-        engine: match &dataset.engine {
-            SweepEngine::Rod => format!("rod, quasi-static, {LINKS} links"),
-            SweepEngine::Mujoco(options) => {
-                let MjcfOptions { links, damping_s, step_s, .. } = &**options;
+        engine: match mujoco {
+            None => format!("rod, quasi-static, {LINKS} links"),
+            Some(MjcfOptions { links, damping_s, step_s, .. }) => {
                 format!("MuJoCo, {links} links, damping {damping_s} s, step {step_s} s, convex parts")
             }
         },

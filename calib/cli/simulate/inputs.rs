@@ -7,7 +7,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_mujoco::mjcf::{MjcfOptions, Touch};
-use wcal_mujoco::{Mesh, objects};
+use wcal_sim::{Mesh, objects};
 
 #[derive(Debug, Deserialize)]
 struct WhiskerFile {

@@ -4,10 +4,10 @@ use super::document::{DatasetDocument, Twin};
 use anyhow::{Context, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use wcal_mujoco::columns::{Column, read};
 use wcal_report::{
     EnginesCompared, ExampleSample, ExampleSweep, Fact, Page, SpeedDifference, SweepsInput, SweptObject,
 };
+use wcal_sim::columns::{Column, read};
 
 /// Shards that are searched for sweeps to draw.
 const MAX_SHARDS: usize = 40;

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use wcal_mujoco::Dataset;
+use wcal_sim::Dataset;
 
 /// Version of `slurm/submission.json`.
 const FORMAT: &str = "wcal-slurm/1";
@@ -91,7 +91,7 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
     ensure!(args.slurm_cpus > 0, "--slurm-cpus: expected 1 or more, found 0");
     let here = std::env::current_dir().context("finding the current folder")?;
     let folder = here.join(out).join("slurm");
-    let whole = dataset.survey(out);
+    let whole = dataset.survey(out)?;
     // More tasks than shards would do nothing.
     let tasks = args.slurm_tasks.min(whole.shards);
     let unfinished: BTreeSet<usize> = whole.missing.iter().map(|m| m.number % tasks + 1).collect();

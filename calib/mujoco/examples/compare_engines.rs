@@ -3,11 +3,12 @@
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::against::against_speed;
+use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::{MujocoEngine, SweepPlan, objects};
+use wcal_mujoco::rod_comparison::compare_speeds;
+use wcal_sim::{SweepPlan, objects};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -44,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         bodies.push((mesh, convex));
     }
-    let found = against_speed(
+    let found = compare_speeds(
         &whisker,
         &options,
         &bodies,

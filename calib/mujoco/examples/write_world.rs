@@ -1,9 +1,10 @@
 //! One sweep's MuJoCo model: `write_world FOLDER OUT.xml`; FOLDER keeps the convex parts. Used by tests/peers/mujoco_rate.py.
 
 use wcal_core::observation::WhiskerSpec;
+use wcal_mujoco::CableEngine;
 use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::{CableEngine, Sweep, SweepPlan, objects};
+use wcal_sim::{Sweep, SweepPlan, objects};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();

@@ -5,25 +5,25 @@
 //! radius), `chatter` (the contact opens and closes from step to step), `engine-died`, `model-refused` (a part that MuJoCo cannot take).
 
 use crate::engine::protocol::{Frame, Request};
-use crate::mjcf::{MjcfOptions, Surroundings, convex_parts, mjcf_among};
-use crate::rod_engine::{LINKS, Run, event};
-use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
-use crate::{Mesh, MujocoEngine, RodEngine, TwinError, physics};
+use crate::mjcf::{MjcfOptions, WorldParts, convex_parts, mjcf_among};
+use crate::{MujocoEngine, TwinError};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Contact, Surface};
+use wcal_sim::physics::FluidLoads;
+use wcal_sim::rod_engine::{LINKS, Run, event};
+use wcal_sim::sweep::{ENGINE_DIED, Event, HOLD_S, Passing, Sample, Sweep, SweepPlan, Verdict};
+use wcal_sim::{Mesh, RodEngine};
 
 /// Share of steps with a change between touching and free past which a sample chatters, and of such samples past which a sweep does.
 const CHATTER: f64 = 0.1;
-const MOST_CHATTER: f64 = 0.2;
+const MAX_CHATTER: f64 = 0.2;
 /// Touching places nearer than this along the wire are one contact, mm.
 const ONE_CONTACT_MM: f64 = 1.0;
 /// Weight of the body that leads the wire, kg: contacts do not move it.
 const BASE_KG: f64 = 1000.0;
 /// Steps in which the free wire comes to hang in its medium before the base moves.
-const HANG_STEPS: u64 = 500;
-/// Verdict of a sweep in which the engine's program ended.
-pub(crate) const ENGINE_DIED: &str = "engine-died";
+const SETTLE_STEPS: u64 = 500;
 /// A node that moves by more than this (mm) beyond three times the base's step has sprung.
 const SPRING_MM: f64 = 1.5;
 
@@ -44,11 +44,11 @@ pub struct CableEngine {
 
 /// Why a plan with softening is refused.
 pub(crate) fn no_softening(found: &str) -> TwinError {
-    TwinError::Value {
-        what: "softening_onset_per_m",
-        expected: "none with the mujoco engine, whose joints are linear (the rod engine softens)".to_owned(),
-        found: found.to_owned(),
-    }
+    TwinError::value(
+        "softening_onset_per_m",
+        "none with the mujoco engine, whose joints are linear (the rod engine softens)",
+        found,
+    )
 }
 
 impl CableEngine {
@@ -118,7 +118,7 @@ impl CableEngine {
         let [head, geoms] = convex_parts("part", parts, &options.touch);
         let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(sweep.turn));
         let p = sweep.shift_mm * 1e-3;
-        let around = Surroundings {
+        let around = WorldParts {
             head,
             bodies: format!(
                 "<body name=\"object\" pos=\"{} {} {}\" quat=\"{} {} {} {}\">{geoms}</body>",
@@ -153,9 +153,9 @@ impl CableEngine {
             other => other?,
         };
         let mut frame = self.engine.frame(&Request::Run { steps: 0 })?;
-        if let Some(medium) = physics::Surroundings::new(&self.whisker, &sweep.physics) {
+        if let Some(medium) = FluidLoads::new(&self.whisker, &sweep.physics) {
             self.engine.frame(&Request::Medium { medium })?;
-            frame = self.engine.frame(&Request::Run { steps: HANG_STEPS })?;
+            frame = self.engine.frame(&Request::Run { steps: SETTLE_STEPS })?;
         }
         let mut nodes = nodes_mm(&frame, 0.0);
         let at_start = Passing::new(mesh, sweep, 0.0);
@@ -167,7 +167,7 @@ impl CableEngine {
         for k in 0.. {
             let t_s = f64::from(k) / plan.rate_hz;
             let (travel_mm, speed_mm_s) = sweep.travel(t_s);
-            if travel_mm > plan.most_mm {
+            if travel_mm > plan.max_travel_mm {
                 break;
             }
             let (mut taken, mut toggles, mut deepest_m) = (0, 0, 0.0_f64);
@@ -213,7 +213,7 @@ impl CableEngine {
             let wrong = [
                 (deepest_m * 1e3 > radius_mm, "penetration"),
                 (event == Event::Jump && !plan.keep_jumps, "contact-jump"),
-                (strain > plan.most_strain, "torque-too-high"),
+                (strain > plan.max_strain, "torque-too-high"),
             ];
             if let Some((_, why)) = wrong.iter().find(|w| w.0) {
                 run.verdict = Verdict::Rejected(why);
@@ -230,7 +230,7 @@ impl CableEngine {
                 free_since_mm = None;
             }
         }
-        if chatter > MOST_CHATTER * run.samples.len() as f64 {
+        if chatter > MAX_CHATTER * run.samples.len() as f64 {
             run.verdict = Verdict::Rejected("chatter");
         } else if !touched {
             run.verdict = Verdict::Rejected("no-contact");
@@ -244,8 +244,7 @@ fn legs(sweep: &Sweep, from_s: f64, to_s: f64) -> Vec<(f64, f64, f64)> {
     let mut legs = Vec::new();
     let mut t = from_s.max(0.0);
     while t < to_s - 1e-9 {
-        let end = (crate::sweep::HOLD_S * ((t + 1e-9) / crate::sweep::HOLD_S).floor() + crate::sweep::HOLD_S)
-            .min(to_s);
+        let end = (HOLD_S * ((t + 1e-9) / HOLD_S).floor() + HOLD_S).min(to_s);
         let [a, b] = [sweep.travel(t).1, sweep.travel(end).1];
         legs.push((end, a, (b - a) / (end - t)));
         t = end;

@@ -35,11 +35,7 @@ pub fn statics(
     whisker: &WhiskerSpec,
     options: &MjcfOptions,
 ) -> Result<Statics, TwinError> {
-    let refuse = |found: String| TwinError::Value {
-        what: "whisker",
-        expected: "a wire that can be bent".to_owned(),
-        found,
-    };
+    let refuse = |found: String| TwinError::value("whisker", "a wire that can be bent", found);
     let rod = Rod::new(whisker, 0.5).map_err(|e| refuse(e.to_string()))?;
     let length_mm = rod.shape.length_mm;
     let from = rod.shape.rest_point(LOADED_AT * length_mm);

@@ -1,7 +1,7 @@
 //! An object as convex parts for MuJoCo: taken apart by CoACD, kept by the mesh's hash, with how far the parts are from the mesh.
 
 use crate::engine::protocol::Decompose;
-use crate::{Mesh, MujocoEngine, TwinError};
+use crate::{MujocoEngine, TwinError};
 use nalgebra::Vector3;
 use parry3d_f64::math::Vector as Place;
 use parry3d_f64::query::PointQuery;
@@ -9,10 +9,11 @@ use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wcal_core::provenance::sha256_hex;
+use wcal_sim::{Mesh, SimError, shard};
 
 /// CoACD's largest concavity (share of the size), most parts and seed.
 const THRESHOLD: f64 = 0.03;
-const MOST_PARTS: i32 = 64;
+const MAX_PARTS: i32 = 64;
 const SEED: u32 = 1;
 /// Points on an edge of a triangle at which the distance is taken.
 const PER_EDGE: usize = 5;
@@ -50,9 +51,9 @@ impl Convex {
         let (beyond_mm, short_mm) = distances(mesh, &parts)?;
         let path = file(mesh, folder, &made_from);
         let made = Self { made_from, parts, beyond_mm, short_mm };
-        std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
+        std::fs::create_dir_all(folder).map_err(SimError::io("creating", folder))?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
-        crate::shard::write_whole(&path, text.as_bytes())?;
+        shard::write_whole(&path, text.as_bytes())?;
         Ok(made)
     }
 
@@ -78,7 +79,7 @@ impl Convex {
 fn request(mesh: &Mesh) -> Result<(Decompose, String), TwinError> {
     let points: Vec<[f64; 3]> = mesh.points().map(Into::into).collect();
     let triangles: Vec<[i32; 3]> = mesh.triangles().iter().map(|t| t.map(|k| k as i32)).collect();
-    let request = Decompose { points, triangles, threshold: THRESHOLD, most_parts: MOST_PARTS, seed: SEED };
+    let request = Decompose { points, triangles, threshold: THRESHOLD, most_parts: MAX_PARTS, seed: SEED };
     let text = serde_json::to_string(&request).map_err(|e| TwinError::Engine(e.to_string()))?;
     let made_from = sha256_hex(text.as_bytes());
     Ok((request, made_from))
@@ -118,10 +119,9 @@ fn distances(mesh: &Mesh, parts: &[Vec<[f64; 3]>]) -> Result<(f64, f64), TwinErr
 }
 
 fn hull(name: &str, part: &[[f64; 3]]) -> Result<TriMesh, TwinError> {
-    let refuse = |found: String| TwinError::Mesh {
-        object: name.to_owned(),
-        expected: "convex parts with a volume",
-        found,
+    let refuse = |found: String| {
+        let (object, expected) = (name.to_owned(), "convex parts with a volume");
+        TwinError::Sim(SimError::Mesh { object, expected, found })
     };
     let places: Vec<Place> = part.iter().map(|p| Place::new(p[0], p[1], p[2])).collect();
     let (points, triangles) =

@@ -3,15 +3,15 @@
 //! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, docs/src/system.md), and on
 //! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
 
-mod bench;
+mod trial_rig;
 
 use crate::TwinError;
 use crate::mjcf::MjcfOptions;
-use bench::Bench;
 use nalgebra::Matrix4;
 use nlopt::{Algorithm, Nlopt, Target};
 use serde::Serialize;
 use std::cell::RefCell;
+use trial_rig::TrialRig;
 use wcal_core::observation::WhiskerSpec;
 
 /// The paper's grid: damping of its joints (N m s/rad), contact width (mm), impedances.
@@ -159,9 +159,9 @@ pub fn fit_dynamics(
     evaluations: u32,
     progress: impl Fn(&Trial),
 ) -> Result<DynamicsFit, TwinError> {
-    let mut bench = Bench::new(whisker, targets)?;
+    let mut bench = TrialRig::new(whisker, targets)?;
     let mut trials: Vec<Trial> = Vec::new();
-    let mut add = |bench: &mut Bench, stage, parameters, full| -> Result<f64, TwinError> {
+    let mut add = |bench: &mut TrialRig, stage, parameters, full| -> Result<f64, TwinError> {
         let trial = Trial { stage, parameters, score: bench.score(&parameters, full)? };
         progress(&trial);
         trials.push(trial);
@@ -223,13 +223,12 @@ pub fn fit_dynamics(
 /// Where the engine is missing, the wire cannot be, or its sweeps are rejected.
 pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets, TwinError> {
     let wanted = Targets { ring_down_s: None, bounce_ratio: None, ripple_nmm: 0.0, bias: 0.0 };
-    let score = Bench::new(whisker, wanted)?.score(parameters, true)?;
+    let score = TrialRig::new(whisker, wanted)?.score(parameters, true)?;
     // A soft contact lets the wire through the ball: no sweep, no record.
     let swept = |v: Option<f64>| {
-        v.filter(|v| v.is_finite()).ok_or_else(|| TwinError::Value {
-            what: "record",
-            expected: "a wire whose sweeps are kept".to_owned(),
-            found: format!("{parameters:?}: rejected"),
+        v.filter(|v| v.is_finite()).ok_or_else(|| {
+            let found = format!("{parameters:?}: rejected");
+            TwinError::value("record", "a wire whose sweeps are kept", found)
         })
     };
     Ok(Targets {
@@ -240,7 +239,7 @@ pub fn record(whisker: &WhiskerSpec, parameters: &Parameters) -> Result<Targets,
     })
 }
 
-fn sensitivity(bench: &mut Bench, at: &Parameters) -> Result<Sensitivity, TwinError> {
+fn sensitivity(bench: &mut TrialRig, at: &Parameters) -> Result<Sensitivity, TwinError> {
     let here = bench.score(at, true)?;
     // Inward where the grid ends.
     let step = |x: f64, by: f64, most: f64| if x + by <= most { x + by } else { x - by };
@@ -282,7 +281,7 @@ fn neighbours(p: &Parameters) -> Vec<Parameters> {
     all
 }
 
-type Shared = RefCell<(Bench, Vec<Trial>, Option<TwinError>)>;
+type Shared = RefCell<(TrialRig, Vec<Trial>, Option<TwinError>)>;
 
 /// NLopt within two of the grid's steps around a place.
 fn search(
@@ -293,7 +292,7 @@ fn search(
     shared: &Shared,
     progress: &impl Fn(&Trial),
 ) -> Result<(), TwinError> {
-    let fault = |e: String| TwinError::Value { what: "NLopt", expected: "a search".to_owned(), found: e };
+    let fault = |e: String| TwinError::value("NLopt", "a search", e);
     // Share of dmax stands for d0, so that d0 <= dmax holds by itself.
     let start = [from.damping_nms_rad, from.width_mm, from.d0 / from.dmax.max(1e-6), from.dmax];
     let reach = [0.01, 2.0, 0.2, 0.1];

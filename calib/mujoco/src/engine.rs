@@ -204,11 +204,8 @@ impl Drop for MujocoEngine {
 fn wait_s() -> Result<Option<f64>, TwinError> {
     let Ok(text) = std::env::var(WAIT_VARIABLE) else { return Ok(None) };
     let seconds = text.parse().ok().filter(|s| (1e-3..1e7).contains(s));
-    let refuse = || TwinError::Value {
-        what: WAIT_VARIABLE,
-        expected: "seconds above 0.001 and below 10,000,000".to_owned(),
-        found: format!("{text:?}"),
-    };
+    let refuse =
+        || TwinError::value(WAIT_VARIABLE, "seconds above 0.001 and below 10,000,000", format!("{text:?}"));
     seconds.map(Some).ok_or_else(refuse)
 }
 

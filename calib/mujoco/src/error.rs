@@ -1,66 +1,33 @@
-use std::path::PathBuf;
+//! Errors of the MuJoCo twin.
 
-/// What went wrong with an object, a sweep plan or a shard.
+use wcal_sim::SimError;
+
+/// What went wrong with the engine or what it was given.
 #[derive(Debug, thiserror::Error)]
 pub enum TwinError {
-    /// A file could not be read or written.
-    #[error("{action} {}: {cause}", path.display())]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// Where.
-        path: PathBuf,
-        /// Why not; part of the message, so no source of its own.
-        cause: std::io::Error,
-    },
-    /// A mesh that no sweep can use.
-    #[error("object {object}: expected {expected}, found {found}")]
-    Mesh {
-        /// Its name.
-        object: String,
-        /// What a sweep needs.
-        expected: &'static str,
-        /// What is there.
-        found: String,
-    },
-    /// A value that no sweep can have.
-    #[error("{what}: expected {expected}, found {found}")]
-    Value {
-        /// Which.
-        what: &'static str,
-        /// What it may be.
-        expected: String,
-        /// What it is.
-        found: String,
-    },
+    /// An object, a plan, a value or a file.
+    #[error(transparent)]
+    Sim(#[from] SimError),
     /// The MuJoCo engine is missing or refuses.
     #[error("MuJoCo engine: {0}")]
     Engine(String),
     /// The MuJoCo engine ended while it was asked.
     #[error("MuJoCo engine: {0}")]
     EngineDied(String),
-    /// A folder that holds another dataset, or several.
-    #[error("{}: expected one dataset, found another or a mixture ({differences}); use another folder", folder.display())]
-    Mixture {
-        /// Which.
-        folder: PathBuf,
-        /// What differs.
-        differences: String,
-    },
-    /// A shard that is damaged.
-    #[error("shard {}: {detail}", path.display())]
-    Shard {
-        /// Which.
-        path: PathBuf,
-        /// How.
-        detail: String,
-    },
 }
 
 impl TwinError {
-    /// For `map_err` on file operations.
-    pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_owned();
-        move |cause| Self::Io { action, path, cause }
+    /// A value that cannot be.
+    pub(crate) fn value(what: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Sim(SimError::Value { what, expected: expected.into(), found: found.into() })
+    }
+}
+
+impl From<TwinError> for SimError {
+    fn from(error: TwinError) -> Self {
+        match error {
+            TwinError::Sim(error) => error,
+            engine => Self::Engine(engine.to_string()),
+        }
     }
 }

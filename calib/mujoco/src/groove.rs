@@ -4,10 +4,11 @@
 //! frame (x distal, arc toward -z) are turned into it and back.
 
 use crate::TwinError;
-use crate::mjcf::{MjcfOptions, Surroundings, Touch, convex_parts, mjcf_among};
+use crate::mjcf::{MjcfOptions, Touch, WorldParts, convex_parts, mjcf_among};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_sim::SimError;
 
 /// Which twin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,7 +48,7 @@ pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
         .into_iter()
         .map(|bytes| {
             let stl = stl_io::read_stl(&mut std::io::Cursor::new(bytes))
-                .map_err(TwinError::io("reading", "groove_tip".as_ref()))?;
+                .map_err(SimError::io("reading", "groove_tip".as_ref()))?;
             Ok(stl
                 .vertices
                 .iter()
@@ -73,7 +74,7 @@ pub(crate) fn released_from(whisker: &WhiskerSpec) -> Matrix3<f64> {
 pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<String, TwinError> {
     let [assets, geoms] = convex_parts("tip", &tip_parts()?, &touch);
     let place = |p: [f64; 3]| format!("{} {} {}", p[0] * 1e-3, p[1] * 1e-3, p[2] * 1e-3);
-    let mut around = Surroundings {
+    let mut around = WorldParts {
         bodies: format!(
             "<body name=\"tip\" pos=\"{}\" quat=\"0.7071068 0.7071068 0 0\">\
              <inertial pos=\"0 0 0\" mass=\"{TIP_KG}\" diaginertia=\"1e-5 1e-5 1e-5\"/>\
@@ -119,7 +120,7 @@ pub fn paper_options(whisker: &WhiskerSpec) -> MjcfOptions {
 /// MuJoCo's composite cable with the elasticity plugin.
 fn released(
     whisker: &WhiskerSpec,
-    around: Surroundings,
+    around: WorldParts,
     root: &str,
     touch: &Touch,
 ) -> Result<String, TwinError> {
@@ -127,11 +128,8 @@ fn released(
     let vertices: Vec<Vector3<f64>> = match &whisker.rest_shape {
         RestShape::Polyline(points) => points.clone(),
         shape @ RestShape::StraightArc { length_mm, .. } => {
-            let fine = wcal_rod::Shape::new(shape, 0.25).map_err(|e| TwinError::Value {
-                what: "whisker",
-                expected: "a wire that can be bent".to_owned(),
-                found: e.to_string(),
-            })?;
+            let fine = wcal_rod::Shape::new(shape, 0.25)
+                .map_err(|e| TwinError::value("whisker", "a wire that can be bent", e.to_string()))?;
             (0..VERTICES).map(|k| fine.rest_point(length_mm * k as f64 / (VERTICES - 1) as f64)).collect()
         }
     };
@@ -140,7 +138,7 @@ fn released(
         let _ = write!(text, "{} {} {} ", p.x, p.y, p.z);
     }
     let density = whisker.density_or_niti_kg_m3();
-    let Surroundings { head, bodies, tail, .. } = around;
+    let WorldParts { head, bodies, tail, .. } = around;
     Ok(format!(
         "<mujoco model=\"released\"><extension><plugin plugin=\"mujoco.elasticity.cable\"/></extension>\
          <option timestep=\"0.001\" gravity=\"0 0 0\"/>{head}<worldbody><body name=\"base\" pos=\"{root}\">\

@@ -16,7 +16,7 @@ use wcal_core::observation::WhiskerSpec;
 const RETREAT_MM: f64 = 60.0;
 /// A pose counts as reached when the tip moves less than this in ten steps, mm.
 const REACHED_MM: f64 = 1e-3;
-const MOST_STEPS: u64 = 20_000;
+const MAX_STEPS: u64 = 20_000;
 /// Way beyond the last pose to which the released program retreats between trajectories, m.
 const RELEASED_RETREAT_M: f64 = 0.06;
 /// Steps that settle a pose in the released program: all of them, at rest or not.
@@ -218,7 +218,7 @@ impl Bench {
             goes_on,
             body: "tip".to_owned(),
             moved_m: REACHED_MM * 1e-3,
-            steps: MOST_STEPS,
+            steps: MAX_STEPS,
         })
     }
 

@@ -6,6 +6,7 @@
 
 use crate::TwinError;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use serde::Serialize;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 use wcal_core::observation::WhiskerSpec;
@@ -13,7 +14,7 @@ use wcal_rod::{DiscreteRod, Section, Shape};
 
 /// What a model needs besides the wire. Damping and armature are stated over the stiffness: they then scale with the number of links
 /// as it does, and the wire's motion does not depend on that number.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MjcfOptions {
     /// Links.
     pub links: usize,
@@ -34,7 +35,7 @@ pub struct MjcfOptions {
 }
 
 /// MuJoCo's soft contact.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Touch {
     /// Coefficient of friction; 0: none.
     pub friction: f64,
@@ -90,7 +91,7 @@ impl Touch {
 
 /// What stands around the wire, as MJCF.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Surroundings {
+pub struct WorldParts {
     /// Extensions and assets.
     pub head: String,
     /// Bodies of the world.
@@ -124,7 +125,7 @@ const SHAPE_STEP_MM: f64 = 0.25;
 /// # Errors
 /// Where the wire cannot be, or an option is not above zero.
 pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, TwinError> {
-    mjcf_among(whisker, options, &Surroundings::default())
+    mjcf_among(whisker, options, &WorldParts::default())
 }
 
 /// The wire's model among other things.
@@ -134,13 +135,9 @@ pub fn mjcf(whisker: &WhiskerSpec, options: &MjcfOptions) -> Result<String, Twin
 pub fn mjcf_among(
     whisker: &WhiskerSpec,
     options: &MjcfOptions,
-    around: &Surroundings,
+    around: &WorldParts,
 ) -> Result<String, TwinError> {
-    let refuse = |what: &'static str, expected: &str, found: String| TwinError::Value {
-        what,
-        expected: expected.to_owned(),
-        found,
-    };
+    let refuse = |what: &'static str, expected: &str, found: String| TwinError::value(what, expected, found);
     if !(options.step_s > 0.0 && options.step_s.is_finite()) {
         return Err(refuse("step_s", "above 0", options.step_s.to_string()));
     }

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use wcal_mujoco::{Mesh, objects};
+use wcal_sim::{Mesh, objects};
 use wcal_track::evaluate::Method;
 use wcal_track::filter::{BayesFilter, BayesSettings};
 use wcal_track::{InverseGrid, InverseSolution, StaticInverse, SweepSeries, sweep_series};

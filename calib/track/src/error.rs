@@ -5,7 +5,7 @@ use std::path::PathBuf;
 pub enum TrackError {
     /// A sweep dataset or an object.
     #[error(transparent)]
-    Twin(#[from] wcal_mujoco::TwinError),
+    Twin(#[from] wcal_sim::SimError),
     /// A wire that cannot be bent.
     #[error("whisker: {0}")]
     Rod(#[from] wcal_rod::RodError),

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use wcal_mujoco::Mesh;
+use wcal_sim::Mesh;
 
 /// An estimate at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,8 +6,8 @@ use crate::sweep_series::{count_contacts, nearest_contact};
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::rod_engine::{LINKS, Run};
-use wcal_mujoco::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
+use wcal_sim::rod_engine::{LINKS, Run};
+use wcal_sim::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
 
 /// What to simulate.
 #[derive(Debug, Clone)]

@@ -5,7 +5,7 @@ use crate::tare::Tare;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_mujoco::{Mesh, read};
+use wcal_sim::{Mesh, read};
 
 /// The contact nearest to the base; where several count as one (`count_contacts`), the place where their forces act: their mean by what they carry.
 #[derive(Debug, Clone, Copy, PartialEq)]

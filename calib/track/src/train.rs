@@ -16,7 +16,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_mujoco::Mesh;
+use wcal_sim::Mesh;
 use window::{Window, WindowMaker};
 
 mod checkpoint;

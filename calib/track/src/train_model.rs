@@ -18,8 +18,8 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::Mesh;
-use wcal_mujoco::read::manifests;
+use wcal_sim::Mesh;
+use wcal_sim::read::manifests;
 
 mod shifted_sweeps;
 

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::{Dataset, SweepEngine, SweepPlan, objects};
+use wcal_sim::{Dataset, RodSweeps, SweepPlan, objects};
 use wcal_track::filter::{BayesFilter, BayesSettings};
 use wcal_track::model_file::load;
 use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
@@ -33,7 +33,7 @@ fn called(tracker: &Tracker, quiet: &[(f64, [f64; 2], f64)], noise_nmm: f64, kno
 fn sweeps() -> Vec<SweepSeries> {
     let folder = tempfile::tempdir().unwrap();
     let dataset = Dataset {
-        engine: SweepEngine::Rod,
+        engine: std::sync::Arc::new(RodSweeps),
         whisker: WhiskerSpec::nominal(),
         plan: SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() },
         objects: ["ball"].map(|n| objects::built_in(n).unwrap()).into(),

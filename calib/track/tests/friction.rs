@@ -4,8 +4,8 @@
 
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::physics::{Medium, PhysicsPlan};
-use wcal_mujoco::{Dataset, Mesh, SweepEngine, SweepPlan, objects};
+use wcal_sim::physics::{Medium, PhysicsPlan};
+use wcal_sim::{Dataset, Mesh, RodSweeps, SweepPlan, objects};
 use wcal_track::evaluate::{Method, score_objects};
 use wcal_track::filter::BayesSettings;
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
@@ -60,7 +60,7 @@ fn a_free_wire_that_hangs_has_no_moment() {
     let plan = plan(0.1, true);
     let folder = tempfile::tempdir().unwrap();
     let dataset = Dataset {
-        engine: SweepEngine::Rod,
+        engine: std::sync::Arc::new(RodSweeps),
         whisker: WhiskerSpec::nominal(),
         plan: plan.clone(),
         objects: vec![objects::built_in("ball").unwrap()],
@@ -86,12 +86,12 @@ fn a_free_wire_that_hangs_has_no_moment() {
         assert_eq!((read.sweep, counts(read)), (drawn.sweep, counts(drawn)));
     }
     // Negative control: what the twin itself feels is the weight.
-    let samples = wcal_mujoco::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
+    let samples = wcal_sim::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
     let [y, z] = ["moment_y_nmm", "moment_z_nmm"].map(|k| samples.real(k).unwrap()[0]);
     assert!(y.hypot(z) > 1e-3, "{y} {z}");
 }
 
 fn first_shard(folder: &std::path::Path) -> String {
-    let (name, _) = wcal_mujoco::read::manifests(folder).unwrap().into_iter().next().unwrap();
+    let (name, _) = wcal_sim::read::manifests(folder).unwrap().into_iter().next().unwrap();
     format!("{name}.samples.parquet")
 }

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::{Mesh, SweepPlan, objects};
+use wcal_sim::{Mesh, SweepPlan, objects};
 use wcal_track::evaluate::{Method, score_objects};
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::model_file::preset;
@@ -23,7 +23,7 @@ fn meshes() -> Meshes {
 
 fn all_series(meshes: &Meshes, seed: u64, sweeps: usize) -> BTreeMap<String, Vec<SweepSeries>> {
     let (whisker, plan) =
-        (WhiskerSpec::nominal(), SweepPlan { rate_hz: 10.0, most_mm: 60.0, ..SweepPlan::default() });
+        (WhiskerSpec::nominal(), SweepPlan { rate_hz: 10.0, max_travel_mm: 60.0, ..SweepPlan::default() });
     let order = SweepRequest { whisker: &whisker, plan: &plan, seed, sweeps };
     meshes.iter().map(|(n, mesh)| (n.clone(), generate_sweeps(mesh, &order).unwrap())).collect()
 }

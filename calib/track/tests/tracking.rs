@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::{Dataset, SweepPlan, objects};
+use wcal_sim::{Dataset, SweepPlan, objects};
 use wcal_track::evaluate::{Method, score_objects};
 use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
@@ -52,7 +52,7 @@ fn all_series() -> &'static BTreeMap<String, Vec<SweepSeries>> {
     COURSES.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let dataset = Dataset {
-            engine: wcal_mujoco::SweepEngine::Rod,
+            engine: std::sync::Arc::new(wcal_sim::RodSweeps),
             whisker: whisker(),
             plan: plan(),
             objects: ["ball", "can"].map(|n| objects::built_in(n).unwrap()).into(),
@@ -474,7 +474,7 @@ fn judged(series: &SweepSeries, known: bool, from: f64) -> Vec<Option<UntrainedM
 
 #[test]
 fn no_sweep_is_doubted_for_its_motion_and_presses_holds_and_reversals_are() {
-    let friction = wcal_mujoco::physics::PhysicsPlan { friction: [0.0, 0.3], ..Default::default() };
+    let friction = wcal_sim::physics::PhysicsPlan { friction: [0.0, 0.3], ..Default::default() };
     let plan = SweepPlan { physics: friction, ..plan() };
     let (mut rows, mut doubted, mut presses) = (0, Vec::new(), [0, 0]);
     for name in objects::NAMES {

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 use std::sync::Once;
 use wcal_mujoco::engine::protocol::{Frame, Loaded, Reply, Request, Series, Touching};
-use wcal_mujoco::physics::Surroundings;
+use wcal_sim::physics::FluidLoads;
 
 /// What is loaded, and what is known of it.
 #[derive(Default)]
@@ -32,7 +32,7 @@ struct Model {
     recent: VecDeque<Vector3<f64>>,
     bad: bool,
     /// What surrounds the wire, and the middles of its links at the step before, m.
-    medium: Option<(Surroundings, Vec<Vector3<f64>>)>,
+    medium: Option<(FluidLoads, Vec<Vector3<f64>>)>,
 }
 
 /// Places of a watched body that are kept.
@@ -237,7 +237,7 @@ impl Model {
     }
 
     /// The medium's forces on the links; drag of the step before's velocity.
-    fn push_by(&mut self, medium: &Surroundings, before: &[Vector3<f64>], now: &[Vector3<f64>]) {
+    fn push_by(&mut self, medium: &FluidLoads, before: &[Vector3<f64>], now: &[Vector3<f64>]) {
         let dt = self.data.model_opt().timestep;
         for (&link, (was, is)) in self.links.iter().zip(before.iter().zip(now)) {
             let start = Vector3::from(self.data.xpos()[link]);

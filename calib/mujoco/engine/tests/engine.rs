@@ -16,9 +16,10 @@ use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::Preset;
 use wcal_mujoco::labels::labels;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::physics::{Medium, PhysicsPlan};
-use wcal_mujoco::rod_engine::LINKS;
-use wcal_mujoco::{CableEngine, MujocoEngine, RodEngine, Sweep, SweepPlan, Verdict, objects};
+use wcal_mujoco::{CableEngine, MujocoEngine};
+use wcal_sim::physics::{Medium, PhysicsPlan};
+use wcal_sim::rod_engine::LINKS;
+use wcal_sim::{RodEngine, Sweep, SweepPlan, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()
@@ -108,7 +109,8 @@ fn a_sweep_agrees_with_the_rods_and_its_labels_lie_on_the_mesh() {
     let convex = Convex::of(&mesh, folder.path()).unwrap();
     assert!(convex.parts.len() == 1 && convex.hausdorff_mm() < 0.01, "{convex:?}");
     assert_eq!(Convex::of(&mesh, folder.path()).unwrap(), convex, "taken from the folder");
-    let plan = SweepPlan { speed_mm_s: [6.0, 6.0], most_mm: 25.0, rate_hz: 2.0, ..SweepPlan::default() };
+    let plan =
+        SweepPlan { speed_mm_s: [6.0, 6.0], max_travel_mm: 25.0, rate_hz: 2.0, ..SweepPlan::default() };
     let (rod, parts) = (RodEngine::new(&whisker(), LINKS).unwrap(), convex.corners());
     let mut cable = CableEngine::start(&whisker(), &MjcfOptions::default()).unwrap();
     let sweep = (0..).find_map(|k| {
@@ -217,7 +219,7 @@ fn the_medium_bends_mujocos_wire_as_it_bends_the_rod() {
         let plan = SweepPlan {
             speed_mm_s: [speed; 2],
             lead_mm: [speed * 2.0; 2],
-            most_mm: speed * 1.4,
+            max_travel_mm: speed * 1.4,
             rate_hz: 2.0,
             physics,
             ..SweepPlan::default()

@@ -1,7 +1,7 @@
 //! What `wcal` and `wcal-mujoco` say to each other: one request a line, one reply a line. SI units, world frame.
 
-use crate::physics::Surroundings;
 use serde::{Deserialize, Serialize};
+use wcal_sim::physics::FluidLoads;
 
 /// What is asked.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -67,7 +67,7 @@ pub enum Request {
     /// springs as a load does.
     Medium {
         /// In the library's own units (mm): the library computes the forces.
-        medium: Surroundings,
+        medium: FluidLoads,
     },
     /// Goes back to the start.
     Reset,

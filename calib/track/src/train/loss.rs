@@ -145,7 +145,7 @@ mod tests {
     use crate::sd_factors::SdFactors;
     use crate::tracker::{Sample, Tracker};
     use std::collections::BTreeMap;
-    use wcal_mujoco::objects;
+    use wcal_sim::objects;
 
     /// What a training makes small is the error of what a stream answers, with one filter below the network and with two.
     #[test]

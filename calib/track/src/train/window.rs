@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use wcal_mujoco::Mesh;
+use wcal_sim::Mesh;
 
 /// A window of a series, ready for the network.
 pub(super) struct Window<'a> {
@@ -180,7 +180,7 @@ pub(super) mod tests {
     use crate::model_file::preset;
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
-    use wcal_mujoco::{SweepPlan, objects};
+    use wcal_sim::{SweepPlan, objects};
 
     /// A coarse table, and a sweep over a built-in object.
     pub(in crate::train) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {

@@ -11,8 +11,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_mujoco::SweepPlan;
-use wcal_mujoco::physics::{Medium, PhysicsPlan};
+use wcal_sim::SweepPlan;
+use wcal_sim::physics::{Medium, PhysicsPlan};
 
 /// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a split by sweeps).
 const WIRES: u64 = 8;

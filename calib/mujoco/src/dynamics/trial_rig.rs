@@ -1,12 +1,13 @@
 //! What trials of damping and contact run on: a wire that is let go, one that falls on a plate, and a sweep over a ball by both engines.
 
 use super::{Parameters, Score, Targets, ring_down_s};
-use crate::against::against_speed;
 use crate::convex::Convex;
 use crate::engine::protocol::{Request, Series};
-use crate::mjcf::{MjcfOptions, Surroundings, Touch, mjcf_among};
-use crate::{Mesh, MujocoEngine, SweepPlan, TwinError};
+use crate::mjcf::{MjcfOptions, Touch, WorldParts, mjcf_among};
+use crate::rod_comparison::compare_speeds;
+use crate::{MujocoEngine, TwinError};
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_sim::{Mesh, SweepPlan, objects};
 
 /// MuJoCo keeps impedances within these.
 const IMPEDANCES: [f64; 2] = [0.0001, 0.9999];
@@ -33,7 +34,7 @@ const FREE_STEPS: u64 = 2500;
 const DEFLECTION: f64 = 0.1;
 
 /// What trials run on.
-pub(super) struct Bench {
+pub(super) struct TrialRig {
     whisker: WhiskerSpec,
     targets: Targets,
     engine: MujocoEngine,
@@ -44,7 +45,7 @@ pub(super) struct Bench {
     bare_bounce: f64,
 }
 
-impl Bench {
+impl TrialRig {
     pub(super) fn new(whisker: &WhiskerSpec, targets: Targets) -> Result<Self, TwinError> {
         let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
         let (length_mm, reach_mm) = match &whisker.rest_shape {
@@ -56,7 +57,7 @@ impl Bench {
                 (length, length / 3.0)
             }
         };
-        let mesh = crate::objects::built_in("ball")?;
+        let mesh = objects::built_in("ball")?;
         // Convex already: no need of CoACD.
         let parts = vec![mesh.points().map(Into::into).collect()];
         let convex = Convex { made_from: "ball".to_owned(), parts, beyond_mm: 0.0, short_mm: 0.0 };
@@ -99,13 +100,13 @@ impl Bench {
             Score { ring_down_s, bounce_ratio, ripple_nmm: None, bias: None, overlap_mm: None, total: 0.0 };
         if full {
             let plan = SweepPlan {
-                most_mm: SWEEP_MM,
+                max_travel_mm: SWEEP_MM,
                 rate_hz: 10.0,
                 gap_mm: [30.0, 30.0],
                 lead_mm: [1.0, 1.0],
                 ..SweepPlan::default()
             };
-            let rows = against_speed(
+            let rows = compare_speeds(
                 &self.whisker,
                 &self.options(p),
                 std::slice::from_ref(&self.ball),
@@ -148,7 +149,7 @@ impl Bench {
     fn released(&mut self, p: &Parameters, plate: bool) -> Result<Series, TwinError> {
         let options = self.options(p);
         let radius_mm = self.whisker.diameter_mm / 2.0;
-        let mut around = Surroundings::default();
+        let mut around = WorldParts::default();
         if plate {
             // Across the straight part's end; the wire comes from +y.
             let y = (PRESSED_MM - radius_mm - PLATE_MM) * 1e-3;

@@ -1,17 +1,15 @@
 //! `recipe.json`: what the shards of a folder follow from, written before the first of them, so that a folder holds one dataset and no mixture.
 
-use crate::rod_engine::LINKS;
-use crate::{Dataset, Mesh, SweepEngine, TwinError, shard};
+use crate::{Dataset, Mesh, SimError, shard};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_core::provenance::sha256_hex;
 
 /// Name of the file.
 const FILE: &str = "recipe.json";
 /// Its format.
-const FORMAT: &str = "wcal-sweep-recipe/1";
+const FORMAT: &str = "wcal-sweep-recipe/2";
 /// Differences that are named; more are counted.
 const MAX_NAMED: usize = 8;
 
@@ -19,10 +17,10 @@ const MAX_NAMED: usize = 8;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Recipe {
     format: String,
-    engine: String,
+    engine: Value,
     seed: u64,
     plan: Value,
-    whisker: String,
+    whisker: Value,
     objects: BTreeMap<String, Source>,
 }
 
@@ -36,25 +34,17 @@ struct Source {
 }
 
 impl Recipe {
-    fn of(dataset: &Dataset) -> Result<Self, TwinError> {
+    fn of(dataset: &Dataset) -> Result<Self, SimError> {
         let source = |mesh: &Mesh| {
-            let mut bytes = Vec::new();
-            for point in mesh.points() {
-                point.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
-            }
-            mesh.triangles().iter().flatten().for_each(|k| bytes.extend(k.to_le_bytes()));
-            (mesh.name.clone(), Source { mesh: sha256_hex(&bytes), made_from: dataset.made_from(mesh) })
+            Ok((mesh.name.clone(), Source { mesh: mesh.sha256(), made_from: dataset.made_from(mesh)? }))
         };
         let recipe = Self {
             format: FORMAT.to_owned(),
-            engine: match &dataset.engine {
-                SweepEngine::Rod => format!("rod, {LINKS} links"),
-                SweepEngine::Mujoco(options) => format!("mujoco, {options:?}"),
-            },
+            engine: dataset.engine.identity(),
             seed: dataset.seed,
             plan: serde_json::to_value(&dataset.plan).map_err(|e| written_wrong(&e))?,
-            whisker: format!("{:?}", dataset.whisker),
-            objects: dataset.objects.iter().map(source).collect(),
+            whisker: serde_json::to_value(&dataset.whisker).map_err(|e| written_wrong(&e))?,
+            objects: dataset.objects.iter().map(source).collect::<Result<_, SimError>>()?,
         };
         // Through text once: numbers are then those that a file gives back.
         let text = serde_json::to_string(&recipe).map_err(|e| written_wrong(&e))?;
@@ -62,34 +52,29 @@ impl Recipe {
     }
 
     /// That of a folder; none where it has none.
-    fn read(folder: &Path) -> Result<Option<Self>, TwinError> {
+    fn read(folder: &Path) -> Result<Option<Self>, SimError> {
         let path = folder.join(FILE);
         let text = match std::fs::read_to_string(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            other => other.map_err(TwinError::io("reading", &path))?,
+            other => other.map_err(SimError::io("reading", &path))?,
         };
         let recipe = serde_json::from_str(&text);
-        recipe.map(Some).map_err(|e| TwinError::Shard { path, detail: e.to_string() })
+        recipe.map(Some).map_err(|e| SimError::Shard { path, detail: e.to_string() })
     }
 
-    fn write(&self, folder: &Path) -> Result<(), TwinError> {
+    fn write(&self, folder: &Path) -> Result<(), SimError> {
         let path = folder.join(FILE);
         let bytes = serde_json::to_vec_pretty(self).map_err(|e| written_wrong(&e))?;
-        std::fs::create_dir_all(folder).map_err(TwinError::io("creating", folder))?;
+        std::fs::create_dir_all(folder).map_err(SimError::io("creating", folder))?;
         shard::write_whole(&path, &bytes)
     }
 
     /// What in `found` is not as here, by name.
     fn differences(&self, found: &Self) -> Vec<String> {
         let mut all = Vec::new();
-        let mut note = |name: &str, found: &str, own: &str| {
-            if found != own {
-                all.push(format!("{name}: there {found}, asked for {own}"));
-            }
-        };
-        note("engine", &found.engine, &self.engine);
-        note("seed", &found.seed.to_string(), &self.seed.to_string());
-        note("whisker", &found.whisker, &self.whisker);
+        differences_in("seed", &found.seed.into(), &self.seed.into(), &mut all);
+        differences_in("engine", &found.engine, &self.engine, &mut all);
+        differences_in("whisker", &found.whisker, &self.whisker, &mut all);
         differences_in("plan", &found.plan, &self.plan, &mut all);
         for (name, own) in &self.objects {
             match found.objects.get(name) {
@@ -125,12 +110,12 @@ fn differences_in(name: &str, found: &Value, own: &Value, all: &mut Vec<String>)
     }
 }
 
-fn written_wrong(error: &serde_json::Error) -> TwinError {
-    TwinError::Shard { path: FILE.into(), detail: error.to_string() }
+fn written_wrong(error: &serde_json::Error) -> SimError {
+    SimError::Shard { path: FILE.into(), detail: error.to_string() }
 }
 
 /// Manifests of a folder by the shards' names, their tables unread.
-fn shards_of(folder: &Path) -> Result<Vec<(String, shard::Manifest)>, TwinError> {
+fn shards_of(folder: &Path) -> Result<Vec<(String, shard::Manifest)>, SimError> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(Vec::new()) };
     let names = entries.filter_map(|e| e.ok()?.file_name().into_string().ok());
     let mut names: Vec<String> =
@@ -142,7 +127,7 @@ fn shards_of(folder: &Path) -> Result<Vec<(String, shard::Manifest)>, TwinError>
     Ok(names.into_iter().filter_map(manifest).collect())
 }
 
-fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), TwinError> {
+fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), SimError> {
     if differences.is_empty() {
         return Ok(());
     }
@@ -151,17 +136,25 @@ fn refuse(folder: &Path, mut differences: Vec<String>) -> Result<(), TwinError> 
     if more > 0 {
         differences.push(format!("{more} more differences"));
     }
-    Err(TwinError::Mixture { folder: folder.to_owned(), differences: differences.join("; ") })
+    Err(SimError::Mixture { folder: folder.to_owned(), differences: differences.join("; ") })
 }
 
 impl Dataset {
     /// Refuses a folder that holds another dataset, naming what differs: seed, plan, whisker, engine or objects. Nothing is written.
     ///
     /// # Errors
-    /// [`TwinError::Mixture`], or where the folder cannot be read.
-    pub fn check_folder(&self, folder: &Path) -> Result<(), TwinError> {
+    /// [`SimError::Mixture`], [`SimError::EarlierRecipe`], or where the folder cannot be read.
+    pub fn check_folder(&self, folder: &Path) -> Result<(), SimError> {
         let own = Recipe::of(self)?;
         let mut differences = match Recipe::read(folder)? {
+            // What was written by Debug text cannot be compared: refused by name, whatever it says.
+            Some(found) if found.format != FORMAT => {
+                return Err(SimError::EarlierRecipe {
+                    folder: folder.to_owned(),
+                    expected: FORMAT,
+                    found: found.format,
+                });
+            }
             Some(found) => own.differences(&found),
             None => Vec::new(),
         };
@@ -171,14 +164,14 @@ impl Dataset {
             let foreign = shards_of(folder)?.into_iter();
             let foreign = foreign.filter(|(_, m)| made_from(&m.object) != Some(m.made_from.as_str()));
             differences.extend(foreign.map(|(name, _)| {
-                format!("shard {name}: made from another wire, plan, mesh, seed or engine")
+                format!("shard {name}: made from another wire, plan, mesh, seed or engine, or by an earlier version of wcal")
             }));
         }
         refuse(folder, differences)
     }
 
     /// As [`Self::check_folder`], and says in the folder what it holds from now on.
-    pub(crate) fn claim(&self, folder: &Path) -> Result<(), TwinError> {
+    pub(crate) fn claim(&self, folder: &Path) -> Result<(), SimError> {
         self.check_folder(folder)?;
         let own = Recipe::of(self)?;
         if Recipe::read(folder)?.is_none() { own.write(folder) } else { Ok(()) }
@@ -188,8 +181,8 @@ impl Dataset {
 /// Refuses a folder whose shards are not of one dataset; those from before there was a recipe are compared object by object.
 ///
 /// # Errors
-/// [`TwinError::Mixture`] with the shards, or where the folder cannot be read.
-pub fn check_one_dataset(folder: &Path) -> Result<(), TwinError> {
+/// [`SimError::Mixture`] with the shards, or where the folder cannot be read.
+pub fn check_one_dataset(folder: &Path) -> Result<(), SimError> {
     let shards = shards_of(folder)?;
     let recipe = Recipe::read(folder)?;
     let mut first: BTreeMap<&str, &str> = BTreeMap::new();

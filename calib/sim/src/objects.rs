@@ -1,6 +1,6 @@
 //! Built-in objects: primitives and look-alikes of everyday things, closed and oriented.
 
-use crate::{Mesh, TwinError};
+use crate::{Mesh, SimError};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -28,7 +28,7 @@ const AROUND: usize = 96;
 ///
 /// # Errors
 /// Where there is neither, or the mesh cannot be used.
-pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, TwinError> {
+pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, SimError> {
     match (built_in(name), meshes) {
         (Err(_), Some(folder)) => Mesh::read(&folder.join(format!("{name}.stl"))),
         (found, _) => found,
@@ -39,7 +39,7 @@ pub fn named(name: &str, meshes: Option<&Path>) -> Result<Mesh, TwinError> {
 ///
 /// # Errors
 /// Where there is none of that name.
-pub fn built_in(name: &str) -> Result<Mesh, TwinError> {
+pub fn built_in(name: &str) -> Result<Mesh, SimError> {
     let (points, triangles) = match name {
         "ball" => revolved(&half_circle(30.0, 48)),
         "block" => prism(&[[-25.0, -35.0], [25.0, -35.0], [25.0, 35.0], [-25.0, 35.0]], 45.0),
@@ -72,7 +72,7 @@ pub fn built_in(name: &str) -> Result<Mesh, TwinError> {
         ])),
         "wedge" => prism(&[[-30.0, -20.0], [40.0, -20.0], [-30.0, 30.0]], 60.0),
         _ => {
-            return Err(TwinError::Value {
+            return Err(SimError::Value {
                 what: "built-in object",
                 expected: format!("one of {}", NAMES.join(", ")),
                 found: name.to_owned(),

@@ -3,22 +3,22 @@
 
 mod print;
 
-use crate::columns::Column;
 use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
-use crate::rod_engine::{LINKS, Run};
-use crate::{CableEngine, Mesh, RodEngine, Sweep, SweepPlan, TwinError, Verdict, read, shard};
+use crate::{CableEngine, TwinError};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_sim::rod_engine::{LINKS, Run};
+use wcal_sim::{Dataset, Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict, read, shard};
 
 /// Contacts farther apart than this are of different equilibria: the wire sprang in one engine and not yet in the other, mm.
 const ELSEWHERE_MM: f64 = 3.0;
 /// Width of a bin of speeds, mm/s, and most bins.
 const BIN_MM_S: f64 = 1.0;
-const MOST_BINS: usize = 8;
+const MAX_BINS: usize = 8;
 
 /// Samples of both engines at speeds of one bin.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -47,7 +47,7 @@ pub struct SpeedRow {
 
 /// The table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct AgainstRod {
+pub struct RodComparison {
     /// Sweeps that both kept, of those run.
     pub kept: [usize; 2],
     /// How often which verdicts met: "by MuJoCo / by the rod".
@@ -74,9 +74,9 @@ struct Both {
 
 /// Edges of bins over a plan's speeds.
 #[must_use]
-pub fn edges(plan: &SweepPlan) -> Vec<f64> {
+pub fn speed_edges(plan: &SweepPlan) -> Vec<f64> {
     let [low, high] = plan.speed_mm_s;
-    let bins = (((high - low) / BIN_MM_S).ceil() as usize).clamp(1, MOST_BINS);
+    let bins = (((high - low) / BIN_MM_S).ceil() as usize).clamp(1, MAX_BINS);
     (0..=bins).map(|k| low + (high - low) * k as f64 / bins as f64).collect()
 }
 
@@ -84,14 +84,14 @@ pub fn edges(plan: &SweepPlan) -> Vec<f64> {
 ///
 /// # Errors
 /// Where an engine cannot be started.
-pub fn against_speed(
+pub fn compare_speeds(
     whisker: &WhiskerSpec,
     options: &MjcfOptions,
     objects: &[(Mesh, Convex)],
     plan: &SweepPlan,
     speeds_mm_s: &[f64],
     sweeps: u64,
-) -> Result<AgainstRod, TwinError> {
+) -> Result<RodComparison, TwinError> {
     let rod = RodEngine::new(whisker, LINKS)?;
     let mut cable = CableEngine::start(whisker, options)?;
     let mut sum = Sum::new(speeds_mm_s.iter().map(|v| [*v; 2]).collect());
@@ -111,11 +111,21 @@ pub fn against_speed(
     Ok(sum.table())
 }
 
+/// MuJoCo's sweeps of a dataset in `folder` against the rod's, over the shards that are there.
+///
+/// # Errors
+/// Where a shard cannot be read.
+pub fn of_dataset(dataset: &Dataset, folder: &Path) -> Result<RodComparison, TwinError> {
+    let mut names = dataset.shards();
+    names.retain(|name| folder.join(format!("{name}.json")).exists());
+    of_shards(folder, &names, &speed_edges(&dataset.plan))
+}
+
 /// The table over shards that MuJoCo made.
 ///
 /// # Errors
 /// Where a shard cannot be read.
-pub fn of_shards(folder: &Path, shards: &[String], edges: &[f64]) -> Result<AgainstRod, TwinError> {
+pub fn of_shards(folder: &Path, shards: &[String], edges: &[f64]) -> Result<RodComparison, TwinError> {
     let mut sum = Sum::new(edges.windows(2).map(|w| [w[0], w[1]]).collect());
     for name in shards {
         let table = |kind: &str| read::table(&folder.join(format!("{name}.{kind}.parquet")));
@@ -167,33 +177,8 @@ fn states(table: &read::Table, prefix: &str) -> Result<Vec<State>, TwinError> {
     Ok((0..moments[0].len()).map(|k| (moment(k), point(k))).collect())
 }
 
-/// Columns of the table that a shard by MuJoCo has beside the others: the rod on the same sweeps.
-pub(crate) fn columns(quasi: &[(u64, Option<Run>)]) -> Vec<(&'static str, Column)> {
-    let all: Vec<_> = quasi
-        .iter()
-        .filter_map(|(sweep, run)| Some((*sweep as i64, run.as_ref()?)))
-        .flat_map(|(sweep, run)| run.samples.iter().enumerate().map(move |(k, s)| (sweep, k as i64, s)))
-        .collect();
-    let real = |value: &dyn Fn(&crate::Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
-    let first = |value: &dyn Fn(&wcal_rod::Contact) -> f64| {
-        Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
-    };
-    vec![
-        ("sweep", Column::Whole(all.iter().map(|s| s.0).collect())),
-        ("sample", Column::Whole(all.iter().map(|s| s.1).collect())),
-        ("rod_moment_x_nmm", real(&|s| s.moment_nmm.x)),
-        ("rod_moment_y_nmm", real(&|s| s.moment_nmm.y)),
-        ("rod_moment_z_nmm", real(&|s| s.moment_nmm.z)),
-        ("rod_contact_x_mm", first(&|c| c.point_mm.x)),
-        ("rod_contact_y_mm", first(&|c| c.point_mm.y)),
-        ("rod_contact_z_mm", first(&|c| c.point_mm.z)),
-        ("rod_contact_arclength_mm", first(&|c| c.arclength_mm)),
-        ("rod_event", Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect())),
-    ]
-}
-
 fn paired<'a>(quasi: &'a Run, dynamic: &'a Run) -> impl Iterator<Item = Both> + 'a {
-    let state = |s: &crate::Sample| (s.moment_nmm, s.contacts.first().map(|c| c.point_mm));
+    let state = |s: &Sample| (s.moment_nmm, s.contacts.first().map(|c| c.point_mm));
     dynamic.samples.iter().enumerate().map(move |(k, s)| Both {
         speed_mm_s: s.speed_mm_s,
         overlap_mm: s.contacts.iter().map(|c| -c.gap_mm).fold(0.0, f64::max),
@@ -290,10 +275,10 @@ impl Sum {
         self.bins.iter().position(within).or_else(|| last.then(|| self.bins.len() - 1))
     }
 
-    fn table(self) -> AgainstRod {
+    fn table(self) -> RodComparison {
         let bias_per_mm_s = slope(&self.sweeps);
         let by_speed = self.bins.into_iter().map(Bin::row).collect();
-        AgainstRod { kept: [self.kept, self.run], verdicts: self.verdicts, by_speed, bias_per_mm_s }
+        RodComparison { kept: [self.kept, self.run], verdicts: self.verdicts, by_speed, bias_per_mm_s }
     }
 }
 
@@ -389,7 +374,7 @@ mod tests {
 
     #[test]
     fn bins_cover_the_plans_speeds() {
-        let edges = edges(&SweepPlan::default());
+        let edges = speed_edges(&SweepPlan::default());
         assert_eq!(edges, [3.0, 4.0, 5.0, 6.0, 7.0]);
         let sum = Sum::new(edges.windows(2).map(|w| [w[0], w[1]]).collect());
         assert_eq!(

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Smallest cell, mm; most cells along the longest side; room around the object, mm.
 const CELL_MM: f64 = 2.5;
-const MOST_CELLS: f64 = 48.0;
+const MAX_CELLS: f64 = 48.0;
 const ROOM_MM: f64 = 10.0;
 /// Single precision of a distance of some hundred millimetres, and rounding of the search, mm.
 const ROUNDING_MM: f64 = 1e-3;
@@ -28,7 +28,7 @@ impl Grid {
     pub(crate) fn new(low_mm: &Vector3<f64>, high_mm: &Vector3<f64>) -> Self {
         let room = Vector3::repeat(ROOM_MM);
         let size = high_mm - low_mm + room * 2.0;
-        let cell_mm = CELL_MM.max(size.max() / MOST_CELLS);
+        let cell_mm = CELL_MM.max(size.max() / MAX_CELLS);
         let cells = [0, 1, 2].map(|k| (size[k] / cell_mm).ceil().max(1.0) as usize);
         let unknown = f32::NAN.to_bits();
         let distance_mm = (0..cells.iter().product()).map(|_| AtomicU32::new(unknown)).collect();

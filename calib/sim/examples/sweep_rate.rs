@@ -4,8 +4,8 @@
 
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::rod_engine::LINKS;
-use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, objects};
+use wcal_sim::rod_engine::LINKS;
+use wcal_sim::{Mesh, RodEngine, Sweep, SweepPlan, objects};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (engine, plan) = (RodEngine::new(&whisker, LINKS)?, SweepPlan::default());
     let (mut sweeps, mut samples, mut solves, mut iterations) = (0, 0, 0, 0);
     let mut verdicts: BTreeMap<&str, u64> = BTreeMap::new();
-    let begin_s = wcal_mujoco::dataset::thread_s();
+    let begin_s = wcal_sim::dataset::thread_s();
     for mesh in &meshes {
         for index in 0..count {
             let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, engine.reach_mm()) else { continue };
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             *verdicts.entry(run.verdict.name()).or_default() += 1;
         }
     }
-    let seconds = wcal_mujoco::dataset::thread_s() - begin_s;
+    let seconds = wcal_sim::dataset::thread_s() - begin_s;
     println!(
         "{sweeps} sweeps in {seconds:.2} s: {:.2} a second and core; {verdicts:?}",
         f64::from(sweeps) / seconds

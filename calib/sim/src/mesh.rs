@@ -1,6 +1,6 @@
 //! Triangle meshes with exact signed distance.
 
-use crate::TwinError;
+use crate::SimError;
 use crate::grid::Grid;
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
@@ -8,12 +8,13 @@ use parry3d_f64::query::{PointProjection, PointQueryWithLocation};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use wcal_core::provenance::sha256_hex;
 use wcal_rod::ClosestPoint;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
 /// Largest number of triangles that is read.
-const MOST_TRIANGLES: usize = 5_000_000;
+const MAX_TRIANGLES: usize = 5_000_000;
 /// Way from a known place below which the grid would tell no more, mm.
 const CLOSE_MM: f64 = 0.7;
 /// Depth up to which a point inside is told, mm.
@@ -43,9 +44,9 @@ impl Mesh {
     ///
     /// # Errors
     /// Where there is nothing, too much, a value that is not finite, or an object of impossible size.
-    pub fn new(name: &str, points_mm: &[Vector3<f64>], triangles: &[[u32; 3]]) -> Result<Self, TwinError> {
-        let refuse = |expected, found: String| TwinError::Mesh { object: name.to_owned(), expected, found };
-        if triangles.is_empty() || triangles.len() > MOST_TRIANGLES {
+    pub fn new(name: &str, points_mm: &[Vector3<f64>], triangles: &[[u32; 3]]) -> Result<Self, SimError> {
+        let refuse = |expected, found: String| SimError::Mesh { object: name.to_owned(), expected, found };
+        if triangles.is_empty() || triangles.len() > MAX_TRIANGLES {
             return Err(refuse("1 to 5,000,000 triangles", format!("{}", triangles.len())));
         }
         if triangles.iter().flatten().any(|&k| k as usize >= points_mm.len()) {
@@ -97,11 +98,11 @@ impl Mesh {
     ///
     /// # Errors
     /// As [`Self::new`], or where the file cannot be read.
-    pub fn read(path: &Path) -> Result<Self, TwinError> {
+    pub fn read(path: &Path) -> Result<Self, SimError> {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let file = std::fs::File::open(path).map_err(TwinError::io("opening", path))?;
+        let file = std::fs::File::open(path).map_err(SimError::io("opening", path))?;
         let stl =
-            stl_io::read_stl(&mut std::io::BufReader::new(file)).map_err(TwinError::io("reading", path))?;
+            stl_io::read_stl(&mut std::io::BufReader::new(file)).map_err(SimError::io("reading", path))?;
         let mut points: Vec<Vector3<f64>> = stl
             .vertices
             .iter()
@@ -127,7 +128,7 @@ impl Mesh {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn placed(&self, turn: &Matrix3<f64>, shift_mm: &Vector3<f64>) -> Result<Self, TwinError> {
+    pub fn placed(&self, turn: &Matrix3<f64>, shift_mm: &Vector3<f64>) -> Result<Self, SimError> {
         let points: Vec<Vector3<f64>> = self.points().map(|p| turn * p + shift_mm).collect();
         let mut mesh = Self::new(&self.name, &points, self.surface.indices())?;
         mesh.notes.clone_from(&self.notes);
@@ -143,6 +144,15 @@ impl Mesh {
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         self.surface.indices()
+    }
+
+    /// SHA-256 of corners and triangles.
+    #[must_use]
+    pub fn sha256(&self) -> String {
+        let mut bytes = Vec::new();
+        self.points().for_each(|p| p.iter().for_each(|x| bytes.extend(x.to_le_bytes())));
+        self.triangles().iter().flatten().for_each(|k| bytes.extend(k.to_le_bytes()));
+        sha256_hex(&bytes)
     }
 
     /// Distance wherever the point is.
@@ -173,11 +183,11 @@ impl Mesh {
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
     #[must_use]
     pub fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
-        self.near_from(p, within_mm, None)
+        self.closest_point_from(p, within_mm, None)
     }
 
     /// The same where a signed distance is known, and how far away from there `p` lies, mm.
-    pub(crate) fn near_from(
+    pub(crate) fn closest_point_from(
         &self,
         p: &Vector3<f64>,
         within_mm: f64,

@@ -5,14 +5,14 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::recipe::check_one_dataset;
-use wcal_mujoco::{Dataset, Mesh, SweepPlan, objects, shard};
+use wcal_sim::recipe::check_one_dataset;
+use wcal_sim::{Dataset, Mesh, SweepPlan, objects, shard};
 
 fn dataset(seed: u64) -> Dataset {
     Dataset {
-        engine: wcal_mujoco::SweepEngine::Rod,
+        engine: std::sync::Arc::new(wcal_sim::RodSweeps),
         whisker: WhiskerSpec::nominal(),
-        plan: SweepPlan { most_mm: 40.0, rate_hz: 2.0, ..SweepPlan::default() },
+        plan: SweepPlan { max_travel_mm: 40.0, rate_hz: 2.0, ..SweepPlan::default() },
         objects: ["can", "wedge"].map(|n| objects::built_in(n).unwrap()).to_vec(),
         sweeps: 27,
         seed,
@@ -68,7 +68,7 @@ fn a_folder_takes_no_other_dataset() {
     for (other, words) in [
         (Dataset { seed: 2, ..own.clone() }, ["seed: there 1, asked for 2", "use another folder"]),
         (Dataset { plan, ..own.clone() }, ["plan.rate_hz: there 2.0, asked for 3.0", "expected one dataset"]),
-        (Dataset { whisker, ..own.clone() }, ["whisker: there", "youngs_gpa: 60.0"]),
+        (Dataset { whisker, ..own.clone() }, ["whisker.youngs_gpa: there 75.0", "asked for 60.0"]),
         (Dataset { objects: objects(&["can"]), ..own.clone() }, ["object wedge: there, not asked for", ""]),
         (
             Dataset { objects: objects(&["can", "wedge", "ball"]), ..own.clone() },
@@ -87,6 +87,19 @@ fn a_folder_takes_no_other_dataset() {
     std::fs::remove_file(folder.path().join("recipe.json")).unwrap();
     let error = refused(Dataset { seed: 2, ..own.clone() });
     assert!(error.contains("shard can-000000: made from another wire"), "{error}");
+    // A recipe of the format before holds Debug text, which nothing compares: refused by name, with what to do, and still read.
+    own.make(folder.path(), |_, _| {}).unwrap();
+    let recipe = folder.path().join("recipe.json");
+    let now = std::fs::read_to_string(&recipe).unwrap();
+    let mut earlier: serde_json::Value = serde_json::from_str(&now).unwrap();
+    earlier["format"] = "wcal-sweep-recipe/1".into();
+    earlier["engine"] = "rod, 40 links".into();
+    earlier["whisker"] = "WhiskerSpec { diameter_mm: 0.3 }".into();
+    std::fs::write(&recipe, earlier.to_string()).unwrap();
+    let error = refused(own.clone());
+    assert!(error.contains("found wcal-sweep-recipe/1") && error.contains("in another folder"), "{error}");
+    check_one_dataset(folder.path()).unwrap();
+    std::fs::write(&recipe, now).unwrap();
     // Control: the same dataset goes on, and may grow.
     own.make(folder.path(), |_, _| {}).unwrap();
     let grown = Dataset { sweeps: 3, ..own.clone() }.make(folder.path(), |_, _| {}).unwrap();

@@ -4,9 +4,9 @@
 //! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
 //! which neither came to rest are marked.
 
-use crate::physics::{Surroundings, node_velocities, with_physics};
+use crate::physics::{FluidLoads, node_velocities, with_physics};
 use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
-use crate::{Mesh, TwinError};
+use crate::{Mesh, SimError};
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Configuration, Contact, ContactState, DiscreteRod, FrictionStep, Section, Shape, Surface};
@@ -61,7 +61,8 @@ pub struct Run {
 
 impl Run {
     /// Without a sample.
-    pub(crate) fn rejected(why: &'static str) -> Self {
+    #[must_use]
+    pub fn rejected(why: &'static str) -> Self {
         Self { samples: Vec::new(), verdict: Verdict::Rejected(why), solves: 0, iterations: 0 }
     }
 }
@@ -71,8 +72,8 @@ impl RodEngine {
     ///
     /// # Errors
     /// Where its rest shape cannot be used.
-    pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, TwinError> {
-        let refuse = |e: wcal_rod::RodError| TwinError::Value {
+    pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, SimError> {
+        let refuse = |e: wcal_rod::RodError| SimError::Value {
             what: "whisker",
             expected: "a wire that can be bent".to_owned(),
             found: e.to_string(),
@@ -95,7 +96,7 @@ impl RodEngine {
     pub fn run(&self, mesh: &Mesh, sweep: &Sweep, plan: &SweepPlan) -> Run {
         let mut state = SweepState {
             rod: with_physics(&self.rod, &sweep.physics),
-            surroundings: Surroundings::new(&self.whisker, &sweep.physics),
+            fluid: FluidLoads::new(&self.whisker, &sweep.physics),
             nodes_mm_s: vec![Vector3::zeros(); self.rod.links() + 1],
             speed_mm_s: sweep.speed_mm_s,
             mesh,
@@ -118,7 +119,7 @@ impl RodEngine {
         for k in 0.. {
             let t_s = f64::from(k) / plan.rate_hz;
             let (travel_mm, speed_mm_s) = sweep.travel(t_s);
-            if travel_mm > plan.most_mm {
+            if travel_mm > plan.max_travel_mm {
                 break;
             }
             let before = state.contact.contacts.clone();
@@ -146,7 +147,7 @@ impl RodEngine {
                 run.verdict = Verdict::Rejected("contact-jump");
                 break;
             }
-            if strain > plan.most_strain {
+            if strain > plan.max_strain {
                 run.verdict = Verdict::Rejected("torque-too-high");
                 break;
             }
@@ -195,7 +196,7 @@ impl Surface for NoSurface {
 struct SweepState<'a> {
     /// The wire with the sweep's softening and, from step to step, its loads.
     rod: DiscreteRod,
-    surroundings: Option<Surroundings>,
+    fluid: Option<FluidLoads>,
     /// Velocities of the links' ends in the base frame, mm/s, in the step before, and speed of the base.
     nodes_mm_s: Vec<Vector3<f64>>,
     speed_mm_s: f64,
@@ -227,16 +228,15 @@ impl SweepState<'_> {
 
     /// Loads of the medium, with the velocities of the step before: drag bends the wire far too little to move it on in between.
     fn update_loads(&mut self) {
-        if let Some(surroundings) = &self.surroundings {
+        if let Some(fluid) = &self.fluid {
             let base_mm_s = Vector3::z() * self.speed_mm_s;
-            self.rod.loads_n_per_mm =
-                surroundings.loads_n_per_mm(&self.contact.links, &base_mm_s, &self.nodes_mm_s);
+            self.rod.loads_n_per_mm = fluid.loads_n_per_mm(&self.contact.links, &base_mm_s, &self.nodes_mm_s);
         }
     }
 
     /// The free wire under its loads, before the object comes.
     fn settle_free(&mut self) {
-        if self.surroundings.is_none() {
+        if self.fluid.is_none() {
             return;
         }
         self.update_loads();
@@ -324,7 +324,9 @@ impl SweepState<'_> {
     }
 }
 
-pub(crate) fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
+/// What happened between two samples; `sprung`: whether the wire jumped, `step_mm`: way of the base.
+#[must_use]
+pub fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
     match (before.first(), after.first()) {
         (None, Some(_)) => Event::Onset,
         (Some(_), None) => Event::Release,

@@ -3,9 +3,9 @@
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::rod_engine::{LINKS, Run};
-use wcal_mujoco::sweep::Event;
-use wcal_mujoco::{Mesh, RodEngine, Sweep, SweepPlan, Turn, Verdict, objects};
+use wcal_sim::rod_engine::{LINKS, Run};
+use wcal_sim::sweep::Event;
+use wcal_sim::{Mesh, RodEngine, Sweep, SweepPlan, Turn, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()
@@ -222,9 +222,9 @@ fn rejected_sweeps_name_their_reason() {
     let sweep = drawn(&mesh, &usual, 0);
     // Negative control: the sweep itself is kept.
     assert_eq!(verdict(&mesh, &usual, &sweep), Verdict::Kept);
-    let weak = SweepPlan { most_strain: 2e-4, ..usual.clone() };
+    let weak = SweepPlan { max_strain: 2e-4, ..usual.clone() };
     assert_eq!(verdict(&mesh, &weak, &sweep), Verdict::Rejected("torque-too-high"));
-    let short = SweepPlan { most_mm: 1.0, ..usual.clone() };
+    let short = SweepPlan { max_travel_mm: 1.0, ..usual.clone() };
     assert_eq!(verdict(&mesh, &short, &sweep), Verdict::Rejected("no-contact"));
     // The object's middle is brought to the middle of the wire.
     let mut inside = sweep.clone();

@@ -1,9 +1,9 @@
 //! The table of engines for a person.
 
-use super::AgainstRod;
+use super::RodComparison;
 use std::fmt::{Display, Formatter};
 
-impl Display for AgainstRod {
+impl Display for RodComparison {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         writeln!(
             f,

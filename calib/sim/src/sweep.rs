@@ -1,7 +1,7 @@
 //! A sweep: where the object lies, how fast the base passes it, and what happens on the way.
 
 use crate::physics::{Physics, PhysicsPlan};
-use crate::{Mesh, TwinError};
+use crate::{Mesh, SimError};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -26,14 +26,16 @@ pub struct SweepPlan {
     /// Way of the base before the object can be touched, mm.
     pub lead_mm: [f64; 2],
     /// Longest way of the base, mm.
-    pub most_mm: f64,
+    #[serde(rename = "most_mm", alias = "max_travel_mm")]
+    pub max_travel_mm: f64,
     /// Way after the wire is free again, mm.
     pub tail_mm: f64,
     /// Longest step of the base between two equilibria of the rod, mm: shorter ones tell springs that are small from a fast slide, and take
     /// that much longer.
     pub step_mm: f64,
     /// Largest strain of the wire's skin; past it the torque is too high.
-    pub most_strain: f64,
+    #[serde(rename = "most_strain", alias = "max_strain")]
+    pub max_strain: f64,
     /// How the object lies.
     pub turn: Turn,
     /// Whether sweeps in which the wire sprang from one equilibrium to another are kept; the paper rejects contact jumps.
@@ -72,10 +74,10 @@ impl Default for SweepPlan {
             rate_hz: 5.0,
             gap_mm: [22.0, 47.0],
             lead_mm: [2.0, 12.0],
-            most_mm: 120.0,
+            max_travel_mm: 120.0,
             tail_mm: 5.0,
             step_mm: 1.0,
-            most_strain: 0.015,
+            max_strain: 0.015,
             turn: Turn::Haar,
             keep_jumps: true,
             physics: PhysicsPlan::default(),
@@ -86,12 +88,12 @@ impl Default for SweepPlan {
 impl SweepPlan {
     /// # Errors
     /// Where a value cannot be.
-    pub fn check(&self) -> Result<(), TwinError> {
+    pub fn check(&self) -> Result<(), SimError> {
         let range = |what, r: [f64; 2], least: f64| {
             if r[0] >= least && r[1] >= r[0] && r[1].is_finite() {
                 return Ok(());
             }
-            Err(TwinError::Value {
+            Err(SimError::Value {
                 what,
                 expected: format!("{least} <= low <= high"),
                 found: format!("{r:?}"),
@@ -102,14 +104,14 @@ impl SweepPlan {
         range("lead_mm", self.lead_mm, 0.5)?;
         let positive = [
             ("rate_hz", self.rate_hz),
-            ("most_mm", self.most_mm),
+            ("most_mm", self.max_travel_mm),
             ("tail_mm", self.tail_mm),
             ("step_mm", self.step_mm),
-            ("most_strain", self.most_strain),
+            ("most_strain", self.max_strain),
         ];
         for (what, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
-                return Err(TwinError::Value {
+                return Err(SimError::Value {
                     what,
                     expected: "above 0".to_owned(),
                     found: value.to_string(),
@@ -118,14 +120,14 @@ impl SweepPlan {
         }
         if !(self.acceleration_mm_s2 >= 0.0) {
             let (expected, found) = ("0 or more".to_owned(), self.acceleration_mm_s2.to_string());
-            return Err(TwinError::Value { what: "acceleration_mm_s2", expected, found });
+            return Err(SimError::Value { what: "acceleration_mm_s2", expected, found });
         }
         self.physics.check()
     }
 }
 
 /// Time for which an acceleration holds, s.
-pub(crate) const HOLD_S: f64 = 1.0;
+pub const HOLD_S: f64 = 1.0;
 
 /// One sweep. The base moves along +z of its own frame; in that frame the object comes along -z.
 #[derive(Debug, Clone, PartialEq)]
@@ -214,7 +216,7 @@ impl Sweep {
 /// Accelerations for the longest sweep.
 fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<f64> {
     let [low, high] = plan.speed_mm_s;
-    let seconds = (plan.most_mm / low / HOLD_S).ceil().min(1e4) as usize;
+    let seconds = (plan.max_travel_mm / low / HOLD_S).ceil().min(1e4) as usize;
     (0..seconds)
         .map(|_| {
             let drawn = uniform(rng, [-plan.acceleration_mm_s2, plan.acceleration_mm_s2]);
@@ -258,7 +260,7 @@ impl Surface for Passing<'_> {
         let place = self.sweep.turn.tr_mul(&(p - shift));
         let known =
             self.last.get().map(|(last, distance_mm)| [distance_mm, (place - last).norm() + ROUNDING_MM]);
-        let found = self.mesh.near_from(&place, within_mm, known)?;
+        let found = self.mesh.closest_point_from(&place, within_mm, known)?;
         self.last.set(Some((place, found.distance_mm)));
         Some(ClosestPoint {
             distance_mm: found.distance_mm,
@@ -321,6 +323,9 @@ pub struct Sample {
     /// Whether the wire came to rest all the way since the sample before.
     pub settled: bool,
 }
+
+/// Verdict of a sweep in which the engine's program ended: it is made again by the next run.
+pub const ENGINE_DIED: &str = "engine-died";
 
 /// How a sweep ended.
 #[derive(Debug, Clone, PartialEq, Eq)]

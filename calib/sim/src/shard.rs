@@ -17,17 +17,18 @@
 //! Shards by MuJoCo have the rod on the same sweeps beside them: `rod_verdict` in the sweeps, and `.rod.parquet`, a row a sample of the
 //! rod's: `sweep`, `sample`, `rod_moment_{x,y,z}_nmm`, `rod_contact_{x,y,z}_mm`, `rod_contact_arclength_mm`, `rod_event`.
 
-use crate::cable_engine::ENGINE_DIED;
 use crate::columns::{Column, to_bytes};
+use crate::engine::{Block, Outcome};
 use crate::rod_engine::Run;
-use crate::sweep::{Event, Sweep};
-use crate::{TwinError, Verdict};
+use crate::sweep::{ENGINE_DIED, Event, Sweep};
+use crate::{Sample, SimError, Verdict};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
+use wcal_rod::Contact;
 
 /// Version of the tables.
 pub const FORMAT: &str = "wcal-sweeps/1";
@@ -63,31 +64,22 @@ pub struct Manifest {
 }
 
 /// Ending of the table with the rod on MuJoCo's sweeps.
-pub(crate) const ROD: &str = "rod";
+pub const ROD: &str = "rod";
 /// Share of the friction cone below which a contact counts as sticking.
 const STICKS: f64 = 0.98;
-
-/// One sweep with what it gave; `None` where its plane misses the object.
-pub type Outcome = (u64, Option<(Sweep, Run)>);
-/// What MuJoCo's sweeps have beside their outcomes.
-#[derive(Debug, Default)]
-pub(crate) struct Beside {
-    /// What the rod gave on the sweep of that number.
-    pub quasi: Vec<(u64, Option<Run>)>,
-    /// What went wrong, in words.
-    pub notes: Vec<String>,
-}
 
 /// A shard that is there, whole, of the same making, and of these sweeps (first and number).
 ///
 /// # Errors
 /// Says what is missing, damaged or of another making.
-pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Result<Manifest, TwinError> {
+pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Result<Manifest, SimError> {
     let path = folder.join(format!("{name}.json"));
     let manifest = read_manifest(&path)?;
-    let other = |detail: String| TwinError::Shard { path: path.clone(), detail };
+    let other = |detail: String| SimError::Shard { path: path.clone(), detail };
     if manifest.made_from != made_from {
-        return Err(other("made from another wire, plan, mesh or seed".to_owned()));
+        return Err(other(
+            "made from another wire, plan, mesh or seed, or by an earlier version of wcal".to_owned(),
+        ));
     }
     if manifest.sweeps != sweeps {
         return Err(other(format!(
@@ -104,22 +96,22 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
 
 /// # Errors
 /// Where the manifest cannot be read.
-pub fn read_manifest(path: &Path) -> Result<Manifest, TwinError> {
-    let text = std::fs::read_to_string(path).map_err(TwinError::io("reading", path))?;
-    serde_json::from_str(&text).map_err(|e| TwinError::Shard { path: path.to_owned(), detail: e.to_string() })
+pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
+    let text = std::fs::read_to_string(path).map_err(SimError::io("reading", path))?;
+    serde_json::from_str(&text).map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
 }
 
 /// Compares the tables with their checksums.
 ///
 /// # Errors
 /// Names the first table that is missing or differs.
-pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), TwinError> {
+pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), SimError> {
     for (table, expected) in &manifest.sha256 {
         let path = folder.join(table);
-        let bytes = std::fs::read(&path).map_err(TwinError::io("reading", &path))?;
+        let bytes = std::fs::read(&path).map_err(SimError::io("reading", &path))?;
         let found = sha256_hex(&bytes);
         if found != *expected {
-            return Err(TwinError::Shard {
+            return Err(SimError::Shard {
                 path,
                 detail: format!("expected SHA-256 {expected}, found {found}"),
             });
@@ -128,7 +120,7 @@ pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), TwinError> {
     Ok(())
 }
 
-/// Writes a shard; each file is complete or not there. `beside`: the rod on the same sweeps, where MuJoCo made them.
+/// Writes a shard; each file is complete or not there.
 ///
 /// # Errors
 /// Where the folder cannot be written.
@@ -137,10 +129,10 @@ pub(crate) fn write(
     name: &str,
     object: &str,
     made_from: &str,
-    outcomes: &[Outcome],
-    beside: Option<&Beside>,
+    block: &Block,
     core_s: f64,
-) -> Result<Manifest, TwinError> {
+) -> Result<Manifest, SimError> {
+    let outcomes = &block.outcomes[..];
     let about =
         [("format", FORMAT.to_owned()), ("simulated", "true".to_owned()), ("object", object.to_owned())];
     let mut manifest = Manifest {
@@ -153,7 +145,7 @@ pub(crate) fn write(
         verdicts: BTreeMap::new(),
         samples: 0,
         events: BTreeMap::new(),
-        notes: beside.map_or_else(Vec::new, |b| b.notes.clone()),
+        notes: block.notes.clone(),
         sha256: BTreeMap::new(),
     };
     for (_, outcome) in outcomes {
@@ -168,28 +160,31 @@ pub(crate) fn write(
     }
     let mut tables =
         vec![("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))];
-    if let Some(Beside { quasi, .. }) = beside {
+    if let Some(rod) = &block.rod {
         let verdict = |run: &Option<Run>| run.as_ref().map_or("no-section", |r| r.verdict.name()).to_owned();
-        tables[0].1.push(("rod_verdict", Column::Text(quasi.iter().map(|(_, run)| verdict(run)).collect())));
-        tables.push((ROD, crate::against::columns(quasi)));
+        tables[0].1.push(("rod_verdict", Column::Text(rod.iter().map(|(_, run)| verdict(run)).collect())));
+        tables.push((ROD, rod_columns(rod)));
     }
     for (table, columns) in tables {
         let file = format!("{name}.{table}.parquet");
         let bytes = to_bytes(&columns, &about)
-            .map_err(|e| TwinError::Shard { path: folder.join(&file), detail: e.to_string() })?;
+            .map_err(|e| SimError::Shard { path: folder.join(&file), detail: e.to_string() })?;
         manifest.sha256.insert(file.clone(), sha256_hex(&bytes));
         write_whole(&folder.join(&file), &bytes)?;
     }
     let path = folder.join(format!("{name}.json"));
     let text = serde_json::to_string_pretty(&manifest)
-        .map_err(|e| TwinError::Shard { path: path.clone(), detail: e.to_string() })?;
+        .map_err(|e| SimError::Shard { path: path.clone(), detail: e.to_string() })?;
     write_whole(&path, text.as_bytes())?;
     Ok(manifest)
 }
 
 /// A reader never sees half a file.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TwinError> {
-    let fail = |e: FileError| TwinError::Io { action: e.action, path: e.path, cause: e.source };
+///
+/// # Errors
+/// Where the folder cannot be written.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), SimError> {
+    let fail = |e: FileError| SimError::Io { action: e.action, path: e.path, cause: e.source };
     write_atomic(path, bytes).map_err(fail)
 }
 
@@ -242,9 +237,9 @@ fn samples(outcomes: &[Outcome]) -> Columns {
     let all: Vec<_> =
         runs(outcomes).flat_map(|(k, r)| r.samples.iter().enumerate().map(move |(i, s)| (k, i, s))).collect();
     let whole =
-        |value: &dyn Fn(&(i64, usize, &crate::Sample)) -> i64| Column::Whole(all.iter().map(value).collect());
-    let real = |value: &dyn Fn(&crate::Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
-    let first = |value: &dyn Fn(&wcal_rod::Contact) -> f64| {
+        |value: &dyn Fn(&(i64, usize, &Sample)) -> i64| Column::Whole(all.iter().map(value).collect());
+    let real = |value: &dyn Fn(&Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
+    let first = |value: &dyn Fn(&Contact) -> f64| {
         Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
     };
     vec![
@@ -276,12 +271,11 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
     }
     let coefficient: BTreeMap<i64, f64> =
         outcomes.iter().filter_map(|(k, o)| Some((*k as i64, o.as_ref()?.0.physics.friction))).collect();
-    let sticks = |(k, _, _, c): &(i64, i64, i64, &wcal_rod::Contact)| {
+    let sticks = |(k, _, _, c): &(i64, i64, i64, &Contact)| {
         i64::from(c.friction_n.norm() < STICKS * coefficient.get(k).copied().unwrap_or(0.0) * c.force_n)
     };
-    let real =
-        |value: &dyn Fn(&wcal_rod::Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
-    let axes = |value: fn(&wcal_rod::Contact) -> Vector3<f64>, k: usize| real(&move |c| value(c)[k]);
+    let real = |value: &dyn Fn(&Contact) -> f64| Column::Real(all.iter().map(|c| value(c.3)).collect());
+    let axes = |value: fn(&Contact) -> Vector3<f64>, k: usize| real(&move |c| value(c)[k]);
     vec![
         ("sweep", Column::Whole(all.iter().map(|c| c.0).collect())),
         ("sample", Column::Whole(all.iter().map(|c| c.1).collect())),
@@ -299,5 +293,30 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
         ("friction_y_n", axes(|c| c.friction_n, 1)),
         ("friction_z_n", axes(|c| c.friction_n, 2)),
         ("sticks", Column::Whole(all.iter().map(sticks).collect())),
+    ]
+}
+
+/// Columns of the table that a shard by another engine has beside the others: the rod on the same sweeps.
+fn rod_columns(rod: &[(u64, Option<Run>)]) -> Vec<(&'static str, Column)> {
+    let all: Vec<_> = rod
+        .iter()
+        .filter_map(|(sweep, run)| Some((*sweep as i64, run.as_ref()?)))
+        .flat_map(|(sweep, run)| run.samples.iter().enumerate().map(move |(k, s)| (sweep, k as i64, s)))
+        .collect();
+    let real = |value: &dyn Fn(&Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
+    let first = |value: &dyn Fn(&Contact) -> f64| {
+        Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
+    };
+    vec![
+        ("sweep", Column::Whole(all.iter().map(|s| s.0).collect())),
+        ("sample", Column::Whole(all.iter().map(|s| s.1).collect())),
+        ("rod_moment_x_nmm", real(&|s| s.moment_nmm.x)),
+        ("rod_moment_y_nmm", real(&|s| s.moment_nmm.y)),
+        ("rod_moment_z_nmm", real(&|s| s.moment_nmm.z)),
+        ("rod_contact_x_mm", first(&|c| c.point_mm.x)),
+        ("rod_contact_y_mm", first(&|c| c.point_mm.y)),
+        ("rod_contact_z_mm", first(&|c| c.point_mm.z)),
+        ("rod_contact_arclength_mm", first(&|c| c.arclength_mm)),
+        ("rod_event", Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect())),
     ]
 }

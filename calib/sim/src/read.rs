@@ -1,6 +1,6 @@
 //! Reads the dataset's tables back.
 
-use crate::TwinError;
+use crate::SimError;
 use crate::columns::Column;
 use crate::shard::{self, Manifest};
 use parquet::basic::Type;
@@ -21,7 +21,7 @@ impl Table {
     ///
     /// # Errors
     /// Where there is no such column of that kind.
-    pub fn whole(&self, name: &str) -> Result<&[i64], TwinError> {
+    pub fn whole(&self, name: &str) -> Result<&[i64], SimError> {
         match self.columns.get(name) {
             Some(Column::Whole(v)) => Ok(v),
             other => Err(self.wrong(name, "whole numbers", other)),
@@ -32,7 +32,7 @@ impl Table {
     ///
     /// # Errors
     /// Where there is no such column of that kind, or a value is not finite.
-    pub fn real(&self, name: &str) -> Result<&[f64], TwinError> {
+    pub fn real(&self, name: &str) -> Result<&[f64], SimError> {
         match self.columns.get(name) {
             Some(Column::Real(v)) => match v.iter().position(|x| !x.is_finite()) {
                 None => Ok(v),
@@ -48,7 +48,7 @@ impl Table {
     ///
     /// # Errors
     /// Where there is no such column of that kind, or a value is not finite.
-    pub fn maybe(&self, name: &str) -> Result<&[Option<f64>], TwinError> {
+    pub fn maybe(&self, name: &str) -> Result<&[Option<f64>], SimError> {
         match self.columns.get(name) {
             Some(Column::Maybe(v)) => match v.iter().position(|x| x.is_some_and(|x| !x.is_finite())) {
                 None => Ok(v),
@@ -64,20 +64,20 @@ impl Table {
     ///
     /// # Errors
     /// Where there is no such column of that kind.
-    pub fn text(&self, name: &str) -> Result<&[String], TwinError> {
+    pub fn text(&self, name: &str) -> Result<&[String], SimError> {
         match self.columns.get(name) {
             Some(Column::Text(v)) => Ok(v),
             other => Err(self.wrong(name, "words", other)),
         }
     }
 
-    fn wrong(&self, name: &str, expected: &str, found: Option<&Column>) -> TwinError {
+    fn wrong(&self, name: &str, expected: &str, found: Option<&Column>) -> SimError {
         let found = found.map_or("no such column", |_| "another kind of column");
         self.broken(format!("{name}: expected {expected}, found {found}"))
     }
 
-    fn broken(&self, detail: String) -> TwinError {
-        TwinError::Shard { path: self.path.clone(), detail }
+    fn broken(&self, detail: String) -> SimError {
+        SimError::Shard { path: self.path.clone(), detail }
     }
 }
 
@@ -85,9 +85,9 @@ impl Table {
 ///
 /// # Errors
 /// Where the file cannot be read or is not such a table.
-pub fn table(path: &Path) -> Result<Table, TwinError> {
-    let file = std::fs::File::open(path).map_err(TwinError::io("reading", path))?;
-    let broken = |detail: String| TwinError::Shard { path: path.to_owned(), detail };
+pub fn table(path: &Path) -> Result<Table, SimError> {
+    let file = std::fs::File::open(path).map_err(SimError::io("reading", path))?;
+    let broken = |detail: String| SimError::Shard { path: path.to_owned(), detail };
     let columns = columns(file).map_err(|e| broken(e.to_string()))?;
     Ok(Table { path: path.to_owned(), columns })
 }
@@ -147,8 +147,8 @@ fn columns(file: std::fs::File) -> Result<BTreeMap<String, Column>, parquet::err
 ///
 /// # Errors
 /// Where the folder or a manifest cannot be read, or a table differs from its checksum.
-pub fn manifests(folder: &Path) -> Result<Vec<(String, Manifest)>, TwinError> {
-    let entries = std::fs::read_dir(folder).map_err(TwinError::io("reading", folder))?;
+pub fn manifests(folder: &Path) -> Result<Vec<(String, Manifest)>, SimError> {
+    let entries = std::fs::read_dir(folder).map_err(SimError::io("reading", folder))?;
     let mut names: Vec<String> = entries
         .filter_map(|e| e.ok()?.file_name().into_string().ok())
         .filter_map(|n| n.strip_suffix(".sweeps.parquet").map(str::to_owned))

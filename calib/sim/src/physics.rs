@@ -1,6 +1,6 @@
 //! What a sweep's physics adds to the ideal rod: friction, softening, and the medium's drag, weight and buoyancy.
 
-use crate::{SweepPlan, TwinError};
+use crate::{SimError, SweepPlan};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -79,13 +79,13 @@ impl Default for PhysicsPlan {
 impl PhysicsPlan {
     /// # Errors
     /// Where a value cannot be.
-    pub fn check(&self) -> Result<(), TwinError> {
+    pub fn check(&self) -> Result<(), SimError> {
         let within = |what, [low, high]: [f64; 2], least: f64, most: f64| {
             if low >= least && high >= low && high <= most {
                 return Ok(());
             }
             let (expected, found) = (format!("{least} <= low <= high <= {most}"), format!("[{low}, {high}]"));
-            Err(TwinError::Value { what, expected, found })
+            Err(SimError::Value { what, expected, found })
         };
         within("friction", self.friction, 0.0, 2.0)?;
         within("current_mm_s", self.current_mm_s, 0.0, 1000.0)?;
@@ -94,7 +94,7 @@ impl PhysicsPlan {
             within("softening_onset_per_m", onset, 1.0, 1000.0)?;
         }
         if self.medium == Medium::None && (self.weight || self.current_mm_s[1] > 0.0) {
-            return Err(TwinError::Value {
+            return Err(SimError::Value {
                 what: "medium",
                 expected: "\"air\" or \"water\" where weight or current_mm_s is given".to_owned(),
                 found: "\"none\"".to_owned(),
@@ -156,7 +156,7 @@ impl Physics {
 
 /// What a medium does to a wire.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Surroundings {
+pub struct FluidLoads {
     diameter_m: f64,
     density_kg_m3: f64,
     viscosity_m2_s: f64,
@@ -164,7 +164,7 @@ pub struct Surroundings {
     current_mm_s: Vector3<f64>,
 }
 
-impl Surroundings {
+impl FluidLoads {
     /// None where there is no medium.
     #[must_use]
     pub fn new(whisker: &WhiskerSpec, physics: &Physics) -> Option<Self> {
@@ -238,7 +238,7 @@ pub(crate) fn with_physics(rod: &DiscreteRod, physics: &Physics) -> DiscreteRod 
 
 #[cfg(test)]
 mod tests {
-    use super::{Medium, Physics, Surroundings};
+    use super::{FluidLoads, Medium, Physics};
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
     use wcal_rod::{DiscreteRod, Section, Shape};
@@ -267,8 +267,8 @@ mod tests {
         let shape = Shape::new(&wire.rest_shape, 0.25).unwrap();
         let mut rod = DiscreteRod::new(&section, &shape, wire.diameter_mm, 40).unwrap();
         let rest = rod.at_rest();
-        let surroundings = Surroundings::new(&wire, physics).unwrap();
-        rod.loads_n_per_mm = surroundings.loads_n_per_mm(&rest, &base_mm_s, &vec![Vector3::zeros(); 41]);
+        let fluid = FluidLoads::new(&wire, physics).unwrap();
+        rod.loads_n_per_mm = fluid.loads_n_per_mm(&rest, &base_mm_s, &vec![Vector3::zeros(); 41]);
         rod.base_moment_nmm(&rod.solve_contact(&NoSurface, &rest, &[], &Vector3::zeros(), 60))
     }
 

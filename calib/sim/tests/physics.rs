@@ -3,10 +3,10 @@
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
-use wcal_mujoco::physics::{Medium, PhysicsPlan};
-use wcal_mujoco::rod_engine::{LINKS, Run};
-use wcal_mujoco::{RodEngine, Sweep, SweepPlan, Verdict, objects};
 use wcal_rod::{Guess, Rod, Shape, Tangential};
+use wcal_sim::physics::{Medium, PhysicsPlan};
+use wcal_sim::rod_engine::{LINKS, Run};
+use wcal_sim::{RodEngine, Sweep, SweepPlan, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()

@@ -1,0 +1,76 @@
+use std::path::PathBuf;
+
+/// What went wrong with an object, a sweep plan or a shard.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A file could not be read or written.
+    #[error("{action} {}: {cause}", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// Where.
+        path: PathBuf,
+        /// Why not; part of the message, so no source of its own.
+        cause: std::io::Error,
+    },
+    /// A mesh that no sweep can use.
+    #[error("object {object}: expected {expected}, found {found}")]
+    Mesh {
+        /// Its name.
+        object: String,
+        /// What a sweep needs.
+        expected: &'static str,
+        /// What is there.
+        found: String,
+    },
+    /// A value that no sweep can have.
+    #[error("{what}: expected {expected}, found {found}")]
+    Value {
+        /// Which.
+        what: &'static str,
+        /// What it may be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// An engine beside the rod is missing, refuses or failed; the text names it.
+    #[error("{0}")]
+    Engine(String),
+    /// A folder whose recipe is of an earlier format.
+    #[error(
+        "{}: expected a recipe of format {expected}, found {found}: an earlier version of wcal made this dataset, and its identity cannot be \
+         compared; training and evaluation read it as it is, make more sweeps in another folder", folder.display()
+    )]
+    EarlierRecipe {
+        /// Which.
+        folder: PathBuf,
+        /// Format that is written now.
+        expected: &'static str,
+        /// Format that is there.
+        found: String,
+    },
+    /// A folder that holds another dataset, or several.
+    #[error("{}: expected one dataset, found another or a mixture ({differences}); use another folder", folder.display())]
+    Mixture {
+        /// Which.
+        folder: PathBuf,
+        /// What differs.
+        differences: String,
+    },
+    /// A shard that is damaged.
+    #[error("shard {}: {detail}", path.display())]
+    Shard {
+        /// Which.
+        path: PathBuf,
+        /// How.
+        detail: String,
+    },
+}
+
+impl SimError {
+    /// For `map_err` on file operations.
+    pub fn io(action: &'static str, path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |cause| Self::Io { action, path, cause }
+    }
+}

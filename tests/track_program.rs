@@ -103,7 +103,7 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
     good(&["fit-gpr", session, "--out", &path("fit")]);
     let (table, calibration) = (format!("{session}/points.csv"), path("fit/calibration.json"));
-    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--out", &out];
+    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--sweep", "--out", &out];
     let run = wcal(&track);
     assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
     assert!(text(&run.stderr).contains("never verified") && !Path::new(&out).exists());
@@ -127,6 +127,24 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let status = names.iter().position(|n| *n == "status").unwrap();
     let marked = rows.iter().filter(|r| r[status].split('|').any(|s| s == "untrained-motion")).count() as u64;
     assert!(marked > 0 && summary["untrained_motion"]["rows"] == marked, "{marked}: {summary}");
+    // Control: nobody vouches for the motion, and no row that states a contact is ok any more.
+    let unvouched = path("unvouched.csv");
+    let args: Vec<&str> = track
+        .iter()
+        .filter(|a| **a != "--sweep")
+        .map(|a| if *a == out { unvouched.as_str() } else { *a })
+        .collect();
+    let run = wcal(&[&args[..], &["--force"]].concat());
+    doubted(&run);
+    let assumed = std::fs::read_to_string(&unvouched).unwrap();
+    let assumed: Vec<Vec<&str>> = assumed.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let contact = names.iter().position(|n| *n == "contact_probability").unwrap();
+    let ok = |rows: &[Vec<&str>]| {
+        rows.iter().filter(|r| r[status] == "ok" && r[contact].parse::<f64>().is_ok_and(|p| p > 0.6)).count()
+    };
+    let of = |rows: &[Vec<&str>], word: &str| rows.iter().filter(|r| r[status].contains(word)).count();
+    assert_eq!((ok(&assumed), of(&rows, "motion-assumed")), (0, 0), "{}", text(&run.stderr));
+    assert_eq!(text(&run.stderr).contains("motion-assumed"), of(&assumed, "motion-assumed") > 0);
     // A surface needs to know where the base was.
     let run = wcal(&[&track[..], &["--force", "--surface"]].concat());
     assert_eq!(run.status.code(), Some(1));

@@ -55,10 +55,13 @@ so along --motion, or along motion columns of its own; readings at which the log
 any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
-holds, a reversal) is marked untrained-motion in status. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
+holds, a reversal) is marked untrained-motion in status where it is known or noticed. Two moments cannot tell a press from a sweep: where the
+motion is not known (poses of the base, [base] in the rig, --base-mm-s) rows in contact are motion-assumed, with regions that hold for any
+motion, unless --sweep vouches for it. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
 answers are compared with them and the error is printed with the coverage of the stated regions.
 
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or with contact in a motion that the model was never trained on.
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or with contact in a motion that the model was never trained on or
+that is not known.
 4: readings outside the valid region (marked), stated regions that do not hold the known groove, or a calibration or model that is not to be
 trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then without --force, with which
 every row says so.")]
@@ -96,6 +99,10 @@ pub struct TrackArgs {
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
+    /// Vouch that the base goes along its +z past an object at rest, at a speed of training, wherever the motion is not known: rows in contact
+    /// are then not motion-assumed, and have the network's regions
+    #[arg(long, requires = "model")]
+    pub sweep: bool,
     /// Time at the beginning, without contact, whose mean moments are the zero, s
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     pub tare_s: f64,
@@ -295,7 +302,7 @@ struct Outcome {
     misstated: bool,
     /// Readings were lost, dropped or unusable.
     lost: bool,
-    /// Contact in a motion that the model was never trained on.
+    /// Contact in a motion that the model was never trained on, or that is not known.
     untrained: bool,
 }
 

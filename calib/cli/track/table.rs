@@ -2,7 +2,7 @@
 
 use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, known_places, velocities};
-use super::motion::Motions;
+use super::motion;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
@@ -17,7 +17,7 @@ use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
-use wcal_track::arc::arclength_regions;
+use wcal_track::motion_judge::{MotionJudge, UnjudgedRow};
 use wcal_track::stream::BasePose;
 use wcal_track::{Sample, Tare};
 
@@ -64,7 +64,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
     let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
     let mut groove = KnownGroove::new(places, &loaded.card.whisker);
-    let mut motions = Motions::new(&loaded.card.training);
+    let mut motions = MotionJudge::new(&loaded.card.training, args.sweep);
     let inverse = &loaded.tracker.inverse;
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
@@ -101,18 +101,19 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
             found.gap();
         }
         let mut answer = None;
-        if let (Some(m), Some(answered)) = (&moments, answered) {
+        let mut regions = Vec::new();
+        if let (Some(moments), Some(answer_of_network)) = (moments, answered) {
             let known = velocity.or(past_groove.get(&line).copied());
-            let known = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
-            let (motion, judged) = motions.judge((t_s, m), answered, stream.log_evidence(), known, inverse);
-            flags = flags.with(motion);
+            let velocity_mm_s = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
+            let log_evidence = stream.log_evidence();
+            let row = UnjudgedRow { t_s, moments, answer: answer_of_network, log_evidence, velocity_mm_s };
+            let judged = motions.judge(row, inverse);
+            flags = flags.with(judged.flags);
             if let Some(groove) = &mut groove {
-                groove.push(t_s, &judged);
+                groove.push(t_s, &judged.answer);
             }
-            answer = Some(judged);
+            (answer, regions) = (Some(judged.answer), judged.regions);
         }
-        let regions =
-            answer.as_ref().map_or_else(Vec::new, |a| arclength_regions(&inverse.nodes, &a.weights));
         let segment = found.row(t_s, answer.as_ref(), base, base_mm_s);
         outside += u64::from(usable && !m.valid);
         flagged += u64::from(!flags.none());
@@ -142,7 +143,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         "object_class": args.object_class,
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
-        "segments": found.segments(), "untrained_motion": motions.summary(), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
+        "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });
     if args.surface {
         summary["surface"] = write_surface(&args.out, &[&found])?;
@@ -157,7 +158,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     if flagged > 0 {
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
     }
-    motions.say("", rows.len() as u64);
+    motion::say(&motions, "", rows.len() as u64);
     if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
         eprintln!("{said}");
     }

@@ -3,7 +3,7 @@
 use super::TrackArgs;
 use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, KnownPlace};
-use super::motion::Motions;
+use super::motion;
 use super::output::{TrackFiles, TrackRow, event_message};
 use super::trust::WhiskerModel;
 use anyhow::{Context, Result, bail};
@@ -19,7 +19,7 @@ use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
 use wcal_core::stream::StreamMoments;
-use wcal_track::arc::arclength_regions;
+use wcal_track::motion_judge::{MotionJudge, UnjudgedRow};
 use wcal_track::stream::{BaseMotion, Row, SignalChain, SignalChainSettings, first_mode_hz};
 use wcal_track::{Sample, Tare, TrackerStream};
 
@@ -32,7 +32,7 @@ struct Whisker<'a> {
     stream: TrackerStream<'a>,
     tare: Tare,
     found: ContactHistory,
-    motions: Motions,
+    motions: MotionJudge,
     groove: Option<KnownGroove>,
     rows: u64,
     flagged: u64,
@@ -93,7 +93,7 @@ impl<'a> Whiskers<'a> {
                 stream: l.stream(),
                 tare: Tare::new(args.tare_s),
                 found: ContactHistory::new(&l.name),
-                motions: Motions::new(&l.card.training),
+                motions: MotionJudge::new(&l.card.training, args.sweep),
                 groove: None,
                 rows: 0,
                 flagged: 0,
@@ -234,7 +234,7 @@ impl<'a> Whiskers<'a> {
         for w in &self.all {
             let whose =
                 if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
-            w.motions.say(&whose, w.rows);
+            motion::say(&w.motions, &whose, w.rows);
             if let Some(said) = w.groove.as_ref().and_then(KnownGroove::message) {
                 eprintln!("{whose}{said}");
             }
@@ -307,17 +307,18 @@ impl Whisker<'_> {
         let mut flags = row.flags;
         let inverse = &self.loaded.tracker.inverse;
         let mut answer = None;
-        if let (Some(m), Some(answered)) = (&moments, answered) {
-            let evidence = self.stream.log_evidence();
-            let (motion, judged) = self.motions.judge((row.t_s, m), answered, evidence, velocity, inverse);
-            flags = flags.with(motion);
+        let mut regions = Vec::new();
+        if let (Some(moments), Some(answer_of_network)) = (moments, answered) {
+            let (log_evidence, velocity_mm_s) = (self.stream.log_evidence(), velocity);
+            let unjudged =
+                UnjudgedRow { t_s: row.t_s, moments, answer: answer_of_network, log_evidence, velocity_mm_s };
+            let judged = self.motions.judge(unjudged, inverse);
+            flags = flags.with(judged.flags);
             if let Some(groove) = &mut self.groove {
-                groove.push(row.t_s, &judged);
+                groove.push(row.t_s, &judged.answer);
             }
-            answer = Some(judged);
+            (answer, regions) = (Some(judged.answer), judged.regions);
         }
-        let regions =
-            answer.as_ref().map_or_else(Vec::new, |a| arclength_regions(&inverse.nodes, &a.weights));
         let segment = self.found.row(row.t_s, answer.as_ref(), base, base_mm_s);
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
@@ -352,7 +353,7 @@ impl Whisker<'_> {
         json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
             "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.messages(),
-            "untrained_motion": self.motions.summary(), "known_groove": self.groove.as_ref().and_then(KnownGroove::summary),
+            "untrained_motion": motion::summary(&self.motions), "known_groove": self.groove.as_ref().and_then(KnownGroove::summary),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
         })

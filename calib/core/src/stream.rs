@@ -25,11 +25,12 @@ impl Flags {
     pub const UNTRAINED_MOTION: Self = Self(256);
     /// Moments and known motion do not belong together.
     pub const MOTION_DISAGREES: Self = Self(512);
-
     /// The motion at this time is not known.
     pub const MOTION_LOST: Self = Self(1024);
+    /// Contact in a motion that is not known; it was assumed to be as in training, and nothing speaks against that.
+    pub const MOTION_ASSUMED: Self = Self(2048);
 
-    const NAMES: [(Self, &'static str); 11] = [
+    const NAMES: [(Self, &'static str); 12] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -41,6 +42,7 @@ impl Flags {
         (Self::UNTRAINED_MOTION, "untrained-motion"),
         (Self::MOTION_DISAGREES, "motion-disagrees"),
         (Self::MOTION_LOST, "motion-lost"),
+        (Self::MOTION_ASSUMED, "motion-assumed"),
     ];
 
     /// Both.

@@ -69,6 +69,32 @@ pub fn moments_alone(
     }
 }
 
+/// Probability that a motion of which nothing is known is one as in training. An assumption.
+const AS_TRAINED: f32 = 0.5;
+
+/// What is stated of a network's answer (point p, covariance C_n, weights u_k) where the motion is not known: with probability a it is as in
+/// training, else nothing but the moments counts (mean q, C_a, v_k; [`moments_alone`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
+/// `C = a C_n + (1 - a) (C_a + (q - p)(q - p)')`, the mixture's second moment about p.
+#[must_use]
+pub fn any_motion(
+    inverse: &StaticInverse,
+    moment_nmm: [f64; 2],
+    sd_nmm: [f64; 2],
+    network: Prediction,
+) -> Prediction {
+    let alone = moments_alone(inverse, moment_nmm, sd_nmm, &network);
+    let mixed = |trained: f32, other: f32| AS_TRAINED * trained + (1.0 - AS_TRAINED) * other;
+    let off = [0, 1, 2].map(|i| alone.point_mm[i] - network.point_mm[i]);
+    let (n, a) = (network.covariance_mm2, alone.covariance_mm2);
+    let covariance_mm2 = [0, 1, 2].map(|i| [0, 1, 2].map(|j| mixed(n[i][j], a[i][j] + off[i] * off[j])));
+    let weights = match network.weights.len() == alone.weights.len() {
+        true => network.weights.iter().zip(&alone.weights).map(|(n, a)| mixed(*n, *a)).collect(),
+        // A network without the curve states no place on it.
+        false => alone.weights,
+    };
+    Prediction { covariance_mm2, weights, ..network }
+}
+
 /// 95 % region of highest density over the arc length of a posterior on the inverse's nodes: one piece for each peak. Empty without weights.
 #[must_use]
 pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {

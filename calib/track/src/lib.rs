@@ -13,6 +13,7 @@ pub mod generate_sweeps;
 pub mod inverse;
 pub mod known_motion;
 pub mod model_file;
+pub mod motion_judge;
 pub mod network;
 pub mod score;
 pub mod sd_factors;

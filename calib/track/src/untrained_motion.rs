@@ -117,6 +117,12 @@ impl MotionCheck {
         }
     }
 
+    /// Whether the last row was contact.
+    #[must_use]
+    pub fn touching(&self) -> bool {
+        self.touching
+    }
+
     /// What was touched before is not known any more.
     pub fn restart(&mut self) {
         (self.touching, self.found, self.still) = (false, None, None);

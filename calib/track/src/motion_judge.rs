@@ -1,0 +1,109 @@
+//! What an answer of the network rests on. It was trained on one motion, and two moments cannot show that another one is not that: presses
+//! and sweeps give the same moments (tests/untrained.rs). So a contact stands on one of three grounds:
+//!
+//! | motion | status | point | regions |
+//! |---|---|---|---|
+//! | known or vouched for, and one of training | `ok` | network's | network's |
+//! | not known, nothing speaks against training | `motion-assumed` | network's | of the mixture of both others (`arc::any_motion`) |
+//! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::moments_alone`) |
+
+use crate::arc::{any_motion, arclength_regions, moments_alone};
+use crate::inverse::StaticInverse;
+use crate::known_motion::Region;
+use crate::network::Prediction;
+use crate::train::TrainSettings;
+use crate::untrained_motion::{MotionCheck, MotionSample};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use wcal_core::stream::{Flags, StreamMoments};
+
+/// A row of the network before it is judged.
+#[derive(Debug, Clone)]
+pub struct UnjudgedRow {
+    /// Time, s.
+    pub t_s: f64,
+    /// Moments with their standard deviations.
+    pub moments: StreamMoments,
+    /// The network's answer.
+    pub answer: Prediction,
+    /// Logarithm of the filters' predictive density of the moments, 1/(N mm)^2 (`TrackerStream::log_evidence`).
+    pub log_evidence: Option<f64>,
+    /// Velocity of the base past what it touches, base frame, mm/s, where it is known.
+    pub velocity_mm_s: Option<Vector3<f64>>,
+}
+
+/// What is stated of a row.
+#[derive(Debug, Clone)]
+pub struct JudgedRow {
+    /// `UNTRAINED_MOTION`, `MOTION_ASSUMED` or none.
+    pub flags: Flags,
+    /// The answer that stands.
+    pub answer: Prediction,
+    /// 95 % regions along the wire.
+    pub regions: Vec<Region>,
+}
+
+/// Judges the rows of one whisker, and counts.
+#[derive(Debug, Clone)]
+pub struct MotionJudge {
+    check: MotionCheck,
+    /// Whether somebody vouches for a motion as in training where it is not known.
+    vouched: bool,
+    untrained: BTreeMap<&'static str, u64>,
+    assumed: u64,
+}
+
+impl MotionJudge {
+    /// For a network that was trained so; `vouched`: a motion that is not known is as in training.
+    #[must_use]
+    pub fn new(training: &TrainSettings, vouched: bool) -> Self {
+        Self { check: MotionCheck::new(training), vouched, untrained: BTreeMap::new(), assumed: 0 }
+    }
+
+    /// The tracker starts anew.
+    pub fn restart(&mut self) {
+        self.check.restart();
+    }
+
+    /// Judges the next row.
+    pub fn judge(&mut self, row: UnjudgedRow, inverse: &StaticInverse) -> JudgedRow {
+        let UnjudgedRow { t_s, moments, answer, log_evidence, velocity_mm_s } = row;
+        let StreamMoments { moment_nmm, sd_nmm, .. } = moments;
+        let contact = f64::from(answer.contact);
+        let sample = MotionSample { t_s, moment_nmm, sd_nmm, contact, velocity_mm_s, log_evidence };
+        let untrained = self.check.push(&sample);
+        let nodes = &inverse.nodes;
+        if let Some(motion) = untrained {
+            *self.untrained.entry(motion.name()).or_default() += 1;
+            let answer = moments_alone(inverse, moment_nmm, sd_nmm, &answer);
+            let regions = arclength_regions(nodes, &answer.weights);
+            return JudgedRow { flags: Flags::UNTRAINED_MOTION, answer, regions };
+        }
+        if self.check.touching() && velocity_mm_s.is_none() && !self.vouched {
+            self.assumed += 1;
+            let answer = any_motion(inverse, moment_nmm, sd_nmm, answer);
+            let regions = arclength_regions(nodes, &answer.weights);
+            return JudgedRow { flags: Flags::MOTION_ASSUMED, answer, regions };
+        }
+        let regions = arclength_regions(nodes, &answer.weights);
+        JudgedRow { flags: Flags::default(), answer, regions }
+    }
+
+    /// Rows in a motion that no training sweep has, by its name.
+    #[must_use]
+    pub fn untrained(&self) -> &BTreeMap<&'static str, u64> {
+        &self.untrained
+    }
+
+    /// Rows in contact whose motion is not known and was assumed to be as in training.
+    #[must_use]
+    pub fn assumed(&self) -> u64 {
+        self.assumed
+    }
+
+    /// Whether a row is not what the network was trained for, or not known to be.
+    #[must_use]
+    pub fn any(&self) -> bool {
+        self.assumed > 0 || !self.untrained.is_empty()
+    }
+}

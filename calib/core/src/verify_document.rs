@@ -102,7 +102,7 @@ pub struct VerifyDocument {
     /// pictures or effects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub witness: Option<String>,
-    /// The pictures beside the wavelengths; absent without them.
+    /// The pictures as a second source of data; absent without them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pictures: Option<SecondWitness>,
 }

@@ -11,7 +11,7 @@ pub struct HeldOutError {
     /// Error by name: `wavelength_rmse_pm`, `moment_rmse_nmm`, `response_rmse`, `error_rmse_um`.
     #[serde(flatten)]
     pub rmse: BTreeMap<String, f64>,
-    /// The two moments apart (kind whisker).
+    /// The two moments separately (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rmse_nmm_each: Option<[f64; 2]>,
     /// 95 % intervals by the same names.
@@ -30,7 +30,7 @@ pub struct MapLeftOut {
     pub map: String,
     /// Both moments pooled.
     pub moment_rmse_nmm: f64,
-    /// The two moments apart.
+    /// The two moments separately.
     pub moment_rmse_nmm_each: [f64; 2],
     /// Readings, rest among them.
     pub points: usize,
@@ -73,7 +73,7 @@ pub struct CalibrationJudgement {
     pub why: String,
 }
 
-/// The tracker on the groove: its place from the moments and the stage's way alone, beside where it is known to be.
+/// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GrooveTracking {
     /// Error in space, root mean square, mm.

@@ -39,7 +39,7 @@ pub struct EffectParameter {
 pub struct NamedEffect {
     /// Identifier of docs/src/formats.md.
     pub id: String,
-    /// Effects that this data cannot tell apart from it, itself included.
+    /// Effects that this data cannot distinguish from it, itself included.
     pub class: Vec<String>,
     /// p-value adjusted for the whole catalogue.
     pub p_value: f64,
@@ -110,12 +110,12 @@ pub struct Detectable {
     pub why: String,
 }
 
-/// What the pictures say beside the wavelengths.
+/// What the pictures say in addition to the wavelengths.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SecondWitness {
     /// Pairs that count.
     pub pairs: usize,
-    /// Pairs that stand aside, and why.
+    /// Pairs that are left out, and why.
     #[serde(default)]
     pub left_out: Vec<PairLeftOut>,
     /// Scatter about the accepted model over what the shapes state; 1 where they state it right.

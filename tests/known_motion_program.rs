@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::LazyLock;
 
 const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
 
@@ -92,7 +93,9 @@ impl Record {
     }
 }
 
+/// Columns of a log: the way of the object, or poses of the base.
 const MM: &str = "t_s,object_x_mm,object_y_mm,object_z_mm";
+const POSES: &str = "t_s,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
 fn plain(t_s: f64, [x, y, z]: [f64; 3]) -> String {
     format!("{t_s},{x},{y},{z}")
@@ -117,17 +120,69 @@ impl Run {
     }
 }
 
+/// What `verify` says of the session, made once for all tests.
+fn verified() -> &'static Path {
+    static VERIFIED: LazyLock<PathBuf> = LazyLock::new(|| {
+        let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("known-motion-verified");
+        let run = wcal(&["verify", SESSION, "--out", out.to_str().unwrap()]);
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        out
+    });
+    &VERIFIED
+}
+
+/// The readings as tables of a folder of its own: `table.csv` with the known groove, `blind.csv` without it.
+struct Bench {
+    folder: tempfile::TempDir,
+    record: Record,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self { folder: tempfile::tempdir().unwrap(), record: Record::read() };
+        bench.record.write_table(&bench.path("table.csv"), true, 1.0);
+        // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
+        bench.record.write_table(&bench.path("blind.csv"), false, 1.0);
+        bench
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The log that [`Self::along`] tracks by.
+    fn write_motion(&self, columns: &str, row: impl Fn(usize, f64, [f64; 3]) -> String) {
+        self.record.write_motion(&self.path("motion.csv"), columns, row);
+    }
+
+    fn track(&self, table: &str, more: &[&str]) -> Run {
+        let out = self.path("track.csv");
+        let _ = std::fs::remove_file(&out);
+        let names = [self.path(table), verified().join("calibration.json"), out];
+        let [table, calibration, out] = &names.map(|p| p.to_str().unwrap().to_owned());
+        let track = ["track", table, "--calibration", calibration, "--out", out, "--json"];
+        let run = wcal(&[&track[..], more].concat());
+        let rows = std::fs::read_to_string(out).unwrap_or_default();
+        let status = rows.lines().skip(1).map(|l| l.split(',').nth(17).unwrap().to_owned()).collect();
+        Run {
+            code: run.status.code(),
+            said: text(&run.stderr),
+            summary: serde_json::from_slice(&run.stdout).unwrap_or_default(),
+            status,
+        }
+    }
+
+    fn along(&self, table: &str, more: &[&str]) -> Run {
+        let log = self.path("motion.csv");
+        self.track(table, &[&["--motion", log.to_str().unwrap()][..], more].concat())
+    }
+}
+
+/// The calibration's report leads from the map's uncertainty to that of the contact.
 #[test]
-fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    let said = wcal(&["verify", SESSION, "--out", path("out").to_str().unwrap()]);
-    assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
-    let calibration = path("out/calibration.json");
-    let record = Record::read();
-    // The calibration's report leads from the map's uncertainty to that of the contact.
+fn the_uncertainty_of_the_map_becomes_that_of_the_contact() {
     let verified: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(path("out/verify.json")).unwrap()).unwrap();
+        serde_json::from_str(&std::fs::read_to_string(verified().join("verify.json")).unwrap()).unwrap();
     let rows = verified["groove_tracking"]["uncertainty"].as_array().unwrap();
     assert!(rows.len() >= 2, "{verified}");
     for row in rows {
@@ -137,125 +192,111 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
         assert!(0.0 < of("moment_u_nmm") && of("moment_u_nmm") < 0.1 * of("moment_nmm"), "{row}");
         println!("{row}");
     }
-    assert!(std::fs::read_to_string(path("out/report.html")).unwrap().contains("Map U to contact U"));
-    let (table, log) = (path("table.csv"), path("motion.csv"));
-    record.write_table(&table, true, 1.0);
-    // Nothing but what is measured: no answer can come from the groove, and none is compared with it.
-    let blind = path("blind.csv");
-    record.write_table(&blind, false, 1.0);
-    let track = |table: &PathBuf, more: &[&str]| {
-        let out = path("track.csv");
-        let _ = std::fs::remove_file(&out);
-        let names = [table, &calibration, &out].map(|p| p.to_str().unwrap().to_owned());
-        let [table, calibration, out] = &names;
-        let run = wcal(
-            &[&["track", table, "--calibration", calibration, "--out", out, "--json"][..], more].concat(),
-        );
-        let rows = std::fs::read_to_string(out).unwrap_or_default();
-        let status = rows.lines().skip(1).map(|l| l.split(',').nth(17).unwrap().to_owned()).collect();
-        Run {
-            code: run.status.code(),
-            said: text(&run.stderr),
-            summary: serde_json::from_slice(&run.stdout).unwrap_or_default(),
-            status,
-        }
-    };
-    let motion = ["--motion", log.to_str().unwrap()];
-    let along = |more: &[&str]| track(&table, &[&motion[..], more].concat());
+    let report = std::fs::read_to_string(self::verified().join("report.html")).unwrap();
+    assert!(report.contains("Map U to contact U"));
+}
 
-    record.write_motion(&log, MM, |_, t, way| plain(t, way));
-    let good = along(&[]);
+/// The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
+#[test]
+fn a_table_is_tracked_along_a_motion_however_it_is_written() {
+    let bench = Bench::new();
+    bench.write_motion(MM, |_, t, way| plain(t, way));
+    let good = bench.along("table.csv", &[]);
     assert_eq!(good.code, Some(0), "{}", good.said);
     assert!(good.rmse_mm() < 0.6 && good.status.iter().all(|s| s == "ok"), "{}", good.said);
     assert_eq!(good.summary["method"], "known-motion");
     assert_eq!(good.summary["contacts"].as_array().unwrap().len(), 3, "{}", good.summary);
+    let same = |run: &Run| (run.rmse_mm() - good.rmse_mm()).abs() < 1e-3;
 
-    // The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
-    record.write_motion(&log, "t_s,object_x_m,object_y_m,object_z_m", |_, t, way| {
-        plain(t, way.map(|v| 1e-3 * v))
-    });
-    assert!((along(&[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
-    record.write_motion(&log, MM, |_, t, way| plain(t + 500.0, way));
-    assert!((along(&["--motion-offset-s", "500"]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
-    let posed = "t_s,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
+    bench.write_motion("t_s,object_x_m,object_y_m,object_z_m", |_, t, way| plain(t, way.map(|v| 1e-3 * v)));
+    assert!(same(&bench.along("table.csv", &[])));
+    bench.write_motion(MM, |_, t, way| plain(t + 500.0, way));
+    assert!(same(&bench.along("table.csv", &["--motion-offset-s", "500"])));
     // A quarter turn about z: the base's x is the world's y. The base goes where the object comes from.
     let half = 0.5_f64.sqrt();
-    record.write_motion(&log, posed, |_, t, [x, y, z]| format!("{t},{},{},{},{half},0,0,{half}", y, -x, -z));
-    assert!((along(&[]).rmse_mm() - good.rmse_mm()).abs() < 1e-3);
-    let joined = path("joined.csv");
-    let both = std::fs::read_to_string(&table).unwrap();
-    let columns = record.motion.iter().map(|(_, [x, y, z])| format!("{x},{y},{z}"));
+    bench.write_motion(POSES, |_, t, [x, y, z]| format!("{t},{},{},{},{half},0,0,{half}", y, -x, -z));
+    assert!(same(&bench.along("table.csv", &[])));
+    let table = std::fs::read_to_string(bench.path("table.csv")).unwrap();
+    let columns = bench.record.motion.iter().map(|(_, [x, y, z])| format!("{x},{y},{z}"));
     let columns = std::iter::once("object_x_mm,object_y_mm,object_z_mm".to_owned()).chain(columns);
-    let lines: Vec<String> = both.lines().zip(columns).map(|(a, b)| format!("{a},{b}")).collect();
-    std::fs::write(&joined, lines.join("\n") + "\n").unwrap();
-    let joined = track(&joined, &[]);
-    assert!(
-        (joined.rmse_mm() - good.rmse_mm()).abs() < 1e-3 && !joined.said.contains("not known"),
-        "{}",
-        joined.said
-    );
-    // Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.
-    let none = track(&table, &[]);
+    let lines: Vec<String> = table.lines().zip(columns).map(|(a, b)| format!("{a},{b}")).collect();
+    std::fs::write(bench.path("joined.csv"), lines.join("\n") + "\n").unwrap();
+    let joined = bench.track("joined.csv", &[]);
+    assert!(same(&joined) && !joined.said.contains("not known"), "{}", joined.said);
+}
+
+/// Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.
+#[test]
+fn without_a_motion_every_loaded_reading_has_an_arc() {
+    let bench = Bench::new();
+    let none = bench.track("table.csv", &[]);
     assert_eq!((none.code, &none.summary["method"]), (Some(3), &"moments-alone".into()), "{}", none.said);
     let groove = &none.summary["known_groove"];
     let loaded = none.with_status("motion-lost");
     assert!(loaded as u64 >= groove["compared"].as_u64().unwrap() && loaded > 80, "{}", none.said);
     assert!(groove["coverage90"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
+}
 
-    let along = |more: &[&str]| track(&blind, &[&motion[..], more].concat());
-    // Rows that say so: metres called millimetres, a way reversed, another clock rate, another calibration's moments.
+/// Metres called millimetres, a way reversed, another clock rate, another calibration's moments.
+#[test]
+fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
+    let bench = Bench::new();
     let doubted = |run: &Run, name: &str| {
         assert_eq!(run.code, Some(3), "{name}: {}", run.said);
         assert!(run.with_status("motion-disagrees") > 20 && run.said.contains(name), "{name}: {}", run.said);
     };
-    record.write_motion(&log, MM, |_, t, way| plain(t, way.map(|v| 1e-3 * v)));
-    doubted(&along(&[]), "metres");
-    record.write_motion(&log, MM, |_, t, way| plain(t, way.map(|v| -v)));
-    doubted(&along(&[]), "reversed");
-    let start = record.motion[0].0;
-    record.write_motion(&log, MM, |_, t, way| plain(start + 1.05 * (t - start), way));
-    let slow = along(&[]);
+    bench.write_motion(MM, |_, t, way| plain(t, way.map(|v| 1e-3 * v)));
+    doubted(&bench.along("blind.csv", &[]), "metres");
+    bench.write_motion(MM, |_, t, way| plain(t, way.map(|v| -v)));
+    doubted(&bench.along("blind.csv", &[]), "reversed");
+    let start = bench.record.motion[0].0;
+    bench.write_motion(MM, |_, t, way| plain(start + 1.05 * (t - start), way));
+    let slow = bench.along("blind.csv", &[]);
     assert!(slow.code == Some(3) && slow.with_status("motion-disagrees") > 20, "{}", slow.said);
-    record.write_motion(&log, MM, |_, t, way| plain(t, way));
-    let other = path("other.csv");
-    record.write_table(&other, false, 1.4);
-    let other = track(&other, &motion);
-    assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
 
-    // A pose that is lost, and a jump within a contact: rows that are marked, contacts that are parted.
-    let n = record.motion.len();
-    record.write_motion(
-        &log,
-        MM,
-        |k, t, way| if (10..30).contains(&k) { format!("{t},,,") } else { plain(t, way) },
-    );
-    let lost = along(&[]);
+    bench.write_motion(MM, |_, t, way| plain(t, way));
+    let own = bench.along("blind.csv", &[]);
+    assert_eq!(own.with_status("motion-disagrees"), 0, "control: {}", own.said);
+    bench.record.write_table(&bench.path("other.csv"), false, 1.4);
+    let other = bench.along("other.csv", &[]);
+    assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
+}
+
+/// A pose that is lost, and a jump within a contact: rows that are marked, contacts that are parted.
+#[test]
+fn gaps_and_jumps_of_the_motion_are_marked_and_part_contacts() {
+    let bench = Bench::new();
+    assert!(bench.record.motion.len() > 60);
+    bench.write_motion(MM, |k, t, way| if (10..30).contains(&k) { format!("{t},,,") } else { plain(t, way) });
+    let lost = bench.along("blind.csv", &[]);
     assert_eq!((lost.code, lost.with_status("motion-lost")), (Some(3), 20), "{}", lost.said);
     assert_eq!(lost.summary["motion"]["lost_rows"]["gap"], 20, "{}", lost.summary);
-    let contacts = |run: &Run| run.summary["contacts"].as_array().unwrap().len();
-    record.write_motion(&log, MM, |k, t, way| plain(t, if k < 20 { way } else { way.map(|v| v + 3e4) }));
-    let jumped = along(&[]);
-    assert!(contacts(&jumped) > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
-    assert!(n > 60);
+    bench.write_motion(MM, |k, t, way| plain(t, if k < 20 { way } else { way.map(|v| v + 3e4) }));
+    let jumped = bench.along("blind.csv", &[]);
+    let contacts = jumped.summary["contacts"].as_array().unwrap().len();
+    assert!(contacts > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
+}
 
-    // Errors with exit code 1.
+#[test]
+fn bad_logs_are_refused_by_name() {
+    let bench = Bench::new();
     let refused = |name: &str| {
-        let run = along(&[]);
+        let run = bench.along("blind.csv", &[]);
         assert!(run.code == Some(1) && run.said.contains(name), "{name}: {}", run.said);
     };
-    record.write_motion(&log, MM, |_, t, way| plain(t + 1e6, way));
+    bench.write_motion(MM, |_, t, way| plain(t + 1e6, way));
     refused("overlap");
-    record.write_motion(&log, MM, |_, t, way| plain(1e3 * t, way));
+    bench.write_motion(MM, |_, t, way| plain(1e3 * t, way));
     refused("expected seconds");
-    record.write_motion(&log, MM, |k, t, way| if k == 5 { format!("{t},nan,0,0") } else { plain(t, way) });
+    bench.write_motion(MM, |k, t, way| if k == 5 { format!("{t},nan,0,0") } else { plain(t, way) });
     refused("line 7");
-    record.write_motion(&log, MM, |k, t, way| plain(if k == 5 { t - 1e4 } else { t }, way));
+    bench.write_motion(MM, |k, t, way| plain(if k == 5 { t - 1e4 } else { t }, way));
     refused("expected a later time");
-    record.write_motion(&log, "t_s,x,y,z", |_, t, way| plain(t, way));
+    bench.write_motion("t_s,x,y,z", |_, t, way| plain(t, way));
     refused("object_x_mm");
-    record.write_motion(&log, posed, |_, t, [x, y, z]| format!("{t},{x},{y},{z},1,1,0,0"));
+    bench.write_motion(POSES, |_, t, [x, y, z]| format!("{t},{x},{y},{z},1,1,0,0"));
     refused("unit quaternion");
-    std::fs::write(&log, format!("{MM}\n1,0,0,0\n")).unwrap();
+    std::fs::write(bench.path("motion.csv"), format!("{MM}\n1,0,0,0\n")).unwrap();
     refused("at least two rows");
 }
 
@@ -264,10 +305,8 @@ fn a_table_is_tracked_along_a_logged_motion_and_bad_logs_are_named() {
 fn a_groove_that_is_not_where_the_session_says_is_noticed() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let said = wcal(&["verify", SESSION, "--out", &path("out")]);
-    assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
+    let calibration = verified().join("calibration.json").to_str().unwrap().to_owned();
     let track = |session: &str| {
-        let calibration = path("out/calibration.json");
         let run =
             wcal(&["track", session, "--calibration", &calibration, "--out", &path("track.csv"), "--json"]);
         let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap_or_default();

@@ -2,25 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+#[path = "support/copy.rs"]
+mod copy;
+
+use copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What the bench's scenario moved the groove by, base frame, mm.
 const OFFSET_MM: [f64; 3] = [0.0, 0.06, 0.08];
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        if path.is_dir() {
-            copy(&path, &target);
-        } else {
-            std::fs::copy(&path, &target).unwrap();
-        }
-    }
-}
 
 fn wcal(arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
@@ -49,7 +40,7 @@ fn offsets(document: &Value) -> Option<Vec<[f64; 2]>> {
 fn pictures_tell_where_the_groove_is() {
     let folder = tempfile::tempdir().unwrap();
     let place: PathBuf = folder.path().join("session");
-    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictured"), &place);
+    copy_folder(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictured"), &place);
     let session = place.to_str().unwrap();
     // Negative control: without shapes the same session tells it at least ten times less sharply, if at all.
     let (_, _, blind) = verify(session);

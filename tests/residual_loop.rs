@@ -1,23 +1,16 @@
 //! The program on its own recordings, end to end, with negative controls.
-#![allow(clippy::expect_used, reason = "a test that fails should say where")]
+#![allow(clippy::expect_used, clippy::unwrap_used, reason = "a test that fails should say where")]
 
+#[path = "support/copy.rs"]
+mod copy;
+
+use copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
-}
-
-fn copy(from: &Path) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    for entry in std::fs::read_dir(from).expect("fixture") {
-        let path = entry.expect("entry").path();
-        if path.is_file() {
-            std::fs::copy(&path, folder.path().join(path.file_name().expect("name"))).expect("copied");
-        }
-    }
-    folder
 }
 
 fn verify(session: &Path) -> (i32, Value) {
@@ -87,7 +80,8 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
 
 /// Every row of `points.csv` with `edit` applied to the cell of `column`.
 fn edited(from: &Path, column: &str, edit: impl Fn(usize, f64) -> String) -> tempfile::TempDir {
-    let folder = copy(from);
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(from, folder.path());
     let path = folder.path().join("points.csv");
     let text = std::fs::read_to_string(&path).expect("points");
     let index = text.lines().next().expect("header").split(',').position(|c| c == column).expect("column");
@@ -121,7 +115,8 @@ fn a_perturbed_pose_is_noticed() {
 
 #[test]
 fn the_rods_own_labels_are_taken_without_a_fault() {
-    let folder = copy(&fixture("practice/case-004"));
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(&fixture("practice/case-004"), folder.path());
     let table = folder.path().join("twin.csv");
     let twin = |session: &Path| {
         let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
@@ -154,7 +149,8 @@ fn the_rods_own_labels_are_taken_without_a_fault() {
 
 #[test]
 fn labels_in_another_unit_are_named_so() {
-    let folder = copy(&fixture("whiskerfbg"));
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(&fixture("whiskerfbg"), folder.path());
     let path = folder.path().join("twin.csv");
     let text = std::fs::read_to_string(&path).expect("twin.csv");
     let mut lines = text.lines();
@@ -188,7 +184,8 @@ fn wavelengths_in_picometres_are_refused() {
 
 #[test]
 fn a_perturbed_label_is_found() {
-    let folder = copy(&fixture("whiskerfbg"));
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(&fixture("whiskerfbg"), folder.path());
     let path = folder.path().join("twin.csv");
     let text = std::fs::read_to_string(&path).expect("twin.csv");
     // Point 4 sits on a symmetric trajectory: a large first moment is impossible there.
@@ -253,7 +250,8 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     assert!((mu - 0.1746).abs() < 0.03, "true coefficient 0.1746 (fixtures/practice/truth.json), found {mu}");
 
     // Negative control: sealed rows that were in the fit.
-    let folder = copy(&fixture("practice/case-008"));
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(&fixture("practice/case-008"), folder.path());
     let points = std::fs::read_to_string(folder.path().join("points.csv")).expect("points");
     let copied: Vec<String> = points
         .lines()

@@ -8,6 +8,10 @@
     reason = "a test that fails should say where"
 )]
 
+#[path = "support/copy.rs"]
+mod copy;
+
+use copy::copy_folder;
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -144,19 +148,6 @@ fn worst(pairs: &[PairDocument], truth: &[Option<[f64; 3]>]) -> [f64; 2] {
     worst
 }
 
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        if path.is_dir() {
-            copy(&path, &target);
-        } else {
-            std::fs::copy(&path, &target).unwrap();
-        }
-    }
-}
-
 #[test]
 fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let start = Instant::now();
@@ -254,7 +245,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
 /// A copy of the session in which one pose's pictures each are without tag, unpaired, of another session, and of another time.
 fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
     let place = Path::new(to);
-    copy(Path::new(session), place);
+    copy_folder(Path::new(session), place);
     let list = place.join("pictures/pictures.csv");
     let mut table = std::fs::read_to_string(&list).unwrap();
     // Pictures of the board as those of a pose, with hashes of their own: nobody exchanged the files, and no tag is in them.

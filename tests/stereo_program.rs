@@ -2,9 +2,14 @@
 #![allow(clippy::print_stdout, reason = "a test says what it found")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
+#[path = "support/copy.rs"]
+mod copy;
+
+use copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::LazyLock;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/stereo_bench").join(name)
@@ -17,90 +22,135 @@ fn wcal(arguments: &[&str]) -> (i32, Output, String) {
     (output.status.code().unwrap(), output, text)
 }
 
-fn copy_folder(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+/// Cameras and shapes that several tests read, made once: the fixture's pictures, and in each folder a pair of which both files are empty.
+/// The board's pictures have no mark, the scene's are marked as rendered.
+struct Made {
+    folder: PathBuf,
+    /// Exit code, messages and document of `stereo-calibrate`.
+    calibrated: (i32, String, Value),
+    /// Exit code, standard output and messages of `stereo-shape`.
+    shaped: (i32, Vec<u8>, String),
+    shapes: Value,
+}
+
+impl Made {
+    fn at(&self, name: &str) -> String {
+        self.folder.join(name).display().to_string()
     }
 }
 
-#[test]
-fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
-    let place = tempfile::tempdir().unwrap();
-    let at = |name: &str| place.path().join(name).display().to_string();
-    for (kind, broken) in [("board", "99.png"), ("scene", "t9.png")] {
-        for side in ["left", "right"] {
-            let to = place.path().join(kind).join(side);
-            copy_folder(&fixture(&format!("{kind}/{side}")), &to);
-            std::fs::write(to.join(broken), b"").unwrap();
+fn made() -> &'static Made {
+    static MADE: LazyLock<Made> = LazyLock::new(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("stereo-made");
+        let _ = std::fs::remove_dir_all(&folder);
+        let at = |name: &str| folder.join(name).display().to_string();
+        for (kind, broken) in [("board", "99.png"), ("scene", "t9.png")] {
+            for side in ["left", "right"] {
+                let to = folder.join(kind).join(side);
+                copy_folder(&fixture(&format!("{kind}/{side}")), &to);
+                std::fs::write(to.join(broken), b"").unwrap();
+            }
         }
-    }
-    let (left, right) = (at("board/left"), at("board/right"));
-    let board = ["stereo-calibrate", &left, &right, "--square-mm", "6", "--board"];
+        let calibrate = ["stereo-calibrate", &at("board/left"), &at("board/right"), "--square-mm", "6"];
+        let more = ["--board", "9x6", "--out", &at("calibration"), "--json"];
+        let (code, output, text) = wcal(&[&calibrate[..], &more].concat());
+        let document = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
+        let calibrated = (code, text, document);
+        std::fs::copy(fixture("scene/SIMULATED"), folder.join("scene/SIMULATED")).unwrap();
+        let cameras = at("calibration/stereo.json");
+        let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras];
+        let more = ["--rig", &rig(), "--out", &at("shapes"), "--overlays", "--report"];
+        let (code, output, text) = wcal(&[&shape[..], &more].concat());
+        let shapes =
+            std::fs::read(folder.join("shapes/shapes.json")).unwrap_or_else(|e| panic!("{e}: {text}"));
+        let shapes = serde_json::from_slice(&shapes).unwrap();
+        Made { folder, calibrated, shaped: (code, output.stdout, text), shapes }
+    });
+    &MADE
+}
 
-    let refused = at("refused");
-    let (code, _, text) = wcal(&[&board[..], &["8x6", "--out", &refused]].concat());
-    assert_eq!(code, 1, "{text}");
-    assert!(text.contains("wrong board size"), "{text}");
-    assert!(!Path::new(&refused).join("stereo.json").exists());
-    assert_eq!(wcal(&[&board[..], &["6", "--out", &refused]].concat()).0, 2);
+fn rig() -> String {
+    fixture("rig.toml").display().to_string()
+}
 
-    // A side in metres is asked about, not believed.
-    let metres =
-        ["stereo-calibrate", &left, &right, "--square-mm", "0.006", "--board", "9x6", "--out", &refused];
-    let (code, _, text) = wcal(&metres);
-    assert_eq!(code, 1, "{text}");
-    assert!(text.contains("is it 6 mm") && text.contains("--small-squares"), "{text}");
-    assert!(!Path::new(&refused).exists());
-
-    let calibration = at("calibration");
-    let (code, output, text) = wcal(&[&board[..], &["9x6", "--out", &calibration, "--json"]].concat());
-    assert_eq!(code, 3, "a pair was left out: {text}");
+#[test]
+fn board_pictures_become_cameras_and_empty_files_are_named() {
+    let (code, text, document) = &made().calibrated;
+    assert_eq!(*code, 3, "a pair was left out: {text}");
     assert!(text.contains("99") && text.contains("zero bytes"), "{text}");
-    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(document["format"], "wcal-stereo/1");
     assert!(document["rms_px"].as_f64().unwrap() < 0.03);
     assert!(!document["provenance"]["inputs"].as_array().unwrap().is_empty());
     assert!(document["provenance"].get("simulated").is_none() && !text.contains("SIMULATED"), "no mark");
-    // The scene's pictures are marked as rendered, as the fixture's are.
-    std::fs::copy(fixture("scene/SIMULATED"), place.path().join("scene/SIMULATED")).unwrap();
+}
 
-    let (cameras, rig, out) =
-        (format!("{calibration}/stereo.json"), fixture("rig.toml").display().to_string(), at("shapes"));
-    let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras, "--out", &out];
-    let (code, output, text) = wcal(&[&shape[..], &["--rig", &rig, "--overlays", "--report"]].concat());
-    assert_eq!(code, 3, "a pair was rejected: {text}");
-    assert!(output.stdout.is_empty());
-    let shapes: Value =
-        serde_json::from_slice(&std::fs::read(Path::new(&out).join("shapes.json")).unwrap()).unwrap();
-    for pair in shapes["pairs"].as_array().unwrap() {
+#[test]
+fn a_wrong_board_is_refused_and_a_side_in_metres_is_asked_about() {
+    let place = tempfile::tempdir().unwrap();
+    let refused = place.path().join("refused").display().to_string();
+    let (left, right) =
+        (fixture("board/left").display().to_string(), fixture("board/right").display().to_string());
+    let calibrate = |side_mm: &str, board: &str| {
+        let pictures = ["stereo-calibrate", &left, &right, "--square-mm", side_mm];
+        wcal(&[&pictures[..], &["--board", board, "--out", &refused]].concat())
+    };
+    let (code, _, text) = calibrate("6", "8x6");
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("wrong board size"), "{text}");
+    assert!(!Path::new(&refused).join("stereo.json").exists());
+    assert_eq!(calibrate("6", "6").0, 2);
+    let (code, _, text) = calibrate("0.006", "9x6");
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("is it 6 mm") && text.contains("--small-squares"), "{text}");
+    assert!(!Path::new(&refused).exists());
+}
+
+#[test]
+fn scene_pictures_become_shapes_with_the_reason_of_each_rejected_pair() {
+    let made = made();
+    let (code, output, text) = &made.shaped;
+    assert_eq!(*code, 3, "a pair was rejected: {text}");
+    assert!(output.is_empty());
+    for pair in made.shapes["pairs"].as_array().unwrap() {
         let broken = pair["name"] == "t9";
         assert_eq!(pair["status"], if broken { "rejected" } else { "ok" }, "{pair}");
         assert_eq!(broken, pair["why"].as_str().unwrap().contains("zero bytes"), "{pair}");
     }
-    assert!(Path::new(&out).join("overlay-t1-right.png").exists());
-    let report = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
+    assert!(Path::new(&made.at("shapes/overlay-t1-right.png")).exists());
+    let report = std::fs::read_to_string(made.at("shapes/report.html")).unwrap();
     let outside = report.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
     assert!(report.contains("<canvas") && report.contains("zero bytes") && !outside.contains("://"));
     assert!(report.contains("SIMULATED") && text.contains("SIMULATED"), "{text}");
-    assert_eq!(shapes["provenance"]["simulated"], true);
-    marks_of_exports(&place, &calibration);
+    assert_eq!(made.shapes["provenance"]["simulated"], true);
+}
 
-    other_tools_cameras(&place, &calibration, &shapes);
+#[test]
+fn without_a_base_tag_in_any_pair_there_are_no_shapes() {
+    let (place, made) = (tempfile::tempdir().unwrap(), made());
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let other = std::fs::read_to_string(rig()).unwrap().replace("id = 0", "id = 17");
+    std::fs::write(at("other.toml"), other).unwrap();
+    let cameras = made.at("calibration/stereo.json");
+    let shape = ["stereo-shape", &made.at("scene/left"), &made.at("scene/right"), "--cameras", &cameras];
+    let (code, _, text) = wcal(&[&shape[..], &["--rig", &at("other.toml"), "--out", &at("none")]].concat());
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("base tag"), "{text}");
+}
 
-    // The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and 61.
-    let nominal = std::fs::read_to_string(&rig).unwrap();
-    let table: toml::Table = nominal.parse().unwrap();
-    let mut other = table.clone();
-    let whisker = other["whisker"].as_table_mut().unwrap();
+/// The rest geometry that the shapes are of: drawn with 30, 20 and 60 mm; nominal here 29, 21 and 61.
+#[test]
+fn shapes_become_the_rest_geometry_and_a_model() {
+    let (place, made) = (tempfile::tempdir().unwrap(), made());
+    let mut other: toml::Table = std::fs::read_to_string(rig()).unwrap().parse().unwrap();
+    let nominal = other["whisker"].as_table_mut().unwrap();
     for (key, value) in [("straight_mm", 29.0), ("arc_radius_mm", 21.0), ("length_mm", 61.0)] {
-        whisker.insert(key.to_owned(), value.into());
+        nominal.insert(key.to_owned(), value.into());
     }
-    std::fs::write(place.path().join("nominal.toml"), other.to_string()).unwrap();
-    let (shapes, whisker) = (format!("{out}/shapes.json"), at("whisker"));
-    let fit = ["fit-whisker", &shapes, "--out", &whisker, "--json", "--rig"];
-    let (code, output, text) = wcal(&[&fit[..], &[&at("nominal.toml")]].concat());
+    let at = |name: &str| place.path().join(name).display().to_string();
+    std::fs::write(at("nominal.toml"), other.to_string()).unwrap();
+    let whisker = at("whisker");
+    let fit = ["fit-whisker", &made.at("shapes/shapes.json"), "--out", &whisker, "--json"];
+    let (code, output, text) = wcal(&[&fit[..], &["--rig", &at("nominal.toml")]].concat());
     assert_eq!(code, 3, "one shape was left out: {text}");
     assert!(text.contains("t9 is left out: ") && text.contains("zero bytes"), "{text}");
     let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -127,57 +177,55 @@ fn board_pictures_to_cameras_to_shapes_with_broken_files_among_them() {
     // The model says what it was made from.
     let inputs = written["provenance"]["inputs"].as_array().unwrap();
     assert!(inputs.len() == 2 && inputs.iter().all(|i| model.contains(i["sha256"].as_str().unwrap())));
-    stiffness_from_moments(&place, &shapes, &rig);
-    std::fs::write(place.path().join("none.json"), "{}").unwrap();
-    let none = ["fit-whisker", &at("none.json"), "--out", &whisker, "--rig", &rig];
+}
+
+#[test]
+fn fit_whisker_refuses_other_documents_and_targets_that_no_wire_can_have() {
+    let (place, made) = (tempfile::tempdir().unwrap(), made());
+    let at = |name: &str| place.path().join(name).display().to_string();
+    std::fs::write(at("none.json"), "{}").unwrap();
+    let none = ["fit-whisker", &at("none.json"), "--out", &at("refused"), "--rig", &rig()];
     let (code, _, text) = wcal(&none);
     assert!(code == 1 && text.contains("none.json: expected shapes.json of `wcal stereo-shape`"), "{text}");
-    // Targets that no wire can have, before anything is written.
     for (target, words) in [
         (["--ripple-nmm", "nan"], "--ripple-nmm: expected 0 or more, found NaN"),
         (["--speed-bias", "-3"], "--speed-bias: expected a share between -1 and 1"),
         (["--bounce-ratio", "5"], "--bounce-ratio: expected above 0 and at most 1, found 5"),
     ] {
-        let refused = ["fit-whisker", &shapes, "--rig", &rig, "--out", &at("refused"), "--dynamics"];
+        let shapes = made.at("shapes/shapes.json");
+        let refused = ["fit-whisker", &shapes, "--rig", &rig(), "--out", &at("refused"), "--dynamics"];
         let (code, _, text) = wcal(&[&refused[..], &target].concat());
         assert!(code == 1 && text.contains(words), "{text}");
         assert!(!place.path().join("refused").exists(), "{target:?} left something behind");
     }
-
-    // No base tag in any pair: an error, and the reasons are on file.
-    let text = std::fs::read_to_string(&rig).unwrap().replace("id = 0", "id = 17");
-    std::fs::write(place.path().join("other.toml"), text).unwrap();
-    let (code, _, text) = wcal(&[&shape[..], &["--rig", &at("other.toml")]].concat());
-    assert_eq!(code, 1, "{text}");
-    assert!(text.contains("base tag"), "{text}");
 }
 
-/// The exported cameras give the same shapes, with a warning that their errors are not known; a reference tells other pixel centres.
 /// Calibrated from rendered pictures, the other tools' files and the overlays say so; from others they do not.
-fn marks_of_exports(place: &tempfile::TempDir, unmarked: &str) {
+#[test]
+fn files_for_other_programs_say_where_pictures_are_rendered() {
+    let (place, made) = (tempfile::tempdir().unwrap(), made());
     let at = |name: &str| place.path().join(name).display().to_string();
-    let board = place.path().join("board");
-    std::fs::copy(fixture("scene/SIMULATED"), board.join("SIMULATED")).unwrap();
+    copy_folder(&made.folder.join("board"), &place.path().join("board"));
+    std::fs::copy(fixture("scene/SIMULATED"), place.path().join("board/SIMULATED")).unwrap();
     let marked = at("marked");
     let (left, right) = (at("board/left"), at("board/right"));
     let (code, _, text) =
         wcal(&["stereo-calibrate", &left, &right, "--square-mm", "6", "--board", "9x6", "--out", &marked]);
     assert_eq!(code, 3, "{text}");
-    std::fs::remove_file(board.join("SIMULATED")).unwrap();
     let exports = |folder: &str| {
         let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
         let yaml = files.filter(|f| f.extension().is_some_and(|e| e == "yml" || e == "yaml"));
         yaml.map(|f| std::fs::read_to_string(f).unwrap()).collect::<Vec<_>>()
     };
     assert!(exports(&marked).len() == 4 && exports(&marked).iter().all(|f| f.contains("# SIMULATED")));
-    assert!(exports(unmarked).iter().all(|f| !f.contains("SIMULATED")), "negative control");
+    assert!(exports(&made.at("calibration")).iter().all(|f| !f.contains("SIMULATED")), "negative control");
     // A reader of the other tool's file takes the remark as one.
     let cameras = at("marked/opencv.yml");
-    let (rig, out) = (fixture("rig.toml").display().to_string(), at("by-marked"));
+    let (rig, out) = (rig(), at("by-marked"));
     let (code, _, text) = wcal(&[
         "stereo-shape",
-        &at("scene/left"),
-        &at("scene/right"),
+        &made.at("scene/left"),
+        &made.at("scene/right"),
         "--cameras",
         &cameras,
         "--rig",
@@ -188,7 +236,10 @@ fn marks_of_exports(place: &tempfile::TempDir, unmarked: &str) {
     assert_eq!(code, 3, "{text}");
 }
 
-fn other_tools_cameras(place: &tempfile::TempDir, calibration: &str, shapes: &Value) {
+/// The exported cameras give the same shapes, with a warning that their errors are not known; a reference tells other pixel centres.
+#[test]
+fn cameras_come_back_from_the_files_of_other_programs() {
+    let (place, made) = (tempfile::tempdir().unwrap(), made());
     let at = |name: &str| place.path().join(name).display().to_string();
     let one = |shapes: &Value| -> Vec<f64> {
         let pair = shapes["pairs"].as_array().unwrap().iter().find(|p| p["name"] == "t1").unwrap();
@@ -203,19 +254,24 @@ fn other_tools_cameras(place: &tempfile::TempDir, calibration: &str, shapes: &Va
     for side in ["left", "right"] {
         copy_folder(&fixture("board").join(side), &place.path().join("whole").join(side));
     }
-    let rig = fixture("rig.toml").display().to_string();
-    let export = |name: &str| format!("{calibration}/{name}");
+    let rig = rig();
+    let export = |name: &str| made.at(&format!("calibration/{name}"));
     for cameras in [vec![export("opencv.yml")], vec![export("ros-left.yaml"), export("ros-right.yaml")]] {
         let out = at("imported");
-        let mut shape =
-            vec!["stereo-shape".to_owned(), at("scene/left"), at("scene/right"), "--rig".into(), rig.clone()];
+        let mut shape = vec![
+            "stereo-shape".to_owned(),
+            made.at("scene/left"),
+            made.at("scene/right"),
+            "--rig".into(),
+            rig.clone(),
+        ];
         shape.extend(["--out".into(), out.clone(), "--cameras".into()]);
         shape.extend(cameras.clone());
         let (code, _, text) = wcal(&shape.iter().map(String::as_str).collect::<Vec<_>>());
         assert!(code == 3 && text.contains("no errors of the cameras"), "{text}");
         let found: Value =
             serde_json::from_slice(&std::fs::read(Path::new(&out).join("shapes.json")).unwrap()).unwrap();
-        let (found, expected) = (one(&found), one(shapes));
+        let (found, expected) = (one(&found), one(&made.shapes));
         let off = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(found.len() == expected.len() && off < 0.01, "{cameras:?}: {off} mm");
     }
@@ -251,7 +307,10 @@ fn other_tools_cameras(place: &tempfile::TempDir, calibration: &str, shapes: &Va
 }
 
 /// Moments that a wire of 68 GPa has at nine poses (SIMULATED by the rod), one of them wrong: the modulus comes back, the wrong one is named.
-fn stiffness_from_moments(place: &tempfile::TempDir, shapes: &str, rig: &str) {
+#[test]
+fn known_moments_give_the_stiffness_and_a_wrong_one_is_named() {
+    let place = tempfile::tempdir().unwrap();
+    let (shapes, rig) = (&made().at("shapes/shapes.json")[..], &rig()[..]);
     let at = |name: &str| place.path().join(name).to_str().unwrap().to_owned();
     std::fs::create_dir(at("moments")).unwrap();
     let mut session = "format = \"wcal-session/1\"\nid = \"moments\"\nkind = \"whisker\"\nmedium = \"air\"\n\

@@ -12,7 +12,7 @@ use wcal_session::LoadedSession;
 use wcal_trace::scalar::ScalarModel;
 use wcal_trace::whisker::PhysicalModel;
 
-/// The model in a calibration, told apart by `kind`.
+/// The model in a calibration, distinguished by `kind`.
 #[allow(clippy::large_enum_variant, reason = "one a program run")]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
@@ -38,7 +38,7 @@ pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
     }
 }
 
-/// The one place that tells the kinds apart.
+/// The one place that distinguishes the kinds.
 impl std::ops::Deref for CalibrationModel {
     type Target = dyn Calibration;
 

@@ -56,7 +56,7 @@ impl Calibration for ScalarModel {
         let stimulus = column(&table, if axis { "commanded_mm" } else { "stimulus" }, axis)?;
         let inverse = stimulus.is_none();
         let response = if inverse { column(&table, "response", true)? } else { None };
-        // What was measured at the places that are predicted stands beside the prediction.
+        // What was measured at the places that are predicted is written next to the prediction.
         let measured = match (inverse, axis) {
             (true, _) => None,
             (false, true) => gappy_column(&table, "measured_mm")?,

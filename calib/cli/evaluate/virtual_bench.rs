@@ -16,7 +16,7 @@ use std::path::Path;
 use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::{SessionData, verify_document::Verdict};
-use wcal_map::{Candidate, FitOptions, fit_map};
+use wcal_map::{FitOptions, MapKind, fit_map};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::session::draw_on;
@@ -98,11 +98,11 @@ impl VirtualBench {
             FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
         let training = training_set(data, &labels).0;
         let map = fit_map(&training, &options)?.artefact;
-        let one_kind = |kind: Candidate| {
+        let one_kind = |kind: MapKind| {
             let options = FitOptions { candidates: vec![kind], ..options.clone() };
             Ok((kind.name(), CalibrationModel::Map(fit_map(&training, &options)?.artefact)))
         };
-        let maps = Candidate::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
+        let maps = MapKind::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
         let mut out = OutputFolder::open(&verify::RESULT, &folder.join("verify"), false)?;
         let report = verify_session(&session, &mut out, &VerifyOrder { seed, ..VerifyOrder::default() })?;
         out.finish()?;

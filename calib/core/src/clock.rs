@@ -8,7 +8,7 @@ const LATE_WALL_S: f64 = 2.0;
 /// stage was, s.
 const LATE_BENCH_S: f64 = 50.0;
 
-/// Host clock: seconds since the Unix epoch, monotonic; runs `scale` times as fast beside an accelerated virtual bench.
+/// Host clock: seconds since the Unix epoch, monotonic; runs `scale` times as fast with an accelerated virtual bench.
 #[derive(Debug, Clone, Copy)]
 pub struct HostClock {
     start: Instant,

@@ -32,7 +32,7 @@ pub enum DeviceErrorKind {
     OutOfRange,
     /// The device marks its own data as invalid.
     DataInvalid,
-    /// A grating has no peak, or two gratings cannot be told apart.
+    /// A grating has no peak, or two gratings cannot be distinguished.
     PeakLost,
     /// The device says that it is too hot, too cold or out of calibration.
     Health,

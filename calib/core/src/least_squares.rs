@@ -11,7 +11,7 @@
 //! moves the place: unknowns may be poses, and steps clamped.
 
 use nalgebra::allocator::Allocator;
-use nalgebra::{DefaultAllocator, Dim, DimMin, OMatrix, OVector};
+use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimMin, Dyn, OMatrix, OVector};
 
 /// A least-squares problem linearised at a place.
 pub trait Linearised {
@@ -55,6 +55,50 @@ where
             damped[(k, k)] *= 1.0 + damping;
         }
         Some(damped.cholesky()?.solve(&self.descent))
+    }
+}
+
+/// Normal equations of unknowns that stay within bounds: what a bound holds back takes no part in the step (active set; Nocedal & Wright,
+/// sec. 16.7). The step may still cross a bound that was not yet reached: `moved` cuts it there.
+#[derive(Debug, Clone)]
+pub struct BoundedNormalEquations {
+    /// Without bounds.
+    pub free: NormalEquations<Dyn>,
+    /// Whether each unknown may fall and rise.
+    pub may: Vec<[bool; 2]>,
+}
+
+impl Linearised for BoundedNormalEquations {
+    type Step = DVector<f64>;
+
+    fn cost(&self) -> f64 {
+        self.free.cost
+    }
+
+    fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        let size = self.free.descent.len();
+        let mut open: Vec<usize> = (0..size).collect();
+        // Each pass takes out one unknown that pushes against its bound.
+        loop {
+            let mut step = DVector::zeros(size);
+            if open.is_empty() {
+                return Some(step);
+            }
+            let at = |i: usize, j: usize| self.free.matrix[(open[i], open[j])];
+            let matrix = DMatrix::from_fn(open.len(), open.len(), at);
+            let descent = DVector::from_fn(open.len(), |i, _| self.free.descent[open[i]]);
+            let short = NormalEquations { cost: self.free.cost, matrix, descent }.step(damping)?;
+            open.iter().zip(short.iter()).for_each(|(k, d)| step[*k] = *d);
+            let pushing = open
+                .iter()
+                .position(|&k| (step[k] < 0.0 && !self.may[k][0]) || (step[k] > 0.0 && !self.may[k][1]));
+            match pushing {
+                Some(at) => {
+                    open.remove(at);
+                }
+                None => return Some(step),
+            }
+        }
     }
 }
 
@@ -188,6 +232,33 @@ mod tests {
         let first = (start, fenced(&start).unwrap());
         let found = minimise(first, &damping, fenced, |p, _, d| p + d, |_, _| false);
         assert!(found.place.x < 0.5 && found.place.x > 0.4, "{}", found.place);
+    }
+
+    #[test]
+    fn a_bound_holds_one_unknown_and_lets_the_others_go_down() {
+        // r = (x + y - 3, x - y - 1): the bottom is (2, 1); with x <= 1.5 it is (1.5, 1), by hand.
+        let top = 1.5;
+        let at = |p: &DVector<f64>| {
+            let r = Vector2::new(p[0] + p[1] - 3.0, p[0] - p[1] - 1.0);
+            let j = Matrix2::new(1.0, 1.0, 1.0, -1.0);
+            let (matrix, descent) = (j.tr_mul(&j), -j.tr_mul(&r));
+            let free = NormalEquations {
+                cost: r.norm_squared(),
+                matrix: DMatrix::from_column_slice(2, 2, matrix.as_slice()),
+                descent: DVector::from_column_slice(descent.as_slice()),
+            };
+            Some(BoundedNormalEquations { free, may: vec![[true, p[0] < top], [true, true]] })
+        };
+        let cut =
+            |p: &DVector<f64>, d: &DVector<f64>| DVector::from_vec(vec![(p[0] + d[0]).min(top), p[1] + d[1]]);
+        let start = DVector::from_vec(vec![0.0, 0.0]);
+        let first = (start.clone(), at(&start).unwrap());
+        let found =
+            minimise(first.clone(), &Damping::default(), at, |p, _, d| cut(p, d), |d, _| d.norm() < 1e-12);
+        assert!((found.place - DVector::from_vec(vec![1.5, 1.0])).norm() < 1e-6);
+        // Control: without the bound the bottom lies beyond it.
+        let found = minimise(first, &Damping::default(), at, |p, _, d| p + d, |d, _| d.norm() < 1e-12);
+        assert!(found.place[0] <= top + 1.0 && found.place[0] > top);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Readings that no fit may see, held apart by type: they come out by [`Sealed::unseal`] alone, which leaves a record.
+//! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone, which leaves a record.
 
 use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ pub struct Seal {
 pub struct Unsealing {
     /// Files whose rows came out, by hash.
     pub files: Vec<InputFile>,
-    /// One of them had been unsealed before: the error is no first look.
+    /// One of them had been unsealed before: the error is not of the first use.
     pub seen_before: bool,
     /// By which program.
     pub program: String,

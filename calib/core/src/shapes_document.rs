@@ -120,7 +120,7 @@ pub struct PairErrors {
     pub shared: Vec<ErrorColumn>,
 }
 
-/// What the shapes were made from: verified before they are used beside other data.
+/// What the shapes were made from: verified before they are used with other data.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ShapesSource {
     /// SHA-256 of the calibration file (stereo.json; of all files, in order, where it has several).

@@ -9,7 +9,7 @@ impl Flags {
     pub const GAP: Self = Self(1);
     /// A sensing grating has no peak.
     pub const PEAK_LOST: Self = Self(2);
-    /// Gratings that cannot be told apart.
+    /// Gratings that cannot be distinguished.
     pub const CROSSING: Self = Self(4);
     /// The strain-isolated grating has no peak.
     pub const REFERENCE_LOST: Self = Self(8);

@@ -10,14 +10,14 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Instant;
-use wcal_map::{Candidate, FitOptions, fit_map};
+use wcal_map::{FitOptions, MapKind, fit_map};
 
 #[path = "../tests/support/mod.rs"]
 mod support;
 
 /// The candidates that scikit-learn fits in tests/peers/map_peers.py.
-const PEERS: [Candidate; 4] =
-    [Candidate::Affine, Candidate::Quadratic, Candidate::ThinPlateConstant, Candidate::Matern52];
+const PEERS: [MapKind; 4] =
+    [MapKind::Affine, MapKind::Quadratic, MapKind::ThinPlateConstant, MapKind::Matern52];
 
 fn fit(c: &mut Criterion) {
     let training = support::whiskerfbg();

@@ -13,14 +13,14 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Instant;
-use wcal_map::{Candidate, FitOptions, MapPredictor, fit_map};
+use wcal_map::{FitOptions, MapKind, MapPredictor, fit_map};
 
 #[path = "../tests/support/mod.rs"]
 mod support;
 
 fn stream(c: &mut Criterion) {
     let training = support::whiskerfbg();
-    for candidate in [Candidate::Affine, Candidate::ThinPlate, Candidate::Matern52] {
+    for candidate in [MapKind::Affine, MapKind::ThinPlate, MapKind::Matern52] {
         let options = FitOptions { candidates: vec![candidate], ..FitOptions::default() };
         let fit = fit_map(&training, &options).expect("the measured set can be fitted");
         // One map a whisker: 16 predictors, as a stream of 16 whiskers would hold them.

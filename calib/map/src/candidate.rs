@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Candidates, simplest first: the order in which ties are decided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Candidate {
+pub enum MapKind {
     /// Affine least squares.
     Affine,
     /// Quadratic least squares.
@@ -27,7 +27,7 @@ pub enum Candidate {
     Matern52,
 }
 
-impl Candidate {
+impl MapKind {
     /// Every candidate, simplest first.
     pub const ALL: [Self; 6] = [
         Self::Affine,
@@ -202,7 +202,7 @@ pub(crate) trait Recipe {
 
 /// Hyperparameters by a criterion, anew in each fold.
 pub(crate) struct Searched {
-    pub candidate: Candidate,
+    pub candidate: MapKind,
     pub criterion: Criterion,
     pub diameter: f64,
     pub radius: f64,

@@ -1,7 +1,7 @@
 //! From a training set to a chosen map.
 
 use crate::artefact::{ARTEFACT_VERSION, MapArtefact};
-use crate::candidate::{Candidate, CandidateFit, Fixed, Scaled, Searched, fit_candidate};
+use crate::candidate::{CandidateFit, Fixed, MapKind, Scaled, Searched, fit_candidate};
 use crate::choose::{Choice, choose};
 use crate::error::MapError;
 use crate::evidence::Criterion;
@@ -18,7 +18,7 @@ pub const MAX_PROCESS_READINGS: usize = 800;
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitOptions {
     /// Candidates, simplest first.
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<MapKind>,
     /// What the hyperparameters maximise.
     pub criterion: Criterion,
     /// The released code's map instead of the candidates.
@@ -38,7 +38,7 @@ pub struct FitOptions {
 impl Default for FitOptions {
     fn default() -> Self {
         Self {
-            candidates: Candidate::ALL.to_vec(),
+            candidates: MapKind::ALL.to_vec(),
             criterion: Criterion::Evidence,
             released: false,
             margin: DEFAULT_MARGIN,

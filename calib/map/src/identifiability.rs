@@ -181,7 +181,7 @@ fn sorted_singular(m: &Matrix2<f64>) -> [f64; 2] {
     [s.max(), s.min()]
 }
 
-/// Covariance with divisor n: deviations beside the root mean square errors.
+/// Covariance with divisor n: deviations next to the root mean square errors.
 fn covariance(pairs: &[[f64; 2]]) -> Matrix2<f64> {
     let n = pairs.len() as f64;
     let mean = pairs.iter().map(|p| Vector2::from(*p)).sum::<Vector2<f64>>() / n;

@@ -29,7 +29,7 @@ mod training;
 mod trend;
 
 pub use artefact::{ARTEFACT_VERSION, MapArtefact, OutputMap};
-pub use candidate::{Candidate, CandidateFit, LeftOutSummary, Scaled};
+pub use candidate::{CandidateFit, LeftOutSummary, MapKind, Scaled};
 pub use choose::{Choice, choose};
 pub use document::document;
 pub use error::MapError;

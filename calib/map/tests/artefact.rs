@@ -5,9 +5,9 @@
 mod support;
 
 use support::Plant;
-use wcal_map::{Candidate, FitOptions, MapArtefact, MapError, MapPredictor, MapTraining, fit_map};
+use wcal_map::{FitOptions, MapArtefact, MapError, MapKind, MapPredictor, MapTraining, fit_map};
 
-fn bent(candidate: Candidate) -> (MapTraining, wcal_map::MapFit) {
+fn bent(candidate: MapKind) -> (MapTraining, wcal_map::MapFit) {
     let training = Plant { bend: 0.3, noise_nmm: 0.02 }.draw(9, 21);
     let options = FitOptions { candidates: vec![candidate], ..FitOptions::default() };
     let fit = fit_map(&training, &options).unwrap();
@@ -16,7 +16,7 @@ fn bent(candidate: Candidate) -> (MapTraining, wcal_map::MapFit) {
 
 #[test]
 fn predictor_of_a_stored_map_equals_the_fit() {
-    for candidate in Candidate::ALL {
+    for candidate in MapKind::ALL {
         let (_, fit) = bent(candidate);
         let json = serde_json::to_string(&fit.artefact).unwrap();
         let read: MapArtefact = serde_json::from_str(&json).unwrap();
@@ -42,7 +42,7 @@ fn predictor_of_a_stored_map_equals_the_fit() {
 
 #[test]
 fn a_reading_outside_the_region_is_not_valid() {
-    let (training, fit) = bent(Candidate::ThinPlate);
+    let (training, fit) = bent(MapKind::ThinPlate);
     let mut predictor = MapPredictor::new(&fit.artefact).unwrap();
     assert!(training.shifts_pm.iter().all(|s| predictor.predict(*s).is_valid()));
     let far = predictor.predict([1000.0, 0.0]);
@@ -54,7 +54,7 @@ type Damage = fn(&mut MapArtefact);
 
 #[test]
 fn unsound_artefacts_are_refused() {
-    let (_, fit) = bent(Candidate::ThinPlateConstant);
+    let (_, fit) = bent(MapKind::ThinPlateConstant);
     let damages: [(&str, Damage); 8] = [
         ("version", |a| a.version = 2),
         ("alpha", |a| a.outputs[0].alpha.truncate(1)),
@@ -86,7 +86,7 @@ fn unsound_training_sets_are_refused() {
     assert!(matches!(fit(&MapTraining::default()), Err(MapError::TooFew { found: 0, .. })));
     let mut line = good.clone();
     line.shifts_pm.iter_mut().for_each(|s| s[1] = 2.0 * s[0]);
-    let options = FitOptions { candidates: vec![Candidate::Affine], ..FitOptions::default() };
+    let options = FitOptions { candidates: vec![MapKind::Affine], ..FitOptions::default() };
     assert!(matches!(fit_map(&line, &options), Err(MapError::NoCandidate { .. })));
 }
 
@@ -100,9 +100,9 @@ fn readings_of_one_pose_are_left_out_together() {
     training.moments_nmm.extend_from_within(..);
     training.trajectory.extend_from_within(..);
     training.point.extend(n as i64..2 * n as i64);
-    let options = FitOptions { candidates: vec![Candidate::Affine], ..FitOptions::default() };
+    let options = FitOptions { candidates: vec![MapKind::Affine], ..FitOptions::default() };
     let together = fit_map(&training, &options).unwrap().candidates[0].loo[0].rmse_nmm;
     training.pose.clear();
-    let apart = fit_map(&training, &options).unwrap().candidates[0].loo[0].rmse_nmm;
-    assert!(together > 1.03 * apart, "{together} {apart}");
+    let separate = fit_map(&training, &options).unwrap().candidates[0].loo[0].rmse_nmm;
+    assert!(together > 1.03 * separate, "{together} {separate}");
 }

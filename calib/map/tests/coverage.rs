@@ -6,14 +6,13 @@ mod support;
 
 use support::Plant;
 use wcal_map::{
-    Candidate, FitOptions, Kernel, MapPredictor, Process, ProcessModel, Trend, binomial_bounds, fit_map,
-    half95,
+    FitOptions, Kernel, MapKind, MapPredictor, Process, ProcessModel, Trend, binomial_bounds, fit_map, half95,
 };
 
 const DRAWS: u64 = 120;
 
 /// Draws whose new label at one fresh reading lies in its stated 95 % interval, per moment (one a draw: independent).
-fn hits(plant: &Plant, candidates: &[Candidate], inflate: bool) -> [usize; 2] {
+fn hits(plant: &Plant, candidates: &[MapKind], inflate: bool) -> [usize; 2] {
     let mut hits = [0, 0];
     for seed in 0..DRAWS {
         let training = plant.draw(9, 1000 + seed);
@@ -34,7 +33,7 @@ fn hits(plant: &Plant, candidates: &[Candidate], inflate: bool) -> [usize; 2] {
 
 #[test]
 fn intervals_of_the_affine_map_cover_an_affine_sensor() {
-    let found = hits(&Plant { bend: 0.0, noise_nmm: 0.1 }, &[Candidate::Affine], false);
+    let found = hits(&Plant { bend: 0.0, noise_nmm: 0.1 }, &[MapKind::Affine], false);
     let bounds = binomial_bounds(DRAWS as usize, 0.95);
     assert!(
         found.iter().all(|h| (bounds[0]..=bounds[1]).contains(h)),
@@ -46,7 +45,7 @@ fn intervals_of_the_affine_map_cover_an_affine_sensor() {
 fn intervals_of_the_thin_plate_cover_a_bent_sensor() {
     let plant = Plant { bend: 0.3, noise_nmm: 0.03 };
     let bounds = binomial_bounds(DRAWS as usize, 0.95);
-    let found = hits(&plant, &[Candidate::ThinPlate], true);
+    let found = hits(&plant, &[MapKind::ThinPlate], true);
     assert!(found.iter().all(|h| *h >= bounds[0]), "{found:?} of {DRAWS}, bounds {bounds:?}");
 }
 
@@ -73,7 +72,7 @@ fn understated_noise_is_seen_as_missing_coverage() {
 #[test]
 fn the_thin_plate_is_chosen_where_the_sensor_bends_and_the_affine_map_where_it_does_not() {
     let options = FitOptions {
-        candidates: vec![Candidate::Affine, Candidate::ThinPlate, Candidate::Matern52],
+        candidates: vec![MapKind::Affine, MapKind::ThinPlate, MapKind::Matern52],
         ..FitOptions::default()
     };
     let bent = fit_map(&Plant { bend: 0.5, noise_nmm: 0.01 }.draw(12, 3), &options).unwrap();

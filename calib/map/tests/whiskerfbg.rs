@@ -16,7 +16,7 @@ fn affine_map_leaves_the_reference_errors() {
     let training = whiskerfbg();
     assert_eq!(training.len(), 28);
     let fit = fit_map(&training, &FitOptions::default()).unwrap();
-    // Computed apart from this code (numpy least squares and hat matrix): 0.497299, 0.242948 N mm.
+    // Computed independently of this code (numpy least squares and hat matrix): 0.497299, 0.242948 N mm.
     let affine = rmse(&fit, "affine");
     assert!((affine[0] - 0.497_299).abs() < 1e-6 && (affine[1] - 0.242_948).abs() < 1e-6, "{affine:?}");
     let quadratic = rmse(&fit, "quadratic");
@@ -40,7 +40,7 @@ fn released_preset_reproduces_the_released_map() {
     let training = whiskerfbg();
     let options = FitOptions { released: true, ..FitOptions::default() };
     let fit = fit_map(&training, &options).unwrap();
-    // Computed apart from this code (numpy, inverse of the covariance): 0.071802, 0.034524 of scale. The covariance's
+    // Computed independently of this code (numpy, inverse of the covariance): 0.071802, 0.034524 of scale. The covariance's
     // condition number is 2e8, so six digits are what both sides can agree on.
     let loo = rmse(&fit, "released").map(|e| e / 7.0);
     assert!((loo[0] - 0.071_802).abs() < 2e-6 && (loo[1] - 0.034_524).abs() < 2e-6, "{loo:?}");

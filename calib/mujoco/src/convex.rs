@@ -1,4 +1,4 @@
-//! An object as convex parts for MuJoCo: taken apart by CoACD, kept by the mesh's hash, with how far the parts are from the mesh.
+//! An object as convex parts for MuJoCo: decomposed by CoACD, kept by the mesh's hash, with how far the parts are from the mesh.
 
 use crate::engine::protocol::Decompose;
 use crate::{MujocoEngine, TwinError};

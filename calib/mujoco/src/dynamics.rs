@@ -339,9 +339,9 @@ mod tests {
         let sensitivity =
             Sensitivity { damping: 5.0, width: 4.0, d0: 8.0, dmax: 0.0, together_steps: traded };
         assert_eq!(sensitivity.undetermined(), ["width", "d0", "dmax"]);
-        // Negative control: apart, each is as well known as it acts.
-        let apart = together_steps(&changes(vec![0.0, 0.0, 8.0]));
-        assert!((apart[1] - 0.25).abs() < 1e-9 && (apart[2] - 0.125).abs() < 1e-9, "{apart:?}");
+        // Negative control: separately, each is as well known as it acts.
+        let separate = together_steps(&changes(vec![0.0, 0.0, 8.0]));
+        assert!((separate[1] - 0.25).abs() < 1e-9 && (separate[2] - 0.125).abs() < 1e-9, "{separate:?}");
     }
 
     #[test]

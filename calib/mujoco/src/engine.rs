@@ -41,7 +41,7 @@ pub struct MujocoEngine {
     pub core_s: f64,
 }
 
-/// Where the program may lie: as the variable says, beside this program (or its parent: tests), or on the path.
+/// Where the program may lie: as the variable says, in the folder of this program (or its parent: tests), or on the path.
 fn program() -> Result<PathBuf, TwinError> {
     if let Some(named) = std::env::var_os(VARIABLE) {
         let path = PathBuf::from(named);
@@ -53,12 +53,12 @@ fn program() -> Result<PathBuf, TwinError> {
             ))),
         };
     }
-    let beside = std::env::current_exe().ok();
-    let beside = beside.iter().flat_map(|exe| exe.ancestors().skip(1).take(2)).map(PathBuf::from);
+    let own = std::env::current_exe().ok();
+    let own = own.iter().flat_map(|exe| exe.ancestors().skip(1).take(2)).map(PathBuf::from);
     let path = std::env::var_os("PATH").unwrap_or_default();
-    beside.chain(std::env::split_paths(&path)).map(|folder| folder.join(PROGRAM)).find(|p| p.is_file()).ok_or_else(|| {
+    own.chain(std::env::split_paths(&path)).map(|folder| folder.join(PROGRAM)).find(|p| p.is_file()).ok_or_else(|| {
         TwinError::Engine(format!(
-            "expected {PROGRAM} beside wcal, on PATH or named by {VARIABLE}, found none; `make setup` and `cargo build --release -p wcal-mujoco-engine` make it"
+            "expected {PROGRAM} in the folder of wcal, on PATH or named by {VARIABLE}, found none; `make setup` and `cargo build --release -p wcal-mujoco-engine` make it"
         ))
     })
 }

@@ -2,7 +2,7 @@
 //!
 //! The poses are run as released. The groove goes from pose to pose in a quarter of a second, and where the wire is held near its tip it
 //! swings sideways: it still slides over the tip when the moment is read, and MuJoCo's version and step decide how far it has come. Such
-//! poses are told without any label: the wire is not at rest, or it rests elsewhere when the groove comes straight from the start.
+//! poses are recognised without any label: the wire is not at rest, or it rests elsewhere when the groove comes straight from the start.
 
 use crate::engine::protocol::{Frame, Request};
 use crate::groove::{Preset, START_MM, bench, released_from};
@@ -21,11 +21,11 @@ const MAX_STEPS: u64 = 20_000;
 const RELEASED_RETREAT_M: f64 = 0.06;
 /// Steps that settle a pose in the released program: all of them, at rest or not.
 const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 0.0 };
-/// The same on another way, where other equilibria are told from this one, and at the smooth tip, whose moments are compared.
+/// The same on another way, where other equilibria are distinguished from this one, and at the smooth tip, whose moments are compared.
 const AGAIN: Settle = Settle { steps: 2500, rest_rad_s: 3e-3 };
 const SMOOTH: Settle = Settle { steps: 2500, rest_rad_s: 3e-4 };
-/// Steps after which it is looked whether the wire rests.
-const LOOK_STEPS: u64 = 250;
+/// Steps after which it is checked whether the wire rests.
+const CHECK_STEPS: u64 = 250;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
 const REST_RAD_S: f64 = 1e-3;
 /// Another equilibrium: moments that differ by this share of them and this many N mm; less is friction's doing.
@@ -114,7 +114,7 @@ pub fn labels(
     Ok(labels)
 }
 
-/// The tip's shape and softness apart from its friction, at the places of [`labels`]. `each` is called twice a place.
+/// The tip's shape and softness separately from its friction, at the places of [`labels`]. `each` is called twice a place.
 ///
 /// # Errors
 /// As [`labels`].
@@ -142,7 +142,7 @@ fn released(
     trajectories: &[Vec<Vector3<f64>>],
     each: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<PoseLabel>>, TwinError> {
-    let mut bench = Bench::start(whisker, preset, Touch::RELEASED)?;
+    let mut bench = GrooveEngine::start(whisker, preset, Touch::RELEASED)?;
     let mut last = Vector3::<f64>::zeros();
     let mut labels = Vec::with_capacity(trajectories.len());
     for (t, places) in trajectories.iter().enumerate() {
@@ -182,7 +182,7 @@ fn run(
             if places.is_empty() {
                 return Ok(Vec::new());
             }
-            let mut bench = Bench::start(whisker, preset, touch)?;
+            let mut bench = GrooveEngine::start(whisker, preset, touch)?;
             bench.begin()?;
             let mut labels = Vec::with_capacity(places.len());
             for (k, place) in places.iter().enumerate() {
@@ -198,13 +198,13 @@ fn run(
         .collect()
 }
 
-/// A running bench; places in the released frame.
-struct Bench {
+/// A running engine with the groove bench loaded; places in the released frame.
+struct GrooveEngine {
     engine: MujocoEngine,
     turn: Matrix3<f64>,
 }
 
-impl Bench {
+impl GrooveEngine {
     fn start(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Self, TwinError> {
         let mut engine = MujocoEngine::start()?;
         engine.load(&bench(whisker, preset, touch)?, preset == Preset::Released)?;
@@ -242,19 +242,19 @@ impl Bench {
     ) -> Result<PoseLabel, TwinError> {
         self.go(place_mm, goes_on)?;
         let mut frames: Vec<Frame> = Vec::new();
-        let looks = settle.steps / LOOK_STEPS;
-        while (frames.len() as u64) < looks {
-            let frame = self.engine.frame(&Request::Run { steps: LOOK_STEPS })?;
+        let checks = settle.steps / CHECK_STEPS;
+        while (frames.len() as u64) < checks {
+            let frame = self.engine.frame(&Request::Run { steps: CHECK_STEPS })?;
             let ended = frame.bad || frame.fastest < settle.rest_rad_s;
             frames.push(frame);
-            // One look alone may meet a turning point.
+            // One check alone may meet a turning point.
             if ended && frames.len() > 1 {
                 break;
             }
         }
         let (early, late) = frames.split_at(frames.len() / 2);
         let (Some(half), Some(frame)) = (early.last(), late.last()) else {
-            return Err(TwinError::Engine("expected two looks at a pose or more, found fewer".to_owned()));
+            return Err(TwinError::Engine("expected two checks of a pose or more, found fewer".to_owned()));
         };
         let (before, moment) = (self.moment(half)?, self.moment(frame)?);
         let [toggles, steps] =

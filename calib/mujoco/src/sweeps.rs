@@ -18,7 +18,7 @@ const CONVEX: &str = "convex";
 
 /// Corners of an object's parts, mm.
 type Corners = Arc<Vec<Vec<Vector3<f64>>>>;
-/// What is known of them; an object that cannot be taken apart has the reason instead.
+/// What is known of them; an object that cannot be decomposed has the reason instead.
 type Parts = Arc<Mutex<Option<Result<Corners, String>>>>;
 
 /// Sweeps by MuJoCo: inertia, damping, soft contacts with convex parts.
@@ -37,7 +37,7 @@ impl MujocoSweeps {
         Self { options, parts: Mutex::default() }
     }
 
-    /// An object's parts: looked for once a run, whichever block asks first, also where CoACD dies or hangs over them.
+    /// An object's parts: made once a run, whichever block asks first, also where CoACD dies or hangs over them.
     fn parts(&self, mesh: &Mesh, folder: &Path) -> Result<Result<Corners, String>, TwinError> {
         let own = {
             let mut all = self.parts.lock().unwrap_or_else(PoisonError::into_inner);
@@ -49,7 +49,7 @@ impl MujocoSweeps {
             return Ok(known.clone());
         }
         let found = match Convex::of(mesh, folder) {
-            // An object that cannot be taken apart: its sweeps are rejected, the others' go on.
+            // An object that cannot be decomposed: its sweeps are rejected, the others' go on.
             Err(e @ (TwinError::Sim(SimError::Mesh { .. }) | TwinError::EngineDied(_))) => {
                 Err(format!("no convex parts: {e}"))
             }

@@ -43,7 +43,7 @@ pub enum PageError {
     #[error("format: expected {REPORT_FORMAT}, found {0:?}")]
     Format(String),
     /// A session's page without the result that it shows.
-    #[error("expected verify.json beside the page of a session, found none")]
+    #[error("expected verify.json in the folder of the page of a session, found none")]
     NoResult,
 }
 
@@ -69,7 +69,7 @@ impl Page {
         Ok(format!("{document}\n"))
     }
 
-    /// Reads the document; `verify` is the text of the `verify.json` beside it, which a session needs.
+    /// Reads the document; `verify` is the text of the `verify.json` in the same folder, which a session needs.
     ///
     /// # Errors
     /// Another format, a document that is cut off or lacks keys, or a session without its result.

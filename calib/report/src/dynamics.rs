@@ -2,7 +2,7 @@
 
 use crate::document::or_nan;
 use crate::input::Fact;
-use crate::markup::{Cell, Table, paragraph};
+use crate::markup::{Table, TableCell, paragraph};
 use crate::number::number;
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Marker, Plot};
@@ -134,10 +134,10 @@ fn table(input: &DynamicsInput, stages: &[String]) -> String {
         &["stage", "parameters", "#bounce", "#bias, %", "#ripple, N mm", "#overlap, mm", "#sum of squares"],
     );
     for t in order {
-        let mut row = vec![Cell::Text(t.stage.clone()), Cell::Text(t.label.clone())];
+        let mut row = vec![TableCell::Text(t.stage.clone()), TableCell::Text(t.label.clone())];
         row.extend(
             [t.bounce_ratio, t.bias_percent, t.ripple_nmm, t.overlap_mm, t.total]
-                .map(|v| Cell::Number(number(v))),
+                .map(|v| TableCell::Number(number(v))),
         );
         table.row(row);
     }

@@ -24,7 +24,7 @@ pub struct ReportInput {
     pub verify: VerifyDocument,
     /// Every reading with its residuals, in time order.
     pub residuals: Vec<ResidualRecord>,
-    /// Further held-out errors beside `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
+    /// Further held-out errors in addition to `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
     pub further_errors: Vec<NamedError>,
     /// Stages in the order in which they ran, with their outcome in words.
     pub steps: Vec<Fact>,

@@ -5,7 +5,7 @@
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_many`]: several sessions on one page, an overview table at the top.
-//! - [`render_index`]: an overview page that links to reports beside it.
+//! - [`render_index`]: an overview page that links to reports in the same folder.
 //! - [`render_twin`]: the page of a twin's labels, from a [`TwinInput`].
 //! - [`render_dynamics`]: the page of a fit of damping and contact, from a [`DynamicsInput`].
 //! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].

@@ -1,7 +1,7 @@
 //! The page of the map from wavelengths to moments: the candidates, cross-validated, and the one that was chosen.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, list};
+use crate::markup::{Table, TableCell, list};
 use crate::number::{number, percent, significant};
 use crate::page::plain;
 use crate::plot::{Axis, Mark, RowChart, RowItem};
@@ -43,9 +43,9 @@ fn candidates(map: &MapDocument) -> String {
 
 fn chosen(map: &MapDocument) -> String {
     let mut details = Table::new("Valid region and hyperparameters of the chosen map", &["name", "value"]);
-    details.row(vec![Cell::Text("valid region".into()), Cell::Code(map.valid_region.to_string())]);
+    details.row(vec![TableCell::Text("valid region".into()), TableCell::Code(map.valid_region.to_string())]);
     for (name, value) in &map.hyperparameters {
-        details.row(vec![Cell::Text(name.replace('_', " ")), Cell::Code(value.to_string())]);
+        details.row(vec![TableCell::Text(name.replace('_', " ")), TableCell::Code(value.to_string())]);
     }
     details.html()
 }
@@ -70,12 +70,12 @@ fn table(map: &MapDocument) -> String {
         table.marked_row(
             if chosen { "chosen" } else { "" },
             vec![
-                Cell::Text(name),
-                Cell::Number(pair(c.loo_rmse_nmm, number)),
-                Cell::Number(c.loto_rmse_nmm.map_or("–".into(), |p| pair(p, number))),
-                Cell::Number(pair(c.coverage95, percent)),
-                Cell::Number(pair(c.nll, |v| significant(v, 3))),
-                Cell::Number(c.log_evidence.map_or("–".into(), number)),
+                TableCell::Text(name),
+                TableCell::Number(pair(c.loo_rmse_nmm, number)),
+                TableCell::Number(c.loto_rmse_nmm.map_or("–".into(), |p| pair(p, number))),
+                TableCell::Number(pair(c.coverage95, percent)),
+                TableCell::Number(pair(c.nll, |v| significant(v, 3))),
+                TableCell::Number(c.log_evidence.map_or("–".into(), number)),
             ],
         );
     }

@@ -39,7 +39,7 @@ pub fn list(items: &[String]) -> String {
 
 /// One cell of a table.
 #[derive(Debug, Clone)]
-pub enum Cell {
+pub enum TableCell {
     /// Left-aligned text.
     Text(String),
     /// Right-aligned number, already formatted.
@@ -54,7 +54,7 @@ pub enum Cell {
     Link(String, String),
 }
 
-impl Cell {
+impl TableCell {
     fn html(&self) -> (&'static str, String) {
         match self {
             Self::Text(text) => ("", escape(text)),
@@ -77,7 +77,7 @@ pub struct Table {
     caption: String,
     columns: Vec<(String, bool)>,
     stacked: bool,
-    rows: Vec<(&'static str, Vec<Cell>)>,
+    rows: Vec<(&'static str, Vec<TableCell>)>,
 }
 
 impl Table {
@@ -99,12 +99,12 @@ impl Table {
     }
 
     /// Adds a row.
-    pub fn row(&mut self, cells: Vec<Cell>) {
+    pub fn row(&mut self, cells: Vec<TableCell>) {
         self.marked_row("", cells);
     }
 
     /// Adds a row with a class.
-    pub fn marked_row(&mut self, class: &'static str, cells: Vec<Cell>) {
+    pub fn marked_row(&mut self, class: &'static str, cells: Vec<TableCell>) {
         self.rows.push((class, cells));
     }
 
@@ -164,7 +164,7 @@ mod tests {
     #[test]
     fn table_heads_rows_and_columns() {
         let mut table = Table::new("a <b>", &["name", "#value"]);
-        table.row(vec![Cell::Code("x&y".into()), Cell::Number("1".into())]);
+        table.row(vec![TableCell::Code("x&y".into()), TableCell::Number("1".into())]);
         let html = table.html();
         assert!(html.contains("<caption>a &lt;b&gt;</caption>"));
         assert!(html.contains("<th scope=\"row\"><code>x&amp;y</code></th><td class=\"num\">1</td>"));

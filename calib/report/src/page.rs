@@ -1,7 +1,7 @@
 //! Whole pages: head, verdict, contents, sections, overview.
 
 use crate::input::{Fact, IndexEntry, ReportInput};
-use crate::markup::{Cell, Table, escape, paragraph};
+use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
 use std::fmt::Write;
 
@@ -28,7 +28,7 @@ pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -
     document(title, inputs.iter().any(|i| i.verify.simulated), &body)
 }
 
-/// An overview page that links to session reports beside it.
+/// An overview page that links to session reports in the same folder.
 #[must_use]
 pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
     let simulated = entries.iter().any(|e| e.verify.simulated);
@@ -44,7 +44,7 @@ pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
     )
 }
 
-/// Header with the verdict, contents and all sections of one session; `prefix` keeps anchors apart.
+/// Header with the verdict, contents and all sections of one session; `prefix` keeps anchors distinct.
 fn session(input: &ReportInput, prefix: &str, heading: &str) -> String {
     let (below, sections) = (if heading == "h1" { "h2" } else { "h3" }, sections::all(input));
     let mut out = format!("<article id=\"{prefix}top\">\n<header>\n{}", headline(input, heading));
@@ -164,18 +164,18 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
         let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
             .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
         let data = match entry.verify.simulated {
-            true => Cell::Badge("sim", "SIMULATED".into()),
-            false => Cell::Text("measured".into()),
+            true => TableCell::Badge("sim", "SIMULATED".into()),
+            false => TableCell::Text("measured".into()),
         };
         table.row(vec![
-            Cell::Link(entry.href.clone(), entry.title.clone()),
+            TableCell::Link(entry.href.clone(), entry.title.clone()),
             data,
-            Cell::Badge(class, short.into()),
-            Cell::Text(entry.verify.reason.clone()),
-            Cell::Text(name),
-            Cell::Number(before),
-            Cell::Number(after),
-            Cell::Number(floor),
+            TableCell::Badge(class, short.into()),
+            TableCell::Text(entry.verify.reason.clone()),
+            TableCell::Text(name),
+            TableCell::Number(before),
+            TableCell::Number(after),
+            TableCell::Number(floor),
         ]);
     }
     out + &table.html() + "</section>\n"

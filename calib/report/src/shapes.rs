@@ -2,7 +2,7 @@
 //! on them and the residuals along the wire.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, escape, list};
+use crate::markup::{Table, TableCell, escape, list};
 use crate::number::number;
 use crate::page::{facts, plain};
 use crate::plot::{Axis, Layer, Plot};
@@ -89,7 +89,7 @@ pub fn render_shapes(input: &ShapesInput) -> String {
 fn rejected(pairs: &[[String; 2]]) -> String {
     let mut table = Table::new("Pairs that could not be used", &["pair", "why"]);
     for [name, why] in pairs {
-        table.row(vec![Cell::Code(name.clone()), Cell::Text(why.clone())]);
+        table.row(vec![TableCell::Code(name.clone()), TableCell::Text(why.clone())]);
     }
     if table.is_empty() { String::new() } else { table.html() }
 }
@@ -178,8 +178,8 @@ fn space(input: &ShapesInput) -> String {
     let mut table =
         Table::new("Contacts with the groove, base frame", &["pair", "#x (mm)", "#y (mm)", "#z (mm)"]);
     for (name, place) in input.pairs.iter().filter_map(|p| Some((&p.name, p.groove_mm?))) {
-        let mut row = vec![Cell::Code(name.clone())];
-        row.extend(place.map(|v| Cell::Number(number(v))));
+        let mut row = vec![TableCell::Code(name.clone())];
+        row.extend(place.map(|v| TableCell::Number(number(v))));
         table.row(row);
     }
     let table = if table.is_empty() { String::new() } else { table.html() };

@@ -2,7 +2,7 @@
 
 use crate::document::or_nan;
 use crate::input::Fact;
-use crate::markup::{Cell, Table, escape, list, paragraph};
+use crate::markup::{Table, TableCell, escape, list, paragraph};
 use crate::number::{number, percent};
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};
@@ -159,10 +159,10 @@ fn counts(input: &SweepsInput) -> String {
     for (name, count) in &input.verdicts {
         let class = if name == "kept" { "good" } else { "plain" };
         verdicts.row(vec![
-            Cell::Badge(class, name.clone()),
-            Cell::Number(count.to_string()),
-            Cell::Number(percent(*count as f64 / all.max(1) as f64)),
-            Cell::Text(meaning(name).to_owned()),
+            TableCell::Badge(class, name.clone()),
+            TableCell::Number(count.to_string()),
+            TableCell::Number(percent(*count as f64 / all.max(1) as f64)),
+            TableCell::Text(meaning(name).to_owned()),
         ]);
     }
     let mut out = verdicts.html();
@@ -172,9 +172,9 @@ fn counts(input: &SweepsInput) -> String {
     let mut events = Table::new("Events in all sweeps, rejected ones too", &["event", "#times", "meaning"]);
     for (name, count) in &input.events {
         events.row(vec![
-            Cell::Text(name.clone()),
-            Cell::Number(count.to_string()),
-            Cell::Text(meaning(name).to_owned()),
+            TableCell::Text(name.clone()),
+            TableCell::Number(count.to_string()),
+            TableCell::Text(meaning(name).to_owned()),
         ]);
     }
     out += &events.html();
@@ -192,12 +192,12 @@ fn objects(objects: &[SweptObject]) -> String {
     );
     for o in objects {
         table.row(vec![
-            Cell::Text(o.name.clone()),
-            Cell::Number(o.sweeps.to_string()),
-            Cell::Number(o.kept.to_string()),
-            Cell::Number(percent(o.kept as f64 / o.sweeps.max(1) as f64)),
-            Cell::Text(words(&o.rejected)),
-            Cell::Text(words(&o.events)),
+            TableCell::Text(o.name.clone()),
+            TableCell::Number(o.sweeps.to_string()),
+            TableCell::Number(o.kept.to_string()),
+            TableCell::Number(percent(o.kept as f64 / o.sweeps.max(1) as f64)),
+            TableCell::Text(words(&o.rejected)),
+            TableCell::Text(words(&o.events)),
         ]);
     }
     table.html()
@@ -223,17 +223,17 @@ fn engines(compared: &EnginesCompared) -> String {
     for r in &compared.by_speed {
         let [from, to] = r.speed_mm_s.map(number);
         table.row(vec![
-            Cell::Text(if from == to { from } else { format!("{from} to {to}") }),
-            Cell::Number(r.samples.to_string()),
-            Cell::Number(percent(r.elsewhere)),
-            Cell::Number(number(r.moment_nmm[0])),
-            Cell::Number(number(r.moment_nmm[1])),
-            Cell::Number(percent(r.bias)),
-            Cell::Number(number(r.contact_mm[0])),
-            Cell::Number(number(r.contact_mm[1])),
-            Cell::Number(number(r.ripple_nmm)),
-            Cell::Number(number(r.overlap_mm)),
-            Cell::Number(percent(r.chatter)),
+            TableCell::Text(if from == to { from } else { format!("{from} to {to}") }),
+            TableCell::Number(r.samples.to_string()),
+            TableCell::Number(percent(r.elsewhere)),
+            TableCell::Number(number(r.moment_nmm[0])),
+            TableCell::Number(number(r.moment_nmm[1])),
+            TableCell::Number(percent(r.bias)),
+            TableCell::Number(number(r.contact_mm[0])),
+            TableCell::Number(number(r.contact_mm[1])),
+            TableCell::Number(number(r.ripple_nmm)),
+            TableCell::Number(number(r.overlap_mm)),
+            TableCell::Number(percent(r.chatter)),
         ]);
     }
     let note = "Elsewhere: the contacts are so far apart that the wire is in another equilibrium (one engine has let it spring, the other not yet); the other columns leave these samples out. Bias: mean size of MuJoCo's moment over the rod's, less one; it grows with the speed where damping makes it.";

@@ -1,7 +1,7 @@
 //! The pages of a tracker: its training and its evaluation. Both are simulated.
 
 use crate::input::Fact;
-use crate::markup::{Cell, Table, list};
+use crate::markup::{Table, TableCell, list};
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
@@ -101,7 +101,7 @@ fn table(input: &NumberTable) -> String {
     let mut table = Table::new(&input.caption, &columns);
     for row in &input.rows {
         let cell = |(k, text): (usize, &String)| {
-            if k == 0 { Cell::Text(text.clone()) } else { Cell::Number(text.clone()) }
+            if k == 0 { TableCell::Text(text.clone()) } else { TableCell::Number(text.clone()) }
         };
         table.row(row.iter().enumerate().map(cell).collect());
     }

@@ -2,7 +2,7 @@
 
 use crate::document::or_nan;
 use crate::input::Fact;
-use crate::markup::{Cell, Table, list, paragraph};
+use crate::markup::{Table, TableCell, list, paragraph};
 use crate::number::significant;
 use crate::page::simulated;
 use serde::{Deserialize, Serialize};
@@ -65,11 +65,11 @@ fn tip(input: &TwinInput) -> String {
     );
     for row in &input.tip {
         table.row(vec![
-            Cell::Text(row.name.clone()),
-            Cell::Number(significant(row.along_percent, 3)),
-            Cell::Number(significant(row.rms_percent, 3)),
-            Cell::Number(significant(row.largest_percent, 3)),
-            Cell::Number(row.at_point.to_string()),
+            TableCell::Text(row.name.clone()),
+            TableCell::Number(significant(row.along_percent, 3)),
+            TableCell::Number(significant(row.rms_percent, 3)),
+            TableCell::Number(significant(row.largest_percent, 3)),
+            TableCell::Number(row.at_point.to_string()),
         ]);
     }
     let note = "Each effect is added to those above it. The means along the moment add up to the last row; the others do not, as the changes have directions of their own.";

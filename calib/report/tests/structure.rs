@@ -337,7 +337,7 @@ fn a_stored_page_is_the_same_page_again() {
         let again = Page::from_json(&stored, Some(&verify)).unwrap();
         assert_eq!(again.render(), page.render());
 
-        // What is cut off, of another version, or without its result is told, and gives no page.
+        // What is cut off, of another version, or without its result is named, and gives no page.
         for end in [0, 1, stored.len() / 2, stored.len() - 3] {
             assert!(
                 matches!(Page::from_json(&stored[..end], Some(&verify)), Err(PageError::Content(_))),

@@ -24,7 +24,7 @@ pub enum Severity {
 pub struct Finding {
     /// How much it matters.
     pub severity: Severity,
-    /// What was looked at, e.g. `rows`, `columns`, `noise`, `time`, `duplicates`, `holdout`.
+    /// What was checked, e.g. `rows`, `columns`, `noise`, `time`, `duplicates`, `holdout`.
     pub topic: String,
     /// One plain sentence.
     pub message: String,

@@ -1,4 +1,4 @@
-//! Sessions taken together: a holdout that is given apart, or a later session of the same sensor that is fitted too.
+//! Sessions taken together: a holdout that is given separately, or a later session of the same sensor that is fitted too.
 
 use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, check_covariates, load};

@@ -1,6 +1,6 @@
 //! `[files] shapes`: what the cameras saw of the session's poses (`shapes.json`), each pair with its row of the points table.
 //!
-//! A pair that cannot be used beside the wavelengths is left out by name and the rest is used. All are left out where the file belongs to
+//! A pair that cannot be used with the wavelengths is left out by name and the rest is used. All are left out where the file belongs to
 //! another session, or to other cameras or another rig than the session states, or where its shared covariance is none. Only a file
 //! that is no shapes.json is an error.
 
@@ -200,7 +200,7 @@ fn no_covariance(covariance: &[Vec<f64>], shared: usize) -> Option<String> {
     (!positive).then(|| "shared_covariance is no covariance".to_owned())
 }
 
-/// Why a pair cannot stand beside the wavelengths; none where it can.
+/// Why a pair cannot be used with the wavelengths; none where it can.
 fn unusable(pair: &PairDocument, shared: usize) -> Option<String> {
     if pair.status != "ok" {
         let unsaid = pair.why.is_empty();

@@ -330,7 +330,7 @@ pub(crate) fn read_twin(
     let mut table = Table::open(path, name)?;
     let point = table.required("point")?;
     let moments = [table.required("moment_1_nmm")?, table.required("moment_2_nmm")?];
-    // `wcal twin` writes these beside the labels, and no moment where it finds no equilibrium.
+    // `wcal twin` writes these with the labels, and no moment where it finds no equilibrium.
     for extra in ["contact_arclength_mm", "settled"] {
         table.optional(extra)?;
     }

@@ -15,7 +15,7 @@ pub struct SessionFiles {
     pub tables: Vec<(String, Vec<u8>)>,
 }
 
-/// Writes a session folder in one step: everything goes to a temporary folder beside `folder`, is loaded from there with
+/// Writes a session folder in one step: everything goes to a temporary folder next to `folder`, is loaded from there with
 /// every check, and only then renamed.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! shapes.json beside a session: what cannot be used is left out by name, and the rest is used.
+//! shapes.json of a session: what cannot be used is left out by name, and the rest is used.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 #[allow(dead_code, reason = "only the good session is of use here")]

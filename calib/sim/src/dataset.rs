@@ -200,7 +200,7 @@ impl Dataset {
                 let mesh = &self.objects[object];
                 let (name, size) = (self.name((object, first)), self.size(first));
                 let there = shard::done(folder, &name, &made_from[object], [first, size]);
-                // A shard that is there and cannot be used is told; one that was never made is no news.
+                // A shard that is there and cannot be used is reported; one that was never made is no news.
                 let was_there = folder.join(format!("{name}.json")).exists();
                 let again = there.as_ref().err().filter(|_| was_there).map(|why| format!("{name}: {why}"));
                 let made = there.is_err();

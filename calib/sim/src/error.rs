@@ -33,7 +33,7 @@ pub enum SimError {
         /// What it is.
         found: String,
     },
-    /// An engine beside the rod is missing, refuses or failed; the text names it.
+    /// An engine other than the rod is missing, refuses or failed; the text names it.
     #[error("{0}")]
     Engine(String),
     /// A folder whose recipe is of an earlier format.

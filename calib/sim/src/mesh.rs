@@ -17,7 +17,7 @@ const SIZE_MM: [f64; 2] = [3.0, 2000.0];
 const MAX_TRIANGLES: usize = 5_000_000;
 /// Way from a known place below which the grid would tell no more, mm.
 const CLOSE_MM: f64 = 0.7;
-/// Depth up to which a point inside is told, mm.
+/// Depth up to which a point inside is found, mm.
 const DEEP_MM: f64 = 30.0;
 /// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
 const ON_SURFACE_MM: f64 = 1e-9;
@@ -94,7 +94,7 @@ impl Mesh {
         Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, bodies, grid })
     }
 
-    /// From an STL file. Metres taken for millimetres are told by the size and said in `notes`.
+    /// From an STL file. Metres taken for millimetres are recognised by the size and said in `notes`.
     ///
     /// # Errors
     /// As [`Self::new`], or where the file cannot be read.

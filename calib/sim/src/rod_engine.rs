@@ -16,7 +16,7 @@ pub const LINKS: usize = 40;
 /// How often a step of the base is halved where Newton's method does not get there, or the wire springs.
 const HALVINGS: u32 = 2;
 /// A free wire is touched in a step no longer than this, mm: less than its radius, or its centre line is inside a thin body before that is
-/// felt, and comes out on the other side.
+/// noticed, and comes out on the other side.
 const TOUCH_MM: f64 = 0.1;
 /// Newton steps for a hard contact, and for a soft one where the hard one hops or the wire springs far away.
 const NEWTON_STEPS: usize = 60;

@@ -14,7 +14,7 @@
 //! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap),
 //! `friction_{x,y,z}_n` (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has no friction).
 //!
-//! Shards by MuJoCo have the rod on the same sweeps beside them: `rod_verdict` in the sweeps, and `.rod.parquet`, a row a sample of the
+//! Shards by MuJoCo have the rod on the same sweeps, too: `rod_verdict` in the sweeps, and `.rod.parquet`, a row a sample of the
 //! rod's: `sweep`, `sample`, `rod_moment_{x,y,z}_nmm`, `rod_contact_{x,y,z}_mm`, `rod_contact_arclength_mm`, `rod_event`.
 
 use crate::columns::{Column, to_bytes};
@@ -296,7 +296,7 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
     ]
 }
 
-/// Columns of the table that a shard by another engine has beside the others: the rod on the same sweeps.
+/// Columns of the table that a shard by another engine has in addition to the others: the rod on the same sweeps.
 fn rod_columns(rod: &[(u64, Option<Run>)]) -> Vec<(&'static str, Column)> {
     let all: Vec<_> = rod
         .iter()

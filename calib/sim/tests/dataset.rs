@@ -104,7 +104,7 @@ fn a_folder_takes_no_other_dataset() {
     own.make(folder.path(), |_, _| {}).unwrap();
     let grown = Dataset { sweeps: 3, ..own.clone() }.make(folder.path(), |_, _| {}).unwrap();
     assert_eq!(grown["can"].sweeps, 3);
-    // What a mixture was made of is told by whoever trains on it.
+    // What a mixture was made of is named by whoever trains on it.
     check_one_dataset(folder.path()).unwrap();
     let other = tempfile::tempdir().unwrap();
     Dataset { seed: 2, ..own }.make(other.path(), |_, _| {}).unwrap();
@@ -119,7 +119,7 @@ fn a_folder_takes_no_other_dataset() {
 }
 
 #[test]
-fn a_wrong_byte_is_told_by_the_checksum() {
+fn a_wrong_byte_is_found_by_the_checksum() {
     let folder = tempfile::tempdir().unwrap();
     let make = |seed| {
         let totals = Dataset { sweeps: 2, ..dataset(seed) }.make(folder.path(), |_, _| {}).unwrap();

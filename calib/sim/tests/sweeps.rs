@@ -98,7 +98,7 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
                     touching += 1;
                     let shift = sweep.shift_mm - Vector3::z() * sample.travel_mm;
                     let off = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.point_mm - shift)));
-                    // A plane that the wire met beside its nearest place may lie up to 3 micrometres off.
+                    // A plane that the wire met off its nearest place may lie up to 3 micrometres off.
                     assert!(off < 3.1e-3, "{name}: {off} mm");
                     // Negative control: the wire's centre line is not on the mesh, but a radius away.
                     let axis = distance_mm(&mesh, &sweep.turn.tr_mul(&(contact.centre_mm - shift)));
@@ -106,8 +106,8 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
                     // Where it slides over a plane the gap is solved to 1e-5 mm.
                     exact += usize::from(off < 2e-5);
                     // A wire that slides over a facet is touched where it is now, not where it was.
-                    let beside = (contact.centre_mm - contact.point_mm).cross(&contact.normal).norm();
-                    below += usize::from(beside < 1e-6);
+                    let offset_mm = (contact.centre_mm - contact.point_mm).cross(&contact.normal).norm();
+                    below += usize::from(offset_mm < 1e-6);
                     applied += contact.centre_mm.cross(&(contact.normal * contact.force_n));
                 }
                 let off = (sample.moment_nmm - applied).norm();
@@ -118,7 +118,7 @@ fn labels_lie_on_the_mesh_and_forces_balance() {
     imbalance.sort_by(f64::total_cmp);
     assert!(*imbalance.last().unwrap() < 5e-3 && imbalance[imbalance.len() * 95 / 100] < 1e-5);
     // What leans on a facet's plane past its edge, within 3 micrometres, is one contact in twenty; before the touched point went along with the
-    // wire it was on the mesh even there, beside the wire.
+    // wire it was on the mesh even there, off the wire.
     assert!(exact * 100 > touching * 94, "on the mesh: {exact} of {touching}");
     assert!(below * 100 > touching * 98, "below the wire: {below} of {touching}");
     assert!(kept > 60 && touching > 3000, "{kept} {touching}");
@@ -164,12 +164,12 @@ fn short_steps_keep_a_wire_on_its_side_of_a_thin_plate() {
         let Some(sweep) = Sweep::draw(&mesh, &plan(5.0, 0.1), 7, k, engine.reach_mm()) else { continue };
         let run = |rate_hz, step_mm| engine.run(&mesh, &sweep, &plan(rate_hz, step_mm)).samples;
         let often = run(50.0, 0.1);
-        for (seldom, apart) in [(run(5.0, 0.1), &mut short), (run(5.0, 1.0), &mut long)] {
+        for (seldom, differ) in [(run(5.0, 0.1), &mut short), (run(5.0, 1.0), &mut long)] {
             for (a, b) in seldom.iter().zip(often.iter().step_by(10)) {
                 assert!((a.t_s - b.t_s).abs() < 1e-9);
                 touching += usize::from(!b.contacts.is_empty());
                 let off = (a.moment_nmm - b.moment_nmm).norm();
-                *apart += usize::from(off > 0.002 + 0.02 * b.moment_nmm.norm());
+                *differ += usize::from(off > 0.002 + 0.02 * b.moment_nmm.norm());
             }
         }
     }

@@ -19,7 +19,7 @@ use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::FbgSpec;
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
 use wcal_core::rig_devices::{GratingRig, InterrogatorRig};
-use wcal_map::{Candidate, FitOptions, MapPredictor, MapTraining, fit_map};
+use wcal_map::{FitOptions, MapKind, MapPredictor, MapTraining, fit_map};
 use wcal_track::stream::{SignalChain, SignalChainSettings};
 
 const WHISKERS: usize = 16;
@@ -74,7 +74,7 @@ fn scan(serial: u64, rng: &mut ChaCha8Rng) -> FbgReading {
     FbgReading { serial, peaks_nm, health: InterrogatorHealth::default(), clocks }
 }
 
-fn whiskers(candidate: Candidate) -> Vec<(WhiskerReader, SignalChain)> {
+fn whiskers(candidate: MapKind) -> Vec<(WhiskerReader, SignalChain)> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut training = MapTraining::default();
     for k in 0..27 {
@@ -129,7 +129,7 @@ fn take(whiskers: &mut [(WhiskerReader, SignalChain)], reading: &FbgReading) -> 
 fn chain(c: &mut Criterion) {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let scans: Vec<FbgReading> = (0..60_000).map(|k| scan(k, &mut rng)).collect();
-    for candidate in [Candidate::Affine, Candidate::ThinPlate] {
+    for candidate in [MapKind::Affine, MapKind::ThinPlate] {
         let name = candidate.name();
         let mut all = whiskers(candidate);
         let (mut each_us, mut made) = (Vec::with_capacity(scans.len()), [0; 2]);

@@ -348,7 +348,7 @@ fn cable_links(model: &MjModel) -> Vec<usize> {
     id("wB_first".to_owned()).into_iter().chain(middle).chain(id("wB_last".to_owned())).collect()
 }
 
-/// A plugin that does not load ends the process: its file is looked for first.
+/// A plugin that does not load ends the process: its file is searched first.
 fn load_cable_plugin() -> Result<(), String> {
     static ONCE: Once = Once::new();
     let path = native::folder().join(PLUGIN);

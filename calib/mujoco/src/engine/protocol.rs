@@ -75,7 +75,7 @@ pub enum Request {
     Decompose(Decompose),
 }
 
-/// A surface to be taken apart.
+/// A surface to be decomposed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Decompose {
     /// Corners, any unit.

@@ -57,7 +57,7 @@ pub enum Layer {
         /// Value of y.
         at: f64,
     },
-    /// Vertical line with a word beside it.
+    /// Vertical line with a label.
     VerticalRule {
         /// Value of x.
         at: f64,

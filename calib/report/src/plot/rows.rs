@@ -80,7 +80,7 @@ impl RowItem {
         lines
     }
 
-    /// Whether the value needs a line of its own: beside the name it would be printed over it.
+    /// Whether the value needs a line of its own: next to the name it would be printed over it.
     fn value_below(&self) -> bool {
         let last = self.name_lines().last().map_or(0.0, |line| text_width(line));
         last + text_width(&self.value) + 12.0 > INNER

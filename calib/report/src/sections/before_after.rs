@@ -1,7 +1,7 @@
-//! Held-out errors beside the noise floor: table and picture.
+//! Held-out errors and the noise floor: table and picture.
 
 use crate::input::{IndexEntry, ReportInput};
-use crate::markup::{Cell, Table};
+use crate::markup::{Table, TableCell};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Mark, RowChart, RowItem};
 use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, VerifyDocument};
@@ -126,7 +126,7 @@ fn groove(t: &GrooveTracking) -> String {
     for u in &t.uncertainty {
         let values = [u.moment_nmm, u.moment_u_nmm, u.contact_u_by_map_mm, u.contact_u_mm];
         let counts = [number(u.arclength_mm), u.trajectories.to_string()];
-        table.row(counts.into_iter().chain(values.map(number)).map(Cell::Number).collect());
+        table.row(counts.into_iter().chain(values.map(number)).map(TableCell::Number).collect());
     }
     let table = if t.uncertainty.is_empty() { String::new() } else { table.html() };
     format!(
@@ -183,26 +183,26 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
     let mut table = Table::new("Held-out error (root mean square) with 95 % intervals", &columns);
     for Model { name, error, .. } in models {
         let mut cells = vec![
-            Cell::Text(name.clone()),
-            Cell::Text(split_words(&error.split).into()),
-            Cell::Number(error.points.to_string()),
+            TableCell::Text(name.clone()),
+            TableCell::Text(split_words(&error.split).into()),
+            TableCell::Number(error.points.to_string()),
         ];
         for quantity in quantities {
             let (value, interval) = quantity.of(error);
-            cells.push(value.map_or(Cell::Number("–".into()), |value| {
+            cells.push(value.map_or(TableCell::Number("–".into()), |value| {
                 let (text, interval) = value_text(value, interval);
                 let mut notes: Vec<String> = interval.into_iter().collect();
                 notes.extend(ratio_text(value, quantity.floor));
-                Cell::NumberWithNotes(text, notes)
+                TableCell::NumberWithNotes(text, notes)
             }));
         }
         table.row(cells);
     }
     let source = input.verify.noise_floor.source.as_str();
     let name = if source.is_empty() { "noise floor".into() } else { format!("noise floor ({source})") };
-    let mut cells = vec![Cell::Text(name), Cell::Text("–".into()), Cell::Number("–".into())];
+    let mut cells = vec![TableCell::Text(name), TableCell::Text("–".into()), TableCell::Number("–".into())];
     let floor = |q: &Quantity| q.floor.map_or("unknown".into(), number);
-    cells.extend(quantities.iter().map(|q| Cell::Number(floor(q))));
+    cells.extend(quantities.iter().map(|q| TableCell::Number(floor(q))));
     table.marked_row("floor", cells);
     table.html()
 }
@@ -219,9 +219,12 @@ fn map_table(input: &ReportInput) -> String {
     let name = format!("after: {}", input.model_after());
     for (name, map) in [("before: declared model", before), (name.as_str(), after)] {
         for m in map.iter().flat_map(|m| [Some(m), m.chosen.as_deref()]).flatten() {
-            let mut cells =
-                vec![Cell::Text(name.into()), Cell::Text(m.map.clone()), Cell::Number(m.points.to_string())];
-            cells.extend(m.moment_rmse_nmm_each.iter().map(|v| Cell::Number(number(*v))));
+            let mut cells = vec![
+                TableCell::Text(name.into()),
+                TableCell::Text(m.map.clone()),
+                TableCell::Number(m.points.to_string()),
+            ];
+            cells.extend(m.moment_rmse_nmm_each.iter().map(|v| TableCell::Number(number(*v))));
             table.row(cells);
         }
     }
@@ -261,10 +264,7 @@ fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
     let floor = quantity.floor.filter(|f| *f > 0.0);
     let chart = RowChart {
         title: capitalised(&quantity.name),
-        description: format!(
-            "Held-out error of the {} for every model, beside the noise floor",
-            quantity.name
-        ),
+        description: format!("Held-out error of the {} for every model, and the noise floor", quantity.name),
         axis: Axis::log_covering(label, reach),
         rows,
         rules: floor.map(|f| (f, "noise floor".into())).into_iter().collect(),

@@ -1,6 +1,6 @@
 //! An existing calibration on readings that were not in its fit.
 
-use crate::markup::{Cell, Table, escape};
+use crate::markup::{Table, TableCell, escape};
 use crate::number::{number, percent, with_interval};
 use wcal_core::verify_document::CalibrationJudgement;
 
@@ -11,7 +11,7 @@ pub(super) fn body(judged: &CalibrationJudgement) -> String {
     for (name, value) in &judged.error.rmse {
         let interval = judged.error.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
         let (value, interval) = with_interval(*value, interval);
-        table.row(vec![Cell::Text(name.clone()), Cell::Number(value), Cell::Number(interval)]);
+        table.row(vec![TableCell::Text(name.clone()), TableCell::Number(value), TableCell::Number(interval)]);
     }
     format!(
         "<p><strong>{verdict}</strong> on {} readings that were not in its fit: {}.</p>{}<p><code>{}</code>; coverage of its 95 % intervals {}; \

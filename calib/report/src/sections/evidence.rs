@@ -2,7 +2,7 @@
 
 use super::{absent, figure};
 use crate::input::{EvidenceRow, Isolability, ReportInput};
-use crate::markup::{Cell, Table};
+use crate::markup::{Table, TableCell};
 use crate::number::{join_unit, number, p_value, quantity, split_unit, unit_text, with_interval};
 use crate::plot::{Axis, HeatMap, Mark, RowChart, RowItem};
 
@@ -27,7 +27,7 @@ pub(super) fn body(input: &ReportInput) -> String {
 fn steps(input: &ReportInput) -> String {
     let mut table = Table::new("How the verdict was reached", &["stage", "outcome"]);
     for step in &input.steps {
-        table.row(vec![Cell::Text(step.name.clone()), Cell::Text(step.value.clone())]);
+        table.row(vec![TableCell::Text(step.name.clone()), TableCell::Text(step.value.clone())]);
     }
     if table.is_empty() { String::new() } else { table.html() }
 }
@@ -37,10 +37,10 @@ fn gate(input: &ReportInput) -> String {
         Table::new("Is anything left beyond the noise?", &["test", "#statistic", "#p-value", "remark"]);
     for test in &input.gate {
         table.row(vec![
-            Cell::Text(test.name.clone()),
-            Cell::Number(test.statistic.map_or("–".into(), number)),
-            Cell::Number(test.p_value.map_or("–".into(), p_value)),
-            Cell::Text(test.detail.clone()),
+            TableCell::Text(test.name.clone()),
+            TableCell::Number(test.statistic.map_or("–".into(), number)),
+            TableCell::Number(test.p_value.map_or("–".into(), p_value)),
+            TableCell::Text(test.detail.clone()),
         ]);
     }
     if table.is_empty() { String::new() } else { table.html() }
@@ -75,18 +75,18 @@ fn candidates(rows: &[EvidenceRow]) -> String {
             format!("{} = {}", split_unit(&p.name).0, join_unit(&format!("{value} {interval}"), &p.unit))
         };
         let parameters: Vec<String> = row.parameters.iter().map(parameter).collect();
-        let gain = row.chi2_gain.map_or(Cell::Number("–".into()), |gain| {
-            Cell::NumberWithNotes(number(gain), vec![format!("for {}", row.degrees_of_freedom)])
+        let gain = row.chi2_gain.map_or(TableCell::Number("–".into()), |gain| {
+            TableCell::NumberWithNotes(number(gain), vec![format!("for {}", row.degrees_of_freedom)])
         });
         table.row(vec![
-            Cell::Code(row.id.clone()),
-            Cell::Badge(status_class(&row.status), row.status.clone()),
-            Cell::Text(row.law.clone()),
-            Cell::Text(parameters.join("; ")),
+            TableCell::Code(row.id.clone()),
+            TableCell::Badge(status_class(&row.status), row.status.clone()),
+            TableCell::Text(row.law.clone()),
+            TableCell::Text(parameters.join("; ")),
             gain,
-            Cell::Number(row.p_adjusted.map_or("–".into(), p_value)),
-            Cell::Number(row.log_likelihood_ratio.map_or("–".into(), number)),
-            Cell::Text(row.why.clone()),
+            TableCell::Number(row.p_adjusted.map_or("–".into(), p_value)),
+            TableCell::Number(row.log_likelihood_ratio.map_or("–".into(), number)),
+            TableCell::Text(row.why.clone()),
         ]);
     }
     table.html()
@@ -149,16 +149,16 @@ fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
             input.verify.simulated,
             "wide",
             &map("Isolability without the pictures", values),
-            "The same in the wavelengths alone: what is outlined here and not above is told apart by the pictures.",
+            "The same in the wavelengths alone: what is outlined here and not above is distinguished by the pictures.",
         );
     }
     out
 }
 
-/// What the pictures say beside the wavelengths; empty without them.
+/// What the pictures say in addition to the wavelengths; empty without them.
 fn pictures(input: &ReportInput) -> String {
     let Some(pictures) = &input.verify.pictures else { return String::new() };
-    let mut table = Table::new("Pictures beside the wavelengths", &["what", "#value"]);
+    let mut table = Table::new("Pictures and wavelengths", &["what", "#value"]);
     let decided = input.verify.witness.as_deref();
     let rows = [
         ("pairs that count", Some(pictures.pairs.to_string())),
@@ -176,11 +176,14 @@ fn pictures(input: &ReportInput) -> String {
     ];
     for (what, value) in rows {
         if let Some(value) = value {
-            table.row(vec![Cell::Text(what.into()), Cell::Number(value)]);
+            table.row(vec![TableCell::Text(what.into()), TableCell::Number(value)]);
         }
     }
     for pair in &pictures.left_out {
-        table.row(vec![Cell::Text(format!("left out: {}", pair.name)), Cell::Text(pair.why.clone())]);
+        table.row(vec![
+            TableCell::Text(format!("left out: {}", pair.name)),
+            TableCell::Text(pair.why.clone()),
+        ]);
     }
     table.html()
 }
@@ -201,17 +204,17 @@ pub(super) fn detectable(input: &ReportInput) -> String {
     for d in rows {
         let class = if d.status == "testable" { "good" } else { "plain" };
         let size = |size: Option<f64>| {
-            Cell::Number(size.map_or("–".into(), |v| match unit_text(&d.unit) {
+            TableCell::Number(size.map_or("–".into(), |v| match unit_text(&d.unit) {
                 u if u.is_empty() => number(v),
                 _ => quantity(v, &d.unit),
             }))
         };
         let mut cells =
-            vec![Cell::Code(d.id.clone()), Cell::Badge(class, d.status.clone()), size(d.smallest)];
+            vec![TableCell::Code(d.id.clone()), TableCell::Badge(class, d.status.clone()), size(d.smallest)];
         if with_pictures {
             cells.push(size(d.smallest_without_pictures));
         }
-        cells.push(Cell::Text(d.why.clone()));
+        cells.push(TableCell::Text(d.why.clone()));
         table.row(cells);
     }
     table.html()

@@ -2,7 +2,7 @@
 
 use super::{absent, joined, residuals};
 use crate::input::ReportInput;
-use crate::markup::{Cell, Table, escape, list, paragraph};
+use crate::markup::{Table, TableCell, escape, list, paragraph};
 use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
 use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 
@@ -65,10 +65,10 @@ fn one_effect(effect: &NamedEffect) -> String {
     for p in &effect.parameters {
         let (value, interval) = with_interval(p.value, p.interval95);
         table.row(vec![
-            Cell::Text(split_unit(&p.name).0),
-            Cell::Number(value),
-            Cell::Number(interval),
-            Cell::Text(if p.unit == "1" { "dimensionless".into() } else { unit_text(&p.unit) }),
+            TableCell::Text(split_unit(&p.name).0),
+            TableCell::Number(value),
+            TableCell::Number(interval),
+            TableCell::Text(if p.unit == "1" { "dimensionless".into() } else { unit_text(&p.unit) }),
         ]);
     }
     if !table.is_empty() {
@@ -77,8 +77,10 @@ fn one_effect(effect: &NamedEffect) -> String {
     out += &format!("<p>Adjusted for the whole catalogue: p {}.", with_sign(&p_value(effect.p_value)));
     let others: Vec<String> = effect.class.iter().filter(|id| **id != effect.id).cloned().collect();
     if !others.is_empty() {
-        out +=
-            &format!(" This data cannot tell it apart from {}, even in principle.", escape(&joined(&others)));
+        out += &format!(
+            " This data cannot distinguish it from {}, even in principle.",
+            escape(&joined(&others))
+        );
     }
     out + "</p></div>"
 }
@@ -95,11 +97,11 @@ fn left_out(input: &ReportInput) -> String {
         &["effect", "#misfit grows by", "#p", "#held-out error with", "#without"],
     );
     for e in &input.verify.leave_one_effect_out {
-        let error = |e: Option<f64>| Cell::Number(e.map_or_else(|| "-".to_owned(), number));
+        let error = |e: Option<f64>| TableCell::Number(e.map_or_else(|| "-".to_owned(), number));
         table.row(vec![
-            Cell::Text(e.id.clone()),
-            Cell::Number(format!("{} times", number(e.misfit_ratio))),
-            Cell::Number(p_value(e.p_value)),
+            TableCell::Text(e.id.clone()),
+            TableCell::Number(format!("{} times", number(e.misfit_ratio))),
+            TableCell::Number(p_value(e.p_value)),
             error(e.held_out),
             error(e.held_out_without),
         ]);
@@ -146,12 +148,12 @@ fn next_measurement(next: &NextMeasurement) -> String {
             v => join_unit(&number(v), "mm/s"),
         };
         table.row(vec![
-            Cell::Number((k + 1).to_string()),
-            Cell::Number(pose.trajectory.to_string()),
-            Cell::Number(number(pose.stage_mm)),
-            Cell::Text(format!("{direction} ({})", number(pose.direction))),
-            Cell::Number(speed),
-            Cell::Number(number(pose.dwell_s)),
+            TableCell::Number((k + 1).to_string()),
+            TableCell::Number(pose.trajectory.to_string()),
+            TableCell::Number(number(pose.stage_mm)),
+            TableCell::Text(format!("{direction} ({})", number(pose.direction))),
+            TableCell::Number(speed),
+            TableCell::Number(number(pose.dwell_s)),
         ]);
     }
     if !table.is_empty() {

@@ -1,7 +1,7 @@
 //! Noise floor, its source, and remarks.
 
 use crate::input::ReportInput;
-use crate::markup::{Cell, Table, list};
+use crate::markup::{Table, TableCell, list};
 use crate::number::{number, unit_text};
 
 /// The section.
@@ -18,10 +18,10 @@ pub(super) fn body(input: &ReportInput) -> String {
     for (name, value, unit) in rows {
         if let Some(value) = value {
             table.row(vec![
-                Cell::Text(name.into()),
-                Cell::Number(number(value)),
-                Cell::Text(unit_text(unit)),
-                Cell::Text(floor.source.clone()),
+                TableCell::Text(name.into()),
+                TableCell::Number(number(value)),
+                TableCell::Text(unit_text(unit)),
+                TableCell::Text(floor.source.clone()),
             ]);
         }
     }

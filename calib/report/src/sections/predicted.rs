@@ -8,8 +8,8 @@ use crate::plot::{Axis, Layer, Marker, Plot, stride};
 use wcal_core::ResidualRecord;
 
 /// Up to this many readings a channel carry a hover text each.
-const MOST_TITLES: usize = 400;
-const MOST_POINTS: usize = 3000;
+const MAX_TITLES: usize = 400;
+const MAX_POINTS: usize = 3000;
 
 /// The section.
 pub(super) fn body(input: &ReportInput) -> String {
@@ -60,10 +60,10 @@ fn chart(
     let mut layers = vec![Layer::Line { class: "quiet", at: vec![[axis.low; 2], [axis.high; 2]] }];
     for rejected in [false, true] {
         let chosen: Vec<_> = records.iter().filter(|r| r.rejected.is_some() == rejected).collect();
-        let step = if rejected { 1 } else { stride(chosen.len(), MOST_POINTS) };
+        let step = if rejected { 1 } else { stride(chosen.len(), MAX_POINTS) };
         let shown = || chosen.iter().step_by(step);
         let titles =
-            if chosen.len() <= MOST_TITLES { shown().map(|r| hover(r)).collect() } else { Vec::new() };
+            if chosen.len() <= MAX_TITLES { shown().map(|r| hover(r)).collect() } else { Vec::new() };
         let at = shown().map(|r| [predicted(r), r.measured]).collect();
         let (class, marker) = if rejected { ("bad", Marker::Cross) } else { (class, marker) };
         layers.push(Layer::Points { class, marker, at, titles });

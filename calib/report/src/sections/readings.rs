@@ -2,14 +2,14 @@
 
 use super::absent;
 use crate::input::ReportInput;
-use crate::markup::{Cell, Table};
+use crate::markup::{Table, TableCell};
 use crate::number::{join_unit, number, unit_text};
 use wcal_core::ResidualRecord;
 
 /// Larger sessions list their worst readings only.
-const MOST_ROWS: usize = 500;
+const MAX_ROWS: usize = 500;
 const WORST_ROWS: usize = 40;
-const MOST_REJECTED: usize = 200;
+const MAX_REJECTED: usize = 200;
 
 /// The section.
 pub(super) fn body(input: &ReportInput) -> String {
@@ -25,21 +25,21 @@ pub(super) fn body(input: &ReportInput) -> String {
     if !rejected.is_empty() {
         let mut table =
             Table::new("Rejected readings", &["#point", "file, line", "channel", "#measured", "why"]);
-        for r in rejected.iter().take(MOST_REJECTED) {
+        for r in rejected.iter().take(MAX_REJECTED) {
             table.row(vec![
-                Cell::Number(r.point.to_string()),
-                Cell::Text(place(r)),
-                Cell::Text(r.channel.clone()),
-                Cell::Number(join_unit(&number(r.measured), &r.unit)),
-                Cell::Text(r.rejected.clone().unwrap_or_default()),
+                TableCell::Number(r.point.to_string()),
+                TableCell::Text(place(r)),
+                TableCell::Text(r.channel.clone()),
+                TableCell::Number(join_unit(&number(r.measured), &r.unit)),
+                TableCell::Text(r.rejected.clone().unwrap_or_default()),
             ]);
         }
         out += &table.html();
-        if rejected.len() > MOST_REJECTED {
-            out += &absent(&format!("{} more are not listed here.", rejected.len() - MOST_REJECTED));
+        if rejected.len() > MAX_REJECTED {
+            out += &absent(&format!("{} more are not listed here.", rejected.len() - MAX_REJECTED));
         }
     }
-    let whole = records.len() <= MOST_ROWS;
+    let whole = records.len() <= MAX_ROWS;
     let mut rows: Vec<&ResidualRecord> = records.iter().collect();
     if !whole {
         let size = |r: &ResidualRecord| -(r.measured - r.predicted_after).abs() / r.noise_sd;
@@ -73,18 +73,18 @@ fn listing(caption: &str, rows: &[&ResidualRecord]) -> String {
     );
     for r in rows {
         table.row(vec![
-            Cell::Number(r.point.to_string()),
-            Cell::Text(place(r)),
-            Cell::Text(r.role.clone()),
-            Cell::Number(r.group.to_string()),
-            Cell::Text(r.channel.clone()),
-            Cell::Text(unit_text(&r.unit)),
-            Cell::Number(number(r.measured)),
-            Cell::Number(number(r.predicted_before)),
-            Cell::Number(number(r.predicted_after)),
-            Cell::Number(number(r.measured - r.predicted_before)),
-            Cell::Number(number(r.measured - r.predicted_after)),
-            Cell::Number(number(r.noise_sd)),
+            TableCell::Number(r.point.to_string()),
+            TableCell::Text(place(r)),
+            TableCell::Text(r.role.clone()),
+            TableCell::Number(r.group.to_string()),
+            TableCell::Text(r.channel.clone()),
+            TableCell::Text(unit_text(&r.unit)),
+            TableCell::Number(number(r.measured)),
+            TableCell::Number(number(r.predicted_before)),
+            TableCell::Number(number(r.predicted_after)),
+            TableCell::Number(number(r.measured - r.predicted_before)),
+            TableCell::Number(number(r.measured - r.predicted_after)),
+            TableCell::Number(number(r.noise_sd)),
         ]);
     }
     table.html()

@@ -22,7 +22,7 @@ const ORDER: [(&str, &str); 11] = [
 ];
 
 /// Points a series and chart; a larger session is thinned evenly.
-const MOST_POINTS: usize = 3000;
+const MAX_POINTS: usize = 3000;
 
 /// Stands for `before` and `after` where nothing was added to the model.
 pub(super) const UNCHANGED: &str = "before and after alike: nothing was added";
@@ -87,7 +87,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         if !constant.is_empty() {
             out += &absent(&format!("The same for all readings, hence not drawn: {}.", constant.join(", ")));
         }
-        if view.records.len() > MOST_POINTS {
+        if view.records.len() > MAX_POINTS {
             out += &absent("Charts of this many readings show every n-th one and all rejected ones.");
         }
     }
@@ -206,7 +206,7 @@ impl<'a> View<'a> {
                 Some([value_of(r, column)? + spread(i), y.clamp(residual(r))])
             };
             let kept: Vec<_> = of.iter().filter(|r| r.rejected.is_none()).collect();
-            let step = stride(kept.len(), MOST_POINTS);
+            let step = stride(kept.len(), MAX_POINTS);
             let at = kept.iter().enumerate().step_by(step).filter_map(|(i, r)| place((i, r))).collect();
             layers.push(Layer::Points { class, marker, at, titles: Vec::new() });
             let rejected: Vec<_> = of.iter().filter(|r| r.rejected.is_some()).collect();

@@ -2,7 +2,7 @@
 
 use super::{absent, figure, legend, series};
 use crate::input::{ReportInput, TwinTrajectory};
-use crate::markup::{Cell, Table};
+use crate::markup::{Table, TableCell};
 use crate::number::number;
 use crate::plot::{Axis, Layer, Marker, Plot};
 use std::collections::HashMap;
@@ -21,9 +21,9 @@ pub(super) fn body(input: &ReportInput) -> String {
         for fault in faults {
             let points: Vec<String> = fault.points.iter().map(i64::to_string).collect();
             table.row(vec![
-                Cell::Badge("bad", fault.kind.clone()),
-                Cell::Text(points.join(", ")),
-                Cell::Text(fault.detail.clone()),
+                TableCell::Badge("bad", fault.kind.clone()),
+                TableCell::Text(points.join(", ")),
+                TableCell::Text(fault.detail.clone()),
             ]);
         }
         out += &table.html();

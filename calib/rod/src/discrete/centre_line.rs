@@ -45,7 +45,7 @@ fn shares(cell: usize, first: usize, links: usize, before: &[f64], local: [f64; 
         // Far from both ends, where most places are: the general rule below, written out.
         let [a, b] = [0, 1].map(|k| before.get(k).copied().unwrap_or(0.0));
         let [c, d, e] = local;
-        let eighths = |own: f64, beside: f64| 1.25 * own - beside / 8.0;
+        let eighths = |own: f64, neighbours: f64| 1.25 * own - neighbours / 8.0;
         let near = [eighths(b, a + c), eighths(c, b + d), eighths(d, c + e), eighths(e, d), -e / 8.0];
         found.links[..5].copy_from_slice(&near);
         return found;

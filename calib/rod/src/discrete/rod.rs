@@ -38,7 +38,7 @@ pub struct DiscreteRod {
     pub softening: Option<Softening>,
     joints: Vec<Joint>,
     clamp: Matrix3<f64>,
-    /// Places at which the surface is looked for in every step.
+    /// Places at which the surface is evaluated in every step.
     pub(crate) middles: Vec<CurvePoint>,
 }
 

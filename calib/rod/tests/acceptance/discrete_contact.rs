@@ -121,7 +121,7 @@ fn a_floor_holds_the_tip_first_and_then_a_line() {
     assert_eq!(tip.contacts.len(), 1);
     assert!((tip.contacts[0].arclength_mm - 60.0).abs() < 1e-9, "{:?}", tip.contacts);
     let lying = floor(-0.5);
-    // What touches lies on the floor; the links' ends are beside the centre line by some micrometres.
+    // What touches lies on the floor; the links' ends are off the centre line by some micrometres.
     let touching: Vec<f64> = lying.contacts.iter().map(|c| c.centre_mm.z).collect();
     assert!(
         !touching.is_empty() && touching.iter().all(|z| (z - (-0.5 + 0.15)).abs() < 1e-4),

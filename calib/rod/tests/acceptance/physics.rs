@@ -13,7 +13,7 @@ const LAST: usize = 26;
 /// The same for a ball nearer to the root, which touches later.
 const DEEP: usize = 38;
 
-/// A ball comes from below into the straight part, `y_mm` beside the wire's plane, and goes `drag_mm` along it toward the root.
+/// A ball comes from below into the straight part, `y_mm` off the wire's plane, and goes `drag_mm` along it toward the root.
 fn rubbed(
     discrete: &DiscreteRod,
     coefficient: f64,

@@ -43,6 +43,7 @@ const LAW_PRICE: f64 = 2.0;
 pub struct Judge<'a> {
     system: &'a dyn MeasurementModel,
     inputs: NoiseInputs,
+    sought: Sought,
     seed: u64,
 }
 
@@ -50,14 +51,14 @@ impl<'a> Judge<'a> {
     /// For a session.
     #[must_use]
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
-        Self { system, inputs: system.noise_inputs(), seed }
+        Self { system, inputs: system.noise_inputs(), sought: Sought::ALL, seed }
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
     #[must_use]
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
-        let noise = estimate(&model, &self.inputs, &h.weights, Sought::ALL, self.seed)?;
+        let noise = estimate(&model, &self.inputs, &h.weights, self.sought, self.seed)?;
         let mut m = best_misfit(&model, &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
@@ -145,7 +146,7 @@ fn alike(a: &Weights, b: &Weights) -> bool {
 
 /// Runs the search under the noise that the readings themselves show.
 pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Explained> {
-    let judge = Judge::new(system, options.seed);
+    let mut judge = Judge::new(system, options.seed);
     let mut weights = Weights::independent(judge.inputs.known.clone());
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
@@ -159,6 +160,10 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     // What independent readings would follow, for the comparison at the end.
     let plain_test = found.first_test.clone();
     for _ in 1..MAX_SEARCHES {
+        // Neighbours share something: whether it is noise or an effect is the question, not whether it is there.
+        if found.last_test.generic() {
+            judge.sought = Sought::SUSPECTED;
+        }
         // A model that is degenerate under another noise is judged under the one that it was found with.
         let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());
         let Some((noise, _)) = judge.noise(&kept, &[]) else { break };

@@ -1,14 +1,23 @@
 //! Variable projection: the coefficients are solved for exactly, the few nonlinear parameters by bounded Levenberg-Marquardt.
 //!
-//! Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), with Kaufman's Jacobian. The crate levenberg-marquardt knows no bounds, and bounds
-//! carry the physics here (friction and creep do not go below zero), hence the short loop of our own.
+//! ```text
+//! min over a within bounds of  |y - X(a) b(a)|^2 + |w(a)|^2,   b(a) = X(a)^+ y
+//! ```
+//!
+//! with y the whitened readings, X the design, b its coefficients, w what the second witness leaves. Golub & Pereyra, SIAM J. Numer. Anal.
+//! 10 (1973), with Kaufman's Jacobian: the tangents' part that b cannot take up. Bounds carry the physics (friction and creep do not go
+//! below zero).
 
 use super::linear::stack_with;
 pub use super::noise::Weights;
 use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
+use std::cell::OnceCell;
 use std::sync::Arc;
+use wcal_core::least_squares::{
+    BoundedNormalEquations, Damping, Ending, Linearised, NormalEquations, minimise,
+};
 
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -234,6 +243,70 @@ fn off_design(design: &DMatrix<f64>, tangent: &DMatrix<f64>) -> DMatrix<f64> {
     linear(design, tangent).1
 }
 
+/// Bounds of a nonlinear parameter.
+fn range(system: &dyn MeasurementModel, terms: &[EffectTerm], (t, k): (usize, usize)) -> [f64; 2] {
+    system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
+}
+
+/// The problem at given nonlinear values.
+struct Place<'a> {
+    system: &'a dyn MeasurementModel,
+    weights: &'a Weights,
+    terms: Vec<EffectTerm>,
+    here: Evaluation,
+    /// Tangents are dear: they are taken where a step goes on from.
+    linearised: OnceCell<Option<(Vec<Tangent>, BoundedNormalEquations)>>,
+}
+
+impl Place<'_> {
+    fn linearised(&self) -> Option<&(Vec<Tangent>, BoundedNormalEquations)> {
+        let make = || {
+            let tangents = tangents(self.system, &self.terms, self.weights, &self.here)?;
+            let off =
+                |(t, w): &Tangent| stack_with(&off_design(&self.here.design, &self.weights.apply(t)), w);
+            let columns: Vec<DVector<f64>> = tangents.iter().map(off).collect();
+            let r = stack_with(&self.here.residual, &self.here.witness);
+            let m = columns.len();
+            // A parameter that moves nothing has a zero column: it stays.
+            let free = NormalEquations {
+                cost: self.here.ssr,
+                matrix: DMatrix::from_fn(m, m, |i, j| {
+                    columns[i].dot(&columns[j]) + if i == j { 1e-300 } else { 0.0 }
+                }),
+                descent: DVector::from_fn(m, |i, _| columns[i].dot(&r)),
+            };
+            let may = slots(&self.terms)
+                .into_iter()
+                .map(|(t, k)| {
+                    let ([low, high], v) = (range(self.system, &self.terms, (t, k)), self.terms[t].values[k]);
+                    [v > low, v < high]
+                })
+                .collect();
+            Some((tangents, BoundedNormalEquations { free, may }))
+        };
+        self.linearised.get_or_init(make).as_ref()
+    }
+}
+
+impl Linearised for Place<'_> {
+    type Step = DVector<f64>;
+
+    fn cost(&self) -> f64 {
+        self.here.ssr
+    }
+
+    fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        self.linearised()?.1.step(damping)
+    }
+}
+
+/// Share of the sum of squares below which a fall is none.
+const SETTLED: f64 = 1e-5;
+/// Damping past which no shorter step is tried: steps are then a ten-thousandth of steepest descent's.
+const MAX_DAMPING: f64 = 1e4;
+/// Refused steps that a fit may make beyond its iterations.
+const REFUSED: usize = 8;
+
 /// Fits `terms` from their present values.
 pub fn fit(
     system: &dyn MeasurementModel,
@@ -242,61 +315,36 @@ pub fn fit(
     iterations: usize,
 ) -> Option<Fit> {
     let y = weights.apply(system.measured());
-    let mut terms = terms.to_vec();
-    let mut here = evaluate(system, &terms, weights, &y)?;
-    let index = slots(&terms);
-    let range = |terms: &[EffectTerm], (t, k): (usize, usize)| {
-        system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
+    let index = slots(terms);
+    let linearise = |terms: &Vec<EffectTerm>| {
+        let here = evaluate(system, terms, weights, &y)?;
+        Some(Place { system, weights, terms: terms.clone(), here, linearised: OnceCell::new() })
     };
-    let mut damping = 1e-3;
-    let mut status = if index.is_empty() { Status::Converged } else { Status::NotConverged };
-    let mut directions = Vec::new();
-    for _ in 0..if index.is_empty() { 0 } else { iterations } {
-        directions = tangents(system, &terms, weights, &here)?;
-        let columns: Vec<DVector<f64>> = directions
-            .iter()
-            .map(|(t, w)| stack_with(&off_design(&here.design, &weights.apply(t)), w))
-            .collect();
-        let r = stack_with(&here.residual, &here.witness);
-        let m = columns.len();
-        let gram = DMatrix::from_fn(m, m, |i, j| columns[i].dot(&columns[j]));
-        let gradient = DVector::from_fn(m, |i, _| columns[i].dot(&r));
-        let mut improved = false;
-        for _ in 0..8 {
-            let step = bounded_step(&gram, &gradient, damping, &terms, &index, &range);
-            let mut moved = terms.clone();
-            for (j, &(t, k)) in index.iter().enumerate() {
-                let [lo, hi] = range(&terms, (t, k));
-                moved[t].values[k] = (terms[t].values[k] + step[j]).clamp(lo, hi);
-            }
-            if let Some(next) = evaluate(system, &moved, weights, &y).filter(|e| e.ssr < here.ssr) {
-                let gain = here.ssr - next.ssr;
-                let small = gain < 1e-5 * next.ssr.max(1e-300);
-                terms = moved;
-                here = next;
-                damping = (damping * 0.2).max(1e-9);
-                improved = !small;
-                break;
-            }
-            damping *= 8.0;
+    let moved = |terms: &Vec<EffectTerm>, _: &Place<'_>, step: &DVector<f64>| {
+        let mut moved = terms.clone();
+        for (&(t, k), d) in index.iter().zip(step.iter()) {
+            let [low, high] = range(system, terms, (t, k));
+            moved[t].values[k] = (terms[t].values[k] + d).clamp(low, high);
         }
-        if !improved {
-            status = Status::Converged;
-            break;
-        }
-    }
-    if !index.is_empty() {
-        directions = tangents(system, &terms, weights, &here).unwrap_or(directions);
-    }
-    if !here.full_rank {
-        status = Status::RankDeficient;
-    }
+        moved
+    };
+    let settled = |_: &DVector<f64>, [before, after]: [f64; 2]| before - after < SETTLED * after.max(1e-300);
+    let max_steps = if index.is_empty() { 0 } else { iterations + REFUSED };
+    let damping = Damping { max: MAX_DAMPING, max_steps, ..Damping::default() };
+    let first = (terms.to_vec(), linearise(&terms.to_vec())?);
+    let found = minimise(first, &damping, linearise, moved, settled);
+    let tangents = if index.is_empty() { Vec::new() } else { found.at.linearised()?.0.clone() };
+    let (terms, here) = (found.place, found.at.here);
+    let status = match found.ending {
+        _ if !here.full_rank => Status::RankDeficient,
+        Ending::Exhausted if !index.is_empty() => Status::NotConverged,
+        _ => Status::Converged,
+    };
     let at_bound = index
         .iter()
         .map(|&(t, k)| {
-            let [lo, hi] = range(&terms, (t, k));
-            let v = terms[t].values[k];
-            v <= lo + 1e-6 * (hi - lo) || v >= hi - 1e-6 * (hi - lo)
+            let ([low, high], v) = (range(system, &terms, (t, k)), terms[t].values[k]);
+            v <= low + 1e-6 * (high - low) || v >= high - 1e-6 * (high - low)
         })
         .collect();
     let channels = y.ncols() as f64;
@@ -312,54 +360,13 @@ pub fn fit(
         residual: here.residual,
         design: here.design,
         ssr: here.ssr,
-        tangents: directions.iter().map(|(t, _)| weights.apply(t)).collect(),
+        tangents: tangents.iter().map(|(t, _)| weights.apply(t)).collect(),
         witness: here.witness,
-        witness_tangents: directions.iter().map(|(_, w)| w.clone()).collect(),
+        witness_tangents: tangents.iter().map(|(_, w)| w.clone()).collect(),
         witness_readings: seen,
-        raw_tangents: directions.into_iter().map(|(t, _)| t).collect(),
+        raw_tangents: tangents.into_iter().map(|(t, _)| t).collect(),
         at_bound,
         status,
         terms,
     })
-}
-
-/// Levenberg-Marquardt step with the parameters that push against their range held there.
-fn bounded_step(
-    gram: &DMatrix<f64>,
-    gradient: &DVector<f64>,
-    damping: f64,
-    terms: &[EffectTerm],
-    index: &[(usize, usize)],
-    range: &impl Fn(&[EffectTerm], (usize, usize)) -> [f64; 2],
-) -> DVector<f64> {
-    let m = gradient.len();
-    let mut free = vec![true; m];
-    let mut step = DVector::zeros(m);
-    for _ in 0..=m {
-        let kept: Vec<usize> = (0..m).filter(|&j| free[j]).collect();
-        if kept.is_empty() {
-            return DVector::zeros(m);
-        }
-        let a = DMatrix::from_fn(kept.len(), kept.len(), |i, j| {
-            let v = gram[(kept[i], kept[j])];
-            if i == j { v * (1.0 + damping) + 1e-300 } else { v }
-        });
-        let b = DVector::from_fn(kept.len(), |i, _| gradient[kept[i]]);
-        let Some(x) = a.cholesky().map(|c| c.solve(&b)) else { return DVector::zeros(m) };
-        step.fill(0.0);
-        for (i, &j) in kept.iter().enumerate() {
-            step[j] = x[i];
-        }
-        let pushing = kept.iter().find(|&&j| {
-            let (t, k) = index[j];
-            let [lo, hi] = range(terms, (t, k));
-            let v = terms[t].values[k];
-            (v <= lo && step[j] < 0.0) || (v >= hi && step[j] > 0.0)
-        });
-        match pushing {
-            Some(&j) => free[j] = false,
-            None => return step,
-        }
-    }
-    step
 }

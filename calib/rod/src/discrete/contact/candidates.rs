@@ -11,16 +11,16 @@ use nalgebra::Vector3;
 const ALONG_SINE: f64 = 0.1;
 /// Contacts nearer to each other than this, in links, are one.
 const MERGE_LINKS: f64 = 0.01;
-/// Distances (links) at which the wire is looked at around a place that touches: edges may lie close together.
+/// Distances (links) at which the gap is evaluated around a place that touches: edges may lie close together.
 const PROBE_OFFSETS_LINKS: [f64; 4] = [0.02, 0.06, 0.15, 0.3];
 /// A wire that lies along the surface within this over a link touches at the links' middles only, mm.
 const FLAT_MM: f64 = 1e-3;
-/// Most looks at the surface for one lowest place.
+/// Most evaluations of the surface for one lowest place.
 const MAX_EVALUATIONS: usize = 40;
 
 /// A place where the wire may touch.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate {
+pub(super) struct ContactCandidate {
     pub place: CurvePoint,
     pub closest: ClosestPoint,
     /// Its place in space, mm.
@@ -39,8 +39,8 @@ impl DiscreteRod {
         &self,
         surface: &S,
         links: &Configuration,
-        before: &[Candidate],
-    ) -> Vec<Candidate> {
+        before: &[ContactCandidate],
+    ) -> Vec<ContactCandidate> {
         let n = self.links();
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
         let at = |place: &CurvePoint, within_mm: f64| {
@@ -96,7 +96,7 @@ impl DiscreteRod {
     ) -> Option<(CurvePoint, ClosestPoint)> {
         let mut best = None;
         for k in 0..MAX_EVALUATIONS {
-            // The normal turns within hundredths of a millimetre at an edge: every third look halves the bracket.
+            // The normal turns within hundredths of a millimetre at an edge: every third evaluation halves the bracket.
             let x = if k % 3 == 2 { (a + b) / 2.0 } else { (fb * a - fa * b) / (fb - fa) };
             let place = CurvePoint::new(x, self.links());
             let closest = at(&place)?;
@@ -119,12 +119,12 @@ impl DiscreteRod {
         &self,
         links: &Configuration,
         mut found: Vec<(CurvePoint, ClosestPoint, bool)>,
-    ) -> Vec<Candidate> {
+    ) -> Vec<ContactCandidate> {
         found.sort_by(|a, b| a.0.at.total_cmp(&b.0.at));
-        let mut all: Vec<Candidate> = Vec::new();
+        let mut all: Vec<ContactCandidate> = Vec::new();
         for (place, closest, slides) in found {
             let gap_mm = closest.distance_mm - self.radius_mm;
-            let candidate = Candidate {
+            let candidate = ContactCandidate {
                 place,
                 closest,
                 centre_mm: place.point_mm(self, links),

@@ -8,7 +8,7 @@
 //! Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), sec. 16.4 and 18.1; projected Gauss-Seidel for the dual: R. Cottle,
 //! J.-S. Pang & R. Stone, "The Linear Complementarity Problem" (2009), ch. 5.
 
-use super::candidates::Candidate;
+use super::candidates::ContactCandidate;
 use crate::discrete::block_tridiagonal::BlockFactors;
 use crate::discrete::centre_line::CurvePoint;
 use crate::discrete::rod::{Balance, Configuration, DiscreteRod, load_stiffness};
@@ -88,7 +88,7 @@ impl Stiffness {
     }
 }
 
-impl Candidate {
+impl ContactCandidate {
     /// How the gap changes with the links' turns.
     fn row(&self, rod: &DiscreteRod, links: &Configuration) -> Turns {
         rod.displacement_row(links, &self.place, &self.closest.normal)
@@ -150,7 +150,7 @@ impl DiscreteRod {
         &self,
         gradient: &[Vector3<f64>],
         links: &Configuration,
-        candidates: &[Candidate],
+        candidates: &[ContactCandidate],
     ) -> f64 {
         let mut rest = gradient.to_vec();
         for c in candidates.iter().filter(|c| c.force_n > 0.0) {
@@ -169,7 +169,7 @@ impl DiscreteRod {
         &self,
         balance: &Balance,
         links: &Configuration,
-        candidates: &[Candidate],
+        candidates: &[ContactCandidate],
         damping: f64,
     ) -> Option<Step> {
         let mut diagonal = balance.diagonal.clone();

@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Stiffness of the contact along the wire, N/mm per mm of overlap.
 const PENALTY_N_PER_MM2: f64 = 40.0;
-/// Places a link at which overlap is looked for.
+/// Places a link at which overlap is evaluated.
 const PLACES: usize = 16;
 /// Moment that may be out of balance, N mm, and the turn of a link below which steps end, rad.
 const BALANCE_NMM: f64 = 1e-3;

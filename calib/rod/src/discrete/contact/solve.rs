@@ -5,7 +5,7 @@
 //! Where M does not fall, the step is damped (Levenberg: the Hessian's diagonal grows by mu times its elastic part), or what it ran into
 //! is added as plane constraints. Source: J. Nocedal & S. Wright, "Numerical Optimization" (2006), ch. 17-18.
 
-use super::candidates::Candidate;
+use super::candidates::ContactCandidate;
 use super::friction::FrictionContact;
 use super::surface::{ClosestPoint, Contact, ContactState, Surface};
 use crate::discrete::centre_line::CurvePoint;
@@ -29,7 +29,7 @@ const MAX_WAY_LINKS: f64 = 1.5;
 pub(super) const MIN_DAMPING: f64 = 1e-5;
 const REPLANE_DAMPING: f64 = 1e-2;
 pub(super) const MAX_DAMPING: f64 = 1e4;
-/// Most places that are looked at together, and the gap (mm) up to which a plane that was met counts as touched.
+/// Most places that are treated together, and the gap (mm) up to which a plane that was met counts as touched.
 const MAX_CANDIDATES: usize = 40;
 const PLANE_MM: f64 = 0.02;
 /// Places closer than this (links) whose normals differ by less are one: two facets, and others.
@@ -43,7 +43,7 @@ const GAP_SCALE_MM: f64 = 0.01;
 #[derive(Clone)]
 struct State {
     links: Configuration,
-    candidates: Vec<Candidate>,
+    candidates: Vec<ContactCandidate>,
 }
 
 impl State {
@@ -55,8 +55,8 @@ impl State {
 /// Augmented Lagrangian of the contacts that carry a force; overlap of the others, weighted above the forces.
 ///
 /// A contact that a step lifts a little (second order) does not make the step a bad one, as it would with overlaps alone.
-fn penalty_nmm(candidates: &[Candidate], weight_n: f64) -> f64 {
-    let of = |c: &Candidate| {
+fn penalty_nmm(candidates: &[ContactCandidate], weight_n: f64) -> f64 {
+    let of = |c: &ContactCandidate| {
         if c.force_n > 0.0 {
             c.force_n * c.gap_mm * (c.gap_mm / (2.0 * GAP_SCALE_MM) - 1.0)
         } else {
@@ -173,12 +173,13 @@ impl DiscreteRod {
     fn add_planes(&self, state: &mut State, refused: &State) -> bool {
         let mut learned = false;
         for c in refused.candidates.iter().filter(|c| c.gap_mm < -OVERLAP_MM && !c.plane_constraint) {
-            let known = |k: &Candidate| {
+            let known = |k: &ContactCandidate| {
                 (k.place.at - c.place.at).abs() < SAME_FACET[0]
                     && (k.closest.normal - c.closest.normal).norm() < SAME_FACET[1]
             };
             if state.candidates.len() < MAX_CANDIDATES && !state.candidates.iter().any(known) {
-                let plane = Candidate { plane_constraint: true, slides: false, force_n: 0.0, ..c.clone() };
+                let plane =
+                    ContactCandidate { plane_constraint: true, slides: false, force_n: 0.0, ..c.clone() };
                 state.candidates.push(self.plane_constraint_at(&state.links, plane));
                 learned = true;
             }
@@ -187,7 +188,7 @@ impl DiscreteRod {
     }
 
     /// The gap to the plane of a place that a refused step met.
-    fn plane_constraint_at(&self, links: &Configuration, mut plane: Candidate) -> Candidate {
+    fn plane_constraint_at(&self, links: &Configuration, mut plane: ContactCandidate) -> ContactCandidate {
         let centre_mm = plane.place.point_mm(self, links);
         plane.gap_mm += plane.closest.normal.dot(&(centre_mm - plane.centre_mm));
         plane.centre_mm = centre_mm;
@@ -206,18 +207,21 @@ impl DiscreteRod {
         &self,
         faceted: bool,
         links: &Configuration,
-        carriers: &[Candidate],
-        mut seen: Vec<Candidate>,
-    ) -> Vec<Candidate> {
+        carriers: &[ContactCandidate],
+        mut seen: Vec<ContactCandidate>,
+    ) -> Vec<ContactCandidate> {
         let places = seen.len();
         // Facets next to each other differ by little and are two all the same; on a smooth body what is seen is where it is.
         let close = if faceted { SAME_FACET } else { SAME_PLACE };
         for c in carriers.iter().filter(|c| c.force_n > 0.0) {
-            let off = |s: &Candidate| (s.place.at - c.place.at).abs();
-            let same =
-                |s: &Candidate| off(s) < close[0] && (s.closest.normal - c.closest.normal).norm() < close[1];
-            let plane = self
-                .plane_constraint_at(links, Candidate { plane_constraint: true, slides: false, ..c.clone() });
+            let off = |s: &ContactCandidate| (s.place.at - c.place.at).abs();
+            let same = |s: &ContactCandidate| {
+                off(s) < close[0] && (s.closest.normal - c.closest.normal).norm() < close[1]
+            };
+            let plane = self.plane_constraint_at(
+                links,
+                ContactCandidate { plane_constraint: true, slides: false, ..c.clone() },
+            );
             let touched = plane.gap_mm.abs() < PLANE_MM;
             let known = seen[..places].iter().position(same);
             let heir = (0..places).min_by(|&a, &b| off(&seen[a]).total_cmp(&off(&seen[b])));
@@ -276,10 +280,10 @@ impl DiscreteRod {
         ContactState { links: state.links, contacts, converged, iterations, overlap_mm }
     }
 
-    fn transported(&self, known: &[Contact], moved_mm: &Vector3<f64>) -> Vec<Candidate> {
+    fn transported(&self, known: &[Contact], moved_mm: &Vector3<f64>) -> Vec<ContactCandidate> {
         known
             .iter()
-            .map(|c| Candidate {
+            .map(|c| ContactCandidate {
                 place: CurvePoint::new(c.arclength_mm / self.link_mm, self.links()),
                 closest: ClosestPoint {
                     distance_mm: self.radius_mm + c.gap_mm,

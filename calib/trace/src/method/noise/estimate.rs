@@ -13,6 +13,8 @@ use super::whitening::Weights;
 
 /// Gain in -2 log restricted likelihood from which the correlated part is taken up (chi-squared of 2, 0.3 %).
 const CORRELATED_GAIN: f64 = 11.6;
+/// The same where a test has said that something is left: what its two parameters cost (Akaike).
+const CORRELATED_PRICE: f64 = 4.0;
 /// The same for pose scatter (one parameter at its bound, 0.3 %).
 const POSE_GAIN: f64 = 7.5;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
@@ -21,10 +23,10 @@ pub const MIN_HELD_REPEATS: usize = 6;
 const MIN_CORRELATED: usize = 20;
 
 /// Which parts are looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sought {
-    /// Correlation in time.
-    pub correlated: bool,
+    /// Correlation in time, where it gains more than this in -2 log restricted likelihood.
+    pub correlated_gain: f64,
     /// Pose scatter.
     pub pose: bool,
     /// A law of the spread.
@@ -32,8 +34,10 @@ pub struct Sought {
 }
 
 impl Sought {
-    /// Everything.
-    pub const ALL: Self = Self { correlated: true, pose: true, law: true };
+    /// Everything, each part at its level.
+    pub const ALL: Self = Self { correlated_gain: CORRELATED_GAIN, pose: true, law: true };
+    /// Everything, where a test rejects independent readings: whether something is shared is decided, only what it is is open.
+    pub const SUSPECTED: Self = Self { correlated_gain: CORRELATED_PRICE, ..Self::ALL };
 }
 
 /// Logarithms of time constants that the readings can show: a typical spacing to half the whole time.
@@ -154,7 +158,7 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
     let tau = inputs
         .clock
         .as_ref()
-        .filter(|_| sought.correlated && independent.active() >= MIN_CORRELATED)
+        .filter(|_| independent.active() >= MIN_CORRELATED)
         .and_then(|c| time_constants(c));
     let can_pose = sought.pose && repeats >= MIN_HELD_REPEATS;
     // Pose scatter alone, correlation alone, both.
@@ -179,7 +183,8 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
     if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > POSE_GAIN) {
         found = (c, None, v[0].exp());
     }
-    if let Some((v, c)) = correlated_alone.filter(|(_, c)| plain - c > CORRELATED_GAIN && *c < found.0 - 2.0)
+    if let Some((v, c)) =
+        correlated_alone.filter(|(_, c)| plain - c > sought.correlated_gain && *c < found.0 - 2.0)
     {
         found = (c, Some(v.map(f64::exp)), 0.0);
     }
@@ -191,7 +196,7 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
         let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
-        let needed = if found.1.is_some() { POSE_GAIN } else { CORRELATED_GAIN };
+        let needed = if found.1.is_some() { POSE_GAIN } else { sought.correlated_gain };
         if found.0 - both.1 > needed {
             found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
         }

@@ -1,0 +1,117 @@
+//! The errors of verify.json on readings that no fit saw, and what each accepted effect, a given calibration or the tracker does to them.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Held-out errors of one model.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct HeldOutError {
+    /// `holdout`, `loto` or `loo`.
+    pub split: String,
+    /// Error by name: `wavelength_rmse_pm`, `moment_rmse_nmm`, `response_rmse`, `error_rmse_um`.
+    #[serde(flatten)]
+    pub rmse: BTreeMap<String, f64>,
+    /// The two moments separately (kind whisker).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_rmse_nmm_each: Option<[f64; 2]>,
+    /// 95 % intervals by the same names.
+    pub interval95: BTreeMap<String, [f64; 2]>,
+    /// Rows that counted.
+    pub points: usize,
+    /// Leave-one-out errors of the map from wavelengths to this model's moments, where there is no holdout (kind whisker).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loo: Option<MapLeftOut>,
+}
+
+/// Leave-one-out error of a map from wavelengths to moments, N mm. Readings of one pose are left out together.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MapLeftOut {
+    /// Map: `affine`, or the one that the data choose.
+    pub map: String,
+    /// Both moments pooled.
+    pub moment_rmse_nmm: f64,
+    /// The two moments separately.
+    pub moment_rmse_nmm_each: [f64; 2],
+    /// Readings, rest among them.
+    pub points: usize,
+    /// The map that the data choose, where it is another.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chosen: Option<Box<MapLeftOut>>,
+}
+
+/// What is lost without one accepted effect, the others refitted.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct EffectLeftOut {
+    /// Effect.
+    pub id: String,
+    /// Root mean square of what the fit leaves, over that with the effect.
+    pub misfit_ratio: f64,
+    /// Chance of that gain without the effect, adjusted for the whole catalogue.
+    pub p_value: f64,
+    /// Held-out error with it, in the unit of the first error of `after`; absent without a holdout.
+    pub held_out: Option<f64>,
+    /// Held-out error without it.
+    pub held_out_without: Option<f64>,
+}
+
+/// How an existing calibration does on readings that were not in its fit.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CalibrationJudgement {
+    /// File.
+    pub path: String,
+    /// Hash of its content.
+    pub content_sha256: String,
+    /// Errors.
+    pub error: HeldOutError,
+    /// Share of its stated 95 % intervals that hold their value.
+    pub coverage95: f64,
+    /// Error in stated standard deviations, root mean square.
+    pub ratio: Option<f64>,
+    /// Whether it holds.
+    pub holds: bool,
+    /// In words.
+    pub why: String,
+}
+
+/// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GrooveTracking {
+    /// Error in space, root mean square, mm.
+    pub rmse_mm: f64,
+    /// Cramer-Rao bound of that error under the calibration's covariance and the noise, root mean square, mm.
+    pub bound_mm: f64,
+    /// Share of the readings whose groove lies in the stated 95 % region.
+    pub coverage95: f64,
+    /// Loaded readings that were compared.
+    pub points: usize,
+    /// Trajectories; the error is one and the same at all readings of a trajectory.
+    pub trajectories: usize,
+    /// Trajectories whose groove lies in the stated 95 % region at half of their readings and more: what may be counted.
+    #[serde(default)]
+    pub trajectories_held: usize,
+    /// Trajectories on which moments and motion do not belong together.
+    pub doubted: usize,
+    /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.
+    pub split: String,
+    /// What the uncertainty of the map makes of a contact, by arc length.
+    #[serde(default)]
+    pub uncertainty: Vec<ContactUncertainty>,
+}
+
+/// Expanded uncertainties (twice the standard deviation) of a moment and of the contact that follows from it, on the trajectories of one arc
+/// length: root mean squares.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ContactUncertainty {
+    /// Arc length of first touch, mm.
+    pub arclength_mm: f64,
+    /// Trajectories.
+    pub trajectories: usize,
+    /// Moment at the deepest reading, N mm.
+    pub moment_nmm: f64,
+    /// Its uncertainty by the calibration alone, N mm.
+    pub moment_u_nmm: f64,
+    /// Uncertainty of the contact by the calibration and by where the object passes the free wire, mm.
+    pub contact_u_by_map_mm: f64,
+    /// The same with the noise of the readings, mm.
+    pub contact_u_mm: f64,
+}

@@ -1,0 +1,130 @@
+//! What verify.json says was found, what could have been, and what to measure next.
+
+use crate::observation::PairLeftOut;
+use serde::{Deserialize, Serialize};
+
+/// A group of labels that the twin got wrong.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TwinFault {
+    /// Point numbers.
+    pub points: Vec<i64>,
+    /// `branch`, `contact-lost`, `discretisation`, `not-settled`, `unit`.
+    pub kind: String,
+    /// Plain sentence.
+    pub detail: String,
+}
+
+/// Result of stage 0.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TwinCheck {
+    /// Faults found.
+    pub faults: Vec<TwinFault>,
+}
+
+/// A fitted parameter of an effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EffectParameter {
+    /// Name, e.g. `friction_coefficient`.
+    pub name: String,
+    /// Estimate.
+    pub value: f64,
+    /// Unit, `1` where dimensionless.
+    pub unit: String,
+    /// 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// An effect that the data asks for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedEffect {
+    /// Identifier of docs/src/formats.md.
+    pub id: String,
+    /// Effects that this data cannot distinguish from it, itself included.
+    pub class: Vec<String>,
+    /// p-value adjusted for the whole catalogue.
+    pub p_value: f64,
+    /// Fitted parameters.
+    pub parameters: Vec<EffectParameter>,
+    /// Plain sentence for the report.
+    #[serde(default)]
+    pub sentence: String,
+}
+
+/// What drives a residual that nothing explains.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnknownEffect {
+    /// Covariate.
+    pub driver: String,
+    /// `linear`, `quadratic`, `sinusoid`, `step`, `exponential`, `sign`, `dead-zone`, `irregular`.
+    pub shape: String,
+    /// All covariates, strongest first.
+    pub drivers_ranked: Vec<String>,
+    /// Period in the covariate's unit, for a sinusoid.
+    pub period: Option<f64>,
+}
+
+/// A pose of the next measurement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NextPose {
+    /// Trajectory.
+    pub trajectory: u32,
+    /// Stage position, mm.
+    pub stage_mm: f64,
+    /// +1 loading, -1 unloading.
+    pub direction: f64,
+    /// Speed, mm/s; 0 settled.
+    pub speed_mm_s: f64,
+    /// Dwell before the reading, s.
+    #[serde(default)]
+    pub dwell_s: f64,
+}
+
+/// The measurement that would decide.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NextMeasurement {
+    /// Effects that it separates.
+    pub separates: Vec<String>,
+    /// Plain instruction.
+    pub instruction: String,
+    /// Poses in order.
+    pub poses: Vec<NextPose>,
+    /// Probability that the measurement decides.
+    pub expected_power: f64,
+}
+
+/// What this data could have shown of one effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Detectable {
+    /// Effect identifier.
+    pub id: String,
+    /// Smallest size found with 90 % probability; absent where not testable.
+    pub smallest: Option<f64>,
+    /// The same without the pictures; absent where there are none, or where the wavelengths alone do not show it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub smallest_without_pictures: Option<f64>,
+    /// Unit of both.
+    pub unit: String,
+    /// `testable`, `absorbed`, `not-observable`.
+    pub status: String,
+    /// Reason.
+    pub why: String,
+}
+
+/// What the pictures say in addition to the wavelengths.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SecondWitness {
+    /// Pairs that count.
+    pub pairs: usize,
+    /// Pairs that are left out, and why.
+    #[serde(default)]
+    pub left_out: Vec<PairLeftOut>,
+    /// Scatter about the accepted model over what the shapes state; 1 where they state it right.
+    pub reduced_chi: f64,
+    /// Fall of the misfit of the wavelengths by the accepted effects, in variances of the noise.
+    pub gain_wavelengths: f64,
+    /// The same of the pictures.
+    pub gain_pictures: f64,
+    /// Which witness decided, see [`super::VerifyDocument::witness`].
+    #[serde(skip)]
+    pub decided: Option<String>,
+}

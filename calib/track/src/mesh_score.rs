@@ -162,7 +162,7 @@ mod tests {
         let on: Vec<Vector3<f64>> = all.map(|(u, v, face)| closest(&mesh, &at(u, v, face)).1).collect();
         let frame = Isometry3::new(Vector3::new(30.0, -200.0, 7.0), Vector3::new(0.1, 1.4, -0.15));
         let moved = |off_mm: f64| -> Vec<Vector3<f64>> {
-            let sign = |k: usize| if k % 2 == 0 { off_mm } else { -off_mm };
+            let sign = |k: usize| if k.is_multiple_of(2) { off_mm } else { -off_mm };
             on.iter()
                 .enumerate()
                 .map(|(k, p)| frame.rotation * (p + Vector3::repeat(sign(k))) + frame.translation.vector)

@@ -2,10 +2,13 @@
 
 mod columns;
 mod description;
+mod sweep;
+
+pub use sweep::SweepFolder;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::simulated::word;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,10 +22,19 @@ use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, wr
   wcal import PONTIUS.DAT --skip-lines 25 --whitespace --columns y,x --kind transducer \\
       --stimulus x --response y --model linear --out sessions/pontius
   wcal import ballbar.csv --kind axis --commanded cmd_mm --measured laser_um --scale measured_mm=0.001 \\
-      --time t_s --out sessions/axis-x")]
+      --time t_s --out sessions/axis-x
+  wcal import OPTIC.csv bottle_1_action.csv bottle_1.stl --kind whiskerfbg-sweep --out sessions/bottle-1
+
+whiskerfbg-sweep: the layout of the WhiskerFBG release. OPTIC has a row a sample at 2 kHz with fbg_2, fbg_6 (sensing) and fbg_4 (temperature) in
+nm; ACTION has ind (number of the sample) and py (place of the arm along the base's +z) in m; MESH is the object. Wavelengths go through the
+release's filter (mean of the last 300 samples, zero on samples 1500 to 1700). `wcal track SESSION --model M` then states how far the contacts
+lie from the mesh.")]
 pub struct ImportArgs {
     /// Table to import (CSV, or text in columns)
     pub file: PathBuf,
+    /// The arm's log (CSV) and the object's mesh (STL) of a whiskerfbg-sweep
+    #[arg(value_name = "ACTION MESH", num_args = 0..=2)]
+    pub more: Vec<PathBuf>,
     /// Kind of the session
     #[arg(long, value_enum)]
     pub kind: Kind,
@@ -35,6 +47,10 @@ pub struct ImportArgs {
     /// Identifier of the session [default: the folder's name]
     #[arg(long)]
     pub id: Option<String>,
+    /// Where the mesh of a whiskerfbg-sweep lies in the frame in which the arm moves the base along +z: place (mm) and unit quaternion;
+    /// without it the contacts are placed on the mesh by themselves
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_delimiter = ',', allow_hyphen_values = true)]
+    pub object_pose: Option<Vec<f64>>,
     /// Surrounding medium
     #[arg(long, default_value = "air")]
     pub medium: String,
@@ -131,6 +147,8 @@ pub enum Kind {
     Axis,
     /// Whisker pressed by a V-groove.
     Whisker,
+    /// Sweep over an object in the layout of the WhiskerFBG release.
+    WhiskerfbgSweep,
 }
 
 /// Declared model of a transducer.
@@ -166,7 +184,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "import",
     document: "session.toml",
     says: "command = [\"import\"",
-    files: &["points.csv", "holdout.csv", "rest_shape.csv"],
+    files: &["points.csv", "holdout.csv", "rest_shape.csv", sweep::OBJECT],
     kept: &["unsealed.json"],
     resumes: false,
 };
@@ -176,6 +194,12 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// Where the table or the resulting session cannot be used; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
+    if args.kind == Kind::WhiskerfbgSweep {
+        return sweep::run(args);
+    }
+    if let Some(more) = args.more.first() {
+        bail!("expected one table, found {} too (--kind whiskerfbg-sweep takes three files)", more.display());
+    }
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let layout = layout(args);
     let table = read_text_table(&args.file, &layout)?;

@@ -17,6 +17,7 @@ mod whiskers;
 pub use groove::at_most;
 pub use trust::filters_for;
 
+use crate::import::SweepFolder;
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -162,6 +163,9 @@ enum Source {
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
     if args.model.is_empty() {
+        if let Some(sweep) = args.source.as_deref().and_then(SweepFolder::of) {
+            return motion_table::track(args, &sweep.points);
+        }
         let folder = args.source.as_deref().filter(|s| s.join("session.toml").is_file());
         return match (folder, &args.source) {
             (Some(folder), _) if args.motion.is_none() => known_motion::track(args, folder),
@@ -243,6 +247,9 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {
+            if let Some(sweep) = SweepFolder::of(path) {
+                return Ok((Source::Table(sweep.points), None));
+            }
             let parts = wcal_acquisition::reduce::recordings(path);
             if parts.is_empty() {
                 bail!("{}: expected a session folder with recording.mcap, found none", path.display());

@@ -48,7 +48,7 @@ pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result
 }
 
 /// Now, or the time in SOURCE_DATE_EPOCH, so that an import can be repeated to the byte.
-fn created() -> anyhow::Result<String> {
+pub(super) fn created() -> anyhow::Result<String> {
     let stamp = match std::env::var("SOURCE_DATE_EPOCH") {
         Ok(seconds) => {
             let seconds = seconds
@@ -71,7 +71,7 @@ fn transducer(args: &ImportArgs) -> Table {
         .collect()
 }
 
-fn provenance(sources: &[&TextTable]) -> Table {
+pub(super) fn provenance(sources: &[&TextTable]) -> Table {
     let short = |path: &str| {
         Path::new(path).file_name().map_or(path.to_owned(), |n| n.to_string_lossy().into_owned())
     };

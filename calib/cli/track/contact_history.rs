@@ -65,6 +65,11 @@ impl ContactHistory {
         self.segments.push(t_s, f64::from(p.contact), point_mm, covariance, step_mm)
     }
 
+    /// Probable contacts where the way of the base is known, in the frame that it moves in, mm.
+    pub fn contacts_mm(&self) -> Vec<Vector3<f64>> {
+        self.cloud.iter().map(|c| c.point_mm).collect()
+    }
+
     /// Readings are missing before the next row.
     pub fn gap(&mut self) {
         self.segments.gap();

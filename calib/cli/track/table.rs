@@ -3,9 +3,11 @@
 use super::contact_history::{ContactHistory, write_surface};
 use super::groove::{KnownGroove, known_places, velocities};
 use super::motion;
+use super::motion_log::is_motion_column;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
+use crate::import::SweepFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -16,7 +18,9 @@ use std::process::ExitCode;
 use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
+use wcal_sim::Mesh;
+use wcal_track::mesh_score::{MeshScore, mesh_score};
 use wcal_track::motion_judge::{MotionJudge, UnjudgedRow};
 use wcal_track::stream::BasePose;
 use wcal_track::{Sample, Tare};
@@ -45,6 +49,12 @@ fn median(mut steps: Vec<f64>) -> Option<f64> {
     steps.get(steps.len() / 2).copied()
 }
 
+/// How far the contacts lie from the object of an imported sweep; none for another table or without contacts.
+fn beside_mesh(table: &Path, found: &ContactHistory) -> Result<Option<MeshScore>> {
+    let Some(sweep) = table.parent().and_then(SweepFolder::of) else { return Ok(None) };
+    Ok(mesh_score(&found.contacts_mm(), &Mesh::read(&sweep.object)?, sweep.world_from_object))
+}
+
 /// Tracks the readings of a table.
 ///
 /// # Errors
@@ -53,7 +63,9 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     let calibration = loaded.calibration()?;
     let MomentTable { rows, warnings } =
         calibration.moments(path).with_context(|| loaded.place.display().to_string())?;
-    for warning in &warnings {
+    let of_motion =
+        |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
+    for warning in warnings.iter().filter(|w| !of_motion(w)) {
         eprintln!("warning: {warning}");
     }
     let fbg = calibration.fbg();
@@ -145,6 +157,8 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         "trained_on_simulation": loaded.card.trained_on_simulation,
         "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });
+    let on_mesh = beside_mesh(path, &found)?;
+    summary["object"] = json!(on_mesh);
     if args.surface {
         summary["surface"] = write_surface(&args.out, &[&found])?;
     }
@@ -157,6 +171,20 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     }
     if flagged > 0 {
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
+    }
+    if let Some(s) = &on_mesh {
+        eprintln!(
+            "{} contacts lie {:.2} mm RMS from the object's mesh (median {:.2}, 95 % below {:.2}){}",
+            s.points,
+            s.rmse_mm,
+            s.median_mm,
+            s.p95_mm,
+            if s.placed_by_points {
+                "; its place was fitted to them (six numbers: --object-pose of wcal import takes it where it is known)"
+            } else {
+                ""
+            }
+        );
     }
     motion::say(&motions, "", rows.len() as u64);
     if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {

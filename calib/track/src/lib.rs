@@ -12,6 +12,7 @@ pub mod filter;
 pub mod generate_sweeps;
 pub mod inverse;
 pub mod known_motion;
+pub mod mesh_score;
 pub mod model_file;
 pub mod motion_judge;
 pub mod network;

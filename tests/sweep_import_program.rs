@@ -1,0 +1,220 @@
+//! `wcal import --kind whiskerfbg-sweep` and the track of it, on a record in the release's layout that the rod engine made (SIMULATED).
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+use wcal_core::observation::WhiskerSpec;
+use wcal_sim::{Mesh, SweepPlan, objects};
+use wcal_track::SweepSeries;
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
+
+/// Shifts by moments, nm/(N mm).
+const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];
+const RATE_HZ: f64 = 2000.0;
+/// Samples before the sweep: longer than the zero of the release.
+const LEAD: usize = 4000;
+
+fn wcal(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn shifts(m: [f64; 2]) -> [f64; 2] {
+    [0, 1].map(|c| K[c][0] * m[0] + K[c][1] * m[1])
+}
+
+/// A session whose map is K, for `fit-gpr`.
+fn calibration(folder: &Path) -> String {
+    let session = folder.join("session");
+    std::fs::create_dir_all(&session).unwrap();
+    let (mut points, mut twin) = (
+        "point,role,trajectory,replicate,stage_mm,groove_x_mm,groove_y_mm,groove_z_mm,fbg_1_shift_nm,fbg_2_shift_nm\n".to_owned(),
+        "point,moment_1_nmm,moment_2_nmm\n".to_owned(),
+    );
+    for k in 0..49 {
+        let m = [k % 7, k / 7].map(|i| 0.5 * (f64::from(i) - 3.0));
+        let [a, b] = shifts(m);
+        let stage = 0.1 * f64::from(k);
+        writeln!(points, "{k},calibration,1,1,{stage},30,0,{stage},{a},{b}").unwrap();
+        writeln!(twin, "{k},{},{}", m[0], m[1]).unwrap();
+    }
+    std::fs::write(session.join("points.csv"), points).unwrap();
+    std::fs::write(session.join("twin.csv"), twin).unwrap();
+    let description = "format = \"wcal-session/1\"\nid = \"exact-map\"\nkind = \"whisker\"\nmedium = \"air\"\n\
+        [files]\npoints = \"points.csv\"\ntwin = \"twin.csv\"\n\
+        [whisker]\ndiameter_mm = 0.3\nyoungs_gpa = 75.0\nshear_gpa = 28.2\nstraight_mm = 30.0\narc_radius_mm = 20.0\nlength_mm = 60.0\n\
+        [fbg]\ntemperature_compensated = true\n\
+        [[trajectory]]\nid = 1\norigin_mm = [30.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n[provenance]\nsimulated = true\n";
+    std::fs::write(session.join("session.toml"), description).unwrap();
+    let out = folder.join("fit");
+    let run = wcal(&["fit-gpr", session.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(run.status.code().is_some_and(|c| c == 0 || c == 3), "{}", text(&run.stderr));
+    out.join("calibration.json").to_str().unwrap().to_owned()
+}
+
+/// A mesh as binary STL in metres, as the release has it.
+fn stl(mesh: &Mesh) -> Vec<u8> {
+    let points: Vec<_> = mesh.points().collect();
+    let mut bytes = vec![0_u8; 80];
+    bytes.extend((mesh.triangles().len() as u32).to_le_bytes());
+    for t in mesh.triangles() {
+        bytes.extend([0_u8; 12]);
+        for corner in t {
+            bytes.extend(points[*corner as usize].iter().flat_map(|x| ((x * 1e-3) as f32).to_le_bytes()));
+        }
+        bytes.extend([0_u8; 2]);
+    }
+    bytes
+}
+
+/// The release's two tables of a sweep: `sign` of the moments.
+fn record(series: &SweepSeries, sign: f64) -> (String, String) {
+    let first_s = series.samples[0].t_s;
+    let last_s = series.samples[series.samples.len() - 1].t_s;
+    let at = |t_s: f64| {
+        let after = series.samples.partition_point(|s| s.t_s < t_s).clamp(1, series.samples.len() - 1);
+        let (a, b) = (&series.samples[after - 1], &series.samples[after]);
+        let u = ((t_s - a.t_s) / (b.t_s - a.t_s)).clamp(0.0, 1.0);
+        let mix = |x: f64, y: f64| x + (y - x) * u;
+        let m = [0, 1].map(|k| mix(a.moment_nmm[k], b.moment_nmm[k]));
+        (m, mix(a.travel_mm, b.travel_mm))
+    };
+    let samples = LEAD + ((last_s - first_s) * RATE_HZ) as usize;
+    let (mut optic, mut action) = ("fbg_2,fbg_4,fbg_6\n".to_owned(), ",py,ind\n".to_owned());
+    for i in 0..samples {
+        let (m, travel_mm) = at(first_s + (i as f64 - LEAD as f64) / RATE_HZ);
+        let [a, b] = shifts(m.map(|m| sign * m));
+        // The laboratory warms up: 20 pm over the record.
+        let warm = 0.02 * i as f64 / samples as f64;
+        writeln!(optic, "{:.7},{:.7},{:.7}", 1545.0 + warm + a, 1542.0 + warm, 1543.0 + warm + b).unwrap();
+        if i >= LEAD - 1000 && i.is_multiple_of(200) {
+            writeln!(action, "{},{:.9},{i}", i / 200, 1e-3 * (travel_mm - 107.0)).unwrap();
+        }
+    }
+    (optic, action)
+}
+
+#[test]
+fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let calibration = calibration(folder.path());
+    let mesh = objects::built_in("can").unwrap();
+    let plan = SweepPlan { rate_hz: 20.0, ..SweepPlan::default() };
+    let request = SweepRequest { whisker: &WhiskerSpec::nominal(), plan: &plan, seed: 7, sweeps: 1 };
+    let series = generate_sweeps(&mesh, &request).unwrap();
+    std::fs::write(path("can.stl"), stl(&mesh)).unwrap();
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker");
+
+    // The base has gone 107 mm less at the same travel: so has the object in the frame that the base moves in.
+    let at_start = &series[0].base_from_object;
+    let (t, q) = (at_start.translation.vector, at_start.rotation.coords);
+    let pose = format!("{},{},{},{},{},{},{}", t.x, t.y, t.z - 107.0, q.w, q.x, q.y, q.z);
+    let score = |name: &str, sign: f64, placed: bool| -> serde_json::Value {
+        let (optic, action) = record(&series[0], sign);
+        let files = ["optic", "action"].map(|f| path(&format!("{name}-{f}.csv")));
+        std::fs::write(&files[0], optic).unwrap();
+        std::fs::write(&files[1], action).unwrap();
+        let (session, out) = (path(name), path(&format!("{name}-track.csv")));
+        let import = [
+            "import",
+            &files[0],
+            &files[1],
+            &path("can.stl"),
+            "--kind",
+            "whiskerfbg-sweep",
+            "--simulated",
+            "--out",
+            &session,
+        ];
+        let more = ["--json", "--object-pose", &pose];
+        let run = wcal(&[&import[..], if placed { &more } else { &more[..1] }].concat());
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains("taken as metres"), "{}", text(&run.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!((&document["kind"], &document["simulated"]), (&"sweep".into(), &true.into()));
+        let run = wcal(&[
+            "track",
+            &session,
+            "--calibration",
+            &calibration,
+            "--model",
+            model,
+            "--force",
+            "--out",
+            &out,
+            "--json",
+        ]);
+        assert!(run.status.code().is_some_and(|c| c != 1), "{}", text(&run.stderr));
+        println!("{name}: {}", text(&run.stderr));
+        let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!(summary["simulated"], true);
+        summary["object"].clone()
+    };
+    let right = score("right", 1.0, true);
+    let of = |s: &serde_json::Value, key: &str| s[key].as_f64().unwrap();
+    assert!(of(&right, "points") > 20.0 && right["placed_by_points"] == false, "{right}");
+    // 0.3 mm of it is the tracker's on clean sweeps; the mean of 300 samples rounds the onset.
+    assert!(of(&right, "rmse_mm") < 1.5, "{right}");
+    // Control: moments of the other sign are no sweep over this object.
+    let wrong = score("wrong", -1.0, true);
+    assert!(wrong.is_null() || of(&wrong, "rmse_mm") > 3.0 * of(&right, "rmse_mm"), "{right} {wrong}");
+    // Without its place the mesh is placed by the contacts, which is said.
+    let free = score("free", 1.0, false);
+    assert!(free["placed_by_points"] == true && of(&free, "rmse_mm") < 1.5, "{free}");
+}
+
+#[test]
+fn what_is_no_such_record_is_named_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let out = path("out");
+    std::fs::write(path("optic.csv"), "fbg_2,fbg_4,fbg_6\n1545,1542,1543\n").unwrap();
+    std::fs::write(path("action.csv"), ",py,ind\n0,0.1,25100\n1,0.11,25200\n2,0.12,25300\n3,0.13,25400\n")
+        .unwrap();
+    std::fs::write(path("thing.stl"), stl(&objects::built_in("can").unwrap())).unwrap();
+    let refused = |files: &[&str], said: &str| {
+        let files: Vec<String> = files.iter().map(|f| path(f)).collect();
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        let run = wcal(&[&["import"], &files[..], &["--kind", "whiskerfbg-sweep", "--out", &out]].concat());
+        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
+        assert!(!Path::new(&out).exists());
+    };
+    refused(&["optic.csv", "action.csv", "thing.stl"], "1700 samples");
+    refused(&["optic.csv", "action.csv"], "expected OPTIC.csv ACTION.csv MESH.stl");
+    let row = "1545,1542,1543\n";
+    std::fs::write(path("optic.csv"), format!("fbg_2,fbg_4,fbg_6\n{}", row.repeat(26_000))).unwrap();
+    // Millimetres that are called a metre file: a can of 100 m.
+    let metres = stl(&objects::built_in("can").unwrap());
+    let mut large = metres.clone();
+    for corner in large[84..].chunks_exact_mut(50).flat_map(|t| t[12..48].chunks_exact_mut(4)) {
+        let x = f32::from_le_bytes([corner[0], corner[1], corner[2], corner[3]]) * 1e6;
+        corner.copy_from_slice(&x.to_le_bytes());
+    }
+    std::fs::write(path("large.stl"), large).unwrap();
+    refused(&["optic.csv", "action.csv", "large.stl"], "large");
+    std::fs::write(path("mm.csv"), ",py,ind\n0,-107,25100\n1,-106,25200\n").unwrap();
+    refused(&["optic.csv", "mm.csv", "thing.stl"], "metres");
+    let run = wcal(&[
+        "import",
+        &path("optic.csv"),
+        &path("action.csv"),
+        &path("thing.stl"),
+        "--kind",
+        "whiskerfbg-sweep",
+        "--out",
+        &out,
+        "--object-pose",
+        "0,0,0,2,0,0,0",
+    ]);
+    assert!(
+        run.status.code() == Some(1) && text(&run.stderr).contains("unit quaternion"),
+        "{}",
+        text(&run.stderr)
+    );
+}

@@ -1,4 +1,10 @@
 //! The candidate maps, their fits and their left-out errors.
+//!
+//! With left-out errors e_i, scales s_i and degrees of freedom nu: RMSE^2 = sum e_i^2 / n; negative log predictive density
+//! sum (ln s_i - ln t_nu(e_i / s_i)) / n; reach r_i = |e_i| / (t_(0.975, nu) s_i), coverage = share of r_i <= 1. Inflation: the
+//! ceil(0.95 (n + 1))-th smallest r_i, where the coverage lies below the binomial bounds.
+//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 5.4.2; the rank: V. Vovk, A. Gammerman &
+//! G. Shafer, "Algorithmic Learning in a Random World" (2005) (split-conformal prediction).
 
 use crate::error::MapError;
 use crate::evidence::{Criterion, ShapeSearch, choose_hyperparameters, log_evidence};

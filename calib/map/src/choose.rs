@@ -1,4 +1,9 @@
 //! Choice between candidates.
+//!
+//! S_cm = sum_g S_cmg: squared left-out errors of candidate c, moment m, group g (trajectory or pose). Best b: least prod_m S_cm.
+//! Excess of c over b: D_c = sum_g d_g, d_g = 1/2 sum_m (S_cmg - S_bmg) / S_bm, with standard error
+//! sqrt(G / (G - 1) sum_g (d_g - D_c / G)^2) over G groups. Chosen: the first (simplest) with D_c <= its standard error (or 0.001: refits
+//! agree to rounding). Source: L. Breiman et al., "Classification and Regression Trees" (1984), sec. 3.4.3, paired.
 
 use crate::candidate::{CandidateFit, LeftOutSummary};
 use crate::training::MapTraining;
@@ -39,6 +44,7 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
         }
         of
     };
+    // S_cmg: what is independent is the trajectory (or the pose), so errors are summed within it.
     let squares: Vec<[BTreeMap<usize, f64>; 2]> = candidates
         .iter()
         .map(|c| {
@@ -51,6 +57,7 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let score = |s: &[BTreeMap<usize, f64>; 2]| total(&s[0]).ln() + total(&s[1]).ln();
     let best =
         (0..candidates.len()).min_by(|a, b| score(&squares[*a]).total_cmp(&score(&squares[*b]))).unwrap_or(0);
+    // Paired by group: what all candidates find hard in one trajectory drops out of the difference.
     let (mut excess, mut excess_se) = (Vec::new(), Vec::new());
     for candidate in &squares {
         let groups: Vec<f64> = squares[best][0]
@@ -69,6 +76,7 @@ pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
         excess.push(sum);
         excess_se.push(if n > 1.0 { (spread * n / (n - 1.0)).sqrt() } else { 0.0 });
     }
+    // The simplest that is not worse by more than chance.
     let chosen = (0..candidates.len()).find(|c| excess[*c] <= excess_se[*c].max(EQUAL)).unwrap_or(best);
     Choice { chosen, best, by: if by_trajectory { "loto" } else { "loo" }, excess, excess_se }
 }

@@ -1,4 +1,8 @@
 //! Plane geometry of the wavelength cloud.
+//!
+//! Orientation of o, a, b: (a - o) x (b - o) > 0 where they turn left; a point is inside a counter-clockwise hull where it lies left of all
+//! edges. Distance from an edge: |p - (a + t (b - a))|, t = clamp((p - a) . (b - a) / |b - a|^2, 0, 1).
+//! Source: A. Andrew, Inf. Process. Lett. 9 (1979), the monotone chain.
 
 /// Mean of the points and root-mean-square deviation of a coordinate from it.
 pub(crate) fn centre_and_spread(points: &[[f64; 2]]) -> ([f64; 2], f64) {
@@ -37,6 +41,7 @@ pub(crate) fn convex_hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     if sorted.len() < 3 {
         return sorted;
     }
+    // Lower and upper half: whatever makes the chain turn right lies inside.
     let half = |points: &mut dyn Iterator<Item = &[f64; 2]>| {
         let mut chain: Vec<[f64; 2]> = Vec::new();
         for p in points {

@@ -1,4 +1,9 @@
 //! How well the wavelengths determine each moment.
+//!
+//! Affine law of the shifts: s = z + K m + e, cov(e) = R, by least squares. A reading's scatter R is worth K^-1 R K^-T in the moment; its
+//! diagonal gives the standard deviations. Condition of K: ratio of its singular values. What moment m alone moves, the other's direction
+//! taken out: 1 / |row m of K^-1|. Explained share: 1 - RMSE_loo^2 / var(labels). Source: G. Golub & C. Van Loan, "Matrix Computations"
+//! (2013), sec. 2.6 and 5.3; G. Seber & A. Lee, "Linear Regression Analysis" (2003), ch. 3.
 
 use crate::error::MapError;
 use crate::training::MapTraining;
@@ -78,8 +83,10 @@ pub fn identify(training: &MapTraining, loo_rmse_nmm: [f64; 2]) -> Result<Identi
     let to_moment = |c: &Matrix2<f64>| (inverse * c * inverse.transpose()).diagonal().map(f64::sqrt);
     let noise =
         training.noise_sd_pm.map(|sd| to_moment(&Matrix2::new(sd[0].powi(2), 0.0, 0.0, sd[1].powi(2))));
+    // Principal deviations of the cloud: readings on a line say nothing across it.
     let cloud = covariance(&training.shifts_pm).symmetric_eigenvalues().map(|v| v.max(0.0).sqrt());
     let cloud_sd_pm = [cloud.max(), cloud.min()];
+    // In label units: a map no better than the labels' mean explains nothing.
     let explained = [0, 1].map(|m| 1.0 - (loo_rmse_nmm[m] / label_sd_nmm[m].max(1e-12)).powi(2));
     let own = [0, 1].map(|m| 1.0 / inverse.row(m).norm());
     let mut report = IdentifiabilityReport {
@@ -161,6 +168,7 @@ fn fit_law(training: &MapTraining) -> Result<(WavelengthFromMoment, Matrix2<f64>
     let deficient = MapError::RankDeficient { trend: "affine wavelength-from-moment", readings: n };
     let h = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { training.moments_nmm[i][j - 1] });
     let y = DMatrix::from_fn(n, 2, |i, g| training.shifts_pm[i][g]);
+    // Labels on a line leave one column of K open.
     let svd = h.clone().svd(true, true);
     if svd.singular_values.min() < 1e-9 * svd.singular_values.max() {
         return Err(deficient);

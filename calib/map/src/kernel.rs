@@ -1,4 +1,8 @@
 //! Correlation functions of the scaled wavelength plane.
+//!
+//! Thin plate: k(r) = 1 - 3 u^2 + 2 u^3, u = r / R (O. Williams & A. Fitzgibbon, "Gaussian process implicit surfaces", 2007).
+//! Matern 5/2: k(r) = (1 + s + s^2 / 3) exp(-s), s = sqrt(5) r / l (C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning",
+//! 2006, eq. 4.17).
 
 use crate::error::MapError;
 use crate::geometry::distance;

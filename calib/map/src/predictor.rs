@@ -1,4 +1,8 @@
 //! Evaluation of a stored map, one reading at a time and without allocation.
+//!
+//! With C = K + nu I = L L^T, G = L^-1 H, G^T G = A A^T (Cholesky), k_i = k(|z_i - z|), h the trend's basis at z:
+//! mean = h . b + k . a, variance = s2 [k(0) - |v|^2 + |A^-1 (h - G^T v)|^2], v = L^-1 k (universal kriging).
+//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 2.7. Fit and symbols: [`crate::Process`].
 
 use crate::artefact::{MapArtefact, OutputMap};
 use crate::error::MapError;

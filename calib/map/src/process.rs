@@ -1,4 +1,11 @@
 //! One output: generalised least squares with a trend and a correlated part, its leave-out errors and its predictions.
+//!
+//! y = H b + f + e, cov(f) = s2 K, cov(e) = s2 nu I, C = K + nu I = L L^T, G = L^-1 H:
+//! b = (G^T G)^-1 G^T L^-1 y, a = C^-1 (y - H b), s2 = |L^-1 (y - H b)|^2 / (n - terms).
+//! At z: mean = h . b + k . a, variance = s2 [k(0) - |v|^2 + u . (G^T G)^-1 u], v = L^-1 k, u = h - G^T v; noise adds s2 nu.
+//! Left out as a group g: e_g = (P_gg)^-1 (P y)_g, P = C^-1 - C^-1 H (H^T C^-1 H)^-1 H^T C^-1, P y = a.
+//! Source: C. Rasmussen & C. Williams, "Gaussian Processes for Machine Learning" (2006), sec. 2.7 and 5.4.2; O. Dubrule, Math. Geol. 15
+//! (1983).
 
 use crate::error::MapError;
 use crate::kernel::Kernel;
@@ -105,6 +112,7 @@ impl Process {
         let factor = Factor::new(&model, inputs)?;
         let readings = inputs.len();
         let lost = MapError::NotPositiveDefinite { readings };
+        // Whitened by L, generalised least squares is ordinary least squares on G.
         let yt = factor.l.solve_lower_triangular(&DVector::from_column_slice(y)).ok_or(lost.clone())?;
         let beta = match &factor.a {
             Some(a) => a.solve(&(factor.g.transpose() * &yt)),
@@ -135,6 +143,7 @@ impl Process {
             self.inputs.iter().map(|x| kernel.at(crate::geometry::distance(*x, z))),
         );
         let h = DVector::from_column_slice(&self.model.trend.basis(z)[..self.model.trend.terms()]);
+        // What the data tell of f takes its prior variance down; what they leave open of b puts some on again.
         let mean = h.dot(&self.beta) + k.dot(&self.alpha);
         let v = self.factor.l.solve_lower_triangular(&k).unwrap_or(k);
         let mut spread = kernel.at_zero() - v.norm_squared();

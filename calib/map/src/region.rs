@@ -1,4 +1,7 @@
 //! Where the map may be used.
+//!
+//! Valid where dist(s, hull) <= margin = share * max |s_i - s_j|: outside the hull the map extrapolates, and its stated variance, which
+//! rests on the kernel alone, is no longer tested by any left-out reading.
 
 use crate::geometry::{convex_hull, diameter, distance_to_polygon};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,8 @@
 //! Quantiles and densities of standardised errors: Student t with known degrees of freedom, or normal.
+//!
+//! An error over its estimated scale with nu degrees of freedom follows t_nu; its central 95 % are +- t_(0.975, nu), 1.960 for a known
+//! scale. Of n trials with success p the counts k with P(X <= k) > 0.025 and P(X >= k) > 0.025 are not contradicted at 5 %
+//! (C. Clopper & E. Pearson, Biometrika 26, 1934).
 
 use statrs::distribution::{Binomial, Continuous, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 

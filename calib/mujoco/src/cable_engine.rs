@@ -1,5 +1,9 @@
 //! Sweeps by MuJoCo: the base on a slide whose speed the solver sees, the object as convex parts, labels on the exact mesh.
 //!
+//! M q'' + c = J^T f - K q - D q', forces f of the soft contacts by MuJoCo's convex problem (E. Todorov, ICRA 2014); the base's slide has
+//! l'' prescribed. Base moment: what the springs and dampers of the first joint carry. Contact of a group of touching places:
+//! s = sum s_i |f_i| / sum |f_i|, its normal part f . n with n of the exact mesh at r(s), the rest is friction.
+//!
 //! The wire has inertia, damping and soft contacts: what they cost is compared with the quasi-static rod (tests/peers and
 //! `compare_engines`). Steps that go wrong are named: `unstable` (a number that is none), `penetration` (deeper than the wire's
 //! radius), `chatter` (the contact opens and closes from step to step), `engine-died`, `model-refused` (a part that MuJoCo cannot take).
@@ -209,6 +213,7 @@ impl CableEngine {
                 event,
                 settled: !chatters,
             });
+            // Bending strain of the skin at the root: M / EI times radius.
             let strain = moment.yz().norm() / self.ei_nmm2 * radius_mm;
             let wrong = [
                 (deepest_m * 1e3 > radius_mm, "penetration"),
@@ -285,6 +290,7 @@ fn contacts(
         if places.get(k + 1).is_some_and(|next| next.0 - places[k].0 < ONE_CONTACT_MM) {
             continue;
         }
+        // One contact at the centre of force of its places.
         let weight: f64 = group.iter().map(|g| g.1.norm()).sum();
         let s_mm = group.iter().map(|g| g.0 * g.1.norm()).sum::<f64>() / weight;
         let force: Vector3<f64> = group.drain(..).map(|g| g.1).sum();

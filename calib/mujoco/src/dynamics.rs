@@ -2,6 +2,12 @@
 //!
 //! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, docs/src/system.md), and on
 //! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
+//!
+//! min over x of sum_i ((y_i(x) - y_i*) / u_i)^2, x = (damping, width, d0, dmax), y the demands (ring-down as its logarithm) and u the
+//! units that count. Sensitivity: with J the change of y_i / u_i over one step of the grid in each x_k and N = J^T J = V diag(n) V^T, the
+//! standard deviation of x_k with the others free is sqrt(sum_j V_kj^2 / n_j) steps.
+//! Source: M. Powell, "The BOBYQA algorithm", DAMTP 2009/NA06; P. Kaelo & M. Ali, J. Optim. Theory Appl. 130 (2006) (CRS2), both by NLopt;
+//! contact parameters: MuJoCo documentation, "Solver parameters".
 
 mod trial_rig;
 
@@ -126,6 +132,7 @@ fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
         let pairs = changes[i].iter().zip(&changes[j]);
         pairs.map(|(a, b)| a * b).filter(|p| p.is_finite()).sum::<f64>()
     });
+    // Directions that change nothing have no information: their variance is bounded, not infinite.
     let axes = normal.symmetric_eigen();
     let sd = |k: usize| {
         let along =

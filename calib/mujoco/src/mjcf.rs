@@ -1,5 +1,8 @@
 //! The whisker as a MuJoCo model (MJCF, SI units): rigid links joined by three hinges a joint, springs from the section's stiffness.
 //!
+//! Stiffness of joint j: diag(GJ, EI, EI) / span_j, span h, at the clamp h / 2; damping and armature proportional to it (Rayleigh). Mass of a
+//! link: rho pi D^2 h / 4. Symbols as in `wcal_rod::discrete`.
+//!
 //! The rest shape is in the bodies' poses, so that every spring rests at zero. Twist and bending have their own stiffness, which a ball
 //! joint cannot have; three hinges in one place turn as it does up to the second order of a joint's angle. The clamp's spring spans half
 //! a link: the plain layout is too stiff there by 1.5/N (docs/src/method.md, Rod). No plugin is needed.

@@ -1,5 +1,9 @@
 //! Sweeps by MuJoCo against the same sweeps by the quasi-static rod, by the base's speed: what inertia, damping, soft contacts and
 //! convex parts do to moments and contacts (SIMULATED).
+//!
+//! With moments m_i by MuJoCo and q_i by the rod where both touch at one place: RMS of |m_i - q_i|, bias sum |m_i| / sum |q_i| - 1, ripple the
+//! RMS of d_i - (d_(i-1) + d_i + d_(i+1)) / 3 with d = m - q; bias a mm/s is the slope of the sweeps' bias over their mean speed, weighted by
+//! sum |q_i|.
 
 mod print;
 
@@ -238,15 +242,16 @@ impl Sum {
             let (moment, Some(there)) = sample.dynamic else { continue };
             let Some((by_rod, Some(here))) = sample.quasi.filter(|_| count) else { continue };
             bin.both += 1;
-            let apart_mm = (here - there).norm();
-            if apart_mm > ELSEWHERE_MM {
+            let distance_mm = (here - there).norm();
+            // Another equilibrium: one engine has let the wire spring, the other not yet.
+            if distance_mm > ELSEWHERE_MM {
                 bin.elsewhere += 1;
                 continue;
             }
             let difference = moment - by_rod;
             differences.push((k, difference));
             bin.differences_nmm.push(difference.norm());
-            bin.contacts_mm.push(apart_mm);
+            bin.contacts_mm.push(distance_mm);
             for (sum, add) in bin.squares.iter_mut().zip([difference, by_rod]) {
                 *sum += add.norm_squared();
             }

@@ -1,6 +1,6 @@
 //! Distances of a surface at the middles of a grid's cells, filled where they are asked for.
 //!
-//! A distance changes by no more than the way between two places (it is 1-Lipschitz): most questions about a wire that passes an object
+//! |d(p) - d(q)| <= |p - q| (a distance is 1-Lipschitz), so d(middle) -+ |p - middle| bounds d(p): most questions about a wire that passes an object
 //! are answered "far" by the cell, and the others are searched no farther than the cell allows. Answers stay exact.
 
 use nalgebra::Vector3;

@@ -1,4 +1,8 @@
 //! Triangle meshes with exact signed distance.
+//!
+//! d(p) = +-|p - q|, q the nearest point of the surface, negative where (p - q) . N(q) <= 0 with N the pseudo-normal of the face, edge or
+//! corner that q is on (J. Baerentzen & H. Aanaes, IEEE TVCG 11, 2005). grad d = n = (p - q) / d. Second derivative: 0 over a face,
+//! b b^T / d over an edge (b across edge and n), (I - n n^T) / d at a corner. Volume: sum of a . (b x c) / 6 over the triangles (Gauss).
 
 use crate::SimError;
 use crate::grid::Grid;
@@ -172,6 +176,7 @@ impl Mesh {
         if found.is_inside || self.bodies.is_empty() {
             return Some((found, at, &self.surface));
         }
+        // Bodies that overlap are one: the greatest of their depths is the nearest bound of the union's.
         let deep = |(found, ..): &(PointProjection, _, _)| (p - vector(found.point)).norm();
         let around = self.bodies.iter().filter(|body| body.local_aabb().contains_local_point(place(p)));
         let inside = around

@@ -1,4 +1,8 @@
 //! Built-in objects: primitives and look-alikes of everyday things, closed and oriented.
+//!
+//! Bodies of revolution (r cos a, r sin a, z) about z, profiles smoothed by Catmull-Rom splines:
+//! 2 p(t) = 2 p1 + (p2 - p0) t + (2 p0 - 5 p1 + 4 p2 - p3) t^2 + (3 p1 - p0 - 3 p2 + p3) t^3 (E. Catmull & R. Rom, 1974); prisms over polygons that their centre sees
+//! whole; a torus. Normals point outward: triangles run counter-clockwise as seen from outside.
 
 use crate::{Mesh, SimError};
 use nalgebra::Vector3;

@@ -1,4 +1,8 @@
 //! What a sweep's physics adds to the ideal rod: friction, softening, and the medium's drag, weight and buoyancy.
+//!
+//! Per length: weight less buoyancy (rho_w - rho) pi/4 D^2 g; drag across the wire -1/2 rho C D |v| v, v the velocity past the medium less
+//! its part along the wire, C = 1 + 10 Re^(-2/3), Re = |v| D / nu (cylinder, 1 < Re < 2e5: F. M. White, "Viscous Fluid Flow", 1991).
+//! Added mass, and drag along the wire, are left out. Directions are uniform on the sphere: z uniform in [-1, 1] and an angle (Archimedes).
 
 use crate::{SimError, SweepPlan};
 use nalgebra::Vector3;
@@ -187,12 +191,14 @@ impl FluidLoads {
     /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous Fluid Flow, 1991).
     #[must_use]
     pub fn drag_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
+        // Slender body: only the flow across the wire drags it.
         let past = (velocity_mm_s - self.current_mm_s) * 1e-3;
         let across = past - tangent * tangent.dot(&past);
         let speed = across.norm();
         if speed < 1e-9 {
             return Vector3::zeros();
         }
+        // C |v| v goes to zero with v, as |v|^(4/3).
         let reynolds = speed * self.diameter_m / self.viscosity_m2_s;
         let coefficient = 1.0 + 10.0 * reynolds.powf(-2.0 / 3.0);
         -across * (0.5 * self.density_kg_m3 * coefficient * self.diameter_m * speed * 1e-3)
@@ -229,7 +235,7 @@ pub(crate) fn node_velocities(
     before.nodes_mm.iter().zip(&after.nodes_mm).map(|(a, b)| (b - a) / seconds).collect()
 }
 
-/// A chain with a sweep's softening.
+/// The rod with a sweep's softening.
 pub(crate) fn with_physics(rod: &DiscreteRod, physics: &Physics) -> DiscreteRod {
     let mut rod = rod.clone();
     rod.softening = physics.softening;

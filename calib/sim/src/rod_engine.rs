@@ -1,6 +1,10 @@
 //! Sweeps by the quasi-static rod: no inertia, no damping, the exact mesh as contact surface; friction, softening, drag and weight as
 //! the sweep says.
 //!
+//! At each way l of the base: min E(phi) subject to g(r(s); l) >= 0, by continuation in l from the equilibrium before (equations and
+//! sources: `wcal_rod::discrete`, `contact`). A step is halved where Newton's method fails or a node moves by more than
+//! 1.5 mm + 3 dl: then the branch ended at a fold, and the wire sprang. Strain of the skin: |du| D / 2.
+//!
 //! Hard contacts first; where they hop between the facets of a scan, soft ones (overlap of some hundredths of a millimetre). Samples at
 //! which neither came to rest are marked.
 
@@ -142,6 +146,7 @@ impl RodEngine {
                 run.verdict = Verdict::Rejected("no-equilibrium");
                 break;
             }
+            // Bending strain of the skin: change of curvature times radius.
             let strain = state.rod.largest_bend_per_mm(&state.contact.links) * state.rod.radius_mm;
             if event == Event::Jump && !plan.keep_jumps {
                 run.verdict = Verdict::Rejected("contact-jump");

@@ -1,4 +1,8 @@
 //! A sweep: where the object lies, how fast the base passes it, and what happens on the way.
+//!
+//! Way of the base: l(t) = v_0 t + 1/2 a t^2, one second after the other with a drawn in [-a_max, a_max] and turned where v would leave its
+//! range. Object to base: p = R q + x_0 - l(t) e_z, with R uniform on SO(3) (Haar measure; K. Shoemake, Graphics Gems III, 1992, p. 124) and
+//! x_0 by the drawn plane y, the gap along x and the way before the object can be touched along z.
 
 use crate::physics::{Physics, PhysicsPlan};
 use crate::{Mesh, SimError};
@@ -182,6 +186,7 @@ impl Sweep {
                 section.push([a, b]);
             }
         }
+        // Gap along x at the object's nearest point; along z the lowest point within reach is touched first.
         let nearest = section.iter().flatten().map(|s| s[0]).fold(f64::INFINITY, f64::min);
         let x_mm = gap_mm - nearest;
         let first = section.iter().map(|s| lowest_within(*s, reach_mm - x_mm)).fold(f64::INFINITY, f64::min);
@@ -219,6 +224,7 @@ fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<
     let seconds = (plan.max_travel_mm / low / HOLD_S).ceil().min(1e4) as usize;
     (0..seconds)
         .map(|_| {
+            // Turned around where the speed would leave its range.
             let drawn = uniform(rng, [-plan.acceleration_mm_s2, plan.acceleration_mm_s2]);
             let next = speed + drawn * HOLD_S;
             let a = if (low..=high).contains(&next) { drawn } else { -drawn };

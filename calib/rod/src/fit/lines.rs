@@ -1,4 +1,8 @@
 //! The rod under a shape's load, and how far a measured line is from it.
+//!
+//! Base frame: r(s) = A r_w(s) + b with the clamp's turn A and offset b; the groove point in the wire's frame is A^T (P - b). Distance of a
+//! measured p: s <- s + (p - r(s)) . t(s) twice from the measured arc length, then the parts of p - r(s) along the two transverse axes.
+//! Between nodes r is the cubic Hermite interpolant of places and tangents (C. de Boor, "A Practical Guide to Splines", 2001, ch. IV).
 
 use super::MeasuredShape;
 use super::model::RestModel;
@@ -42,6 +46,7 @@ pub(super) fn loaded_nodes(
     let found = match near {
         Some(found) => found,
         None => {
+            // Continuation from the free wire, leg by leg, where no equilibrium near is known.
             let from = rod.shape.rest_point(*arclength_mm);
             let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: *arclength_mm };
             for leg in 1..LEGS {

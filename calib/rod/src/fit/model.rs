@@ -1,4 +1,7 @@
 //! What the rest shape may be: a straight part with an arc, or a curvature that is free along the wire.
+//!
+//! Straight and arc: v = (straight a, radius R, length L); free: both transverse curvatures at n places s_k = k L / (n - 1), linear between
+//! them. The clamp follows: turn exp([w]x) and offset across the wire. A free curvature leaves out w_x, which turns all curvatures alike.
 
 use crate::{RodError, Shape};
 use nalgebra::{DVector, Rotation3, Vector3};

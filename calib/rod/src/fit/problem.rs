@@ -1,4 +1,7 @@
 //! The least-squares problem of the crate `levenberg-marquardt`; a place where the rod has no solution has no residuals.
+//!
+//! Residuals d_ki / sd_ki of each point's two transverse distances, (L_k - L) / sd_Lk of each length; Jacobian by central differences
+//! (f(x + h) - f(x - h)) / 2 h, error O(h^2): an exact one would have to go through each wire's equilibrium.
 
 use super::lines::{GuessedShape, distances};
 use super::model::RestModel;

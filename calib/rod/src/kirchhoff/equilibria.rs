@@ -1,5 +1,9 @@
 //! All equilibria of a wire in the groove at one place: Newton's method from many forces and contact places.
 //!
+//! Starts: s_c between the straight distance |P| and the length, F = f EI / L^2 (sqrt(1 - z^2) cos a, sqrt(1 - z^2) sin a, z); equations of
+//! `super::solve`. Found ones that agree in s_c and M are one; the smallest eigenvalue of the second variation (`super::stability`) says
+//! which are stable. No proof that all are found: a start may lie in no basin.
+//!
 //! Which of several stable ones a wire takes is decided by its way there, friction and inertia: a simulator's moment at such a place is
 //! that of its own history.
 

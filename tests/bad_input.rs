@@ -306,7 +306,7 @@ fn verify_and_fit_gpr_refuse_what_is_broken_and_leave_no_result() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Every command with a folder or a file as --out, on arguments that would fail later: what is there is looked at first.
+/// Every command with a folder or a file as --out, on arguments that would fail later: what is there is checked first.
 const OUTPUTS: &[&[&str]] = &[
     &["verify", "s"],
     &["fit-gpr", "s"],

@@ -3,7 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use crate::track::at_most;
 use anyhow::{Result, bail};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
@@ -14,6 +13,7 @@ use wcal_core::verify_document::{ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
+use wcal_track::known_groove::at_most;
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{

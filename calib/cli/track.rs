@@ -1,6 +1,5 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
-mod contact_history;
 mod feed;
 mod groove;
 mod known_motion;
@@ -10,11 +9,11 @@ mod motion;
 mod motion_log;
 mod motion_table;
 mod output;
+mod surface;
 mod table;
 mod trust;
 mod whiskers;
 
-pub use groove::at_most;
 pub use trust::filters_for;
 
 use crate::import::SweepFolder;

@@ -1,6 +1,6 @@
 //! Tracks of a table of whose motion nothing is known: an arc of the wire for every loaded reading.
 
-use super::groove::{KnownGroove, known_places};
+use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::trust::TrustIssues;
 use super::{Outcome, TrackArgs, exit_code};
@@ -13,6 +13,7 @@ use wcal_calibration::{CalibrationModel, SensedRow};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_core::{CalibrationFile, WhiskerSpec};
 use wcal_track::arc::{arclength_regions, moments_alone};
+use wcal_track::known_groove::KnownGroove;
 use wcal_track::network::Prediction;
 use wcal_track::{InverseGrid, StaticInverse};
 

@@ -1,6 +1,6 @@
 //! Tracks of a table without a network: along a known relative motion, or by the moments alone.
 
-use super::groove::{KnownGroove, known_places};
+use super::groove::known_places;
 use super::known_motion::answer;
 use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::output::{FORMAT, TrackFiles, TrackRow};
@@ -19,6 +19,7 @@ use wcal_calibration::{SensedRow, SensedTable, of_whisker};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, WarningKind};
+use wcal_track::known_groove::KnownGroove;
 use wcal_track::known_motion::{
     Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
 };

@@ -1,10 +1,10 @@
 //! Tracks of a table of readings.
 
-use super::contact_history::{ContactHistory, write_surface};
-use super::groove::{KnownGroove, known_places, velocities};
+use super::groove::known_places;
 use super::motion;
 use super::motion_log::is_motion_column;
 use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::surface::write_surface;
 use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::import::SweepFolder;
@@ -20,10 +20,11 @@ use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
 use wcal_sim::Mesh;
+use wcal_track::contact_history::ContactHistory;
+use wcal_track::known_groove::{KnownGroove, velocities};
 use wcal_track::mesh_score::{MeshScore, mesh_score};
-use wcal_track::motion_judge::{MotionJudge, UnjudgedRow};
+use wcal_track::row_tracker::{RowInput, RowTracker};
 use wcal_track::stream::BasePose;
-use wcal_track::{Sample, Tare};
 
 /// A step this many times the median is a gap.
 const GAP_STEPS: f64 = 4.0;
@@ -75,14 +76,10 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     let places = known_places(path)?;
     let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
     let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
-    let mut groove = KnownGroove::new(places, &loaded.card.whisker);
-    let mut motions = MotionJudge::new(&loaded.card.training, args.sweep);
-    let inverse = &loaded.tracker.inverse;
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
-    let mut stream = loaded.stream();
-    let mut tare = Tare::new(args.tare_s);
-    let mut found = ContactHistory::new("");
+    let mut tracker = loaded.row_tracker("", args.sweep, args.tare_s);
+    tracker.groove = KnownGroove::new(places, &loaded.card.whisker);
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -91,8 +88,8 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         if last.zip(step_s).is_some_and(|((before, _), step)| t_s - before > GAP_STEPS * step) {
             // What happened in between is not known: the tracker starts anew.
             flags = flags.with(Flags::GAP);
-            stream = loaded.stream();
-            motions.restart();
+            tracker.restart();
+            tracker.history.gap();
         }
         if fbg.needs_reference() && !m.reference {
             flags = flags.with(Flags::REFERENCE_LOST);
@@ -103,30 +100,12 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         let base_mm_s = velocity.map(|v| v.z).or(args.base_mm_s);
         last = Some((t_s, base));
         let usable = !flags.has(Flags::REFERENCE_LOST);
-        let moments = usable.then(|| StreamMoments {
-            moment_nmm: tare.zeroed(t_s, m.moment_nmm),
-            sd_nmm: m.sd_nmm,
-            valid: m.valid,
-        });
-        let answered = moments.map(|m| stream.push(&Sample { t_s, moment_nmm: m.moment_nmm, base_mm_s }));
-        if flags.has(Flags::GAP) {
-            found.gap();
-        }
-        let mut answer = None;
-        let mut regions = Vec::new();
-        if let (Some(moments), Some(answer_of_network)) = (moments, answered) {
-            let known = velocity.or(past_groove.get(&line).copied());
-            let velocity_mm_s = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
-            let log_evidence = stream.log_evidence();
-            let row = UnjudgedRow { t_s, moments, answer: answer_of_network, log_evidence, velocity_mm_s };
-            let judged = motions.judge(row, inverse);
-            flags = flags.with(judged.flags);
-            if let Some(groove) = &mut groove {
-                groove.push(t_s, &judged.answer);
-            }
-            (answer, regions) = (Some(judged.answer), judged.regions);
-        }
-        let segment = found.row(t_s, answer.as_ref(), base, base_mm_s);
+        let moments =
+            usable.then_some(StreamMoments { moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, valid: m.valid });
+        let known = velocity.or(past_groove.get(&line).copied());
+        let velocity_mm_s = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
+        let row = tracker.push(&RowInput { t_s, moments, base, base_mm_s, velocity_mm_s });
+        let flags = flags.with(row.flags);
         outside += u64::from(usable && !m.valid);
         flagged += u64::from(!flags.none());
         unusable += u64::from(!usable);
@@ -136,15 +115,16 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
             whisker: "",
             flags,
             doubts: &doubts,
-            moments,
-            answer: answer.as_ref(),
+            moments: row.moments,
+            answer: row.answer.as_ref(),
             base_mm_s,
             base,
             touching: None,
-            segment,
-            regions: &regions,
+            segment: row.segment,
+            regions: &row.regions,
         })?;
     }
+    let RowTracker { motion: motions, history: found, groove, .. } = tracker;
     let simulated = is_simulated(path) || loaded.file.provenance.simulated;
     if simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");

@@ -6,10 +6,11 @@ use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
 };
 use wcal_core::{CalibrationFile, VerificationStatus};
+use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
+use wcal_track::row_tracker::RowTracker;
 use wcal_track::tracker::trained_steps_s;
-use wcal_track::{Tracker, TrackerStream};
 
 /// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
 #[derive(Debug, Clone, Default)]
@@ -58,7 +59,7 @@ const WHITE: f64 = 0.2;
 /// Share by which the zero may be off in a recording. An assumption too.
 const ZERO: f64 = 0.5;
 
-/// FilterBank told of the moments that come through a calibration.
+/// Filters that know the noise of the moments that come through a calibration.
 pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {
     let noise_nmm = model.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
     filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
@@ -73,9 +74,10 @@ impl WhiskerModel<'_> {
         Ok(of_whisker(&self.place, &self.file)?)
     }
 
-    /// A stream whose filters are told of the calibration's noise.
-    pub fn stream(&self) -> TrackerStream<'_> {
-        self.tracker.stream_with(filters_for(self.tracker.filters, &self.file.model))
+    /// A tracker of rows whose filters know the calibration's noise.
+    pub fn row_tracker(&self, whisker: &str, vouched: bool, tare_s: f64) -> RowTracker<'_> {
+        let filters = filters_for(self.tracker.filters, &self.file.model);
+        RowTracker::new(whisker, (self.tracker, &self.card.training), filters, vouched, tare_s)
     }
 }
 

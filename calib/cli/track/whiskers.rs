@@ -1,10 +1,9 @@
 //! The whiskers of a stream: readings in, rows and events out.
 
 use super::TrackArgs;
-use super::contact_history::{ContactHistory, write_surface};
-use super::groove::{KnownGroove, KnownPlace};
 use super::motion;
 use super::output::{TrackFiles, TrackRow, event_message};
+use super::surface::write_surface;
 use super::trust::WhiskerModel;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -18,10 +17,9 @@ use wcal_acquisition::rig::Rig;
 use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
-use wcal_core::stream::StreamMoments;
-use wcal_track::motion_judge::{MotionJudge, UnjudgedRow};
+use wcal_track::known_groove::{KnownGroove, KnownPlace};
+use wcal_track::row_tracker::{RowInput, RowTracker};
 use wcal_track::stream::{BaseMotion, Row, SignalChain, SignalChainSettings, first_mode_hz};
-use wcal_track::{Sample, Tare, TrackerStream};
 
 /// One whisker of a stream.
 struct Whisker<'a> {
@@ -29,11 +27,7 @@ struct Whisker<'a> {
     doubts: String,
     reader: WhiskerReader,
     chain: SignalChain,
-    stream: TrackerStream<'a>,
-    tare: Tare,
-    found: ContactHistory,
-    motions: MotionJudge,
-    groove: Option<KnownGroove>,
+    tracker: RowTracker<'a>,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -90,11 +84,7 @@ impl<'a> Whiskers<'a> {
                 doubts: l.doubts.codes(),
                 reader: WhiskerReader::new(place, &rig.interrogator, &l.name, fbg)?,
                 chain: SignalChain::new(&settings, map)?,
-                stream: l.stream(),
-                tare: Tare::new(args.tare_s),
-                found: ContactHistory::new(&l.name),
-                motions: MotionJudge::new(&l.card.training, args.sweep),
-                groove: None,
+                tracker: l.row_tracker(&l.name, args.sweep, args.tare_s),
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -160,7 +150,7 @@ impl<'a> Whiskers<'a> {
     pub fn know_groove(&mut self, places: &[KnownPlace], whisker: Option<&str>) {
         let one = self.all.len() == 1;
         for w in self.all.iter_mut().filter(|w| one || whisker.is_some_and(|id| id == w.loaded.name)) {
-            w.groove = KnownGroove::new(places.to_vec(), &w.loaded.card.whisker);
+            w.tracker.groove = KnownGroove::new(places.to_vec(), &w.loaded.card.whisker);
         }
     }
 
@@ -234,8 +224,8 @@ impl<'a> Whiskers<'a> {
         for w in &self.all {
             let whose =
                 if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
-            motion::say(&w.motions, &whose, w.rows);
-            if let Some(said) = w.groove.as_ref().and_then(KnownGroove::message) {
+            motion::say(&w.tracker.motion, &whose, w.rows);
+            if let Some(said) = w.tracker.groove.as_ref().and_then(KnownGroove::message) {
                 eprintln!("{whose}{said}");
             }
         }
@@ -243,8 +233,8 @@ impl<'a> Whiskers<'a> {
 
     /// Whether rows are in doubt for their motion, and whether stated regions do not hold the known groove.
     pub fn doubtful(&self) -> [bool; 2] {
-        let misstated = |w: &Whisker<'_>| w.groove.as_ref().is_some_and(KnownGroove::misstated);
-        [self.all.iter().any(|w| w.motions.any()), self.all.iter().any(misstated)]
+        let misstated = |w: &Whisker<'_>| w.tracker.groove.as_ref().is_some_and(KnownGroove::misstated);
+        [self.all.iter().any(|w| w.tracker.motion.any()), self.all.iter().any(misstated)]
     }
 
     /// Writes cloud and surface beside the table.
@@ -252,7 +242,7 @@ impl<'a> Whiskers<'a> {
     /// # Errors
     /// Where the disk does not take it.
     pub fn surface(&self, out: &Path) -> Result<Value> {
-        write_surface(out, &self.all.iter().map(|w| &w.found).collect::<Vec<_>>())
+        write_surface(out, &self.all.iter().map(|w| &w.tracker.history).collect::<Vec<_>>())
     }
 
     /// Facts for track.json.
@@ -293,33 +283,13 @@ impl Whisker<'_> {
         let velocity = base.and_then(|b| b.velocity_mm_s).or(past_groove);
         let velocity = velocity.or(base_mm_s.map(|v| Vector3::z() * v));
         let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(base_mm_s);
-        let moments =
-            row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(row.t_s, m.moment_nmm), ..m });
-        let answered = match &moments {
-            Some(m) => Some(self.stream.push(&Sample { t_s: row.t_s, moment_nmm: m.moment_nmm, base_mm_s })),
-            None => {
-                // What happened in between is not known: the tracker starts anew.
-                self.stream = self.loaded.stream();
-                self.motions.restart();
-                None
-            }
-        };
-        let mut flags = row.flags;
-        let inverse = &self.loaded.tracker.inverse;
-        let mut answer = None;
-        let mut regions = Vec::new();
-        if let (Some(moments), Some(answer_of_network)) = (moments, answered) {
-            let (log_evidence, velocity_mm_s) = (self.stream.log_evidence(), velocity);
-            let unjudged =
-                UnjudgedRow { t_s: row.t_s, moments, answer: answer_of_network, log_evidence, velocity_mm_s };
-            let judged = self.motions.judge(unjudged, inverse);
-            flags = flags.with(judged.flags);
-            if let Some(groove) = &mut self.groove {
-                groove.push(row.t_s, &judged.answer);
-            }
-            (answer, regions) = (Some(judged.answer), judged.regions);
+        if row.moments.is_none() {
+            // What happened in between is not known: the tracker starts anew.
+            self.tracker.restart();
         }
-        let segment = self.found.row(row.t_s, answer.as_ref(), base, base_mm_s);
+        let input = RowInput { t_s: row.t_s, moments: row.moments, base, base_mm_s, velocity_mm_s: velocity };
+        let tracked = self.tracker.push(&input);
+        let flags = row.flags.with(tracked.flags);
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
         self.outside += u64::from(row.moments.is_some_and(|m| !m.valid));
@@ -329,13 +299,13 @@ impl Whisker<'_> {
             whisker: &self.loaded.name,
             flags,
             doubts: &self.doubts,
-            moments,
-            answer: answer.as_ref(),
+            moments: tracked.moments,
+            answer: tracked.answer.as_ref(),
             base_mm_s,
             base,
             touching: row.touching,
-            segment,
-            regions: &regions,
+            segment: tracked.segment,
+            regions: &tracked.regions,
         };
         files.row(&row)?;
         Ok(row.message())
@@ -352,8 +322,8 @@ impl Whisker<'_> {
         });
         json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
-            "unusable_scans": self.unusable, "events": self.events, "segments": self.found.segments(), "noise": noise, "doubts": l.doubts.messages(),
-            "untrained_motion": motion::summary(&self.motions), "known_groove": self.groove.as_ref().and_then(KnownGroove::summary),
+            "unusable_scans": self.unusable, "events": self.events, "segments": self.tracker.history.segments(), "noise": noise, "doubts": l.doubts.messages(),
+            "untrained_motion": motion::summary(&self.tracker.motion), "known_groove": self.tracker.groove.as_ref().and_then(KnownGroove::summary),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
         })

@@ -1,14 +1,11 @@
 //! What is made of all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
 
-use super::output::companion;
-use anyhow::{Context, Result};
+use crate::network::Prediction;
+use crate::segments::SegmentFinder;
+use crate::stream::BasePose;
+use crate::surface::CloudPoint;
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 use serde_json::{Value, json};
-use std::path::Path;
-use wcal_track::network::Prediction;
-use wcal_track::segments::SegmentFinder;
-use wcal_track::stream::BasePose;
-use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings, cloud_ply};
 
 /// Contacts of this probability and more are points of the surface.
 const TOUCHED: f32 = 0.9;
@@ -25,7 +22,8 @@ pub struct ContactHistory {
 }
 
 impl ContactHistory {
-    /// ErrorOf a whisker.
+    /// For a whisker.
+    #[must_use]
     pub fn new(whisker: &str) -> Self {
         Self { segments: SegmentFinder::new(whisker), ..Self::default() }
     }
@@ -66,8 +64,21 @@ impl ContactHistory {
     }
 
     /// Probable contacts where the way of the base is known, in the frame that it moves in, mm.
+    #[must_use]
     pub fn contacts_mm(&self) -> Vec<Vector3<f64>> {
         self.cloud.iter().map(|c| c.point_mm).collect()
+    }
+
+    /// The same with covariance and normal.
+    #[must_use]
+    pub fn cloud(&self) -> &[CloudPoint] {
+        &self.cloud
+    }
+
+    /// Whether the pose of the base was known: the contacts are in the world frame.
+    #[must_use]
+    pub fn posed(&self) -> bool {
+        self.posed
     }
 
     /// Readings are missing before the next row.
@@ -75,41 +86,9 @@ impl ContactHistory {
         self.segments.gap();
     }
 
-    /// SegmentFinder for track.json.
+    /// Contact intervals for track.json.
+    #[must_use]
     pub fn segments(&self) -> Value {
         json!(self.segments.all())
     }
-}
-
-/// Writes the cloud and the surface of all whiskers beside the table, and what they are for track.json.
-///
-/// # Errors
-/// Where the disk does not take it.
-pub fn write_surface(out: &Path, all: &[&ContactHistory]) -> Result<Value> {
-    let cloud: Vec<CloudPoint> = all.iter().flat_map(|f| f.cloud.iter().copied()).collect();
-    if cloud.is_empty() {
-        eprintln!(
-            "warning: --surface: no row with contact and a known place of the base: neither cloud nor surface"
-        );
-        return Ok(json!({"frame": null, "points": 0, "surface_points": 0}));
-    }
-    let frame = if all.iter().any(|f| f.posed) { "world" } else { "base at the first row" };
-    let write = |ending: &str, text: String| -> Result<()> {
-        let path = companion(out, ending);
-        wcal_core::files::write_atomic(&path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))
-    };
-    write("-cloud.ply", cloud_ply(&cloud, frame))?;
-    let settings = SurfaceSettings::default();
-    let Some(surface) = ImplicitSurface::new(&cloud, settings) else {
-        eprintln!(
-            "warning: --surface: no contact is known to {} mm: a cloud, but no surface",
-            settings.max_sd_mm
-        );
-        return Ok(json!({"frame": frame, "points": cloud.len(), "surface_points": 0}));
-    };
-    let mesh = surface.mesh();
-    write("-surface.ply", mesh.ply(frame))?;
-    Ok(json!({"frame": frame, "points": cloud.len(), "surface_points": surface.contacts().len(),
-        "corners": mesh.corners_mm.len(), "triangles": mesh.triangles.len(), "cell_mm": settings.cell_mm, "reach_mm": settings.reach_mm}))
 }

@@ -60,6 +60,10 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert!(scores["streaming"]["samples_per_s"].as_f64().unwrap() > 0.0);
     assert_eq!(scores["virtual_real"]["virtual"], true);
     assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
+    // Known motion on the bench's session, beside its bound.
+    let known = &scores["known_motion"];
+    let ratio = known["error_over_bound"].as_f64().unwrap();
+    assert!(ratio > 0.2 && known["bound_mm"].as_f64().unwrap() > 0.0, "{known}");
     assert_eq!(scores["speed"].as_array().unwrap().len(), 5);
     // The drill's mesh does not come with the program.
     assert_eq!(scores["sim2real"].as_array().unwrap().len(), 2);

@@ -96,6 +96,14 @@ pub fn cost(card: &Card, args: &EvaluateArgs) -> f64 {
     BENCH + SWEEP * (s.faces + s.speeds) + ON_BENCH * (s.real + s.media) + ABLATION * s.ablations
 }
 
+/// Known motion: the tracker on the groove of the bench's session by `verify`'s own calibration, beside the posterior Cramer-Rao bound.
+fn known_motion(bench: &VirtualBench) -> Value {
+    bench.groove.as_ref().map_or(Value::Null, |g| {
+        json!({"virtual": true, "error_mm": g.rmse_mm, "bound_mm": g.bound_mm, "error_over_bound": g.rmse_mm / g.bound_mm,
+            "trajectories": g.trajectories, "trajectories_held": g.trajectories_held, "readings": g.points, "split": g.split})
+    })
+}
+
 impl Maker<'_> {
     /// All tables by their names in evaluation.json.
     pub fn tables(&self) -> anyhow::Result<BTreeMap<&'static str, Value>> {
@@ -120,6 +128,7 @@ impl Maker<'_> {
             ("faces", self.faces(&seen, &unseen)?),
             ("virtual_real", real),
             ("ablations", ablations),
+            ("known_motion", known_motion(&bench)),
         ]);
         if !self.args.quick {
             all.insert("speed", self.speeds(&unseen, &sweeps)?);

@@ -62,6 +62,17 @@ pub(super) fn print_tables(document: &Value) {
         number(&covers["seen"]),
         number(&covers["unseen"])
     );
+    let known = &document["known_motion"];
+    if !known.is_null() {
+        println!(
+            "  known motion, its groove by physics: {:.2} mm, bound {:.2} mm (error / bound {:.2}); 95 % regions hold {} of {} trajectories",
+            number(&known["error_mm"]),
+            number(&known["bound_mm"]),
+            number(&known["error_over_bound"]),
+            known["trajectories_held"],
+            known["trajectories"]
+        );
+    }
     let faces = &document["faces"];
     for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
         let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));

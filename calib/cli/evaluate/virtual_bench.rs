@@ -15,6 +15,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, verify_document::Verdict};
 use wcal_map::{FitOptions, MapKind, fit_map};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
@@ -45,6 +46,8 @@ pub struct VirtualBench {
     pub maps: Vec<(&'static str, CalibrationModel)>,
     /// The sensitivity with the effects that `verify` accepted, where it vouches for one.
     pub verified: Option<CalibrationModel>,
+    /// The tracker on the groove of the calibration session, whose motion is known, beside its bound.
+    pub groove: Option<GrooveTracking>,
 }
 
 /// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
@@ -128,6 +131,7 @@ impl VirtualBench {
             map: CalibrationModel::Map(map),
             maps,
             verified,
+            groove: report.verify.groove_tracking,
         })
     }
 

@@ -1,4 +1,4 @@
-//! Transition and likelihood: how a contact gets from one node to another between two samples, and how well that explains the moments.
+//! Transition: how a contact gets from one node to another between two samples; `likelihood` says how well that explains the moments.
 //!
 //! Between samples the base travels by `z = u dt`. From a contact (p_j, n_j) to node k, with `d = p_k - p_j + z e_z` the path on the object
 //! and n the mean direction of the force:
@@ -16,10 +16,13 @@
 //! `s_m`: noise of the moments, `c`: compliance of the point along the force by the moments. Source of the scheme: see `filter`; the mixture
 //! of outliers is that of G. E. P. Box, G. C. Tiao, Biometrika 55 (1968) 119.
 
+mod likelihood;
+
 use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MomentSums};
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
+use likelihood::{ConstraintResidual, laplace_pdf};
 use nalgebra::Vector3;
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
@@ -64,15 +67,6 @@ struct BaseStep {
     /// Reach along the wire, mm, and scale of paths beyond its end, mm.
     reach_mm: f64,
     path_sd_mm: f64,
-}
-
-/// Residual of the rigid-body constraint from a contact before to a node now.
-struct ConstraintResidual {
-    /// First measurement: distance by which the touched point leaves the object's surface.
-    pair: LinearGaussianPair,
-    /// Its variance in an outlier, mm^2.
-    outlier_variance: f64,
-    slip_mm: Vector3<f64>,
 }
 
 impl<'a> TransitionModel<'a> {
@@ -156,6 +150,7 @@ impl<'a> TransitionModel<'a> {
             reach_mm: (1.0 + s.reset_mean.abs()) * travel + MAX_PATH_SDS * path_variances[2].sqrt(),
             path_sd_mm: path_variances[2].sqrt(),
         };
+        // What hardly weighs is left out: it costs as much as what does.
         let mut new = vec![MomentSums::default(); self.now.solutions.len()];
         let jump_share = (s.jump_per_mm * travel).min(0.5);
         for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
@@ -240,6 +235,7 @@ impl<'a> TransitionModel<'a> {
                 return;
             }
         }
+        // Only nodes that the fastest path of this step reaches.
         let node_mm = self.node_mm();
         let nearest = k.min(self.first_tip - 1);
         let from_mm =
@@ -291,7 +287,7 @@ impl<'a> TransitionModel<'a> {
         new: &mut MomentSums,
     ) {
         let (s, c, pair) = (self.settings, &self.now.solutions[j], &residual.pair);
-        // What no offset in the node and about the one before can take up.
+        // What no offset in the node and about the one before can take up: beyond a few standard deviations nothing is added.
         let taken_up = 0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
         let left = (pair.residual[0].abs() - taken_up).max(0.0).powi(2);
         if left > MAX_MAHALANOBIS2 * residual.outlier_variance {
@@ -323,23 +319,6 @@ impl<'a> TransitionModel<'a> {
             // Jacobian from distance and turn to the moments.
             new.add(&sums, weight * turn * slip * c.compliance_mm_per_nmm * c.turn_rad_per_nmm);
         }
-    }
-
-    /// Density of the force's turn about the wire, 1/rad.
-    fn turn_density(&self, from: &ContactState<'_>, j: usize, step: &BaseStep) -> f64 {
-        let (s, c) = (self.settings, &self.now.solutions[j]);
-        let Some(axis) = &self.now.turn_axes[j] else { return 0.0 };
-        let turn = axis.dot(&(c.normal - from.normal));
-        let noise = s.noise_nmm * root_sum_square(from.turn_rad_per_nmm, c.turn_rad_per_nmm);
-        let scale = |of: [f64; 2]| root_sum_square(of[0] + of[1] * step.travel_mm.abs(), noise);
-        let [smooth, sharp] = [scale(s.turn), scale(s.sharp_turn)];
-        (1.0 - s.sharp_fraction) * laplace_pdf(turn, smooth) + s.sharp_fraction * laplace_pdf(turn, sharp)
-    }
-
-    /// Factor against a slip on the surface that is longer than the base's travel.
-    fn excess_slip(&self, slip_mm: &Vector3<f64>, step: &BaseStep) -> f64 {
-        let over = slip_mm.norm() - 1.2 * step.travel_mm.abs();
-        if over > 0.0 { (-over / step.path_sd_mm).exp() } else { 1.0 }
     }
 
     /// To the tip: past the wire's end the path on the surface goes on as a turn of the force.
@@ -399,74 +378,4 @@ impl<'a> TransitionModel<'a> {
             }
         }
     }
-
-    fn constraint_variance(&self, travel_mm: f64) -> f64 {
-        self.settings.constraint_sd_mm.powi(2) + (self.settings.constraint_sd_share * travel_mm).powi(2)
-    }
-
-    /// D, mm: slip over the object across the wire times its share of the whole slip. By D times the force's part along the surface that
-    /// force, and not the surface's normal, finds the touched point to move.
-    fn friction_shift_mm(
-        &self,
-        from: &ContactState<'_>,
-        j: usize,
-        path: &Vector3<f64>,
-        normal: &Vector3<f64>,
-    ) -> f64 {
-        let slope = self.now.point_slopes[j];
-        let Some(along) = (slope - normal * normal.dot(&slope)).try_normalize(1e-9) else { return 0.0 };
-        let across = path.dot(&along.cross(normal));
-        // What the wire itself went along with is no slip.
-        let nodes = &self.inverse.nodes;
-        let last = self.first_tip - 1;
-        let gone = nodes[j.min(last)].arclength_mm
-            - nodes[from.node.min(last)].arclength_mm
-            - from.cell.offset * self.node_mm();
-        let slip = root_sum_square(across, path.dot(&along) - gone);
-        if slip > 1e-9 { across * across / slip } else { 0.0 }
-    }
-
-    /// Residual e_1 of the rigid-body constraint from a contact before to node `j` now, with derivatives and variance.
-    fn constraint(&self, from: &ContactState<'_>, j: usize, step: &BaseStep) -> ConstraintResidual {
-        let (s, to, travel_mm) = (self.settings, &self.now.solutions[j], step.travel_mm);
-        let (point_slope, normal_slope) = (self.now.point_slopes[j], self.now.normal_slopes[j]);
-        // Path of the contact on the object, which goes back as the base goes on.
-        let path = to.point_mm - from.point_mm + Vector3::z() * travel_mm;
-        let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
-        let shift = if step.drag > 0.0 { self.friction_shift_mm(from, j, &path, &normal) } else { 0.0 };
-        let out = normal.dot(&path);
-        let off = out + step.drag * shift;
-        // Derivatives by the offsets: of the point, and of the mean normal, half of whose turn counts.
-        let by_now = normal.dot(&point_slope) + 0.5 * normal_slope.dot(&path);
-        let by_before = -normal.dot(&from.point_slope) + 0.5 * from.normal_slope.dot(&path);
-        let compliances = from.compliance_mm_per_nmm.powi(2) + to.compliance_mm_per_nmm.powi(2);
-        let slip_mm = path - normal * out;
-        // On a bent surface the path before the middle and that behind it count half the turn, one for and one against.
-        let bent =
-            (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
-        let noise = self.constraint_variance(travel_mm)
-            + s.noise_nmm.powi(2) * compliances
-            + normal.z * normal.z * step.travel_variance_mm2
-            + step.drag_variance * shift * shift
-            + bent;
-        let pair = LinearGaussianPair {
-            residual: [off, 0.0],
-            by_before: [by_before, 0.0],
-            by_now: [by_now, 0.0],
-            noise: [noise, 1.0],
-            variance: from.cell.variance,
-        };
-        let outlier_variance =
-            noise + s.outlier_sd_mm.powi(2) + s.outlier_sd_share.powi(2) * slip_mm.norm_squared();
-        ConstraintResidual { pair, outlier_variance, slip_mm }
-    }
-}
-
-fn root_sum_square(a: f64, b: f64) -> f64 {
-    (a * a + b * b).sqrt()
-}
-
-/// Laplace density.
-fn laplace_pdf(x: f64, scale: f64) -> f64 {
-    (-x.abs() / scale).exp() / (2.0 * scale)
 }

@@ -11,6 +11,9 @@
 //! so that `w` is white once the errors `q` that all pairs share (cameras, tags, light) are integrated out. Pairs whose readings do not
 //! count are zero in `w` and have no part in `M`. Source: JCGM 102:2011, 6.2; the symmetric root keeps one value a row.
 //!
+//! Where the pairs scatter less than they state, their own errors are smaller: `N_i` becomes `f^2 N_i` with f from the residuals. What all
+//! pairs share does not scatter and stays as it is stated.
+//!
 //! A pair without `errors` shows the contact alone. Nobody says which part of its stated covariance all pairs share, so all of it may be:
 //! it counts once as the pair's own and once more as one shift of every such pair.
 
@@ -86,6 +89,7 @@ impl Seen {
 }
 
 /// One pair with its reading.
+#[derive(Clone)]
 struct Pair {
     /// Reading on the path.
     reading: usize,
@@ -110,6 +114,8 @@ pub struct Pictures {
     readings: Arc<Vec<usize>>,
     /// Whitened derivatives by the independent shared errors, values x errors.
     shared: DMatrix<f64>,
+    /// Share of the stated own errors that counts.
+    own_share: f64,
     /// `M` by the readings that count.
     roots: Mutex<HashMap<Vec<bool>, Arc<DMatrix<f64>>>>,
     /// Pairs that have a row and no place here, and why.
@@ -156,9 +162,31 @@ impl Pictures {
             pairs,
             readings: Arc::new(readings),
             shared: all,
+            own_share: 1.0,
             roots: Mutex::default(),
             left_out,
         })
+    }
+
+    /// The same pairs with `share` of the own errors that they state.
+    #[must_use]
+    pub fn with_own_share(&self, share: f64) -> Self {
+        let stretch = self.own_share / share;
+        let smaller = |p: &Pair| Pair { whitening: &p.whitening * stretch, ..p.clone() };
+        Self {
+            pairs: self.pairs.iter().map(smaller).collect(),
+            readings: self.readings.clone(),
+            shared: &self.shared * stretch,
+            own_share: share,
+            roots: Mutex::default(),
+            left_out: self.left_out.clone(),
+        }
+    }
+
+    /// Share of the stated own errors that counts.
+    #[must_use]
+    pub fn own_share(&self) -> f64 {
+        self.own_share
     }
 
     /// Pairs that have a row and no place here, and why.

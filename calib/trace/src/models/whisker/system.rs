@@ -353,6 +353,13 @@ impl WhiskerSystem {
         self
     }
 
+    /// The same readings beside pictures of which `share` of the stated own errors counts.
+    #[must_use]
+    pub fn with_own_share(mut self, share: f64) -> Self {
+        self.pictures = self.pictures.map(|p| Arc::new(p.with_own_share(share)));
+        self
+    }
+
     /// What a stated standard deviation of the pictures weighs, in the engine's channels.
     #[must_use]
     pub fn picture_scale(&self) -> f64 {
@@ -414,10 +421,11 @@ impl WhiskerSystem {
         stretch.is_finite().then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
     }
 
-    /// The same readings in the channels of `other`.
+    /// The same readings in the channels of `other`, its pictures weighed alike.
     #[must_use]
     pub fn with_whitening_of(self, other: &Self) -> Self {
-        self.in_channels(other.whitening).with_picture_scale(other.picture_scale)
+        let share = other.pictures.as_ref().map_or(1.0, |p| p.own_share());
+        self.in_channels(other.whitening).with_picture_scale(other.picture_scale).with_own_share(share)
     }
 
     /// How far apart two systems' mixtures of channels are: largest ratio of their shared noise.

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
-/// Which workspace crates a crate may depend on (dev-dependencies apart).
+/// Which workspace crates a crate may depend on (except dev-dependencies).
 fn allowed(name: &str) -> Option<&'static [&'static str]> {
     Some(match name {
         "wcal-core" => &[],

@@ -70,13 +70,13 @@ fn shell(folder: &Path, command: &str) -> Command {
 #[derive(Default)]
 struct Running {
     bench: Option<Child>,
-    beside: Vec<(String, Child)>,
+    background: Vec<(String, Child)>,
 }
 
 impl Running {
-    /// Ends the block: what runs beside must end well, the bench ends with its input.
+    /// Ends the block: what runs in the background must end well, the bench ends with its input.
     fn end(self, wrong: &mut Vec<String>) {
-        for (command, child) in self.beside {
+        for (command, child) in self.background {
             let output = child.wait_with_output().unwrap();
             judge(&command, 0, output.status.code(), &output.stderr, wrong);
         }
@@ -113,7 +113,7 @@ fn run(page: &str, folder: &Path) -> Vec<String> {
                 running.bench = Some(bench(folder, &command));
             } else if let Some(command) = command.strip_suffix('&') {
                 let child = shell(folder, command).stdin(Stdio::null()).stderr(Stdio::piped()).spawn();
-                running.beside.push((command.to_owned(), child.unwrap()));
+                running.background.push((command.to_owned(), child.unwrap()));
             } else {
                 let output = shell(folder, &command).stdin(Stdio::null()).output().unwrap();
                 judge(&command, expected, output.status.code(), &output.stderr, &mut wrong);
@@ -226,7 +226,7 @@ fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
 #[test]
 fn the_first_run_runs() {
     let folder = after("docs/src/guide/start.md");
-    // Its pages come again from the documents beside them.
+    // Its pages come again from the documents in their folders.
     let pages = ["", "practice-004/", "pontius/", "whiskerfbg/"]
         .map(|f| folder.path().join(format!("demo-out/{f}report.html")));
     let first = pages.clone().map(|p| (fs::read(&p).unwrap(), fs::remove_file(p).unwrap()).0);

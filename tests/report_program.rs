@@ -45,26 +45,26 @@ fn a_page_comes_again_and_documents_that_give_none_are_named() {
 
     let stored = fs::read_to_string(folder.join("report.json")).unwrap();
     let cut = &stored[..stored.len() / 2];
-    let told = |name: &str, text: Option<&str>, words: &[&str]| {
+    let refused = |name: &str, text: Option<&str>, words: &[&str]| {
         let said = said_of(&folder, name, text);
         assert!(said.contains(name) && words.iter().all(|w| said.contains(w)), "{name}: {said}");
     };
-    told("report.json", Some(cut), &["EOF"]);
-    told("report.json", Some(""), &["EOF"]);
-    told(
+    refused("report.json", Some(cut), &["EOF"]);
+    refused("report.json", Some(""), &["EOF"]);
+    refused(
         "report.json",
         Some("{\"format\": \"wcal-report/99\", \"page\": {}}"),
         &["wcal-report/1", "wcal-report/99"],
     );
-    told("report.json", Some("[1, 2]"), &["format"]);
-    told("report.json", Some("{\"format\": \"wcal-report/1\", \"page\": {\"poem\": {}}}"), &["poem"]);
-    told("report.json", Some(&stored.replace("\"residuals\"", "\"residues\"")), &["residuals"]);
-    told("report.json", None, &["report.json", "found none"]);
-    told("verify.json", Some("{"), &["EOF"]);
-    told("verify.json", None, &["verify.json"]);
-    told("evaluation.json", Some("{\"format\": \"wcal-evaluation/1\"}"), &["methods"]);
-    told("model.json", Some("{\"format\": \"wcal-model/1\"}"), &["model.json"]);
-    told("fit-gpr.json", Some("{\"format\": \"wcal-map/1\"}"), &["points"]);
+    refused("report.json", Some("[1, 2]"), &["format"]);
+    refused("report.json", Some("{\"format\": \"wcal-report/1\", \"page\": {\"poem\": {}}}"), &["poem"]);
+    refused("report.json", Some(&stored.replace("\"residuals\"", "\"residues\"")), &["residuals"]);
+    refused("report.json", None, &["report.json", "found none"]);
+    refused("verify.json", Some("{"), &["EOF"]);
+    refused("verify.json", None, &["verify.json"]);
+    refused("evaluation.json", Some("{\"format\": \"wcal-evaluation/1\"}"), &["methods"]);
+    refused("model.json", Some("{\"format\": \"wcal-model/1\"}"), &["model.json"]);
+    refused("fit-gpr.json", Some("{\"format\": \"wcal-map/1\"}"), &["points"]);
 
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();

@@ -1,4 +1,4 @@
-//! The second witness: pictures beside the wavelengths, on paper-like sessions of the independent plant (SIMULATED).
+//! The second witness: pictures in addition to the wavelengths, on paper-like sessions of the independent plant (SIMULATED).
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 

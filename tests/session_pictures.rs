@@ -170,7 +170,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert!(text.contains("SIMULATED"), "{text}");
     said("shapes");
 
-    // Every pose has its pair, three of them at rest; sealed ones stand apart.
+    // Every pose has its pair, three of them at rest; sealed ones are kept separate.
     let document = shapes(&session, "shapes.json");
     let points: Vec<i64> = document.pairs.iter().map(|p| p.point.unwrap()).collect();
     assert_eq!(points, (0..9).collect::<Vec<i64>>());
@@ -181,8 +181,8 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert!(found[0] < 0.05 && found[1] < 4.0, "{found:?}");
     let sealed = shapes(&session, "shapes-holdout.json");
     assert_eq!(sealed.pairs.len(), 2);
-    let apart = worst(&sealed.pairs, &grooves(&session, "holdout.csv"));
-    assert!(apart[0] < 0.1 && apart[1] < 4.0, "{apart:?}");
+    let of_sealed = worst(&sealed.pairs, &grooves(&session, "holdout.csv"));
+    assert!(of_sealed[0] < 0.1 && of_sealed[1] < 4.0, "{of_sealed:?}");
     // The session names them, what they were made from, and still opens; its other entries stay.
     let toml = || std::fs::read_to_string(Path::new(&session).join("session.toml")).unwrap();
     let table: toml::Table = toml().parse().unwrap();

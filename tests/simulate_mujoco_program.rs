@@ -15,7 +15,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// MuJoCo's program beside wcal; none where it was built without libmujoco or not at all.
+/// MuJoCo's program in the folder of wcal; none where it was built without libmujoco or not at all.
 fn mujoco() -> Option<std::path::PathBuf> {
     let path = std::path::Path::new(env!("CARGO_BIN_EXE_wcal")).with_file_name("wcal-mujoco");
     let asked = Command::new("sh")

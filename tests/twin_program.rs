@@ -70,7 +70,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let table = std::fs::read_to_string(&out).unwrap();
     let row = |point: &str| table.lines().find(|l| l.starts_with(point)).unwrap().to_owned();
     assert!(row("9,").contains(",held,true") && row("11,").contains(",several,"), "{table}");
-    // The page comes again from the document beside it.
+    // The page comes again from the document in its folder.
     let first = std::fs::read(&page).unwrap();
     std::fs::remove_file(&page).unwrap();
     let again =

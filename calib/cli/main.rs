@@ -79,7 +79,7 @@ enum Command {
     Report(report::ReportArgs),
     /// Score a trained tracker beside the baselines
     Evaluate(evaluate::EvaluateArgs),
-    /// Which effects a plan can tell apart, before anything is measured
+    /// Which effects a plan can distinguish, before anything is measured
     PlanCheck(plan_check::PlanCheckArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),

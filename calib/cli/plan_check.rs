@@ -1,4 +1,4 @@
-//! `wcal plan-check`: which effects a plan can tell apart, before anything is measured.
+//! `wcal plan-check`: which effects a plan can distinguish, before anything is measured.
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -18,7 +18,7 @@ use wcal_trace::whisker::plan_check::{PlanCheck, PlannedEffect, plan_check};
   wcal plan-check rigs/plans/paper-27.toml --rig rigs/virtual
   wcal plan-check fixtures/whiskerfbg
 
-Needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never apart here cannot be told apart by any number of repetitions. Exit code 3: some effects are never apart, absorbed or not observable.")]
+Needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never distinguished here cannot be distinguished by any number of repetitions. Exit code 3: some effects are never distinguished, absorbed or not observable.")]
 pub struct PlanCheckArgs {
     /// Plan file, or a session folder whose poses are the plan
     pub plan: PathBuf,
@@ -30,7 +30,7 @@ pub struct PlanCheckArgs {
     pub json: bool,
 }
 
-/// Runs the command: 0, or 3 where some effects cannot be seen or told apart.
+/// Runs the command: 0, or 3 where some effects cannot be seen or distinguished.
 ///
 /// # Errors
 /// Where plan, rig or session cannot be used.
@@ -63,7 +63,7 @@ fn text(check: &PlanCheck) -> Result<String> {
     for e in &check.effects {
         let mut line = format!("{:<24}{:<16}{}", e.id, e.status, e.why);
         if !e.never_apart.is_empty() {
-            write!(line, "; never apart from {}", e.never_apart.join(", "))?;
+            write!(line, "; never distinguished from {}", e.never_apart.join(", "))?;
         }
         if !e.sometimes_alike.is_empty() {
             write!(line, "; at some shapes like {}", e.sometimes_alike.join(", "))?;

@@ -30,7 +30,7 @@ pub fn track(
     rows: &[SensedRow],
     (file, whisker, issues): (&CalibrationFile<CalibrationModel>, &WhiskerSpec, &TrustIssues),
 ) -> Result<ExitCode> {
-    let inverse = StaticInverse::new(whisker, InverseGrid::default())?;
+    let inverse = StaticInverse::new(whisker, InverseGrid::coarse())?;
     let mut groove = KnownGroove::new(known_places(table)?, whisker);
     let mut files = TrackFiles::create(&args.out, false)?;
     let codes = issues.codes();

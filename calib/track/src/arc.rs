@@ -188,4 +188,36 @@ mod tests {
         }
         assert!(held / all > 0.88, "{}", held / all);
     }
+
+    #[test]
+    fn a_coarse_table_is_near_the_fine_one_and_sooner_there() {
+        let made = |grid: InverseGrid| {
+            let start = std::time::Instant::now();
+            (StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap(), start.elapsed())
+        };
+        let ((fine, fine_s), (coarse, coarse_s)) =
+            (made(InverseGrid::default()), made(InverseGrid::coarse()));
+        let (mut a, mut b, mut off) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 0..60 {
+            let (size, angle) = (0.03 + 0.02 * f64::from(k), 2.4 * f64::from(k));
+            let moment = [size * angle.cos(), size * angle.sin()];
+            fine.solutions(moment, &mut a);
+            coarse.solutions(moment, &mut b);
+            for (n, s) in coarse.nodes.iter().zip(&b).filter(|(n, s)| n.tilt == 0.0 && s.reachable) {
+                let same = |m: &Node| m.tilt == 0.0 && (m.arclength_mm - n.arclength_mm).abs() < 1e-9;
+                let Some(at) = fine.nodes.iter().position(same).filter(|at| a[*at].reachable) else {
+                    continue;
+                };
+                off.push((a[at].point_mm - s.point_mm).norm());
+            }
+        }
+        off.sort_by(f64::total_cmp);
+        let (median_mm, p95_mm) = (off[off.len() / 2], off[off.len() * 19 / 20]);
+        println!(
+            "{} places: {median_mm:.4} mm median, {p95_mm:.4} mm 95 %; {fine_s:?} and {coarse_s:?}",
+            off.len()
+        );
+        assert!(off.len() > 500 && median_mm < 0.01 && p95_mm < 0.15, "{median_mm} {p95_mm}");
+        assert!(coarse_s < fine_s, "{coarse_s:?} {fine_s:?}");
+    }
 }

@@ -63,6 +63,15 @@ impl Default for InverseGrid {
     }
 }
 
+impl InverseGrid {
+    /// A table that is there in a quarter of the time: 19 of 20 places are within
+    /// 0.08 mm of the default's (tests of `arc`), enough for regions of millimetres.
+    #[must_use]
+    pub fn coarse() -> Self {
+        Self { step_mm: 2.0, refine: 8, tilts: 4, directions: 24, ..Self::default() }
+    }
+}
+
 /// A contact that would explain the moments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InverseSolution {

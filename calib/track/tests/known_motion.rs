@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_plant::session::{Case, Make, Request, Want, draw_under};
 use wcal_plant::{Design, Noise};
-use wcal_rod::Rod;
+use wcal_rod::{Line, Outcome, Rod};
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::{
     Disagreement, Episode, Friction, Located, MomentField, MotionRow, Settings, bound, check, locate,
@@ -242,4 +242,70 @@ fn motion_that_is_wrong_is_doubted_by_name() {
             assert!(named * 10 >= found.len() * 9, "{name:?}: {named} of {}", found.len());
         }
     }
+}
+
+/// A straight press in a random direction by the rod itself, not by the table that the tracker interpolates in; each pose is read twice.
+fn pressed(rod: &Rod, field: &MomentField, noise_nmm: f64, seed: u64) -> Option<(Episode, Vector3<f64>)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let arclength_mm = rng.random_range(16.0..50.0);
+    let (origin_mm, tangent) = field.free(arclength_mm);
+    let normal = Vector3::new(-tangent.z, 0.0, tangent.x).normalize();
+    let turn: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+    let line = Line { origin_mm, direction: normal * turn.cos() + normal.cross(&tangent) * turn.sin() };
+    let xs: Vec<f64> = (1..=8).map(|k| 0.17 * arclength_mm * f64::from(k) / 8.0).collect();
+    let mut moments = vec![(-1.0, [0.0; 2]), (-0.5, [0.0; 2])];
+    for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
+        let Outcome::Held(e) = outcome else { return None };
+        moments.push((*x, MomentAxes::default().components_nmm(&e.moment_nmm)));
+    }
+    let row = |(k, (x, m)): (usize, &(f64, [f64; 2]))| MotionRow {
+        t_s: k as f64,
+        moment_nmm: m.map(|m| m + noise_nmm * rng.sample::<f64, _>(StandardNormal)),
+        noise_nmm2: Matrix2::identity() * noise_nmm * noise_nmm,
+        shared_nmm: Vec::new(),
+        shared_way_mm: Vec::new(),
+        moved_mm: line.direction * *x,
+        turn: Rotation3::identity(),
+        velocity_mm_s: Vector3::zeros(),
+        moved_sd_mm: 0.0,
+        free: false,
+        visit: 0,
+    };
+    let twice: Vec<_> = moments.iter().flat_map(|m| [*m, *m]).collect();
+    let rows = twice.iter().enumerate().map(row).collect();
+    Some((Episode { rows, push: Some(line.direction) }, line.point(-1.0)))
+}
+
+/// Where the readings are better than the table, the table's own error is most of what is not known.
+#[test]
+fn regions_hold_where_the_noise_is_smaller_than_the_table_s_error() {
+    let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();
+    let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
+    let settings = Settings::default();
+    let held = |noise_nmm: f64, stated_nmm: f64| {
+        let (mut held, mut all, mut squares) = (0, 0, 0.0);
+        for seed in 0..60 {
+            let Some((mut episode, place)) = pressed(&rod, &field, noise_nmm, seed) else { continue };
+            let stated = Matrix2::identity() * stated_nmm * stated_nmm;
+            episode.rows.iter_mut().for_each(|r| r.noise_nmm2 = stated);
+            let path = ContactPath::new(&field, &episode).unwrap();
+            let truth = path.state_of(&place, 0, None).unwrap();
+            let found = locate(&field, &episode, &settings).unwrap();
+            all += 1;
+            held += usize::from(found.posterior.unwrap().holds(&truth));
+            squares += (found.places[0].place_mm.unwrap() - place).norm_squared();
+        }
+        let rmse_mm = (squares / f64::from(all)).sqrt();
+        println!(
+            "noise {noise_nmm} N mm, {stated_nmm} stated: {held} of {all} regions hold, {rmse_mm:.4} mm RMS"
+        );
+        assert!(all >= 50);
+        held as f64 / f64::from(all)
+    };
+    // Sixty episodes: 95 % within 3 sd of the binomial.
+    for noise_nmm in [1e-5, 1e-4, 1e-3] {
+        assert!(held(noise_nmm, noise_nmm) > 0.865, "{noise_nmm}");
+    }
+    // Control: readings that are ten times worse than they say.
+    assert!(held(1e-3, 1e-4) < 0.7);
 }

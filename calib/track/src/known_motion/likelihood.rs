@@ -13,6 +13,10 @@ use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 const GROSS: f64 = 10.0;
 /// A column whose size in standard deviations is below this is none: the square root of what rounding leaves of its square.
 const LEAST: f64 = 1e-6;
+/// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
+const TABLE_SHARE: f64 = 3e-4;
+/// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate, mm.
+const TABLE_MM: f64 = 0.003;
 /// Step of differences, mm.
 const STEP_MM: f64 = 0.02;
 
@@ -43,8 +47,13 @@ impl Likelihood {
         let regular = at.map_or_else(|| vec![1.0; n], |(state, _)| regular(path, settings, state));
         // E[1/variance] of the mixture.
         let gross = |r: &f64| r + (1.0 - r) / (GROSS * GROSS);
+        // The table's own error is that of the prediction, however good the reading.
+        let table = |row: &super::MotionRow| {
+            let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
+            Matrix2::identity() * TABLE_SHARE.powi(2) * size2
+        };
         let mut blocks: Vec<Matrix2<f64>> =
-            rows.iter().zip(&regular).map(|(row, r)| row.noise_nmm2 / gross(r)).collect();
+            rows.iter().zip(&regular).map(|(row, r)| row.noise_nmm2 / gross(r) + table(row)).collect();
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
         // The last column is the clock's.
         let mut modes = DMatrix::zeros(2 * n, shared + 1);
@@ -57,7 +66,7 @@ impl Likelihood {
             by_other_wires(path, state, &mut modes);
             for (k, row) in rows.iter().enumerate().filter(|(k, _)| path.held(state, *k)) {
                 let Some(rate) = rate_by_place(path, state, k) else { continue };
-                blocks[k] += rate * rate.transpose() * row.moved_sd_mm.powi(2);
+                blocks[k] += rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2));
                 let drift = row.velocity_mm_s * settings.clock_sd_s;
                 let ways = row.shared_way_mm.iter().enumerate().chain([(shared, &drift)]);
                 for (j, way) in ways {
@@ -245,6 +254,10 @@ mod tests {
         }
         let u = DMatrix::from_fn(2 * n, 3, |i, j| episode.rows[i / 2].shared_nmm[j][i % 2]);
         whole += &u * u.transpose();
+        for (k, r) in episode.rows.iter().enumerate() {
+            let size2 = r.moment_nmm[0].powi(2) + r.moment_nmm[1].powi(2);
+            (0..2).for_each(|c| whole[(2 * k + c, 2 * k + c)] += TABLE_SHARE.powi(2) * size2);
+        }
         let factor = whole.cholesky().unwrap();
         let predicted = vec![[0.0; 2]; n];
         let off = DVector::from_fn(2 * n, |i, _| episode.rows[i / 2].moment_nmm[i % 2]);

@@ -18,7 +18,8 @@
 //!
 //! one standard deviation of an unknown c_j moves the moments by h_kj (map), the way by w_kj (an accepted effect of the stage) and the wire
 //! to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
-//! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + s_d^2 D_k D_k') + H H' + T T'` ([`likelihood`]).
+//! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + (s_d^2 + s_p^2) D_k D_k' + s_q^2 |m_k|^2 1) + H H' + T T'`
+//! ([`likelihood`]); s_p (mm) and s_q (share) are the error of the interpolated m(P), which is all there is where the noise is tiny.
 //!
 //! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s even over the wire, x even over the episode; on a grid of s that is refined
 //! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71

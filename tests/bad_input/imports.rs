@@ -1,0 +1,195 @@
+//! `wcal import` of tables that cannot be used, and of good ones.
+
+use super::*;
+
+struct BadImport {
+    name: &'static str,
+    table: &'static [u8],
+    arguments: &'static [&'static str],
+    code: i32,
+    says: &'static [&'static str],
+}
+
+const LINEAR: &[&str] = &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "linear"];
+
+const IMPORTS: &[BadImport] = &[
+    BadImport { name: "empty", table: b"", arguments: LINEAR, code: 1, says: &["t.csv", "header"] },
+    BadImport {
+        name: "no rows",
+        table: b"x,y\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["t.csv", "empty table"],
+    },
+    BadImport {
+        name: "no column",
+        table: b"x,z\n1,2\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["column y", "x, z"],
+    },
+    BadImport {
+        name: "word",
+        table: b"x,y\n1,2\n2,b\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 3", "field y", "\"b\""],
+    },
+    BadImport {
+        name: "NaN",
+        table: b"x,y\n1,NaN\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 2", "field y", "NaN"],
+    },
+    BadImport {
+        name: "empty cell",
+        table: b"x,y\n1,\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["response", "nothing"],
+    },
+    BadImport {
+        name: "truncated",
+        table: b"x,y\n1,2\n2",
+        arguments: LINEAR,
+        code: 1,
+        says: &["line 3", "1 fields"],
+    },
+    BadImport {
+        name: "semicolons",
+        table: b"x;y\n1;2\n",
+        arguments: LINEAR,
+        code: 1,
+        says: &["column x", "x;y"],
+    },
+    BadImport { name: "not text", table: b"x,y\n\xff,2\n", arguments: LINEAR, code: 1, says: &["UTF-8"] },
+    BadImport {
+        name: "no stimulus",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--response", "y", "--model", "linear"],
+        code: 1,
+        says: &["--stimulus"],
+    },
+    BadImport {
+        name: "no response",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--stimulus", "x", "--model", "linear"],
+        code: 2,
+        says: &["--response"],
+    },
+    BadImport {
+        name: "unknown model",
+        table: b"x,y\n1,2\n",
+        arguments: &["--kind", "transducer", "--stimulus", "x", "--response", "y", "--model", "cubic"],
+        code: 2,
+        says: &["cubic", "quadratic"],
+    },
+    BadImport {
+        name: "micrometres as millimetres",
+        table: b"c,m\n1,1001\n2,2002\n3,3001\n",
+        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m"],
+        code: 1,
+        says: &["same unit", "um?"],
+    },
+    BadImport {
+        name: "factor that is no number",
+        table: b"c,m\n1,1.1\n2,2.1\n",
+        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m", "--scale", "measured_mm=k"],
+        code: 1,
+        says: &["--scale", "\"k\""],
+    },
+    BadImport {
+        name: "whisker without description",
+        table: b"fbg_1_nm,fbg_2_nm\n1545,1543\n",
+        arguments: &["--kind", "whisker"],
+        code: 2,
+        says: &["--meta"],
+    },
+];
+
+#[test]
+fn import_refuses_and_leaves_nothing() {
+    let mut wrong = Vec::new();
+    for case in IMPORTS {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("t.csv"), case.table).unwrap();
+        let arguments = [&["import", "t.csv", "--out", "new"], case.arguments].concat();
+        if let Err(why) = judge(&wcal(place.path(), &arguments), case.code, case.says) {
+            wrong.push(format!("{}: {why}", case.name));
+        }
+        assert_eq!(listing(place.path()), ["t.csv"], "{}", case.name);
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn import_takes_good_tables_and_replaces_only_its_own() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21").unwrap();
+    let mapped = [&["import", "t.csv", "--out", "new", "--temperature", "T", "--json"], LINEAR].concat();
+    let output = wcal(place.path(), &mapped);
+    judge(&output, 0, &[]).unwrap();
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["rows"], 2);
+    let points = fs::read_to_string(place.path().join("new/points.csv")).unwrap();
+    assert_eq!(
+        points,
+        "point,role,stimulus,response,temperature_degc\n1,calibration,1,2.5,20\n2,calibration,2,4.5,21\n"
+    );
+    // The same again takes the place of the first, whole; what is not of an import is kept.
+    fs::write(place.path().join("new/holdout.csv"), "of the first").unwrap();
+    judge(&wcal(place.path(), &mapped), 0, &[]).unwrap();
+    assert_eq!(listing(&place.path().join("new")), ["points.csv", "session.toml"]);
+    fs::write(place.path().join("new/notes.txt"), "mine").unwrap();
+    judge(&wcal(place.path(), &mapped), 1, &["new", "notes.txt", "--force"]).unwrap();
+    judge(&wcal(place.path(), &[&mapped[..], &["--force"]].concat()), 0, &[]).unwrap();
+    assert_eq!(listing(&place.path().join("new")), ["notes.txt", "points.csv", "session.toml"]);
+    judge(
+        &wcal(
+            place.path(),
+            &[
+                "import",
+                "none.csv",
+                "--out",
+                "other",
+                "--kind",
+                "axis",
+                "--commanded",
+                "c",
+                "--measured",
+                "m",
+            ],
+        ),
+        1,
+        &["none.csv", "no such file"],
+    )
+    .unwrap();
+    assert_eq!(listing(place.path()), ["new", "t.csv"]);
+}
+
+#[test]
+fn a_whisker_table_is_imported_with_its_description() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("meta.toml"), broken::WHISKER_TOML).unwrap();
+    let table = broken::WHISKER_POINTS.replace("groove_x_mm", "gx").replace("t_s", "time_ms");
+    fs::write(place.path().join("t.csv"), table).unwrap();
+    let arguments = [
+        "import",
+        "t.csv",
+        "--kind",
+        "whisker",
+        "--meta",
+        "meta.toml",
+        "--map",
+        "groove_x_mm=gx",
+        "--time",
+        "time_ms",
+        "--scale",
+        "t_s=0.001",
+        "--out",
+        "new",
+    ];
+    judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
+    judge(&wcal(place.path(), &["doctor", "new"]), 3, &["t_s is present"]).unwrap();
+}

@@ -1,0 +1,88 @@
+//! What is said of a plan before anything moves.
+
+use super::*;
+
+fn dry_run(rig: &Path, plan: &Path, json: bool) -> Output {
+    let mut command = wcal();
+    command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(rig).arg("--plan").arg(plan);
+    command.args(json.then_some("--json")).output().expect("wcal runs")
+}
+
+#[test]
+fn a_dry_run_draws_the_path_and_checks_the_limits() {
+    let (rig, plan) = (repository("rigs/paper"), repository("rigs/plans/paper-27.toml"));
+    let drawn = dry_run(&rig, &plan, false);
+    assert_eq!(drawn.status.code(), Some(0), "{}", text(&drawn.stderr));
+    let lines = text(&drawn.stdout);
+    assert_eq!(
+        lines.lines().filter(|l| l.starts_with("trajectory") && l.contains('o')).count(),
+        9,
+        "{lines}"
+    );
+    let listed = document(&dry_run(&rig, &plan, true));
+    assert_eq!((&listed["format"], &listed["readings"]), (&"wcal-path/1".into(), &36.into()));
+    // Controls: a depth outside the limits, a file that is no plan, a file that is missing, and usage.
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let broken = |name: &str, from: &str, to: &str| {
+        let path = folder.path().join(name);
+        let content = std::fs::read_to_string(&plan).expect("plan");
+        assert!(content.contains(from));
+        std::fs::write(&path, content.replace(from, to)).expect("written");
+        let run = dry_run(&rig, &path, false);
+        assert_eq!(run.status.code(), Some(1));
+        let message = text(&run.stderr);
+        assert_eq!(message.lines().count(), 1, "one clear error: {message}");
+        message
+    };
+    let far = broken("far.toml", "5.0]", "45.0]");
+    assert!(far.contains("expected a stage position in 5.000..40.000 mm, found 65.000 mm"), "{far}");
+    let format = broken("format.toml", "wcal-plan/1", "wcal-plan/9");
+    assert!(format.contains("format.toml: format: expected wcal-plan/1, found wcal-plan/9"), "{format}");
+    let missing = dry_run(&rig, &folder.path().join("none.toml"), false);
+    assert!(missing.status.code() == Some(1) && text(&missing.stderr).contains("none.toml"));
+    let usage = wcal().arg("stage-sweep").output().expect("wcal runs");
+    assert_eq!(usage.status.code(), Some(2));
+}
+
+#[test]
+fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
+    let check = |more: &[&str]| -> Value {
+        let run = wcal().arg("plan-check").args(more).arg("--json").output().expect("wcal runs");
+        assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+        document(&run)
+    };
+    let path = |name: &str| repository(name).display().to_string();
+    let poor = check(&[&path("rigs/plans/paper-27.toml"), "--rig", &path("rigs/virtual")]);
+    let of = |found: &Value, id: &str| {
+        let all = found["effects"].as_array().expect("effects").clone();
+        all.into_iter().find(|e| e["id"] == id).unwrap_or_default()
+    };
+    // Nothing moves while it is read, so no lag can show; readings while passing would show it.
+    assert_eq!(of(&poor, "time-lag")["status"], "not-observable");
+    let additions = poor["additions"].as_array().expect("additions");
+    let passing = additions.iter().find(|a| a["what"].as_str().is_some_and(|w| w.contains("passing")));
+    assert!(passing.is_some_and(|a| a["testable"].to_string().contains("time-lag")), "{additions:?}");
+    // A reversal is never made: backlash is an offset like a periodic error's.
+    assert!(of(&poor, "stage-backlash")["never_apart"].to_string().contains("stage-periodic"), "{poor}");
+    // Negative control: a plan with both directions, speeds and dwells.
+    let rich = check(&[&path("fixtures/practice/case-004")]);
+    assert_eq!(of(&rich, "time-lag")["status"], "testable");
+    assert_eq!(of(&rich, "stage-backlash")["never_apart"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn the_templates_are_a_rig_and_a_plan_that_fit() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    for kind in ["rig", "plan"] {
+        let run = wcal().args(["init", "--kind", kind]).arg(folder.path()).output().expect("wcal runs");
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    }
+    let run = dry_run(folder.path(), &folder.path().join("plan.toml"), true);
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    for plan in ["rigs/plans/paper-27.toml", "rigs/plans/rich.toml"] {
+        for rig in ["rigs/paper", "rigs/virtual"] {
+            let run = dry_run(&repository(rig), &repository(plan), true);
+            assert_eq!(run.status.code(), Some(0), "{rig} {plan}: {}", text(&run.stderr));
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! Recordings with gaps or damage, reduced as far as they can be read.
+
+use super::*;
+use wcal_acquisition::message::SweepEvent;
+use wcal_acquisition::recorder::Recorder;
+use wcal_core::device::{Clocks, FbgReading, StageReading};
+
+/// A folder with a recording of 60 s: scans are missing around 20 s and for an instant at 40 s, and come 20 s late around 30 s; a settled
+/// window of one second each at 10, 20, 30 and 40 s.
+fn recorded_with_gaps(folder: &Path) {
+    const RATE_HZ: f64 = 100.0;
+    let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).expect("rig");
+    std::fs::write(folder.join("rig.toml"), rig).expect("written");
+    let run = serde_json::json!({
+        "format": "wcal-run/1", "id": "gaps", "medium": "air", "created": "2026-01-01T00:00:00Z", "program": "wcal", "command": [],
+        "rig_sha256": "", "plan_sha256": "", "devices": {}, "clock_scale": 4.0,
+    });
+    std::fs::write(folder.join("run.json"), run.to_string()).expect("written");
+    let recorder = Recorder::create(&folder.join("recording.mcap"), Default::default()).expect("recorder");
+    for serial in 0..6000_u64 {
+        let t_s = serial as f64 / RATE_HZ;
+        if (20.3..20.6).contains(&t_s) || (40.30..40.34).contains(&t_s) {
+            continue;
+        }
+        let late_s = if (29.5..31.5).contains(&t_s) { 20.0 } else { 0.0 };
+        let nm = |base: f64| base + 1e-3 * ((serial * 37 % 101) as f64 / 50.0 - 1.0);
+        let reading = FbgReading {
+            serial,
+            peaks_nm: vec![vec![nm(1535.8), nm(1537.3), nm(1541.2)]],
+            clocks: Clocks { host_s: 1e9 + t_s + late_s, device_s: Some(t_s) },
+            ..FbgReading::default()
+        };
+        recorder.scan(&reading).expect("recorded");
+        if serial % 500 == 0 {
+            recorder.flush().expect("flushed");
+        }
+        if serial % 10 == 0 {
+            let clocks = Clocks { host_s: 1e9 + t_s, device_s: None };
+            let measured_mm = 20.0 + (t_s / 10.0).floor();
+            recorder
+                .stage(&StageReading { measured_mm, clocks, ..StageReading::default() })
+                .expect("recorded");
+        }
+    }
+    for (step, begin_s) in [10.0, 20.0, 30.0, 40.0].into_iter().enumerate() {
+        let event = SweepEvent {
+            kind: "window".to_owned(),
+            step: step as u32,
+            role: "calibration".to_owned(),
+            trajectory: 1,
+            replicate: 1,
+            direction: 1,
+            begin_s,
+            end_s: begin_s + 1.0,
+            arrived_s: begin_s - 1.0,
+            settled: true,
+            ..SweepEvent::default()
+        };
+        recorder.event(1e9 + begin_s, &event).expect("recorded");
+    }
+    recorder.finish().expect("closed");
+}
+
+fn reduce(session: &Path) -> Output {
+    wcal().arg("reduce").arg(session).arg("--json").output().expect("wcal runs")
+}
+
+/// Column of points.csv.
+fn column(session: &Path, name: &str) -> Vec<String> {
+    let table = std::fs::read_to_string(session.join("points.csv")).expect("points.csv");
+    let at = table.lines().next().expect("a header").split(',').position(|c| c == name).expect("the column");
+    table.lines().skip(1).map(|l| l.split(',').nth(at).expect("a cell").to_owned()).collect()
+}
+
+#[test]
+fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    recorded_with_gaps(folder.path());
+    let run = reduce(folder.path());
+    let message = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{message}");
+    // The last window misses four scans of a hundred: no reason to doubt its mean.
+    assert_eq!(column(folder.path(), "stream"), ["ok", "lost", "late", "ok"]);
+    for expected in [
+        "34 scans lost in 2 gaps",
+        "200 scans late, by up to 20.0 s",
+        "1 rows with scans missing and 1 with late scans",
+    ] {
+        assert!(message.contains(expected), "{expected}: {message}");
+    }
+    // Where the stage was follows the clocks, which the late scans do not move.
+    let depths: Vec<f64> = column(folder.path(), "stage_mm").iter().map(|s| s.parse().expect("mm")).collect();
+    assert_eq!(depths, [1.0, 2.0, 3.0, 4.0]);
+    let session: toml::Table = std::fs::read_to_string(folder.path().join("session.toml"))
+        .expect("session.toml")
+        .parse()
+        .expect("TOML");
+    let stream = &session["devices"]["stream"];
+    assert_eq!((&stream["lost_scans"], &stream["late_scans"]), (&34.into(), &200.into()));
+    assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
+    let loaded = wcal_session::load(folder.path()).expect("loads");
+    for expected in ["points 1: scans are missing in the averaging window", "points 2: scans came late"] {
+        assert!(
+            loaded.warnings.iter().any(|w| w.to_string().contains(expected)),
+            "{expected}: {:?}",
+            loaded.warnings
+        );
+    }
+}
+
+#[test]
+fn a_damaged_recording_is_reduced_as_far_as_it_can_be_read() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    recorded_with_gaps(folder.path());
+    let recording = folder.path().join("recording.mcap");
+    let bytes = std::fs::read(&recording).expect("recording");
+    // Chunks have operation code 6, then their length.
+    let length = |at: usize| u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("8 bytes"));
+    let (mut at, mut chunks) = (8, Vec::new());
+    while bytes[at] != 2 {
+        chunks.extend((bytes[at] == 6).then_some(at));
+        at += 9 + length(at) as usize;
+    }
+    let (at, all) = (*chunks.last().expect("chunks"), document(&reduce(folder.path())));
+    let damaged = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut copy = bytes.clone();
+        change(&mut copy);
+        std::fs::write(&recording, copy).expect("written");
+        reduce(folder.path())
+    };
+    let long = damaged(&|b| b[at + 1..at + 9].copy_from_slice(&(1_u64 << 44).to_le_bytes()));
+    assert_eq!(long.status.code(), Some(3), "{}", text(&long.stderr));
+    assert!(text(&long.stderr).contains("1 recordings cut off"), "{}", text(&long.stderr));
+    let middle = chunks[chunks.len() / 2];
+    let bit = damaged(&|b| b[middle + length(middle) as usize / 2] ^= 1);
+    assert_eq!(bit.status.code(), Some(3), "{}", text(&bit.stderr));
+    assert!(
+        text(&bit.stderr).contains("1 damaged chunks of the recording left out"),
+        "{}",
+        text(&bit.stderr)
+    );
+    let (bit, long) = (document(&bit), document(&long));
+    assert!(long["scans"].as_u64() > Some(0) && long["scans"].as_u64() <= all["scans"].as_u64(), "{long}");
+    assert!(bit["scans"].as_u64() > Some(3000) && bit["scans"].as_u64() < all["scans"].as_u64(), "{bit}");
+    assert_eq!((&bit["damaged_chunks"], &bit["cut_off"]), (&1.into(), &0.into()));
+    // Control: put back as it was, nothing but the gaps is said.
+    let whole = damaged(&|_| {});
+    assert!(!text(&whole.stderr).contains("damaged") && !text(&whole.stderr).contains("cut off"));
+}

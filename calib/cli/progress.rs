@@ -105,7 +105,7 @@ impl Progress {
     /// Shows how far `verify`'s search is, for the rest of the program.
     pub fn hear_search(&self) {
         let reporter = self.reporter();
-        wcal_trace::method::search::on_progress(move |stage, done| reporter.at(stage, done));
+        wcal_trace::method::progress::on_progress(move |stage, done| reporter.at(stage, done));
     }
 
     /// An end for a library's callback.

@@ -7,7 +7,7 @@ use wcal_report::{
     TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::method::search::Evidence;
+use wcal_trace::method::hypothesis::Evidence;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
 use wcal_trace::whisker::WhiskerVerification;
 

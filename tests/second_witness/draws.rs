@@ -26,13 +26,15 @@ pub fn both() -> Vec<Effect> {
 pub const BOARD: Fault = Fault::BoardScale(5e-3);
 
 /// As good as `stereo-shape` was measured on the plant's pictures: wire 0.011 mm, groove 0.012 mm.
-const CAMERAS: Cameras = Cameras { own_mm: 0.012, shift_mm: 0.01, turn_rad: 2e-4, scale: 1e-4 };
+const CAMERAS: Cameras = Cameras { own_mm: 0.012, shift_mm: 0.01, turn_rad: 2e-4, scale: 1e-4, stated: 1.0 };
 
 /// What acts in a session.
 pub struct Draw {
     pub effects: Vec<Effect>,
     pub fault: Fault,
     pub pictures: bool,
+    /// What the pairs state of their own noise, as a share of what it is.
+    pub stated: f64,
     pub seed: u64,
 }
 
@@ -74,7 +76,13 @@ pub fn answer(order: &Draw) -> Answer {
     let folder = place.path().join("case");
     case.write(&folder).unwrap();
     if order.pictures {
-        let shapes = shapes_json("case", &shown, &CAMERAS, order.fault, order.seed);
+        let shapes = shapes_json(
+            "case",
+            &shown,
+            &Cameras { stated: order.stated, ..CAMERAS },
+            order.fault,
+            order.seed,
+        );
         std::fs::write(folder.join("shapes.json"), serde_json::to_vec(&shapes).unwrap()).unwrap();
         let toml = std::fs::read_to_string(folder.join("session.toml")).unwrap();
         let toml = toml.replace("[files]\n", "[files]\nshapes = \"shapes.json\"\n");

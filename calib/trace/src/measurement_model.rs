@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub trait MeasurementModel: Sync {
     /// Measured values, readings x channels.
     fn measured(&self) -> &DMatrix<f64>;
-    /// From the channels of [`MeasurementModel::measured`], whose noise is alike and apart, to those of the sensor: `sensor = measured * this`.
+    /// From the channels of [`MeasurementModel::measured`], whose noise is uncorrelated and of one variance, to those of the sensor: `sensor = measured * this`.
     fn channels_pm(&self) -> DMatrix<f64> {
         DMatrix::identity(self.measured().ncols(), self.measured().ncols())
     }

@@ -10,12 +10,13 @@ use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySy
 use wcal_trace::effect::EffectTerm;
 use wcal_trace::measurement_model::MeasurementModel;
 use wcal_trace::method::fit::{Fit, Status, Weights, fit};
+use wcal_trace::method::hypothesis::Hypothesis;
 use wcal_trace::method::inference::parameters;
 use wcal_trace::method::linear::{Basis, stack};
 use wcal_trace::method::min_p::{MinPDistribution, f_test};
 use wcal_trace::method::omnibus::omnibus_test;
 use wcal_trace::method::outliers::clean;
-use wcal_trace::method::search::{Hypothesis, Options, search};
+use wcal_trace::method::search::{Options, search};
 use wcal_trace::method::signature::{nuisance, signatures_of_effect};
 
 const HEIGHT: f64 = 0.03;

@@ -11,7 +11,8 @@ use wcal_trace::effect::EffectTerm;
 use wcal_trace::measurement_model::MeasurementModel;
 use wcal_trace::method::explain::Judge;
 use wcal_trace::method::fit::{Weights, fit};
-use wcal_trace::method::search::{Hypothesis, Options, SearchResult, search};
+use wcal_trace::method::hypothesis::{Hypothesis, SearchResult};
+use wcal_trace::method::search::{Options, search};
 use wcal_trace::verify::conclusion::conclude;
 use wcal_trace::verify::detect;
 use wcal_trace::verify::error_summary::{coverage95, rmse, summarise};
@@ -20,7 +21,7 @@ use wcal_trace::verify::rival::rival;
 use wcal_trace::verify::{HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::floor::noise_floor;
-use wcal_trace::whisker::rod_tables::RodParameters;
+use wcal_trace::whisker::rod_parameters::RodParameters;
 use wcal_trace::whisker::seatings::spread_of_zeros;
 use wcal_trace::whisker::twin_check::check_labels;
 

@@ -512,7 +512,8 @@ impl Case {
         put(&folder.join("session.toml"), &self.session_toml(&id))?;
         put(&folder.join("points.csv"), &self.table(false))?;
         if let Some(looked) = self.looked.filter(|l| l.pictures) {
-            let shapes = shapes_json(&id, &self.shown, &Cameras::default(), looked.fault, self.truth.seed);
+            let cameras = Cameras::of_session(self.truth.seed);
+            let shapes = shapes_json(&id, &self.shown, &cameras, looked.fault, self.truth.seed);
             put(&folder.join("shapes.json"), &shapes.to_string())?;
         }
         if !self.has_holdout() {

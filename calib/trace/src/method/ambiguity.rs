@@ -4,8 +4,8 @@
 //! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw
 //! costs a few dozen products instead of a refit.
 
+use super::hypothesis::Hypothesis;
 use super::linear::Basis;
-use super::search::Hypothesis;
 use super::signature::nuisance;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;

@@ -84,7 +84,7 @@ pub fn signatures_of_covariates(
     let mut maker = Maker { channels, fit, weights, nuisance, out: Vec::new() };
     let mut covariates = system.covariates();
     if channels > 1 {
-        // Wavelengths as the model has them: measured ones carry the very noise that is looked at.
+        // Wavelengths as the model has them: measured ones carry the very noise that is tested.
         let fitted = (system.measured() - &fit.raw_residual) * system.channels_pm();
         covariates.extend(
             (0..channels).map(|c| (format!("fbg_{}_pm", c + 1), fitted.column(c).iter().copied().collect())),

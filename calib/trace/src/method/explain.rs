@@ -12,10 +12,11 @@
 //! stands in its place.
 
 use super::fit::{Weights, fit};
+use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
 use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
-use super::search::{Hypothesis, Options, SearchResult, declared, search};
+use super::search::{Options, declared, search};
 use crate::measurement_model::MeasurementModel;
 
 /// What the search found and the noise under which it holds.
@@ -38,6 +39,9 @@ const CONFIRM_LEVEL: f64 = 0.02;
 const COVARIATES_JUDGED: usize = 10;
 /// Price of a law of the spread, in -2 log likelihood (Akaike).
 const LAW_PRICE: f64 = 2.0;
+
+/// Lead past which the p-value is 0 to any precision, and an exponential would be infinite.
+const MAX_LEAD: f64 = 300.0;
 
 /// Estimates the noise of an explanation's residuals.
 pub struct Judge<'a> {
@@ -75,7 +79,7 @@ impl<'a> Judge<'a> {
         let lead = (a.plain + law(&without.0) - b.plain - law(&with.0)) / a.values;
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
-        let worse = lead.exp();
+        let worse = lead.min(MAX_LEAD).exp();
         family.adjusted(f_test(worse - 1.0, worse, a.dof, extra as usize))
     }
 

@@ -1,8 +1,8 @@
 //! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
 
 use super::fit::Fit;
+use super::hypothesis::{Hypothesis, SearchResult};
 use super::linear::Basis;
-use super::search::{Hypothesis, SearchResult};
 use super::signature::nuisance;
 use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;

@@ -17,6 +17,9 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
         return 1.0;
     }
     let f = (gain / d) / ((ssr - gain).max(1e-12 * ssr) / left);
+    if !f.is_finite() {
+        return if f == f64::INFINITY { 1e-300 } else { 1.0 };
+    }
     FisherSnedecor::new(d, left).map_or(1.0, |dist| dist.sf(f)).max(1e-300)
 }
 

@@ -1,8 +1,9 @@
 //! An accepted effect by a richer law of its own, where the plain one leaves something: two time constants, a stack of plays.
 
+use super::hypothesis::Hypothesis;
 use super::min_p::f_test;
 use super::omnibus::CATALOGUE_LEVEL;
-use super::search::{Hypothesis, refit};
+use super::search::refit;
 use crate::effect::{EffectModel, EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 

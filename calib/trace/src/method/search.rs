@@ -1,34 +1,18 @@
 //! From a rejected omnibus test to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the omnibus test first.
 
 use super::ambiguity::{AMBIGUITY_LEVEL, cox_test};
-use super::fit::{Fit, Status, Weights, fit};
+use super::fit::{Fit, Weights, fit};
+use super::hypothesis::{Evidence, Hypothesis, SearchResult};
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::outliers::{clean, gross};
-use super::range_check::range_check;
+use super::progress::progress;
 use super::refine::refine_level;
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
-use crate::effect::{EffectTerm, Role};
+use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
-use std::sync::OnceLock;
-
-/// Hears how far a search is: name of the stage, and the part of it that is done.
-type Heard = Box<dyn Fn(&str, f64) + Send + Sync>;
-static HEARD: OnceLock<Heard> = OnceLock::new();
-
-/// Names who hears, for this process; the first one stays.
-pub fn on_progress(heard: impl Fn(&str, f64) + Send + Sync + 'static) {
-    let _ = HEARD.set(Box::new(heard));
-}
-
-/// Tells how far a stage is.
-pub fn progress(stage: &str, done: f64) {
-    if let Some(heard) = HEARD.get() {
-        heard(stage, done);
-    }
-}
 
 /// Settings of the loop.
 #[derive(Debug, Clone, Copy)]
@@ -46,150 +30,6 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self { seed: 1, draws: 2000, largest: 3, tails_dof: None }
-    }
-}
-
-/// An explanation: effects with fitted parameters.
-#[derive(Debug, Clone)]
-pub struct Hypothesis {
-    /// The fit.
-    pub fit: Fit,
-    /// Weights, flagged readings at zero.
-    pub weights: Weights,
-    /// Readings flagged as outliers.
-    pub flagged: Vec<usize>,
-    /// Chance that noise with tails as heavy as the data allow gives the flagged readings; 1 where none is.
-    pub flag_p: f64,
-}
-
-/// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
-/// compliance, 2 um of backlash), and estimates scatter about them.
-const MIN_SHARE: f64 = 0.1;
-/// Price of one flagged reading: it must stand out among all readings, in every channel.
-const PRICE_A_FLAG: f64 = 2.0;
-
-impl Hypothesis {
-    /// Indices of its effects, ascending; outliers included.
-    #[must_use]
-    pub fn effects(&self, outliers: Option<usize>) -> Vec<usize> {
-        let mut ids: Vec<usize> = self.fit.terms.iter().map(|t| t.effect).collect();
-        if let (Some(o), false) = (outliers, self.flagged.is_empty()) {
-            ids.push(o);
-        }
-        ids.sort_unstable();
-        ids.dedup();
-        ids
-    }
-
-    /// Parameters that the explanation spends beyond the declared model.
-    #[must_use]
-    pub fn parameters(&self, base: &Fit) -> f64 {
-        let columns = (self.fit.design.ncols() - base.design.ncols()) * self.fit.residual.ncols();
-        let values: usize = self.fit.terms.iter().map(|t| t.values.len()).sum();
-        (columns + values) as f64
-    }
-
-    /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
-    #[must_use]
-    pub fn criterion(&self, base: &Fit, variance: f64) -> f64 {
-        let n = self.fit.residual.nrows() as f64;
-        let channels = self.fit.residual.ncols() as f64;
-        // A flagged reading is a free shift in every channel, chosen among n.
-        let flags = self.flagged.len() as f64 * (2.0 * channels + PRICE_A_FLAG * n.ln());
-        self.fit.ssr / variance + 2.0 * self.parameters(base) + flags
-    }
-
-    /// Every parameter lies inside its physical range and every amplitude is there.
-    #[must_use]
-    pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
-        let mut slot = 0;
-        for t in &self.fit.terms {
-            let law = &system.catalogue()[t.effect].law(t.law);
-            for (p, v) in law.parameters.iter().zip(&t.values) {
-                let at_bound = self.fit.at_bound[slot];
-                slot += 1;
-                // A share of one is complete, not out of range.
-                let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
-                // Far below the usual size the effect is a correction to something else, not an explanation.
-                let negligible = match p.role {
-                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
-                    Role::Shape { .. } => false,
-                };
-                if (at_bound && !complete) || negligible {
-                    return false;
-                }
-            }
-        }
-        self.fit.status != Status::RankDeficient && range_check(system, &self.fit)
-    }
-}
-
-/// One line of the evidence table.
-#[derive(Debug, Clone)]
-pub struct Evidence {
-    /// Effects of the explanation.
-    pub effects: Vec<String>,
-    /// Law of each.
-    pub laws: Vec<String>,
-    /// Fall of the misfit against the declared model, in units of the final variance.
-    pub gain: f64,
-    /// Criterion less the best's.
-    pub behind: f64,
-    /// Parameters that it spends.
-    pub parameters: usize,
-    /// Chance of falling this far behind were it true (parametric bootstrap; 1 for the best).
-    pub p_value: f64,
-}
-
-impl Evidence {
-    /// The data do not reject it.
-    #[must_use]
-    pub fn survives(&self) -> bool {
-        self.p_value >= AMBIGUITY_LEVEL
-    }
-}
-
-/// What the search found.
-pub struct SearchResult {
-    /// The declared model.
-    pub base: Hypothesis,
-    /// Omnibus test on the declared model.
-    pub first_test: OmnibusTest,
-    /// Best explanation (the declared model where nothing was accepted).
-    pub best: Hypothesis,
-    /// Omnibus test on the best explanation.
-    pub last_test: OmnibusTest,
-    /// Explanations that the data do not reject, best first, the best included.
-    pub survivors: Vec<Hypothesis>,
-    /// Every explanation of the final size that was refitted.
-    pub evidence: Vec<Evidence>,
-    /// The same as hypotheses, best first.
-    pub refitted: Vec<Hypothesis>,
-    /// A generic driver explains more than the catalogue does.
-    pub covariate_beats_catalogue: bool,
-}
-
-impl SearchResult {
-    /// The omnibus test that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
-    #[must_use]
-    pub fn left(&self) -> Option<&OmnibusTest> {
-        if self.covariate_beats_catalogue {
-            Some(&self.first_test)
-        } else {
-            self.last_test.rejected().then_some(&self.last_test)
-        }
-    }
-
-    /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
-    #[must_use]
-    pub fn accepted(&self) -> &Hypothesis {
-        if self.covariate_beats_catalogue { &self.base } else { &self.best }
-    }
-
-    /// Something was found or is left: heavier tails would be a reason to look again.
-    #[must_use]
-    pub fn something_left_or_found(&self) -> bool {
-        self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
     }
 }
 

@@ -3,10 +3,10 @@
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::fit::fit;
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::in_class;
 use crate::method::min_p::f_test;
 use crate::method::omnibus::{LACK_OF_FIT_LEVEL, OmnibusTest};
-use crate::method::search::{Hypothesis, SearchResult};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
 /// Conclusion in parts.

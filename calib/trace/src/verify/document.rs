@@ -7,7 +7,7 @@ use super::identifiability;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::explain::Explained;
-use crate::method::search::Hypothesis;
+use crate::method::hypothesis::Hypothesis;
 use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
 
 /// The document; session, files and mark are the caller's.

@@ -2,10 +2,10 @@
 
 use super::session_model::SessionModel;
 use crate::method::fit::{Weights, fit};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::noise::Noise;
 use crate::method::noise::tails::Tails;
-use crate::method::search::Hypothesis;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 

@@ -8,10 +8,10 @@ use super::error_summary::rmse;
 use super::held_out::scored;
 use super::session_model::SessionModel;
 use crate::method::fit::{Fit, fit};
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::covariance;
 use crate::method::min_p::f_test;
 use crate::method::noise::Noise;
-use crate::method::search::{Hypothesis, SearchResult};
 use wcal_core::verify_document::EffectLeftOut;
 
 /// Correlation from which two values are said to trade off.

@@ -9,8 +9,8 @@ use super::options::VerifyOptions;
 use super::session_model::{Record, SessionModel};
 use crate::error::TraceError;
 use crate::method::explain::Explained;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::Noise;
-use crate::method::search::Hypothesis;
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{ResidualRecord, Sealed, Unsealing};
 

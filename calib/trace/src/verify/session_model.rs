@@ -3,9 +3,9 @@
 use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::Weights;
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::{Estimated, Noise};
-use crate::method::search::{Hypothesis, SearchResult};
 use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
@@ -117,7 +117,7 @@ pub trait SessionModel: MeasurementModel + Sized {
     fn twin_faults(&self) -> Vec<TwinFault> {
         Vec::new()
     }
-    /// Stages 1 and 3 to 9: noise and explanation, and the model as the noise makes it (channels apart, spread known).
+    /// Stages 1 and 3 to 9: noise and explanation, and the model as the noise makes it (channels decorrelated, spread known).
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
         let explained = explain(&self, &options.search)?;
         Some((self, explained))

@@ -50,7 +50,7 @@ fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
     (range[1] > range[0]).then_some(range)
 }
 
-/// Ratios of a shared part to the repeat noise that are looked at.
+/// Ratios of a shared part to the repeat noise that are searched.
 const RATIOS: [f64; 2] = [0.05, 30.0];
 
 /// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count.

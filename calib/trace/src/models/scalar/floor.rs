@@ -1,7 +1,7 @@
 //! The noise floor: pure error of replicates, else differences of neighbours.
 
 use super::frame::{Declared, Frame};
-use crate::method::search::Hypothesis;
+use crate::method::hypothesis::Hypothesis;
 
 /// Floor of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,7 +3,7 @@
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity;
-use crate::method::search::Hypothesis;
+use crate::method::hypothesis::Hypothesis;
 use wcal_core::verify_document::NextMeasurement;
 
 /// More repetitions than this are not worth proposing.

@@ -4,8 +4,8 @@ use super::frame::Frame;
 use super::steadiness::{UNSTEADY, steadiness};
 use super::system::ScalarSystem;
 use crate::method::explain::{Explained, explain};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
-use crate::method::search::Hypothesis;
 use crate::method::signature::nuisance;
 use crate::verify::VerifyOptions;
 

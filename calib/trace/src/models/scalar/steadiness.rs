@@ -5,7 +5,7 @@ use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::fit;
-use crate::method::search::Hypothesis;
+use crate::method::hypothesis::Hypothesis;
 
 /// Cycles over the whole range, fitted to each half of the readings.
 #[derive(Debug, Clone, Copy, PartialEq)]

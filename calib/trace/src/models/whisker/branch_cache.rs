@@ -1,12 +1,13 @@
-//! Wires that were walked from first touch, kept so that their neighbours are solved in a few steps from them.
+//! Branches of equilibria, continued from first touch and kept: their neighbours are solved in a few steps from them.
 
-use crate::whisker::rod_tables::{RodParameters, RodTables};
+use crate::whisker::rod_parameters::RodParameters;
+use crate::whisker::rod_tables::RodTables;
 use std::sync::{Arc, Mutex};
 use wcal_rod::{Anchor, Equilibrium, Rod};
 
 /// Walked wires kept a line.
 const KEPT: usize = 12;
-/// Wires further apart than this are walked; nearer ones are tried from the known one first.
+/// Wires farther from every known one than this are continued from first touch; nearer ones are first tried from the known one.
 const NEAR: f64 = 2.0;
 
 /// Equilibria of one wire along one line.
@@ -24,13 +25,13 @@ impl BranchCache {
         Self((0..lines).map(|_| Mutex::new(Vec::new())).collect())
     }
 
-    fn keep(&self, l: usize, walked: Branch) {
+    fn keep(&self, l: usize, branch: Branch) {
         let Ok(mut kept) = self.0[l].lock() else { return };
         if kept.len() >= KEPT {
             // The first is the nominal wire.
             kept.remove(1);
         }
-        kept.push(Arc::new(walked));
+        kept.push(Arc::new(branch));
     }
 
     fn nearest(&self, l: usize, rod_parameters: &RodParameters) -> Option<Arc<Branch>> {
@@ -54,7 +55,7 @@ impl Branch {
 }
 
 impl RodTables {
-    /// Equilibria at `xs_mm` in small steps from the nearest wire that was walked; none where that is not near enough.
+    /// Equilibria at `xs_mm` in small steps from the nearest wire whose branch is known; none where that is not near enough.
     pub(crate) fn warm_start(
         &self,
         rod: &Rod,
@@ -63,10 +64,10 @@ impl RodTables {
         touch_mm: f64,
         xs_mm: &[f64],
     ) -> Option<Vec<Equilibrium>> {
-        let walked = self.walked.nearest(l, rod_parameters)?;
+        let branch = self.branches.nearest(l, rod_parameters)?;
         let line = self.line(l, rod_parameters);
         let way_mm = self.end_mm(l) - touch_mm;
-        xs_mm.iter().map(|x| rod.solve_near(&line.point(*x), walked.node((x - touch_mm) / way_mm)?)).collect()
+        xs_mm.iter().map(|x| rod.solve_near(&line.point(*x), branch.node((x - touch_mm) / way_mm)?)).collect()
     }
 
     /// Keeps the equilibria of a wire that was followed from first touch.
@@ -82,7 +83,7 @@ impl RodTables {
         let node = |(x, e): &(f64, Equilibrium)| Some(((x - touch_mm) / way_mm, rod.anchor(e)?));
         let nodes: Option<Vec<_>> = followed.iter().map(node).collect();
         if let Some(nodes) = nodes.filter(|n| !n.is_empty()) {
-            self.walked.keep(l, Branch { rod_parameters: *rod_parameters, nodes });
+            self.branches.keep(l, Branch { rod_parameters: *rod_parameters, nodes });
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::{Noise, NoiseInputs};
-use crate::method::search::Hypothesis;
 use crate::whisker::path::Reading;
 use std::collections::BTreeMap;
 

@@ -9,8 +9,10 @@
 //! reading's own noise, `K^-1 s^2 K^-T`.
 
 use super::physical::PhysicalModel;
-use super::rod_tables::{RodParameters, rod_of};
-use super::system::{AIR_KG_M3, ActiveEffect, WhiskerSystem};
+use super::rod_parameters::RodParameters;
+use super::rod_tables::rod_of;
+use super::system::{AIR_KG_M3, WhiskerSystem};
+use super::whisker_effect::ActiveEffect;
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
 use wcal_core::WhiskerSpec;

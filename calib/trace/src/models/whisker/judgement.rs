@@ -1,7 +1,8 @@
 //! An existing calibration at the readings of a session, against the moments of the poses.
 
 use super::physical::PhysicalModel;
-use super::system::{ActiveEffect, WhiskerSystem};
+use super::system::WhiskerSystem;
+use super::whisker_effect::ActiveEffect;
 use crate::effect::EffectTerm;
 use crate::verify::HeldOut;
 use crate::verify::judgement::Judged;

@@ -4,6 +4,7 @@ use super::floor::noise_floor;
 use super::map_left_out::leave_one_out;
 use super::next::{self, RIVALS};
 use super::physical::PhysicalModel;
+use super::pictures::Pictures;
 use super::predictions::{Predictions, by_labels, predict};
 use super::seatings::spread_of_zeros;
 use super::system::WhiskerSystem;
@@ -12,10 +13,11 @@ use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::{Fit, Weights};
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
 use crate::method::noise::{Estimated, Noise};
-use crate::method::search::{Hypothesis, SearchResult, declared};
+use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
 use nalgebra::Vector2;
@@ -31,6 +33,8 @@ const WHITENING_CHANGED: f64 = 1.1;
 const MAX_RESCALED: usize = 3;
 /// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
 const OVERSTATED: f64 = 1.25;
+/// No pair is believed to be better than this share of what it states.
+const MIN_OWN_SHARE: f64 = 0.2;
 /// Share of the whole gain from which one witness decides alone.
 const DECIDES: f64 = 0.8;
 /// Two-sided 95 % of a Gaussian.
@@ -45,19 +49,27 @@ const QUANTITIES: [Quantity; 3] = [
     Quantity { key: "contact_rmse_mm", unit: "mm" },
 ];
 
-/// `system` with its pictures weighed by what `fit` leaves of both witnesses; `scale` is the weight under which it was made.
-fn rescaled(system: WhiskerSystem, fit: &Fit, scale: f64) -> WhiskerSystem {
-    if system.pictures().is_none() {
-        return system;
+/// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the system that was fitted.
+fn weighed(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
+    let Some(own) = before.pictures().map(Pictures::own_share) else { return system };
+    let chi = reduced_chi(fit, before.picture_scale());
+    let sd = fit.readings_variance().sqrt();
+    // Worse than stated, by whatever: everything counts less. Better: only what scatters can be, and one variance holds for all values.
+    if own * chi > OVERSTATED {
+        system.with_own_share(1.0).with_picture_scale(sd / (own * chi))
+    } else {
+        system.with_own_share((own * chi).clamp(MIN_OWN_SHARE, 1.0)).with_picture_scale(sd)
     }
-    let overstated = reduced_chi(fit, scale);
-    let factor = if overstated > OVERSTATED { overstated } else { 1.0 };
-    system.with_picture_scale(fit.readings_variance().sqrt() / factor)
 }
 
-/// Scatter of the pictures about a fit over what they state.
+/// Scatter of the pictures about a fit over what counts of their errors.
 fn reduced_chi(fit: &Fit, scale: f64) -> f64 {
     (fit.witness.norm_squared() / (fit.witness_count.max(1) as f64)).sqrt() / scale
+}
+
+/// Ratio of two positive numbers, the larger by the smaller.
+fn ratio(a: f64, b: f64) -> f64 {
+    (a / b).max(b / a)
 }
 
 impl SessionModel for WhiskerSystem {
@@ -108,7 +120,7 @@ impl SessionModel for WhiskerSystem {
         let system = match system.pictures() {
             Some(_) => {
                 let base = declared(&system, &known, options.search.seed)?;
-                system.with_picture_scale(base.fit.readings_variance().sqrt())
+                weighed(system.clone(), &base.fit, &system)
             }
             None => system,
         };
@@ -118,11 +130,14 @@ impl SessionModel for WhiskerSystem {
         for _ in 0..if system.pictures().is_some() { MAX_RESCALED } else { 1 } {
             let fit = &explained.found.accepted().fit;
             let whitened = system.clone().whitened(fit);
-            let again = rescaled(whitened, fit, system.picture_scale());
-            let change = again.picture_scale() / system.picture_scale();
-            if again.whitening_change(&system) <= WHITENING_CHANGED
-                && change.max(1.0 / change) <= WHITENING_CHANGED
-            {
+            let again = weighed(whitened, fit, &system);
+            let own = |s: &WhiskerSystem| s.pictures().map_or(1.0, Pictures::own_share);
+            let changes = [
+                again.whitening_change(&system),
+                ratio(again.picture_scale(), system.picture_scale()),
+                ratio(own(&again), own(&system)),
+            ];
+            if changes.iter().all(|c| *c <= WHITENING_CHANGED) {
                 break;
             }
             explained = explain(&again, &options.search)?;
@@ -262,7 +277,7 @@ impl SessionModel for WhiskerSystem {
         let variance = fit.readings_variance();
         report.pairs = pictures.len();
         report.left_out.extend(pictures.left_out().iter().cloned());
-        report.reduced_chi = reduced_chi(fit, self.picture_scale());
+        report.reduced_chi = pictures.own_share() * reduced_chi(fit, self.picture_scale());
         report.gain_wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / variance;
         report.gain_pictures =
             (base.witness.norm_squared() - fit.witness.norm_squared()) / self.picture_scale().powi(2);

@@ -3,11 +3,12 @@
 //! Readout of a reading: `y = B' c(m, v)`, with `c = [1, m1, m2, zeros of seatings, effect columns]`, coefficients `B` and the effects'
 //! nonlinear values `v`; the inverse is `m = f(y; B, v)`, its uncertainty in `uncertainty`.
 
-use super::system::{ActiveEffect, WhiskerSystem};
+use super::system::WhiskerSystem;
+use super::whisker_effect::ActiveEffect;
 use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
-use crate::method::search::Hypothesis;
 use crate::scalar::ModelError;
 use crate::scalar::model::square;
 use crate::whisker::path::WhiskerPath;
@@ -85,7 +86,7 @@ impl PhysicalModel {
                 }
             })
             .collect();
-        // From the engine's channels, whose noise is alike and apart, to the gratings'.
+        // From the engine's channels, whose noise is uncorrelated and of one variance, to the gratings'.
         let pm = system.channels_pm();
         let coefficients = &fit.coefficients * &pm;
         let (count, size) = (coefficients.nrows(), coefficients.len());

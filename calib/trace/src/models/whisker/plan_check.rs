@@ -1,4 +1,4 @@
-//! Which effects a plan can tell apart, before anything is measured.
+//! Which effects a plan can distinguished, before anything is measured.
 //!
 //! The signature of an effect is the derivative of the predicted readings by its parameter, off K and the zero. With orthonormal bases A, B of
 //! what two effects can do at given shapes,
@@ -44,7 +44,7 @@ pub struct Addition {
     pub what: String,
     /// Effects that become testable by it.
     pub testable: Vec<String>,
-    /// Pairs that it tells apart.
+    /// Pairs that it distinguishes.
     pub separates: Vec<[String; 2]>,
 }
 

@@ -5,7 +5,7 @@ use super::system::WhiskerSystem;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Weights;
-use crate::method::search::Hypothesis;
+use crate::method::hypothesis::Hypothesis;
 use nalgebra::{DMatrix, Matrix2, Vector2};
 
 /// One reading under one model.

@@ -3,8 +3,8 @@
 use super::predictions::Predicted;
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::{cosine, explained};
-use crate::method::search::{Hypothesis, SearchResult};
 use nalgebra::DVector;
 use wcal_core::observation::Role;
 
@@ -53,7 +53,8 @@ pub(super) fn prediction_rows(
 
 /// The rod's branch along each trajectory, as far as the readings reach.
 pub(super) fn branches(system: &WhiskerSystem) -> Vec<Branch> {
-    let Some(tables) = system.rod_tables.tables(&crate::whisker::rod_tables::RodParameters::default()) else {
+    let Some(tables) = system.rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default())
+    else {
         return Vec::new();
     };
     system

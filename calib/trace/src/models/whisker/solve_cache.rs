@@ -1,7 +1,8 @@
 //! Few readings on a line: the rod is solved at each of them instead of on a table's grid.
 
 use crate::whisker::path::Node;
-use crate::whisker::rod_tables::{RodParameters, RodTables};
+use crate::whisker::rod_parameters::RodParameters;
+use crate::whisker::rod_tables::RodTables;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -16,7 +17,7 @@ pub(crate) struct SolveCache(Mutex<HashMap<Vec<u64>, Contacts>>);
 
 /// Sets of stage positions and wires whose moments are kept.
 const SOLVED_SETS: usize = 256;
-/// Largest gap between the equilibria of a walked wire, mm.
+/// Largest gap between the equilibria of a continued branch, mm.
 const MAX_GAP_MM: f64 = 2.0;
 
 /// Distinct loaded stage positions on every line, ascending.

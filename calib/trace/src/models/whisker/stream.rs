@@ -1,8 +1,8 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
 use super::physical::{PhysicalModel, VALID_SHARE, hidden};
-use super::system::{ActiveEffect, Memory};
 use super::uncertainty::VALUE_STEP;
+use super::whisker_effect::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
 use nalgebra::Matrix2;
 use wcal_core::MomentAxes;

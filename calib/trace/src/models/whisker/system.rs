@@ -1,116 +1,21 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
-use super::pictures::{Pictures, Seen};
-use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
+use super::pictures::Pictures;
+use super::whisker_effect::{ActiveEffect, Observers, WhiskerEffect};
+use crate::effect::{Effect, EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights};
 use crate::whisker::effects;
 use crate::whisker::path::{WhiskerPath, temperature_walk};
-use crate::whisker::rod_tables::{RodParameters, RodTables};
+use crate::whisker::rod_parameters::RodParameters;
+use crate::whisker::rod_tables::RodTables;
 use crate::whisker::temperature::RandomWalkModel;
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use std::sync::Arc;
 use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
 
 /// Two moment components a reading, N mm.
 pub type Moments = Vec<[f64; 2]>;
-
-/// A sensor whose answer depends on what came before.
-pub trait Memory: Send {
-    /// What is sensed of a moment (N mm) `dt_s` after the one before, none at the first; nothing is remembered.
-    fn sensed(&self, dt_s: Option<f64>, moment_nmm: [f64; 2]) -> [f64; 2];
-    /// Remembers that moment.
-    fn accept(&mut self, dt_s: Option<f64>, moment_nmm: [f64; 2]);
-}
-
-/// Who sees a change of the poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Observers {
-    /// Where the groove really was: gratings and cameras.
-    Both,
-    /// Gratings alone: their readings are late.
-    Gratings,
-    /// Cameras alone: their pictures are late.
-    Cameras,
-}
-
-/// Where an effect of the whisker acts; every hook does nothing by default.
-pub trait WhiskerEffect: Effect {
-    /// Who sees the poses that it changes: the gratings, the cameras, or both.
-    fn observers(&self) -> Observers {
-        Observers::Both
-    }
-    /// Changes the effective stage position of every node, mm.
-    fn pose(&self, _values: &Values, _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
-    /// Changes the mechanics of wire, root and groove.
-    fn rod(&self, _values: &Values, _rod: &mut RodParameters) {}
-    /// What the gratings sense of moments that come one after the other; none where they sense them as they are.
-    fn memory(&self, _values: &Values) -> Option<Box<dyn Memory>> {
-        None
-    }
-    /// Changes the moments that the gratings sense at every node, N mm.
-    fn sensor(&self, values: &Values, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let Some(mut memory) = self.memory(values) else { return };
-        let mut last_s = None;
-        for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
-            let dt_s = last_s.map(|last| node.t_s - last);
-            last_s = Some(node.t_s);
-            let sensed = memory.sensed(dt_s, *m);
-            memory.accept(dt_s, *m);
-            *m = sensed;
-        }
-    }
-    /// Changes what pairs of pictures show: faults of the cameras' setup.
-    fn pictures(&self, _values: &Values, _seen: &mut [Seen]) {}
-    /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
-    fn columns(
-        &self,
-        _values: &Values,
-        _path: &WhiskerPath,
-        _moments_nmm: &[[f64; 2]],
-        _out: &mut Vec<Vec<f64>>,
-    ) {
-    }
-}
-
-/// An effect that acts: its law and values.
-pub struct ActiveEffect {
-    /// The effect.
-    pub effect: Arc<dyn WhiskerEffect>,
-    law: EffectModel,
-    term: EffectTerm,
-}
-
-impl ActiveEffect {
-    /// `term` of a catalogue's effect.
-    #[must_use]
-    pub fn new(effect: Arc<dyn WhiskerEffect>, term: EffectTerm) -> Self {
-        Self { law: effect.law(term.law), effect, term }
-    }
-
-    /// What its law needs of a session.
-    #[must_use]
-    pub fn needs(&self) -> &[Need] {
-        &self.law.needs
-    }
-
-    /// Its place in the catalogue, law and values.
-    #[must_use]
-    pub fn into_term(self) -> EffectTerm {
-        self.term
-    }
-
-    /// Physical ranges of its values.
-    pub fn ranges(&self) -> impl Iterator<Item = [f64; 2]> {
-        self.law.parameters.iter().map(|p| p.range)
-    }
-
-    /// Values of its parameters, by name.
-    #[must_use]
-    pub fn values(&self) -> Values<'_> {
-        Values::new(&self.law, self.term.law, &self.term.values)
-    }
-}
 
 /// A whisker session, its declared model and the catalogue.
 #[derive(Clone)]
@@ -132,27 +37,8 @@ pub struct WhiskerSystem {
     seatings: u32,
     walk: Option<RandomWalkModel>,
     whitening: Matrix2<f64>,
-    pictures: Option<Arc<Pictures>>,
-    picture_scale: f64,
-}
-
-/// Points of the loaded wire at arc lengths, mm: cubic in between its nodes, whose tangents are known.
-fn points_at(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], arclengths_mm: &[f64]) -> Vec<Vector3<f64>> {
-    let at = |s: &f64| {
-        let j = nodes.partition_point(|n| n.0 <= *s).clamp(1, nodes.len() - 1);
-        let (a, b) = (&nodes[j - 1], &nodes[j]);
-        let h = b.0 - a.0;
-        if h <= 0.0 {
-            return b.1;
-        }
-        let x = (s - a.0) / h;
-        let (x2, x3) = (x * x, x * x * x);
-        a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
-            + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
-            + b.1 * (3.0 * x2 - 2.0 * x3)
-            + b.2.column(0) * (h * (x3 - x2))
-    };
-    arclengths_mm.iter().map(at).collect()
+    pub(super) pictures: Option<Arc<Pictures>>,
+    pub(super) picture_scale: f64,
 }
 
 /// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
@@ -256,7 +142,7 @@ impl WhiskerSystem {
     }
 
     /// The effects of `terms` with their values by name.
-    fn active(&self, terms: &[EffectTerm]) -> Vec<ActiveEffect> {
+    pub(super) fn active(&self, terms: &[EffectTerm]) -> Vec<ActiveEffect> {
         terms.iter().map(|t| ActiveEffect::new(self.effects[t.effect].clone(), t.clone())).collect()
     }
 
@@ -294,7 +180,7 @@ impl WhiskerSystem {
     }
 
     /// Effective stage positions of the nodes, mm, and the rod, without what only `unseen` see.
-    fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
+    pub(super) fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
         let mut xs: Vec<f64> = self.path.nodes.iter().map(|n| n.x_mm).collect();
         let mut rod_parameters = RodParameters::default();
         for a in active.iter().filter(|a| a.effect.observers() != unseen) {
@@ -302,68 +188,6 @@ impl WhiskerSystem {
             a.effect.rod(&a.values(), &mut rod_parameters);
         }
         (xs, rod_parameters)
-    }
-
-    /// What the pairs would show under `terms`, in their order; none where the model has no solution.
-    #[must_use]
-    pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<Seen>> {
-        let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
-        let active = self.active(terms);
-        let (xs, rod_parameters) = self.driven(&active, Observers::Gratings);
-        let nodes = pictures.nodes();
-        let held = self.rod_tables.contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
-        let rod = self.rod_tables.rod(&rod_parameters)?;
-        let mut seen = Vec::with_capacity(nodes.len());
-        for ((node, e), (_, stations_mm, shown)) in nodes.iter().zip(held).zip(pictures.each()) {
-            let l = self.path.nodes[*node].line?;
-            let groove_mm = self.rod_tables.line(l, &rod_parameters).point(xs[*node]);
-            seen.push(match e {
-                Some(e) => Seen {
-                    groove_mm,
-                    arclength_mm: e.arclength_mm,
-                    tangent: e.tangent,
-                    stations_mm: points_at(&rod.loaded_shape(&e), stations_mm),
-                    ..shown.clone()
-                },
-                // Before first touch the wire is where it rests.
-                None => Seen {
-                    groove_mm,
-                    arclength_mm: self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm,
-                    stations_mm: stations_mm.iter().map(|s| rod.shape.rest_point(*s)).collect(),
-                    ..shown.clone()
-                },
-            });
-        }
-        for a in &active {
-            a.effect.pictures(&a.values(), &mut seen);
-        }
-        Some(seen)
-    }
-
-    /// The pairs that count beside the wavelengths.
-    #[must_use]
-    pub fn pictures(&self) -> Option<&Pictures> {
-        self.pictures.as_deref()
-    }
-
-    /// The same readings beside pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
-    #[must_use]
-    pub fn with_picture_scale(mut self, sd: f64) -> Self {
-        self.picture_scale = sd;
-        self
-    }
-
-    /// What a stated standard deviation of the pictures weighs, in the engine's channels.
-    #[must_use]
-    pub fn picture_scale(&self) -> f64 {
-        self.picture_scale
-    }
-
-    /// The same readings without the pictures.
-    #[must_use]
-    pub fn without_pictures(mut self) -> Self {
-        self.pictures = None;
-        self
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
@@ -383,7 +207,7 @@ impl WhiskerSystem {
         Some((pick(&sensed), pick(&base)))
     }
 
-    /// The same readings in channels whose noise is alike and apart, as far as `fit` shows it.
+    /// The same readings in channels whose noise is uncorrelated and of one variance, as far as `fit` shows it.
     ///
     /// Both gratings are compensated with one reference reading, so its noise, `k_T` times the temperature's, is in both: their covariance
     /// is `s^2 I + k_T k_T' s_T^2`. Across `k_T` nothing is shared, which gives `s`; the temperature's walk gives `s_T`. K, zero and every
@@ -401,7 +225,7 @@ impl WhiskerSystem {
         Self { pictures, picture_scale, ..same }
     }
 
-    /// Mixture that gives the gratings' noise from noise that is alike and apart, pm; none where no reference noise is shared.
+    /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none where no reference noise is shared.
     fn shared_noise(&self, fit: &Fit) -> Option<Matrix2<f64>> {
         let compensated =
             self.data.fbg.needs_reference() && self.data.rows.iter().all(|r| r.reference_shift_pm.is_some());
@@ -414,13 +238,14 @@ impl WhiskerSystem {
         stretch.is_finite().then(|| Matrix2::identity() + along * along.transpose() * (stretch - 1.0))
     }
 
-    /// The same readings in the channels of `other`.
+    /// The same readings in the channels of `other`, its pictures weighed alike.
     #[must_use]
     pub fn with_whitening_of(self, other: &Self) -> Self {
-        self.in_channels(other.whitening).with_picture_scale(other.picture_scale)
+        let share = other.pictures.as_ref().map_or(1.0, |p| p.own_share());
+        self.in_channels(other.whitening).with_picture_scale(other.picture_scale).with_own_share(share)
     }
 
-    /// How far apart two systems' mixtures of channels are: largest ratio of their shared noise.
+    /// Difference of two systems' mixtures of channels: largest ratio of their shared noise.
     #[must_use]
     pub fn whitening_change(&self, other: &Self) -> f64 {
         let (a, b) = (self.whitening.determinant(), other.whitening.determinant());

@@ -1,4 +1,4 @@
-//! The reference grating's own noise, told from the temperature: a random walk seen through white noise.
+//! The reference grating's own noise, separated from the temperature: a random walk seen through white noise.
 //!
 //! Both sensing gratings are compensated with one reference reading, so its noise is in both residuals and, with the opposite sign, in the
 //! temperature that they are compared with: an error in variables, not an effect. Local level model and fixed-interval smoother: Harvey,
@@ -171,7 +171,7 @@ mod tests {
             slow_rms.push(rms(&slow, &truth));
             let (t, truth, readings) = seen(20.0, seed);
             let fast = smoothed(&t, &readings);
-            // Noise of a twentieth of a step is hardly told from none: what is taken for it stays a small part of a step.
+            // Noise of a twentieth of a step is hardly distinguished from none: what is taken for it stays a small part of a step.
             assert!(rms(&fast, &truth) < 3.0, "{}", rms(&fast, &truth));
         }
         // With the ratio known the smoother's steady state has variance step_sd / 2; its ends and the ratio's own error add to it.

@@ -49,7 +49,7 @@ const UNIT_RATIO: f64 = 5.0;
 /// Checks every label of the session.
 #[must_use]
 pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
-    let Some(tables) = rod_tables.tables(&crate::whisker::rod_tables::RodParameters::default()) else {
+    let Some(tables) = rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default()) else {
         return LabelReport::default();
     };
     let mut checks: Vec<LabelCheck> = Vec::new();

@@ -6,7 +6,7 @@
 //! (memory carries a value's error from reading to reading), `C` the joint covariance of `B` (channel by channel) and `v`.
 
 use super::physical::{PhysicalModel, undo_memory};
-use super::system::ActiveEffect;
+use super::whisker_effect::ActiveEffect;
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2};
 

@@ -5,7 +5,7 @@ use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolabili
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
-use crate::method::search::SearchResult;
+use crate::method::hypothesis::SearchResult;
 use crate::verify::{Verification, VerifyOptions, verify};
 use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};

@@ -3,7 +3,7 @@
 use super::law;
 use crate::effect::{Effect, EffectModel, Values};
 use crate::whisker::WhiskerEffect;
-use crate::whisker::rod_tables::RodParameters;
+use crate::whisker::rod_parameters::RodParameters;
 
 /// See the module.
 pub struct BaseCompliance;

@@ -2,9 +2,9 @@
 
 use super::law;
 use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::whisker::Observers;
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
-use crate::whisker::system::Observers;
 
 /// See the module.
 pub struct TimeLag;

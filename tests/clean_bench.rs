@@ -76,7 +76,7 @@ fn verdict(seed: u64, effects: &str) -> Value {
 }
 
 /// Of three sessions two must be adequate: 0.7 % by chance where one in twenty is not. Before one variance held for readings and pictures,
-/// 13 of 16 were not adequate.
+/// 13 of 18 were not adequate.
 #[test]
 fn clean_sessions_are_adequate() {
     let draws: u64 = std::env::var("WCAL_DRAWS").ok().and_then(|d| d.parse().ok()).unwrap_or(3);

@@ -13,7 +13,7 @@ pub use super::noise::Weights;
 use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
-use std::cell::OnceCell;
+use std::cell::{Cell, OnceCell};
 use std::sync::Arc;
 use wcal_core::least_squares::{
     BoundedNormalEquations, Damping, Ending, Linearised, NormalEquations, minimise,
@@ -304,8 +304,8 @@ impl Linearised for Place<'_> {
 const SETTLED: f64 = 1e-5;
 /// Damping past which no shorter step is tried: steps are then a ten-thousandth of steepest descent's.
 const MAX_DAMPING: f64 = 1e4;
-/// Refused steps that a fit may make beyond its iterations.
-const REFUSED: usize = 8;
+/// Lengths tried for a step.
+const TRIES: usize = 8;
 
 /// Fits `terms` from their present values.
 pub fn fit(
@@ -328,16 +328,23 @@ pub fn fit(
         }
         moved
     };
-    let settled = |_: &DVector<f64>, [before, after]: [f64; 2]| before - after < SETTLED * after.max(1e-300);
-    let max_steps = if index.is_empty() { 0 } else { iterations + REFUSED };
+    // Steps that were taken are counted: from a near optimum a few are enough, however many shorter ones were refused on the way.
+    let (taken, settled) = (Cell::new(0), Cell::new(false));
+    let enough = |_: &DVector<f64>, [before, after]: [f64; 2]| {
+        taken.set(taken.get() + 1);
+        settled.set(before - after < SETTLED * after.max(1e-300));
+        settled.get() || taken.get() >= iterations
+    };
+    let max_steps = if index.is_empty() { 0 } else { iterations * TRIES };
     let damping = Damping { max: MAX_DAMPING, max_steps, ..Damping::default() };
     let first = (terms.to_vec(), linearise(&terms.to_vec())?);
-    let found = minimise(first, &damping, linearise, moved, settled);
+    let found = minimise(first, &damping, linearise, moved, enough);
     let tangents = if index.is_empty() { Vec::new() } else { found.at.linearised()?.0.clone() };
     let (terms, here) = (found.place, found.at.here);
     let status = match found.ending {
         _ if !here.full_rank => Status::RankDeficient,
         Ending::Exhausted if !index.is_empty() => Status::NotConverged,
+        Ending::Converged if !settled.get() => Status::NotConverged,
         _ => Status::Converged,
     };
     let at_bound = index

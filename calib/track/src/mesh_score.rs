@@ -1,4 +1,4 @@
-//! Contact points beside the mesh of the object that was touched.
+//! Distances of contact points from the mesh of the touched object.
 //!
 //! Where the mesh lies in the frame of the points (x = R p + t) is either known, or taken from the points themselves: R and t minimise
 //! `sum_i |x_i - c(x_i)|^2`, c the mesh's closest point, by iterated closest points from the 24 turns by right angles

@@ -17,7 +17,7 @@ use wcal_rod::{DiscreteRod, PointLoad};
 const NEWTON_STEPS: usize = 24;
 /// A step with a carried derivative is taken where it leaves less than this part of the residual.
 const MAX_BROYDEN_RATIO: f64 = 0.6;
-/// Agreement asked for, N mm.
+/// Tolerance of the moments, N mm.
 const TOLERANCE_NMM: f64 = 1e-7;
 /// Moment that stands for the first touch, N mm.
 const FIRST_NMM: f64 = 1e-4;
@@ -79,12 +79,12 @@ fn solve_square(
         let m = rod.under_point_load(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
         Vector2::new(m.y, m.z) - moment_nmm
     };
-    // A force that turned round on the way belongs to another branch.
+    // A force that reversed between two entries belongs to another branch.
     broyden(off, start, rate).filter(|force| first || force.dot(&start) > 0.0)
 }
 
 /// Zero of a function of a force, N mm. Its derivative `rate` is carried from one solution to the next by Broyden's update (1965, Math.
-/// Comp. 19:577) and made anew by differences where the residual does not fall fast.
+/// Comp. 19:577) and recomputed by central differences where the residual falls slowly.
 fn broyden<const N: usize>(
     off: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
     start: SVector<f64, N>,

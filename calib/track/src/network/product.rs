@@ -223,7 +223,7 @@ mod tests {
         for part in one.chunks(N / 64) {
             assert!((share(part) - 0.9).abs() < most(N / 64), "{}", share(part));
         }
-        // Neighbours, places a row of the network apart, and seeds: as rarely dropout together as by chance.
+        // Neighbours, places a row of the network apart, and seeds: dropped together no more often than by chance.
         let together = |a: &[f32], b: &[f32]| {
             a.iter().zip(b).filter(|(a, b)| **a == 0.0 && **b == 0.0).count() as f64 / b.len() as f64
         };

@@ -4,6 +4,8 @@ use super::contact_path::{ContactPath, State};
 use super::likelihood::{Likelihood, moved};
 use super::{Place, Settings};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
+use std::cell::OnceCell;
+use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
 
 /// First grid along the wire, mm.
 const SCAN_MM: f64 = 1.0;
@@ -13,6 +15,8 @@ const TRIALS: usize = 8;
 const UNSEEN_MM: f64 = 10.0;
 /// Steps of the Levenberg-Marquardt iteration.
 const MAX_STEPS: usize = 30;
+/// Damping past which no shorter step is tried.
+const MAX_DAMPING: f64 = 1e4;
 /// Change of the state at which it has settled, mm.
 const SETTLED_MM: f64 = 1e-5;
 /// Modes and nodes whose logarithm lies this far below the best have no mass.
@@ -74,7 +78,54 @@ pub struct Posterior {
 const ALL: [usize; 3] = [0, 1, 2];
 const GIVEN_ARCLENGTH: [usize; 2] = [1, 2];
 
-/// Levenberg-Marquardt in the free numbers; the whitened slopes at the end come along.
+/// Whitened residuals at a state.
+struct Whitened<'a> {
+    context: (&'a ContactPath<'a>, &'a Likelihood, &'a Settings),
+    free: &'a [usize],
+    state: State,
+    residuals: DVector<f64>,
+    /// Slopes are dear: they are taken where a step goes on from.
+    slopes: OnceCell<Option<DMatrix<f64>>>,
+}
+
+impl<'a> Whitened<'a> {
+    fn at(
+        context: (&'a ContactPath<'a>, &'a Likelihood, &'a Settings),
+        free: &'a [usize],
+        state: State,
+    ) -> Option<Self> {
+        let (path, likelihood, settings) = context;
+        let residuals = likelihood.residuals(path, settings, &state)?;
+        Some(Self { context, free, state, residuals, slopes: OnceCell::new() })
+    }
+
+    /// Derivatives of the residuals by the free numbers, residuals x numbers.
+    fn slopes(&self) -> Option<&DMatrix<f64>> {
+        let (path, likelihood, settings) = self.context;
+        let column = |k: &usize| likelihood.slope(path, settings, &self.state, *k);
+        let make = || {
+            let columns: Vec<DVector<f64>> = self.free.iter().map(column).collect::<Option<_>>()?;
+            Some(DMatrix::from_columns(&columns))
+        };
+        self.slopes.get_or_init(make).as_ref()
+    }
+}
+
+impl Linearised for Whitened<'_> {
+    type Step = DVector<f64>;
+
+    fn cost(&self) -> f64 {
+        self.residuals.norm_squared()
+    }
+
+    fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        let j = self.slopes()?;
+        let (matrix, descent) = (j.tr_mul(j), -j.tr_mul(&self.residuals));
+        NormalEquations { cost: self.cost(), matrix, descent }.step(damping)
+    }
+}
+
+/// The mode next to a state in the free numbers; the whitened slopes there come along.
 fn search(
     path: &ContactPath<'_>,
     likelihood: &Likelihood,
@@ -82,45 +133,23 @@ fn search(
     start: &State,
     free: &[usize],
 ) -> Option<(Mode, DMatrix<f64>)> {
+    let context = (path, likelihood, settings);
     let inside = |s: &State| State {
         s_mm: s.s_mm.clamp(settings.first_mm, path.field.length_mm()),
         onset_mm: s.onset_mm.clamp(path.onset_mm[0], path.onset_mm[1]),
         ..*s
     };
-    let slopes = |state: &State| -> Option<DMatrix<f64>> {
-        let columns: Vec<DVector<f64>> =
-            free.iter().map(|k| likelihood.slope(path, settings, state, *k)).collect::<Option<_>>()?;
-        Some(DMatrix::from_columns(&columns))
+    let stepped = |state: &State, _: &Whitened<'_>, step: &DVector<f64>| {
+        inside(&free.iter().zip(step.iter()).fold(*state, |next, (k, d)| moved(&next, *k, *d)))
     };
-    let mut state = inside(start);
-    let mut residuals = likelihood.residuals(path, settings, &state)?;
-    let mut damping = 1e-3;
-    let mut jacobian = slopes(&state)?;
-    for _ in 0..MAX_STEPS {
-        let normal = jacobian.transpose() * &jacobian;
-        let gradient = jacobian.transpose() * &residuals;
-        let mut damped = normal.clone();
-        (0..free.len()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
-        let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { break };
-        let mut next = state;
-        free.iter().zip(step.iter()).for_each(|(k, d)| next = moved(&next, *k, -d));
-        next = inside(&next);
-        let change = (next.s_mm - state.s_mm).abs()
-            + (next.onset_mm - state.onset_mm).abs()
-            + (next.gap_mm - state.gap_mm).abs();
-        match likelihood.residuals(path, settings, &next) {
-            Some(r) if r.norm_squared() < residuals.norm_squared() => {
-                (state, residuals, damping) = (next, r, (damping * 0.1).max(1e-9));
-                jacobian = slopes(&state)?;
-            }
-            _ => damping *= 8.0,
-        }
-        if change < SETTLED_MM || damping > 1e8 {
-            break;
-        }
-    }
-    let ln = likelihood.ln_posterior(&residuals);
-    ln.is_finite().then_some((Mode { state, ln }, jacobian))
+    let start = inside(start);
+    let first = (start, Whitened::at(context, free, start)?);
+    let settled = |step: &DVector<f64>, _: [f64; 2]| step.lp_norm(1) < SETTLED_MM;
+    let damping = Damping { shrink: 0.1, max: MAX_DAMPING, max_steps: MAX_STEPS, ..Damping::default() };
+    let found = minimise(first, &damping, |s| Whitened::at(context, free, *s), stepped, settled);
+    let ln = likelihood.ln_posterior(&found.at.residuals);
+    let slopes = found.at.slopes()?.clone();
+    ln.is_finite().then_some((Mode { state: found.place, ln }, slopes))
 }
 
 /// The mode next to a state.

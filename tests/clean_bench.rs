@@ -1,0 +1,97 @@
+//! Clean sessions of the virtual bench with pictures, from the sweep to the verdict, through the program alone (SIMULATED).
+//!
+//! `WCAL_DRAWS=20 cargo test --workspace --test clean_bench -- --nocapture` prints the rate over more of them.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// Runs the program; exit code and messages.
+fn wcal(arguments: &[&str]) -> (i32, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
+    (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+/// A virtual bench, ended when it is dropped.
+struct Bench(Child);
+
+impl Bench {
+    /// Serves `scenario`; its addresses go into `addresses`.
+    fn start(scenario: &Path, addresses: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_wcal"))
+            .args(["virtual-bench", "--scenario"])
+            .arg(scenario)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        std::fs::write(addresses, line).unwrap();
+        Self(child)
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        // Its input closes, and it ends.
+        drop(self.0.stdin.take());
+        let _ = self.0.wait();
+    }
+}
+
+/// Verdict on one session of twelve poses under the bench's `effects`.
+fn verdict(seed: u64, effects: &str) -> Value {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let scenario = format!(
+        "format = \"wcal-scenario/1\"\nseed = {seed}\nspeed = 3.0\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n{effects}"
+    );
+    std::fs::write(at("scenario.toml"), scenario).unwrap();
+    let bench = Bench::start(Path::new(&at("scenario.toml")), Path::new(&at("bench.json")));
+    let fixture = |name: &str| repository("fixtures/pictured").join(name).display().to_string();
+    let (rig, plan) = (fixture("rig.toml"), fixture("plan.toml"));
+    let (session, cameras, out) = (at("session"), at("cameras"), at("verify"));
+    let bench_file = at("bench.json");
+    let sweep = ["--rig", &rig, "--plan", &plan, "--bench", &bench_file, "--out", &session];
+    let (code, text) = wcal(&[&["stage-sweep", "--home"][..], &sweep].concat());
+    assert!(code == 0 || code == 3, "{text}");
+    drop(bench);
+    let [left, right] = ["left", "right"].map(|side| format!("{session}/pictures/board/{side}"));
+    let board = ["--board", "9x6", "--square-mm", "6", "--out", &cameras];
+    let (code, text) = wcal(&[&["stereo-calibrate", &left, &right][..], &board].concat());
+    assert!(code == 0 || code == 3, "{text}");
+    let (code, text) = wcal(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
+    assert!(code == 0 || code == 3, "{text}");
+    let (_, text) = wcal(&["verify", &session, "--out", &out]);
+    let document = std::fs::read(Path::new(&out).join("verify.json"));
+    serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {text}"))).unwrap()
+}
+
+/// Of three sessions two must be adequate: 0.7 % by chance where one in twenty is not. Before one variance held for readings and pictures,
+/// 13 of 16 were not adequate.
+#[test]
+fn clean_sessions_are_adequate() {
+    let draws: u64 = std::env::var("WCAL_DRAWS").ok().and_then(|d| d.parse().ok()).unwrap_or(3);
+    let mut adequate = 0;
+    for seed in 0..draws {
+        let v = verdict(201 + seed, "");
+        println!(
+            "{seed}: {} {}; pictures scatter {} of what they state",
+            v["verdict"], v["effects"], v["pictures"]["reduced_chi"]
+        );
+        adequate += u64::from(v["verdict"] == "adequate");
+    }
+    println!("{adequate} of {draws} adequate (SIMULATED)");
+    assert!(10 * (draws - adequate) <= 4 * draws, "{adequate} of {draws}");
+    // Control: a groove that sits elsewhere is found.
+    let v = verdict(200, "[effects]\ngroove_offset_mm = [0.0, 0.06, 0.08]\n");
+    assert!(v["verdict"] == "effect" && v["effects"][0]["id"] == "contact-offset", "{}", v["effects"]);
+}

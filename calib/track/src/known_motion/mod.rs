@@ -27,8 +27,8 @@
 //! (2009) 319) ([`posterior`]). The 95 % region is that of highest density.
 //!
 //! Bound: no estimator has a smaller mean squared error than `J^-1`, `J = G' S^-1 G + diag(12/L_s^2, 12/L_x^2, 1/s_g^2)`, `G = dm/dtheta` at the
-//! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process.
-//! 46 (1998) 1386) for a state that does not move) ([`bound`]).
+//! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory"
+//! I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process. 46 (1998) 1386) for a constant state) ([`bound`]).
 
 pub mod bound;
 pub mod check;

@@ -6,7 +6,7 @@ use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use nalgebra::{Vector2, Vector3};
 
-/// Explains a pair that contradicts the others; tries what usually goes wrong.
+/// Explains a pair that contradicts the others by trying the usual mistakes.
 pub(crate) fn explain_view(
     points: &[Vector3<f64>],
     state: &BundleState,

@@ -18,7 +18,7 @@ pub struct BoardSize {
 }
 
 impl BoardSize {
-    /// Whether the colours tell a turn by 180 degrees: one side even, the other odd.
+    /// Whether the colours distinguish a turn by 180 degrees: one side even, the other odd.
     #[must_use]
     pub fn orientation_is_unique(&self) -> bool {
         (self.columns + self.rows) % 2 == 1
@@ -61,7 +61,7 @@ pub enum Finder {
 }
 
 /// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
-/// the board's colours tell. None where the board is not found whole.
+/// the board's colours determine. None where the board is not found whole.
 ///
 /// # Errors
 /// Where OpenCV fails.
@@ -183,7 +183,7 @@ pub fn refine(
     }
 }
 
-/// Whether the pattern goes on beyond the corners that were found: then the board is larger than stated. Names the side.
+/// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.
 #[must_use]
 pub fn continues_beyond(
     picture: &Picture,
@@ -225,7 +225,7 @@ pub fn continues_beyond(
         ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
         ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
-    // Outside a true board lies its even margin or something that does not alternate with the squares: no contrast, against all of it.
+    // Outside a true board lies its uniform margin or something that does not alternate with the squares: no contrast, against all of it.
     sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
 }
 

@@ -1,10 +1,10 @@
 //! The wire's shape of one pair: pieces measured in both pictures, a curve of known kind through all of them at once.
-//! Every piece says where the wire is across its own image line only; parts along epipolar lines need no match of their own.
+//! Every piece measures the wire's position across its own image line only; parts along epipolar lines need no match of their own.
 //!
 //! ```text
 //! r_i = n_i . (observed_i - pi_c(T exp(x) p(s_i; c))),   weight_i = (nu + 1) / (nu + (r_i / sd_i)^2) / sd_i^2     (Student, nu = 4)
 //! (J^T W J + P) step = J^T W r - P state,                P: tags' information on x, root, smoothing * roughness
-//! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - least penalised squares) / 2
+//! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - minimum of the penalised squares) / 2
 //! ```
 //! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989; MacKay, "Bayesian Interpolation",
 //! 1992 (evidence).
@@ -86,7 +86,7 @@ pub fn image_line(
             if arc_mm > length_mm {
                 return Line { stations };
             }
-            // Across the curve's own bend the chord lies inside by the sagitta.
+            // The chord of a curved piece is inside the curve by the sagitta.
             let sag = -0.5 * bend * (f * long) * (long - f * long);
             let normal = Vector2::new(-tangent.y, tangent.x);
             let turned = (tangent + normal * (bend * (f - 0.5) * long)).normalize();

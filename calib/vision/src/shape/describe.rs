@@ -42,7 +42,7 @@ pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Op
     }
 }
 
-/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the share of the way to the next.
+/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the fraction of the interval to the next.
 pub(crate) fn places(fit: &PairFit) -> impl Iterator<Item = (f64, usize, f64)> + '_ {
     let last = fit.model.nodes as f64 - 1.001;
     let count = (fit.length_mm / 0.5).round().max(1.0) as usize;

@@ -1,4 +1,4 @@
-//! The groove: where the rig tag says the wire sits, corrected across the wire by the wire's own pictures.
+//! The groove: contact point from the rig tag, corrected across the wire by the wire's own pictures.
 //!
 //! ```text
 //! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
@@ -21,7 +21,7 @@ pub(crate) struct GrooveFound {
     pub(crate) document: GrooveDocument,
     /// Node before the contact.
     pub(crate) node: usize,
-    /// Share of the way to the next.
+    /// Fraction of the interval to the next.
     pub(crate) share: f64,
     /// Unit tangent there.
     pub(crate) tangent: Vector3<f64>,
@@ -29,7 +29,7 @@ pub(crate) struct GrooveFound {
     pub(crate) follow: Matrix3<f64>,
 }
 
-/// The contact of a pair whose rig tag is known. The tag says where along the wire; the wire says where across.
+/// The contact of a pair whose rig tag is known: along the wire from the tag, across it from the wire.
 /// `tag_covariance`: of the vertex position by the tag, base frame, mm^2.
 pub(crate) fn find_groove(
     fit: &PairFit,
@@ -129,7 +129,7 @@ pub struct Place {
     pub away: Vector3<f64>,
     /// Covariance of that, mm^2; of unit size along the wire.
     pub covariance: Matrix3<f64>,
-    /// Direction in which the groove pushes; none where the wire is not deflected enough to tell.
+    /// Direction in which the groove pushes; none where the deflection is too small to determine it.
     pub push: Option<Vector3<f64>>,
     /// Change of the wire's tangent over the groove's width.
     pub turn: Vector3<f64>,
@@ -153,7 +153,7 @@ impl Place {
             // Beyond the wire's own diameter from the vertex there is no contact, whichever way the groove opens.
             return if self.away.norm() > diameter_mm { "none" } else { "out-of-vertex" };
         };
-        // Over the groove's width the wire's middle stands off its ends by the sagitta of its own bend.
+        // Over the groove's width the wire's middle is off the chord by the sagitta of its curvature.
         let arch = -self.turn.dot(&push) * groove.width_along_wire_mm / 8.0;
         if arch > 0.0 && agrees(push * arch) {
             return "double";

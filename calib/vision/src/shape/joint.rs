@@ -6,7 +6,7 @@
 //!         [K_i' C_i] [c] = [f_i]     (I_tags + sum M_i) x = sum h_i
 //! covariance_i = N_i^-1 + G_i C_cal G_i^T,   G_i = N_i^-1 d(gradient) / d(calibration)
 //! ```
-//! N_i: pair i's normal matrix with what tags and other pairs say about the base. G_i is the implicit function theorem at the minimum:
+//! N_i: pair i's normal matrix with the information of tags and other pairs on the base. G_i is the implicit function theorem at the minimum:
 //! the calibration is no parameter of the fit but moves its solution. Sources: JCGM 102:2011, 6.2 (propagation through a fitted model);
 //! Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
 
@@ -31,7 +31,7 @@ const RESOLVED_BLURS: f64 = 3.5;
 pub(crate) struct Joint {
     /// Base correction that all agree on.
     step: Vector6<f64>,
-    /// How far the wires pull the base off its tags, in chi2 of 6 degrees of freedom.
+    /// Disagreement of wires and tags about the base, chi2 with 6 degrees of freedom.
     pub(crate) disagreement: f64,
 }
 
@@ -127,7 +127,7 @@ pub(crate) fn uncertainties(
         .map(|(k, fit)| {
             let fit = fit.as_ref().ok()?;
             let (part, full, reduced) = parts[k].as_ref()?;
-            // What others say about the base. One that stands elsewhere has its own tags only, seen by the same cameras.
+            // Information of the other pairs on the base. A base at another place has its own tags only, seen by the same cameras.
             let base_shared = !base.moved.contains(&k);
             let (others, their_pull) = if base_shared {
                 (information - part.information, &pull - reduced)

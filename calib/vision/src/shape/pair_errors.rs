@@ -8,7 +8,7 @@
 //! groove:  ds = u' B (dg - dp(s)),   d(position) = dp(s) + u ds,   B = I - C_t W A (groove.rs),   u: the wire's tangent
 //! ```
 //! With the base held, the pairs are independent of each other: `x` is one error of all of them, of covariance `(I_tags + sum M_i)^-1`.
-//! So is the turn of a rig that only shifts: the cameras turn it by what all its pictures together say, not by one pair's share.
+//! So is the turn of a rig that only shifts: an error of the cameras turns it by the mean over all its pictures, not by one pair's share.
 //! Sources: JCGM 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
 
 use crate::rig::RigGroove;
@@ -27,11 +27,11 @@ use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 
 /// Distance of the stations on the centre line, in points of it: 3 mm.
 const STATION_POINTS: usize = 6;
-/// What the list of own errors may leave out, sd, mm: far below what any picture shows.
+/// Errors of one pair below this sd are left out, mm: far below the noise of any picture.
 const LEFT_OUT_MM: f64 = 3e-4;
 /// How well the side of a board's squares is known, as a share of it: what etched and printed boards state (2 to 10 um in 60 mm).
 const BOARD_SCALE_SD: f64 = 1e-4;
-/// Errors of setup beside the cameras: board, base, rig tag's place and turn, light, end.
+/// Errors of the setup other than the cameras': board, base, rig tag's place and turn, light, end.
 const SETUP: usize = 15;
 
 /// Places of the shared parameters in every list.
@@ -191,7 +191,7 @@ impl VertexErrors {
         let lever = -hat(&groove.position_in_tag_mm);
         let mut columns = DMatrix::zeros(3, layout.count());
         let (own, by_cameras) = match &shared.turn {
-            // The shift that goes with a turn: t = I_tt^-1 (g_t - I_tw w).
+            // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
                 let by_turn = to_base * (lever - b.shift * b.cross.transpose());

@@ -16,7 +16,7 @@ use crate::stereo::StereoCameras;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector3};
 use wcal_core::shapes_document::SharedError;
 
-/// Share of the wires' variance that may be left out, and most parts that are kept.
+/// Share of the wires' variance that may be left out, and largest number of parts.
 const LEFT_OUT: f64 = 0.01;
 const MAX_PARTS: usize = 3;
 

@@ -1,6 +1,6 @@
 //! The convex start of the shape's fit: the curve as a chain of nodes through the pieces of both pictures, its links no longer than
-//! the wire between them. A second-order cone programme: whatever the search strayed by, it has one answer, and where no piece shows
-//! the wire (a groove before it, a part along epipolar lines) the curve goes on as evenly bent as the rest shape lets it.
+//! the wire between them. A second-order cone programme: convex, so that its solution does not depend on the search's error, and where no piece shows
+//! the wire (a groove before it, a part along epipolar lines) the curve is as smooth as the rest shape allows.
 //!
 //! ```text
 //! minimise  sum Huber(r_i - a_i . x) + sum |D^3 x - rest|^2 / rough^2 - tension . links    subject to  |x_n+1 - x_n| <= link
@@ -42,7 +42,7 @@ impl Triplets {
     }
 }
 
-/// A piece's say: residual in sd, and what each mm of the link's two nodes takes off it.
+/// Equation of a piece: residual in sd, and its derivative by the positions of the link's two nodes, 1/mm.
 struct Pull {
     camera: usize,
     link: usize,
@@ -141,7 +141,7 @@ fn solve(
             quadratic.add(i, j, square[(i, j)]);
         }
     }
-    // Huber's loss of a residual r: least u^2 / 2 + bound * v with |r - u| <= v.
+    // Huber's loss of a residual r: minimum of u^2 / 2 + bound * v with |r - u| <= v.
     let mut rows = Triplets::default();
     let mut bounds = Vec::with_capacity(2 * count + 4 * nodes);
     for (p, pull) in pulls.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Corners of a tag from every edge between a dark and a bright cell, not from its outline alone: ink, a camera's tone curve
-//! and half-saturated paper move all edges toward one colour by the same amount. Inner edges face both ways, so that this
-//! spread is solved for beside the corners instead of being taken for a larger or smaller tag.
+//! and half-saturated paper move all edges toward one colour by the same amount. Inner edges have both polarities, so that
+//! this spread is solved for together with the corners instead of biasing the tag's size.
 //!
 //! ```text
 //! n_i . (observed_i - H(c) m_i) = polarity_i s + noise      unknowns: four corners c (homography H), spread s of the dark cells
@@ -16,7 +16,7 @@ use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 /// Movement at which a fit ends, px.
 pub(crate) const FINE_PX: f64 = 0.01;
-/// Cells smaller than this show too little of the levels beside an edge, px.
+/// Cells smaller than this do not resolve the grey levels on both sides of an edge, px.
 const MIN_CELL_PX: f64 = 5.0;
 /// Edges needed: 9 unknowns, and enough beyond them to judge the scatter.
 const MIN_EDGES: usize = 32;

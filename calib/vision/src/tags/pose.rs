@@ -5,7 +5,7 @@
 //! d pi / d x = (d pi / d X) R [-hat(p_k)  I],     information = sum J^T (C_k + s0^2 I)^-1 J
 //! ```
 //! Starting points: the pose of the square's homography (columns h1, h2, h1 x h2), and the one whose normal is mirrored in the line of
-//! sight, which a single view of a small square hardly tells apart. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar
+//! sight, which a single view of a small square hardly distinguishes. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar
 //! Target", IEEE PAMI 28(12), 2006.
 
 use crate::camera::Camera;

@@ -1,4 +1,4 @@
-//! How the wire looks in one picture: blur and width, from the pieces that show it best.
+//! Appearance of the wire in one picture: blur and width, from the pieces that show it best.
 //!
 //! ```text
 //! minimise over (ln blur, ln width)  sum over pieces of min over (centre, levels) |pixels - bar|^2
@@ -46,7 +46,7 @@ impl Linearised for Pooled {
 }
 
 impl Appearance {
-    /// After a step in (ln blur, ln width): no step goes far at once, and none out of what wires look like.
+    /// After a step in (ln blur, ln width), limited in size and to the range of real wires.
     fn changed(self, step: &Vector2<f64>) -> Self {
         Self {
             blur_px: (self.blur_px * step[0].clamp(-0.3, 0.3).exp()).clamp(BLUR[0], BLUR[1]),
@@ -126,7 +126,7 @@ fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearan
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * appearance.width_scale, appearance.blur_px);
     let fit = bar.settle(&patch.pixels, centre, level, 6, false)?;
-    // A bar that jumps to something else beside the wire says nothing about the wire.
+    // A bar that jumps to a neighbouring line has no information about the wire.
     if (fit.centre - centre).abs() > 1.0 {
         return None;
     }

@@ -28,14 +28,14 @@ pub(crate) struct Bar {
 
 /// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
 const TILT_SHARE: f64 = 0.03;
-/// Noise below which pixels are not believed, DN: quantisation and what the model lacks.
+/// Floor of the noise of a pixel, DN: quantisation and errors of the model.
 pub(crate) const MIN_NOISE: f64 = 0.5;
-/// What blur and width that are not quite right leave, as a share of the depth: a shifted bar with tilted light must not pay for it.
+/// Residual from errors of blur and width, as a share of the depth: it must not favour a shifted bar with tilted light.
 const MODEL_SHARE: f64 = 0.03;
 /// Weight of the light across the bar while neither noise nor depth is known, and while blur and width are not: nearly none is let
 /// in, so that a symmetric line has one best centre.
 pub(crate) const FIRST_RIDGE: f64 = 4.0;
-/// A step of the centre after which another one would change nothing that pixels can tell, px.
+/// Step of the centre at convergence, px: far below the noise of any pixel.
 const SMALL_STEP_PX: f64 = 1e-3;
 
 /// Weight of the light across the bar, noise^2 / (its prior sd)^2.

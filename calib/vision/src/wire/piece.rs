@@ -31,7 +31,7 @@ impl Station {
     }
 }
 
-/// How the wire looks: shared by all pieces of a picture.
+/// Appearance of the wire, shared by all pieces of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
     /// Blur, sd of the Gaussian, px.
@@ -43,7 +43,7 @@ pub struct Appearance {
 /// A measured piece.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Piece {
-    /// Where it was looked for.
+    /// Predicted place.
     pub station: Station,
     /// Offset of the centre along the normal, px.
     pub offset_px: f64,

@@ -1,10 +1,10 @@
-//! Two clocks side by side: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
+//! Relation of two clocks: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
 //! times stay as they are, host times of other devices are mapped onto them.
 //!
 //! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can (Moon, Skelly,
 //! Towsley, "Estimation and removal of clock skew from network delay measurements", 1999): the edge of their upper convex
-//! hull over the middle of the recording. What comes seconds late says nothing of the clocks and is left out of the line: a stream
-//! that falls behind for half a recording would tilt it.
+//! hull over the middle of the recording. Arrivals seconds late carry no information on the clocks and are left out of the line: a
+//! stream that falls behind for half a recording would tilt it.
 
 use wcal_core::clock::late_s;
 
@@ -31,7 +31,7 @@ pub struct ClockPair {
 /// device = host + offset + drift * (host - origin).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockFit {
-    /// Host time at which `offset_s` holds, s.
+    /// Host time of `offset_s`, s.
     pub origin_host_s: f64,
     /// Device minus host time there, s.
     pub offset_s: f64,
@@ -43,7 +43,7 @@ pub struct ClockFit {
     pub scatter_s: f64,
 }
 
-/// A drift above this is no crystal's, s/s: the clock is broken or the recording is not what it says.
+/// Largest drift of a working quartz clock, s/s: above it the clock is broken or the recording is inconsistent.
 const BROKEN_CLOCK: f64 = 300e-6;
 
 impl ClockFit {
@@ -111,7 +111,7 @@ impl ClockPair {
         }
     }
 
-    /// Device time at a host time, s: the later of what the line and the recent pairs say; `None` without any pair. Late rather than
+    /// Device time at a host time, s: the later of the line's and the recent pairs' times; `None` without any pair. Late rather than
     /// early: delays, however long they last, only make a clock seem to lag.
     #[must_use]
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
@@ -138,8 +138,8 @@ impl ClockPair {
         self.delay_s(host_s, device_s) > self.late_s
     }
 
-    /// Whether host times cannot be told in device times: the line drifts more than a working clock does, by a harmful amount. A stream
-    /// that falls behind more and more looks like this, too: nothing tells it from a slow clock.
+    /// Whether host times cannot be converted to device times: the line drifts more than a working clock does, by a harmful amount. A stream
+    /// that falls behind steadily has the same effect: it cannot be distinguished from a slow clock.
     #[must_use]
     pub fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
@@ -242,7 +242,7 @@ mod tests {
         let fit = pair.fit().unwrap();
         assert!(fit.drift.abs() < 1e-4 && (fit.device_s(30.0) - 30.0).abs() < 2e-3, "{fit:?}");
         assert!((pair.device_s(61.0).unwrap() - 61.0).abs() < 1e-2);
-        // Half a minute of nothing but late arrivals: what was learnt before still holds.
+        // Half a minute of late arrivals only: the earlier fit remains.
         (6000..9000).for_each(|k| pair.add(f64::from(k) * 0.01 + 4.0, f64::from(k) * 0.01));
         assert!((pair.device_s(94.0).unwrap() - 94.0).abs() < 0.1, "{:?}", pair.device_s(94.0));
     }

@@ -39,7 +39,7 @@ pub struct Reduction {
     pub late: u64,
     /// Longest time that a scan came late by, s of the bench's time.
     pub longest_delay_s: f64,
-    /// Rows by what their windows met: scans missing, scans late.
+    /// Rows by faults in their windows: scans missing, scans late.
     pub marked: [usize; 2],
     /// Windows without the two usable scans that a row needs.
     pub empty_windows: usize,
@@ -247,7 +247,7 @@ fn reduce_part(
         }
         Message::PosePicture(..) | Message::Other(..) => {}
     })?;
-    // Older recordings hold every picture and no list of frames.
+    // Older recordings contain every picture and no list of frames.
     result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
@@ -263,7 +263,7 @@ fn reduce_part(
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
-    // Where the stage was is told by its host times: without aligned clocks no row can say.
+    // The stage's position is known by host time: without aligned clocks no row can be assigned one.
     let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     read(path, |message| {

@@ -15,7 +15,7 @@ pub struct Rig {
     pub format: String,
     /// Name.
     pub name: String,
-    /// Host seconds per wall second; other than 1 only beside an accelerated virtual bench.
+    /// Host seconds per wall second; other than 1 only with an accelerated virtual bench.
     #[serde(default = "unity")]
     pub clock_scale: f64,
     /// Linear stage.

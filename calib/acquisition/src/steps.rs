@@ -37,7 +37,7 @@ pub(crate) enum Fault {
     Elsewhere,
 }
 
-/// A sweep on its way.
+/// A running sweep.
 pub(crate) struct Sweep<'b, 'r, 'p> {
     pub(crate) bench: SweepBench<'b>,
     pub(crate) rig: &'r Rig,
@@ -136,7 +136,7 @@ impl Sweep<'_, '_, '_> {
         self.event(&SweepEvent { kind: "soak".to_owned(), begin_s, end_s, settled, ..SweepEvent::default() })
     }
 
-    /// In and out of contact at a known speed: the delay between the devices shows in the signal.
+    /// In and out of contact at a known speed: the signal reveals the delay between the devices.
     fn sync(&mut self) -> Result<(), DeviceError> {
         let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
         self.go_to(-0.5, speed_mm_s)?;
@@ -178,7 +178,7 @@ impl Sweep<'_, '_, '_> {
         self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
     }
 
-    /// The stage stands until the pair of the pose is recorded; a pose whose pair does not come goes on without.
+    /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
     fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
         let start = Instant::now();
         while lock(self.bench.monitor).wanted_picture().is_some() && start.elapsed() < PICTURE {
@@ -206,7 +206,7 @@ impl Sweep<'_, '_, '_> {
         Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
     }
 
-    /// Rows on the way.
+    /// Rows recorded during motion.
     fn moving(&mut self, from_mm: f64, rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
         self.go_to(from_mm, pose.speed_mm_s)?;
         let begin_s = self.stage_s() + 0.1;
@@ -280,7 +280,7 @@ impl Sweep<'_, '_, '_> {
         }
     }
 
-    /// One look at everything: stage, stream, user.
+    /// One check of everything: stage, stream, user.
     fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
         std::thread::sleep(pause);
         if self.bench.interrupt.load(Ordering::SeqCst) {

@@ -90,7 +90,7 @@ impl SweepReport {
         all.chain(self.signal_warnings()).collect()
     }
 
-    /// The warnings that the recording alone does not tell.
+    /// The warnings that do not follow from the recording alone.
     #[must_use]
     pub fn signal_warnings(&self) -> Vec<String> {
         let (unsettled, unusable) = (self.unsettled, self.counts.unusable);

@@ -110,7 +110,7 @@ fn csv_text(
 /// marked in a last column.
 ///
 /// # Errors
-/// Practically none: text goes to memory.
+/// Practically none: text is written to memory.
 pub fn write_tables(
     rig: &Rig,
     rows: &[Row],
@@ -351,7 +351,7 @@ fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
     }
     table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
     table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
-    // A recording of some seconds cannot tell.
+    // A recording of a few seconds does not determine the drift.
     if fit.drift_sd.is_finite() {
         table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
     }

@@ -29,7 +29,7 @@ pub struct NetworkConfig {
     pub feed_forward: usize,
     /// Dropout.
     pub dropout: f64,
-    /// Tokens that an answer may look back on, its own included.
+    /// Tokens in the context of an answer, its own included.
     pub context: usize,
     /// Whether there is a second filter below it, which it weighs against the first.
     #[serde(default)]
@@ -109,7 +109,7 @@ impl NetworkConfig {
     }
 
     /// # Errors
-    /// Where it weighs two filters and there is one, or the other way round.
+    /// Where it weights two filters and there is one, or the reverse.
     pub fn check_filters(&self, filters: &FilterBank) -> Result<(), TrackError> {
         if self.two_filters != filters.frictionless.is_some() {
             let found = if self.two_filters { "one" } else { "two" };

@@ -21,14 +21,14 @@ const MOMENT_NMM: f64 = 0.5;
 const SMALL_MOMENT_NMM: f64 = 0.02;
 const LENGTH_MM: f64 = 30.0;
 const SPEED_MM_S: f64 = 5.0;
-/// Time step that counts as none special, s.
+/// Nominal time step, s.
 const STEP_S: f64 = 0.1;
 
-/// Inputs of what the filter makes of the sample: its evidence, and the speed that it believes.
+/// Inputs from the filter: its evidence, and its posterior mean of the speed.
 const FILTER_INPUTS: usize = 2;
 /// Inputs a knot; those of the frictionless filter come after all others: its evidence, and its posterior at each knot.
 const KNOT_INPUTS: usize = 7;
-/// Scale of the logarithm of the evidence, and what a contact that goes on has.
+/// Scale of the logarithm of the evidence, and its usual value during a contact.
 const EVIDENCE_SCALE: f64 = 4.0;
 const TYPICAL_LOG_EVIDENCE: f64 = 8.0;
 /// Nodes of the curve from one knot, of which the network sees and says something, to the next.
@@ -82,7 +82,7 @@ pub struct FeatureExtractor<'a> {
     knots: Vec<usize>,
     knot_weights: Vec<(usize, f32)>,
     before: Option<([f64; 2], Vec<InverseSolution>)>,
-    /// The network takes nothing of the rod and the filter: neither is asked.
+    /// The network has no inputs from rod and filter: neither is evaluated.
     moments_only: bool,
 }
 
@@ -108,7 +108,7 @@ impl<'a> FeatureExtractor<'a> {
         Self { moments_only: config.moments_only(), ..Self::new(inverse, filters) }
     }
 
-    /// Inputs of a token on a curve of so many nodes, by one filter or two.
+    /// Inputs of a token on a curve of this many nodes, by one filter or two.
     #[must_use]
     pub fn width(nodes: usize, two_filters: bool) -> usize {
         let knots = knots(nodes).len();
@@ -182,7 +182,7 @@ impl<'a> FeatureExtractor<'a> {
     }
 }
 
-/// A token's inputs on a curve of so many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
+/// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
 pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
     let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
     let places = (0..knots).map(|k| COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * k + 1);

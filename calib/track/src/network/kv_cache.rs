@@ -13,7 +13,7 @@ pub struct KvCache {
     times_s: Vec<f64>,
 }
 
-/// Keys and values of a layer, `[time, width]`; what is out of sight leads them, and is dropped now and then.
+/// Keys and values of a layer, `[time, width]`; masked tokens lead them, and are dropped now and then.
 #[derive(Debug, Clone, Default)]
 struct LayerCache {
     keys: Vec<f32>,
@@ -21,7 +21,7 @@ struct LayerCache {
 }
 
 impl KvCache {
-    /// A token comes: what lies `context` tokens back is out of sight from now on.
+    /// Appends a token; the one `context` tokens back is masked from now on.
     pub(super) fn advance(&mut self, t_s: f64, context: usize) {
         self.times_s.push(t_s);
         let out_of_sight = self.times_s.len().saturating_sub(context);

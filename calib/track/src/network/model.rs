@@ -48,7 +48,7 @@ pub struct Prediction {
     pub covariance_mm2: [[f32; 3]; 3],
     /// Weights of the nodes.
     pub weights: Vec<f32>,
-    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not tell.
+    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not state it.
     pub normal: [f32; 3],
 }
 

@@ -122,7 +122,7 @@ fn column_sums(values: &[f32], width: usize) -> Vec<f32> {
     sums
 }
 
-/// Which numbers dropout keeps: drawn by their place, so that the gradient draws the same ones again.
+/// The numbers that dropout keeps: drawn by their place, so that the gradient draws the same ones again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kept {
     /// Share that is kept.
@@ -139,7 +139,7 @@ impl Kept {
         h = (h ^ (h >> 16)).wrapping_mul(0x7feb_352d);
         h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
         h ^= h >> 16;
-        // 24 bits are what single precision holds.
+        // Single precision has 24 bits.
         if ((h >> 8) as f32) < self.share * 16_777_216.0 { 1.0 / self.share } else { 0.0 }
     }
 }

@@ -42,13 +42,13 @@ pub struct BaseMotion {
     way: VecDeque<(f64, f64)>,
 }
 
-/// Positions farther apart than this say nothing of what is between them, s.
+/// Longest interval between positions over which they are interpolated, s.
 const MAX_GAP_S: f64 = 0.5;
 /// Positions that are kept, s.
 const KEPT_S: f64 = 10.0;
 
 impl BaseMotion {
-    /// `along`: direction of the stage's way in the base frame; none where the base stands still.
+    /// `along`: direction of the stage's travel in the base frame; none where the base stands still.
     #[must_use]
     pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
         Self { at_zero, along: along.and_then(|a| a.try_normalize(1e-9)), way: VecDeque::new() }

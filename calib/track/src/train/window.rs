@@ -1,4 +1,4 @@
-//! WindowMaker of series as the network takes them, with noise, gain, drift and clock that a bench would add.
+//! Windows of series as input of the network, with a bench's noise, gain, drift and clock.
 
 use super::sensor_errors::{SensorErrors, uniform};
 use super::settings::TrainSettings;
@@ -25,7 +25,7 @@ pub(super) struct Window<'a> {
     pub points: Vec<f32>,
     /// The filter's belief, a token and node.
     pub posterior: Vec<f32>,
-    /// The same of the filter frictionless; empty where there is none.
+    /// The same of the frictionless filter; empty where there is none.
     pub posterior_frictionless: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,

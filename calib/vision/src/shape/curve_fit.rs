@@ -71,7 +71,7 @@ pub fn image_line(
             Some(t) => t,
             None => continue,
         };
-        // Bend from the neighbours' directions.
+        // Curvature in the picture from the neighbours' directions.
         let bend = match (i.checked_sub(4).and_then(|k| pixels[k]), pixels.get(i + 5).copied().flatten()) {
             (Some((before, _)), Some((after, _))) => {
                 let (d1, d2) = (a - before, after - b);
@@ -110,7 +110,7 @@ pub fn measure(picture: &Picture, line: &Line, appearance: Appearance, search_px
     line.stations.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
 }
 
-/// Pieces that show the wire: a bar is likelier than an edge, both sides differ from it in the same sense as most do.
+/// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.
 #[must_use]
 pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
     pieces
@@ -134,7 +134,7 @@ pub struct LineObservation {
     pub sd_px: f64,
 }
 
-/// Sights from measured pieces.
+/// Observations from measured pieces.
 #[must_use]
 pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineObservation> {
     pieces
@@ -160,13 +160,13 @@ pub struct PairSystem {
     pub rhs: DVector<f64>,
     /// Weighted sum of squares of the observations.
     pub chi2: f64,
-    /// Sights.
+    /// Number of observations.
     pub count: usize,
     /// Residuals, px, in order of the observations.
     pub residuals_px: Vec<f64>,
     /// Student weights, in order of the observations.
     pub weights: Vec<f64>,
-    /// Derivatives of the predicted offsets along the normal times their weights, one column a sight.
+    /// Derivatives of the predicted offsets along the normal times their weights, one column an observation.
     pub rows_weighted: DMatrix<f64>,
 }
 
@@ -222,6 +222,7 @@ pub fn linearise(
             weights.push(0.0);
             continue;
         };
+        // d r / d x = n . (d pi / d X) R [-hat(p)  I] for the base's correction, times dp / dc for the curve.
         let residual = s.normal.dot(&(s.observed_px - px));
         let by_base = s.normal.transpose() * by_left * turn.matrix();
         let by_turn = -by_base * hat(&p);
@@ -235,6 +236,7 @@ pub fn linearise(
             curve.axpy(by_base[k] * (1.0 - f), &by_parameters.column(3 * i + k), 1.0);
             curve.axpy(by_base[k] * f, &by_parameters.column(3 * i + 3 + k), 1.0);
         }
+        // Iteratively reweighted least squares: Student weight of the present residual.
         let sd = s.sd_px * noise;
         let z2 = (residual / sd).powi(2);
         let student = (STUDENT_DOF + 1.0) / (STUDENT_DOF + z2);
@@ -269,7 +271,7 @@ pub fn stepped(
     (left_from_base * correction, next)
 }
 
-/// What is known besides the observations.
+/// Prior information on base, root and roughness.
 #[derive(Debug, Clone)]
 pub struct Prior {
     /// Information on the base correction about `base_offset`.
@@ -311,7 +313,7 @@ pub fn with_prior(
     let mut rows = g.rows_mut(6, n);
     rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
     for k in 0..n {
-        // Splines beyond the tip see no data and little penalty: kept near where they are.
+        // Splines beyond the tip have no data and little penalty: a weak ridge keeps the matrix regular.
         h[(6 + k, 6 + k)] += 1e-3;
     }
     (h, g)

@@ -76,7 +76,7 @@ pub struct PairUncertainty {
     pub covariance: DMatrix<f64>,
     /// Rows as above, a column for each parameter of the cameras.
     pub by_calibration: DMatrix<f64>,
-    /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
+    /// Error in depth that all places of the wire share and that the pictures' scatter does not include, mm.
     pub shared_mm: f64,
     /// Columns: independent errors of the curve's parameters by the pair's own pictures, base and cameras held; one standard deviation each.
     pub own: DMatrix<f64>,
@@ -112,6 +112,7 @@ pub(crate) fn uncertainties(
         })
         .collect();
     let tags = gradient_by_calibration(stereo, &base.observations, &base.pose.left_from_body);
+    // Normal equations of the base: tags plus the Schur complement of every pair whose base did not move.
     let mut information = base.pose.information;
     let mut pull = tags.clone();
     for (k, part) in parts.iter().enumerate() {
@@ -171,11 +172,10 @@ fn covariance(
     Some((covariance, response))
 }
 
-/// What the clamp's own offsets do to the base. All pairs show one clamp: its error does not average out over them, though each pair's
-/// wire begins there.
+/// Covariance of the base by the clamp's own offsets. All pairs have the same clamp, so that its error does not average out over them.
 fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
     if root_sd != ROOT_CLAMPED {
-        // The frame follows the tags alone.
+        // With a free root the frame is that of the tags alone.
         return Matrix6::zeros();
     }
     let (shift, turn) = (root_sd[0].powi(2), root_sd[1].powi(2));
@@ -202,7 +202,7 @@ fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
 struct SchurComplement {
     information: Matrix6<f64>,
     rhs: Vector6<f64>,
-    /// 6 x parameters: what the curve carries over to the base.
+    /// K C^-1, 6 x parameters: coupling of the curve into the base.
     carried: DMatrix<f64>,
     /// L^-T of C = L L^T: independent errors of the curve's parameters with the base held.
     own: DMatrix<f64>,
@@ -249,7 +249,8 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     out
 }
 
-/// Radius over sqrt(chi2_2(0.95)) that holds 95 % of a plane Gaussian with these variances (Satterthwaite's approximation).
+/// Radius of the circle with 95 % of a plane Gaussian with these variances, over sqrt(chi2_2(0.95)) (F. E. Satterthwaite, Biometrics
+/// Bulletin 2 (1946) 110: the sum of squares as a scaled chi-squared).
 pub(crate) fn planar_sd(a: f64, b: f64) -> f64 {
     let mean = a + b;
     if !(mean > 0.0) || !mean.is_finite() {

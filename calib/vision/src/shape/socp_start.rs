@@ -15,13 +15,13 @@ use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
 use nalgebra::{DMatrix, Isometry3, Point3, Vector3};
 
-/// Intervals of the curve model a link.
+/// Intervals of the curve model per link.
 const STRIDE: usize = 8;
-/// Change of the wire's curvature a mm, 1/mm^2: a force of 0.06 N on a 0.3 mm NiTi wire.
+/// Change of the wire's curvature per mm, 1/mm^2: a force of 0.06 N on a 0.3 mm NiTi wire.
 const CURVATURE_CHANGE: f64 = 0.002;
 /// Huber's bound, sd: 95 % efficient on Gaussian errors.
 const HUBER: f64 = 1.345;
-/// Pull along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap below 12 mm.
+/// Tension along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap below 12 mm.
 const TENSION: f64 = 10.0;
 /// Accuracy of a node that the smooth curve has to follow, mm.
 const NODE_MM: f64 = 0.01;
@@ -77,7 +77,7 @@ pub fn socp_initial_curve(
             Some(Pull { camera: s.camera, link, residual, by_nodes: [along * (1.0 - g), along * g] })
         })
         .collect();
-    // The middle one of a camera's pieces on a link stands for all of them: a fifth of the time.
+    // The median of a camera's residuals on a link represents all of them: a fifth of the time, and robust.
     pulls.sort_by(|a, b| (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual)));
     let pulls: Vec<&Pull> =
         pulls.chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link)).map(|c| &c[c.len() / 2]).collect();

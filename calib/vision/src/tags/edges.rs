@@ -22,7 +22,7 @@ const MIN_CELL_PX: f64 = 5.0;
 const MIN_EDGES: usize = 32;
 /// Share of a cell's side that an edge is fitted over; the rest is kept clear of the crossing edges.
 const ALONG: f64 = 0.66;
-/// Scatter that pixels do not show, px: the raster of the print.
+/// Floor of an edge's standard deviation, px: the raster of the print, which the pixels' noise does not include.
 const SCATTER_FLOOR_PX: f64 = 0.005;
 
 /// Refined corners.
@@ -43,7 +43,7 @@ struct CellEdge {
     variance: f64,
 }
 
-/// Corners by all cell edges, starting from `start` (straightened px). None where the tag is too small or too little of it is seen.
+/// Corners by all cell edges, starting from `start` (straightened px). None where the tag is too small or mostly hidden.
 pub(crate) fn refine_by_cells(
     picture: &Picture,
     camera: Option<&Camera>,
@@ -109,7 +109,7 @@ fn cell_edges(
     let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);
     let colour = |i: usize, j: usize| {
         let x = (grey[j * count + i] - dark) / (bright - dark).max(1.0);
-        // In between: a shadow, a smear or the wire lies there.
+        // In between: a shadow, a smear or the wire covers the cell.
         ((x - 0.5).abs() > 0.15).then_some(x > 0.5)
     };
     let mut edges = Vec::new();

@@ -15,7 +15,7 @@ use crate::tags::detection::{Tag, tag_corners};
 use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
-/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not show.
+/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not include.
 pub const CORNER_FLOOR_PX: f64 = 0.01;
 
 /// The pose of a body that carries tags, in the left camera's frame.

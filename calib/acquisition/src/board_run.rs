@@ -58,7 +58,7 @@ impl BoardRun<'_> {
     /// Records a pair of each of `views` attitudes but those of `skip`.
     ///
     /// # Errors
-    /// When a camera is lost or refuses pair after pair, nobody holds the board, the disk does not take the pictures, or the user interrupts.
+    /// When a camera is lost or refuses pair after pair, nobody holds the board, the disk does not accept the pictures, or the user interrupts.
     pub fn run(&mut self, views: u32, skip: &BTreeSet<u32>, ask: AskBoard) -> Result<(), DeviceError> {
         let mut eyes = [(); 2].map(|()| Eye::new(self.clock_scale));
         for view in (0..views).filter(|view| !skip.contains(view)) {

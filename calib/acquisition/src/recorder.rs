@@ -114,7 +114,7 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// A recorder without a file: what is recorded is seen by a live view alone.
+    /// A recorder without a file, for a live view only.
     ///
     /// # Errors
     /// When the channels cannot be made.
@@ -273,7 +273,7 @@ impl Recorder {
         file.sync_all().map_err(|e| AcquisitionError::Recorder(e.to_string()))
     }
 
-    /// Brings everything so far into the file.
+    /// Writes everything so far to the file.
     ///
     /// # Errors
     /// When the disk does not take it.

@@ -78,7 +78,7 @@ pub struct SweepReport {
 }
 
 impl SweepReport {
-    /// What was lost or not as it should be although the sweep went on; each is a reason for exit code 3.
+    /// Losses and faults in spite of which the sweep continued; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;

@@ -15,7 +15,7 @@
 //!
 //! `p_k`, `n_k`: point and direction of the force that explain the moments m at node k (`StaticInverse`). Along its normal the touched point
 //! moves as the object does, and Coulomb friction leans the force against the slip across the wire by `d = mu / sqrt(1 + mu^2)`. At first
-//! contact the wire cannot have bent further than the base went. Friction along the wire, a bending object and several contacts are outside
+//! contact the deflection is at most the base's travel. Friction along the wire, a bending object and several contacts are outside
 //! the model. Offsets and velocities within a node are Gaussian and merged by their moments (`GridCell`).
 //!
 //! Sources: R. S. Bucy, K. D. Senne, "Digital synthesis of non-linear filters", Automatica 7 (1971) 287; D. Alspach, H. Sorenson, "Nonlinear

@@ -71,7 +71,7 @@ impl NetworkConfig {
         }
     }
 
-    /// A transformer of 40 thousand parameters that sees moments, their rates, time step and the base's speed, and nothing of the rod.
+    /// A transformer of 40 thousand parameters with moments, their rates, time step and the base's speed as inputs, and no rod.
     #[must_use]
     pub fn baseline() -> Self {
         Self {
@@ -88,7 +88,7 @@ impl NetworkConfig {
         }
     }
 
-    /// Whether it takes nothing of the rod's curve and the filter.
+    /// Whether it has no inputs from the rod's curve and the filter.
     #[must_use]
     pub fn moments_only(&self) -> bool {
         self.nodes == 0 && self.inputs <= COMMON_INPUTS

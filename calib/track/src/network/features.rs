@@ -192,7 +192,7 @@ pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
     }
 }
 
-/// What a filter believes of each node; without contact nothing.
+/// A filter's posterior over the nodes; zero without contact.
 fn posterior_or_uniform(filter: &BayesFilter<'_>) -> Vec<f64> {
     let (posterior, nodes) = (filter.posterior(), filter.solutions().len());
     if posterior.is_empty() { vec![1.0 / nodes as f64; nodes] } else { posterior }

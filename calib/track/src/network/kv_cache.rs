@@ -28,7 +28,7 @@ impl KvCache {
         self.times_s.drain(..out_of_sight);
     }
 
-    /// Values of the last token, contact_evidence over what is remembered, from its queries, keys and values `[3 width]`.
+    /// Values of the last token, weighted over the tokens in the cache, from its queries, keys and values `[3 width]`.
     pub(super) fn attend(&mut self, layer: usize, qkv: &[f32], heads: usize) -> Vec<f32> {
         let width = qkv.len() / 3;
         if self.kept.len() <= layer {

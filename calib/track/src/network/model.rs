@@ -107,7 +107,7 @@ impl WhiskerNet {
         self.encode_out.weight.dims()[1]
     }
 
-    /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
+    /// One token of a stream, inputs `[1, 1, inputs]`; keys and values are cached for up to `context` tokens.
     pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, cache: &mut KvCache) -> Output {
         let device = inputs.device();
         cache.advance(t_s, context);

@@ -147,7 +147,7 @@ pub fn quiet(blocks: &[Block]) -> bool {
         && high < MAX_SLOW_RATIO * mean_square(&jitter) / 2.0 / LEVEL_BLOCKS as f64
 }
 
-/// Mean and slope (1/s) of the moments, what is left of them, and the middle (s) and squared spread (s^2) of the times.
+/// Mean and slope (1/s) of the moments, their residuals, and the middle (s) and squared spread (s^2) of the times.
 fn detrended(blocks: &[Block]) -> (Vector2<f64>, Vector2<f64>, Vec<Vector2<f64>>, [f64; 2]) {
     let n = blocks.len() as f64;
     let middle_s = blocks.iter().map(|b| b.t_s).sum::<f64>() / n;

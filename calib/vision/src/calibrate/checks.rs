@@ -111,7 +111,7 @@ fn mirror(points: &[Vector3<f64>], corners: &Corners, width: f64) -> Corners {
         .collect()
 }
 
-/// Refuses what no lens and no pair of cameras can be, whatever its RMS.
+/// Refuses results that are impossible for a lens or a pair of cameras, whatever their RMS.
 pub(crate) fn refuse_unphysical(
     points: &[Vector3<f64>],
     solution: &BundleSolution,

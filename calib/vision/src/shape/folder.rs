@@ -28,7 +28,7 @@ const DISAGREEMENT: f64 = 30.0;
 const UNSEEN_MM: f64 = 3.0;
 /// Part of the wire that counts as near its root, mm.
 const NEAR_ROOT_MM: f64 = 6.0;
-/// Surface strain beyond which NiTi no longer springs back; a bench does not bend it so far at the clamp.
+/// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
 
 /// A corner is good to hundredths of a pixel: whole pixels are no noise.
@@ -271,7 +271,7 @@ fn load(
     Ok(Loaded { name: files.name.clone(), pictures, tags })
 }
 
-/// How freely the root may lie, and an earlier fit to go on from.
+/// Standard deviations of the root, and an earlier fit to continue from.
 struct Attempt<'a> {
     root_sd: [f64; 2],
     start: Option<&'a PairFit>,

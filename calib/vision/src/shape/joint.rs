@@ -84,7 +84,7 @@ pub struct PairUncertainty {
     pub by_base: DMatrix<f64>,
     /// Covariance of the base's correction by the pictures' noise and the clamp.
     pub base: Matrix6<f64>,
-    /// Whether all pairs share that base; a pair whose base stands elsewhere has its own.
+    /// Whether all pairs share that base; a pair whose base moved has its own.
     pub base_shared: bool,
 }
 

@@ -28,7 +28,7 @@ pub struct FolderBase {
     pub pose: BodyPose,
     /// The averaged observations.
     pub observations: Vec<TagObservation>,
-    /// Pairs in which the base stands elsewhere.
+    /// Pairs in which the base is at another place.
     pub moved: Vec<usize>,
 }
 

@@ -146,7 +146,7 @@ fn refine_outline(
     let mut corners = *start;
     let mut covariances = [Matrix2::zeros(); 4];
     let mut edges: Vec<Edge> = Vec::new();
-    // Two rounds: the second takes its pixels about the lines of the first.
+    // Two rounds: the second fits the pixels about the lines of the first.
     for _ in 0..2 {
         edges = (0..4)
             .map(|k| {

@@ -55,7 +55,7 @@ pub(crate) fn refine_by_cells(
         return None;
     }
     let mut found = Corners { corners: *start, covariances: [Matrix2::zeros(); 4] };
-    // The second round takes its pixels about the edges of the first, which only balances bright against dark.
+    // The first round balances bright against dark only; the second fits the profile to the pixels about its edges.
     for method in [balance as Method, fit] {
         let edges = cell_edges(picture, camera, &found.corners, cells, method)?;
         found = solve(&found.corners, &edges)?;
@@ -142,7 +142,7 @@ pub(crate) struct Profile {
     pub step: f64,
 }
 
-/// Measures an edge from (place across it in px, grey value) of its pixels, which reach so far to both sides.
+/// Measures an edge from (place across it in px, grey value) of its pixels, which extend this far to both sides.
 type Method = fn(&[(f64, f64)], f64) -> Option<Profile>;
 
 /// Levels far from the edge on its two sides.

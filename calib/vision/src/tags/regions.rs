@@ -194,7 +194,7 @@ pub(crate) fn tag_regions(picture: &Picture) -> (Vec<Region>, u8) {
         let [width, height] = p.sides();
         let margin = (MARGIN.0 * width.max(height) as f64) as usize + MARGIN.1;
         let low = p.low.map(|v| v.saturating_sub(margin) / TILE * TILE);
-        // What is small within a large piece is a piece of its own.
+        // A small component within a large one is a candidate by itself.
         let decimate = COARSE_SIDES.iter().filter(|&&s| width.min(height) >= s).fold(1.0, |d, _| 2.0 * d);
         Region { low, high: [0, 1].map(|k| (p.high[k] + margin + 1).min(size[k])), decimate }
     };

@@ -26,7 +26,7 @@ pub(crate) struct Bar {
     inverse: f64,
 }
 
-/// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
+/// Light across the bar over its depth, sd: without this prior it would be confounded with a shift of narrow wires.
 const TILT_SHARE: f64 = 0.03;
 /// Floor of the noise of a pixel, DN: quantisation and errors of the model.
 pub(crate) const MIN_NOISE: f64 = 0.5;

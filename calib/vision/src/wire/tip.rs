@@ -20,10 +20,10 @@ pub struct Tip {
 
 /// Half length of the window along the line, px.
 const WINDOW_PX: f64 = 18.0;
-/// What an end's unknown form (flat, round) and the blur's form leave open, px.
+/// Standard deviation from the unknown form of the end (flat, round) and of the blur, px.
 const FLOOR_PX: f64 = 0.15;
 
-/// Fits the end of a bar near `around_mm`. `line`: stations that go on beyond the end. None where the picture does not show it.
+/// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None where the picture does not show it.
 #[must_use]
 pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, around_mm: f64) -> Option<Tip> {
     let at =
@@ -89,7 +89,7 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
             break;
         }
     }
-    // The step has to stand out of the samples' scatter and leave nothing of the bar beyond it.
+    // The step must be significant against the samples' scatter, and the bar must vanish beyond it.
     let contrast = (p[1] - p[2]).abs();
     if p[0].abs() > WINDOW_PX - 3.0 || contrast < 4.0 * variance.sqrt() || p[2].abs() > 0.35 * p[1].abs() {
         return None;

@@ -115,7 +115,7 @@ impl Header<'_> {
         }
     }
 
-    /// The reply and its info lines; data that do not fit one packet go on in `cont` packets.
+    /// The reply and its info lines; data that do not fit one packet continue in `cont` packets.
     #[must_use]
     pub fn reply(&self, answer: &Answer) -> Vec<String> {
         let state = if self.busy { "BUSY" } else { "IDLE" };

@@ -1,4 +1,4 @@
-//! One stepper axis of the virtual bench: motion, reference, flags. Knows nothing of protocols.
+//! One stepper axis of the virtual bench: motion, reference, flags. Independent of protocols.
 
 use super::motion::Motion;
 use crate::zaber::units::Microsteps;

@@ -173,7 +173,7 @@ where
         let mut clients: Vec<JoinHandle<()>> = Vec::new();
         while !shared.stopping() {
             match listener.accept() {
-                // A pulled cable accepts nobody.
+                // With the cable pulled no connection is accepted.
                 Ok((link, _)) if !cord.is_out(&shared) => {
                     let (shared, serve) = (Arc::clone(&shared), serve.clone());
                     clients.push(std::thread::spawn(move || {

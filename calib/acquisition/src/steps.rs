@@ -193,12 +193,12 @@ impl Sweep<'_, '_, '_> {
 
     /// An averaging window that the stream covers: one that fell into a gap is taken again.
     fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
-        let least = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
+        let min_scans = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
         for _ in 0..WINDOWS {
             let begin_s = self.device_s();
             let end_s = begin_s + average_s;
             self.wait_until(end_s)?;
-            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= least {
+            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= min_scans {
                 return Ok((begin_s, end_s));
             }
         }

@@ -34,8 +34,8 @@ pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
 /// 95 % interval of the largest RMSE of these objects, mm: sweeps are drawn again within each.
 #[must_use]
 pub fn worst_interval95(rows: &[&ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
-    let least = rows.iter().map(|r| r.sweeps.len()).min()?;
-    interval95(least, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
+    let smallest = rows.iter().map(|r| r.sweeps.len()).min()?;
+    interval95(smallest, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
 }
 
 fn rmse_of(sweeps: &[SweepSums], of: ErrorOf) -> f64 {

@@ -70,8 +70,8 @@ pub fn train_model(
     let eighth = (all.len() / 8).max(1);
     let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
     let mut objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
-    let most = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
-    let sweeps_trained = (most as f64 * TRAINED) as u64;
+    let sweeps = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+    let sweeps_trained = (sweeps as f64 * TRAINED) as u64;
     let mut of = |names: &[String]| -> Vec<SweepSeries> {
         names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
     };

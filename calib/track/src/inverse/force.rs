@@ -106,8 +106,8 @@ fn broyden<const N: usize>(
         let carried = rate.take();
         let slope = carried.unwrap_or_else(|| by_differences(&force));
         let step = -slope.try_inverse()? * value;
-        let most = 0.5 * force.norm();
-        let step = if step.norm() > most { step * (most / step.norm()) } else { step };
+        let largest = 0.5 * force.norm();
+        let step = if step.norm() > largest { step * (largest / step.norm()) } else { step };
         let next = off(&(force + step));
         let fast = next.norm() < MAX_BROYDEN_RATIO * value.norm();
         if fast {

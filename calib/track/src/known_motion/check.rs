@@ -52,7 +52,7 @@ impl Disagreement {
     pub fn sentence(self) -> &'static str {
         match self {
             Self::Reversed => {
-                "moments and motion agree only with the motion reversed: expected the way of the object with respect to the base"
+                "moments and motion agree only with the motion reversed: expected the displacement of the object with respect to the base"
             }
             Self::Metres => {
                 "moments and motion agree only with the motion taken as metres: expected millimetres"

@@ -82,13 +82,13 @@ impl Kernel for LastQuery<'_> {
         for head in 0..heads {
             let (from, to) = (head * of_head, (head + 1) * of_head);
             let (query, slope) = (&query[from..to], time_bias_slope(head, heads));
-            let mut most = f32::NEG_INFINITY;
+            let mut largest = f32::NEG_INFINITY;
             for ((weight, key), age_s) in weights.iter_mut().zip(keys.chunks_exact(width)).zip(&ages_s) {
                 let product = sum(simd, [query, &key[from..to]], |q, k| simd.mul_f32s(q, k), |q, k| q * k);
                 *weight = mul_add::<S>(product, scale, -slope * age_s);
-                most = most.max(*weight);
+                largest = largest.max(*weight);
             }
-            weights.iter_mut().for_each(|w| *w = exp::<S>(*w - most));
+            weights.iter_mut().for_each(|w| *w = exp::<S>(*w - largest));
             let each = 1.0 / weights.iter().sum::<f32>();
             let out = &mut out[from..to];
             for (weight, value) in weights.iter().zip(values.chunks_exact(width)) {

@@ -217,11 +217,11 @@ mod tests {
         let (one, other) = (of(1), of(2));
         let share = |v: &[f32]| v.iter().filter(|x| **x > 0.0).count() as f64 / v.len() as f64;
         // Six standard deviations of a share.
-        let most = |n: usize| 6.0 * (0.09 / n as f64).sqrt();
+        let largest = |n: usize| 6.0 * (0.09 / n as f64).sqrt();
         assert!(one.iter().all(|x| *x == 0.0 || *x == 1.0 / 0.9));
-        assert!((share(&one) - 0.9).abs() < most(N), "{}", share(&one));
+        assert!((share(&one) - 0.9).abs() < largest(N), "{}", share(&one));
         for part in one.chunks(N / 64) {
-            assert!((share(part) - 0.9).abs() < most(N / 64), "{}", share(part));
+            assert!((share(part) - 0.9).abs() < largest(N / 64), "{}", share(part));
         }
         // Neighbours, places a row of the network apart, and seeds: dropped together no more often than by chance.
         let together = |a: &[f32], b: &[f32]| {

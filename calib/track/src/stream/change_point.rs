@@ -109,14 +109,14 @@ const CHANGES_S: [f64; 6] = [0.0, 0.004, 0.008, 0.012, 0.018, 0.026];
 /// one) along a raised cosine of unknown length, or at once where the wire rings free: its ring begins at the old level.
 ///
 /// Blocks are whitened: both components have variance 1. `None` where a kink, a broken line without a step, explains them as well to
-/// within `least`: the load began or ceased to change there.
+/// within `min_drop`: the load began or ceased to change there.
 #[must_use]
 pub fn step(
     blocks: &[Block],
     [from, to]: [usize; 2],
     ring: Option<&Ring>,
     rings_free: bool,
-    least: f64,
+    min_drop: f64,
 ) -> Option<EventTime> {
     let lengths = if rings_free { &CHANGES_S[..1] } else { &CHANGES_S[..] };
     let (mut candidates, mut kink) = (Vec::new(), f64::INFINITY);
@@ -134,7 +134,7 @@ pub fn step(
         }
         candidates.push((start_s, here));
     }
-    if kink - best.0 < least {
+    if kink - best.0 < min_drop {
         return None;
     }
     let when = posterior(&candidates, 1.0)?;
@@ -209,10 +209,10 @@ fn fit(blocks: &[Block], ring: Option<(f64, f64)>, degree: usize) -> Option<(f64
 const QS: [f64; 2] = [4.0, 15.0];
 const Q_FACTORS: [f64; 8] = [0.5, 0.6, 0.75, 0.9, 1.1, 1.35, 2.0, 4.0];
 
-/// The ring in whitened `blocks`, where it is significant: it lowers the RSS of a parabola by `least`. Its amplitude is in standard
+/// The ring in whitened `blocks`, where it is significant: it lowers the RSS of a parabola by `min_drop`. Its amplitude is in standard
 /// deviations of a block.
 #[must_use]
-pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], least: f64) -> Option<Ring> {
+pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], min_drop: f64) -> Option<Ring> {
     let span_s = blocks.last()?.t_s - blocks.first()?.t_s;
     let plain = fit(blocks, None, 2)?.0;
     let best = |tried: &mut dyn Iterator<Item = (f64, f64)>| {
@@ -228,7 +228,7 @@ pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], least: f64) -> Option
     let (_, hz, q) = best(&mut fine.into_iter())?;
     let (left, coefficients) = fit(blocks, Some((hz, q)), 2)?;
     let amplitude = coefficients.rows(3, 2).norm();
-    (plain - left >= least).then_some(Ring { hz, q, amplitude, from_s: blocks.first()?.t_s })
+    (plain - left >= min_drop).then_some(Ring { hz, q, amplitude, from_s: blocks.first()?.t_s })
 }
 
 /// Level at the end of `blocks`, the ring subtracted.

@@ -255,7 +255,7 @@ pub(crate) fn weak_geometry(
     if state.right_from_left.translation.x > 0.0 {
         let t = state.right_from_left.translation.vector;
         if t.x.abs() >= t.y.abs().max(t.z.abs()) {
-            warnings.push("swapped cameras, or both mirrored left to right? the right camera stands to the left of the left one".into());
+            warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
         }
     }
     warnings

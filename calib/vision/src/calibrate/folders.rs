@@ -171,7 +171,7 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
     let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
         None => Ok(points),
         Some(edge) => Err(format!(
-            "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
+            "{side} picture: wrong board size? {size} inner corners found, but the pattern continues beyond its {edge} edge"
         )),
     };
     let found = match find(Finder::Classic)? {

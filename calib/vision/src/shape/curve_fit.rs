@@ -334,8 +334,8 @@ pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &CurveState, 
         let step = cholesky.solve(&g);
         let log_det = 2.0 * cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
         // Minimum of the penalised sum of squares: value at the current state less what the step gains.
-        let least = system.chi2 + smoothing * rough_now - step.dot(&g);
-        let evidence = 0.5 * (rank * smoothing.ln() - log_det - least);
+        let smallest = system.chi2 + smoothing * rough_now - step.dot(&g);
+        let evidence = 0.5 * (rank * smoothing.ln() - log_det - smallest);
         if evidence > best.0 {
             best = (evidence, smoothing);
         }

@@ -154,7 +154,7 @@ pub fn shapes_of_pairs(
         describe(&mut document, fit, uncertain[k].as_ref());
         if moved(k) {
             let remark =
-                "the base stands elsewhere than in the other pairs; its pose is from this pair alone";
+                "the base is at another place than in the other pairs; its pose is from this pair alone";
             document.warnings.push(remark.into());
         }
         let Some(u) = &uncertain[k] else { return document };

@@ -376,9 +376,9 @@ fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let mut left = columns.row_iter().map(|r| r.norm_squared()).collect::<Vec<f64>>();
     let mut kept = Vec::new();
     for k in order {
-        let most = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
-        if most <= LEFT_OUT_MM {
-            return (from_columns(columns.nrows(), &kept), most);
+        let largest = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
+        if largest <= LEFT_OUT_MM {
+            return (from_columns(columns.nrows(), &kept), largest);
         }
         let column = scaled(k);
         left.iter_mut().zip(column.iter()).for_each(|(l, c)| *l -= c * c);

@@ -243,12 +243,12 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     }
     if noise > SCATTER_REJECT {
         return Err(format!(
-            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire beside the first, or something before it"
+            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire next to the first, or an object in front of it"
         ));
     }
     if noise > SCATTER_WARN {
         warnings.push(format!(
-            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture beside it?"
+            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture next to it?"
         ));
     }
     if (length - expected).abs() > 0.02 * expected {

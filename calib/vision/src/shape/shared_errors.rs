@@ -37,8 +37,8 @@ pub(crate) fn camera_errors(
     let mut moved = DMatrix::zeros(stereo.parameters(), stereo.parameters());
     for (fit, u) in fits.iter().zip(uncertain) {
         if let (Ok(fit), Some(u)) = (fit, u) {
-            let way = nodes_by_calibration(fit, u) * &factor;
-            moved += way.transpose() * way;
+            let shifts = nodes_by_calibration(fit, u) * &factor;
+            moved += shifts.transpose() * shifts;
         }
     }
     let axes = moved.symmetric_eigen();

@@ -86,9 +86,13 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
     }
     (0..tiles.len())
         .map(|k| {
-            let beside = [k.checked_sub(columns), Some(k), Some(k + columns)];
-            let [low, high] =
-                beside.into_iter().flatten().filter_map(|i| across.get(i)).copied().fold(across[k], widest);
+            let neighbours = [k.checked_sub(columns), Some(k), Some(k + columns)];
+            let [low, high] = neighbours
+                .into_iter()
+                .flatten()
+                .filter_map(|i| across.get(i))
+                .copied()
+                .fold(across[k], widest);
             if high - low < contrast { 0 } else { low + (high - low) / 2 }
         })
         .collect()

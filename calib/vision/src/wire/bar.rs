@@ -209,7 +209,7 @@ pub(crate) fn coarse_centre(
     let middle = (reach / CELL_PX).round() as usize;
     let steps = (search_px / (STRIDE as f64 * CELL_PX)).ceil() as usize;
     let mut best = None;
-    let mut most = f64::NEG_INFINITY;
+    let mut largest = f64::NEG_INFINITY;
     for k in 0..=2 * steps {
         let at = (middle + STRIDE * k).checked_sub(STRIDE * steps)?;
         let (from, to) = (at.checked_sub(half)?, at + half);
@@ -219,8 +219,8 @@ pub(crate) fn coarse_centre(
         let [(n0, l), (n1, b), (n2, r)] = [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
         // Empty parts have no mean: comparisons with it fail.
         let explained = n0 * l * l + n1 * b * b + n2 * r * r;
-        if (l - b) * (r - b) > 0.0 && explained > most {
-            most = explained;
+        if (l - b) * (r - b) > 0.0 && explained > largest {
+            largest = explained;
             best = Some((at as f64 * CELL_PX - reach, Levels::new(l, r, b, 0.0)));
         }
     }
@@ -259,16 +259,16 @@ pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
         .fold((f64::NEG_INFINITY, 1), |best, next| if next.0 > best.0 { next } else { best });
     let edge = |place: f64| two(&|u| bar.step(u - place).0);
     let mut place = sharp.1 as f64 * CELL_PX - reach;
-    let mut least = edge(place);
+    let mut smallest = edge(place);
     let mut step = 0.5;
     while step > 0.05 {
         step *= 0.5;
         for at in [place - step, place + step] {
             let there = edge(at);
-            if there < least {
-                (place, least) = (at, there);
+            if there < smallest {
+                (place, smallest) = (at, there);
             }
         }
     }
-    least.min(two(&|u| u))
+    smallest.min(two(&|u| u))
 }

@@ -96,7 +96,7 @@ struct Hypothesis {
 
 impl Hypothesis {
     /// The same curve with its curvature changed at the last branching, by so little that the places evaluated since are the same.
-    fn bent(&self, parent: usize, by: [f64; 2]) -> Self {
+    fn with_curvature_change(&self, parent: usize, by: [f64; 2]) -> Self {
         let long = BRANCH_STEPS as f64 * STEP_MM;
         let aside = Vector3::new(0.0, by[0], by[1]) * (0.5 * long * long);
         let turn = small_turn(&(Vector3::new(0.0, -by[1], by[0]) * long));
@@ -282,7 +282,7 @@ fn branched(
         if kept.len() >= beam || branch.0 < floor {
             break;
         }
-        let child = grown(now, branch, first);
+        let child = extended(now, branch, first);
         if cells.insert(cell_of(scene, &child, cell)) {
             kept.push(child);
         }
@@ -292,7 +292,7 @@ fn branched(
     }
     cells.clear();
     hidden.sort_unstable_by(best_first);
-    let children = hidden.into_iter().map(|b| grown(now, b, first));
+    let children = hidden.into_iter().map(|b| extended(now, b, first));
     let hidden: Vec<_> = children.filter(|c| cells.insert(cell_of(scene, c, HIDDEN_CELL))).collect();
     // Every n-th of the hidden curves: the first ones would all bend to one side.
     let every = hidden.len().div_ceil(hidden_beam).max(1);
@@ -300,8 +300,9 @@ fn branched(
     kept
 }
 
-fn grown(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothesis {
-    let mut child = now[k].bent(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
+fn extended(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothesis {
+    let mut child =
+        now[k].with_curvature_change(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
     if child.best_step > first {
         child.best += score - child.score;
     }

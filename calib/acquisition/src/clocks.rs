@@ -1,9 +1,15 @@
 //! Relation of two clocks: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
 //! times stay as they are, host times of other devices are mapped onto them.
 //!
-//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can (Moon, Skelly,
-//! Towsley, "Estimation and removal of clock skew from network delay measurements", 1999): the edge of their upper convex
-//! hull over the middle of the recording. Arrivals seconds late carry no information on the clocks and are left out of the line: a
+//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can: with x the host time and
+//! y the device time less x,
+//!
+//! ```text
+//! min over a, b of sum_i (a + b x_i - y_i)   subject to   a + b x_i >= y_i
+//! ```
+//!
+//! whose solution is the edge of the pairs' upper convex hull over the mean of x (Moon, Skelly, Towsley, "Estimation and removal of clock
+//! skew from network delay measurements", 1999). Arrivals seconds late carry no information on the clocks and are left out of the line: a
 //! stream that falls behind for half a recording would tilt it.
 
 use wcal_core::clock::late_s;
@@ -13,7 +19,7 @@ const INTERVAL_S: f64 = 1.0;
 /// Intervals that count as recent: a crystal drifts by a millisecond in them, a busy host recovers.
 const RECENT: usize = 10;
 
-/// Error of the clocks' alignment that does no harm (wall time), s: what a busy host delays by.
+/// Tolerated error of the clocks' alignment (wall time), s: the delay of a busy host.
 const ALIGNED_S: f64 = 0.02;
 
 /// Host and device time of one stream.
@@ -158,7 +164,7 @@ impl ClockPair {
         let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;
         let sxx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
         let scatter_s = scatter(&points);
-        // A drift needs some length of recording to stand out from delays.
+        // Fewer pairs do not separate a drift from delays.
         let (drift, offset_s, drift_sd) = if points.len() >= 5 {
             let (slope, at_zero) = upper_line(&points, mean_x);
             (slope, at_zero, scatter_s / sxx.sqrt())
@@ -187,7 +193,7 @@ fn upper_line(points: &[(f64, f64)], middle: f64) -> (f64, f64) {
     (slope, a.1 - slope * a.0)
 }
 
-/// Scatter of neighbouring pairs by their second differences: blind to any steady or broken course of the clock itself.
+/// Scatter of neighbouring pairs by their second differences, in which a piecewise linear course of the clock cancels.
 fn scatter(points: &[(f64, f64)]) -> f64 {
     /// Median absolute value to standard deviation of a normal distribution; a second difference has the variance 1 + 4 + 1.
     const MEDIAN_TO_SD: f64 = 1.4826;

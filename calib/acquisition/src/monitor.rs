@@ -216,7 +216,7 @@ impl Monitor {
         self.blocks.iter().filter(|b| (begin_s..end_s).contains(&b.start_s)).map(|b| b.count).sum()
     }
 
-    /// Largest drift of the sensing gratings over the last `window_s`, temperature taken out, pm/s, with its standard
+    /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated, pm/s, with its standard
     /// error; `None` until the window is full since `since_s`.
     #[must_use]
     pub fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {

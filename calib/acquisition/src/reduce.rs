@@ -37,7 +37,7 @@ pub struct Reduction {
     pub gaps: u64,
     /// Scans that came so late that the bench or the recording computer had fallen behind.
     pub late: u64,
-    /// Longest time that a scan came late by, s of the bench's time.
+    /// Largest delay of a scan, s of the bench's time.
     pub longest_delay_s: f64,
     /// Rows by faults in their windows: scans missing, scans late.
     pub marked: [usize; 2],
@@ -64,7 +64,7 @@ pub struct Reduction {
 }
 
 impl Reduction {
-    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    /// Losses and faults; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut all = self.stream_warnings();
@@ -171,7 +171,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     Ok(result)
 }
 
-/// Entries of an earlier session.toml that name what was made of the pictures: the files are still there.
+/// Entries of an earlier session.toml that name results from the pictures: the files are still there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
     let text = std::fs::read_to_string(folder.join("session.toml")).unwrap_or_default();
     let Ok(old) = text.parse::<toml::Table>() else { return Vec::new() };
@@ -212,7 +212,7 @@ fn reduce_part(
     rows: &mut Vec<Row>,
     result: &mut Reduction,
 ) -> Result<PartClocks, AcquisitionError> {
-    // First pass: what was done, where the stage was, how the clocks ran.
+    // First pass: events, stage positions, clocks.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();

@@ -30,7 +30,7 @@ pub enum Message {
     Other(String, f64),
 }
 
-/// How a recording ended, and what of it could not be read.
+/// End of a recording, and its unreadable parts.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct End {
     /// Why reading stopped before the end of the file; everything before was given.
@@ -61,7 +61,7 @@ impl fmt::Display for End {
 /// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture. A longer one is a damaged length.
 const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// Gives every message in file order to `take`. A chunk whose checksum is wrong is left out whole; where a length is wrong, what follows
+/// Passes every message in file order to `take`. A chunk with a wrong checksum is left out whole; at a wrong length the rest
 /// cannot be found and reading stops. Neither is an error: the result states what was lost.
 ///
 /// # Errors

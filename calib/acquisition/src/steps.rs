@@ -15,7 +15,7 @@ use wcal_core::rig_devices::Approach;
 /// Pause between stage polls while it moves, and while it stands.
 const POLL_MOVING: Duration = Duration::from_millis(4);
 const POLL_STANDING: Duration = Duration::from_millis(20);
-/// Farthest the stage may stand from its target, mm: above a microstep, below what matters.
+/// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
 const ARRIVAL_MM: f64 = 0.005;
 /// Depth of the sync move past contact (mm) and its speed (mm/s).
 const SYNC_MM: f64 = 1.0;
@@ -191,7 +191,7 @@ impl Sweep<'_, '_, '_> {
         Ok(())
     }
 
-    /// An averaging window that the stream covers: one that fell into a gap is taken again.
+    /// An averaging window that the stream covers: one in a gap is repeated.
     fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
         let min_scans = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
         for _ in 0..WINDOWS {
@@ -366,7 +366,7 @@ impl Sweep<'_, '_, '_> {
         };
         // The cause is already an error on its way to the user.
         let _ = self.bench.recorder.event(host_s, &event);
-        // A stage that failed, or stands against something, is not moved again.
+        // A stage that failed or is blocked is not moved again.
         if stopped && self.fault == Fault::Elsewhere && cause.kind != DeviceErrorKind::Stalled {
             self.retract();
         }

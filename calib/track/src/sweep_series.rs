@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::{Mesh, read};
 
-/// The contact nearest to the base; where several count as one (`count_contacts`), the place where their forces act: their mean weighted by the forces.
+/// The contact nearest to the base; where several count as one (`count_contacts`), their mean weighted by the forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Point of the object, base frame, mm.

@@ -1,4 +1,4 @@
-//! What the network sees of a sample, made the same way for training and for a stream.
+//! Inputs of the network at a sample, the same for training and for a stream.
 //!
 //! Of moments m, time step dt, base speed u, and at each knot k the inverse's point p_k, normal n_k and the filter's posterior w_k and velocity v_k:
 //!
@@ -31,9 +31,9 @@ const KNOT_INPUTS: usize = 7;
 /// Scale of the logarithm of the evidence, and its usual value during a contact.
 const EVIDENCE_SCALE: f64 = 4.0;
 const TYPICAL_LOG_EVIDENCE: f64 = 8.0;
-/// Nodes of the curve from one knot, of which the network sees and says something, to the next.
+/// Nodes of the curve from one knot, with the network's inputs and outputs, to the next.
 const KNOT_STRIDE: usize = 4;
-/// Logarithm of the floor under the filter's posterior that the network starts with: the weight of nodes that the filter rules out.
+/// Initial logarithm of the network's floor under the filter's posterior: the weight of nodes that the filter rules out.
 pub const INITIAL_LOG_FLOOR: f32 = -4.0;
 
 /// Nodes of the curve at which the network's knots lie: every fourth, and the last.
@@ -136,7 +136,7 @@ impl<'a> FeatureExtractor<'a> {
         inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
         let base = Vector3::z() * base_mm_s.unwrap_or(0.0);
         for (k, c) in now.iter().enumerate() {
-            // Along the force the touched point moves as the object does: what breaks that rule speaks against the node.
+            // Along the force the touched point moves as the object does: a violation is evidence against the node.
             let off = self.before.as_ref().map_or(0.0, |(_, before)| {
                 let moved = (c.point_mm - before[k].point_mm) / dt + base;
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
@@ -204,7 +204,7 @@ fn evidence(filter: &BayesFilter<'_>) -> f64 {
     if evidence == 0.0 { 0.0 } else { ((evidence - TYPICAL_LOG_EVIDENCE) / EVIDENCE_SCALE).max(-8.0) }
 }
 
-/// What lies at nodes, shared out among the knots before and after each.
+/// Values at nodes, split between the knots before and after each.
 fn at_knots(knot_weights: &[(usize, f32)], knots: usize, at_nodes: &[f64]) -> Vec<f64> {
     let mut sums = vec![0.0; knots];
     for (weight, (k, u)) in at_nodes.iter().zip(knot_weights) {

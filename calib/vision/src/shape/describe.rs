@@ -6,7 +6,7 @@ use crate::shape::pair_fit::PairFit;
 use nalgebra::{Matrix3, Vector3};
 use wcal_core::shapes_document::{Gap, PairDocument, TagDocument};
 
-/// Fills in what the fit found.
+/// Adds the fit's results.
 pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&PairUncertainty>) {
     document.status = "ok".into();
     document.left_from_base = rows(&fit.left_from_base).to_vec();

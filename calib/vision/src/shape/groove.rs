@@ -15,7 +15,7 @@ use crate::tags::base_pose::RigPose;
 use nalgebra::{Matrix3, Point3, Vector3};
 use wcal_core::shapes_document::GrooveDocument;
 
-/// Contact of a pair, and what its errors follow from.
+/// Contact of a pair, with the quantities that its errors derive from.
 pub(crate) struct GrooveFound {
     /// As in `shapes.json`; standard deviations and covariance are still to come.
     pub(crate) document: GrooveDocument,
@@ -25,7 +25,7 @@ pub(crate) struct GrooveFound {
     pub(crate) share: f64,
     /// Unit tangent there.
     pub(crate) tangent: Vector3<f64>,
-    /// `B = I - C_t W A`: how the tag's word follows what it is corrected by.
+    /// `B = I - C_t W A`: derivative of the corrected position by the tag's.
     pub(crate) follow: Matrix3<f64>,
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn find_groove(
     let (mut node, mut share, mut follow) = (nearest, 0.0, Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
     let along = |t: &Vector3<f64>| t * t.transpose();
-    // Generalised least squares: tag plus wire across; along the wire only the tag counts.
+    // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has no mark there.
     for _ in 0..3 {
         let across = Matrix3::identity() - along(&tangent);
         let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
@@ -86,7 +86,7 @@ pub(crate) fn find_groove(
         "double" => vec![arc - 0.5 * width_mm, arc + 0.5 * width_mm],
         _ => vec![arc],
     };
-    // Where the flanks meet: the wire's centre stands off it by its radius over the sine of the half angle.
+    // Apex of the flanks: the wire's centre is at the distance r / sin(half angle) from it.
     let apex_mm = place.push.map(|p| {
         let a = by_tag - p * (0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin());
         [a.x, a.y, a.z]

@@ -21,7 +21,7 @@ fn text(bytes: &[u8]) -> String {
 struct Record {
     header: Vec<String>,
     rows: Vec<Vec<String>>,
-    /// Time and way of the object, base frame, mm.
+    /// Time and displacement of the object, base frame, mm.
     motion: Vec<(f64, [f64; 3])>,
 }
 
@@ -93,7 +93,7 @@ impl Record {
     }
 }
 
-/// Columns of a log: the way of the object, or poses of the base.
+/// Columns of a log: the displacement of the object, or poses of the base.
 const MM: &str = "t_s,object_x_mm,object_y_mm,object_z_mm";
 const POSES: &str = "t_s,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
@@ -237,7 +237,7 @@ fn without_a_motion_every_loaded_reading_has_an_arc() {
     assert!(groove["coverage90"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
 }
 
-/// Metres called millimetres, a way reversed, another clock rate, another calibration's moments.
+/// Metres stated as millimetres, a reversed motion, another clock rate, another calibration's moments.
 #[test]
 fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
     let bench = Bench::new();

@@ -4,7 +4,7 @@ use crate::rig::Rig;
 use wcal_core::device::FbgReading;
 use wcal_core::rig_devices::InterrogatorRig;
 
-/// Peaks closer than this cannot be told apart, nm.
+/// Peaks closer than this cannot be resolved, nm.
 const SEPARATION_NM: f64 = 0.002;
 
 /// Wavelengths of the gratings in one scan, nm.

@@ -19,7 +19,7 @@ const CLOCK_PAIRS: u32 = 4;
 /// Asks a person to hold the board in the attitude of this number, counted from 0; returns when it is held.
 pub type AskBoard = fn(u32) -> Result<(), DeviceError>;
 
-/// Attitudes that earlier recordings of a session show; what cannot be read shows none.
+/// Attitudes in earlier recordings of a session; a recording that cannot be read has none.
 #[must_use]
 pub fn shown_before(recordings: &[PathBuf]) -> BTreeSet<u32> {
     let mut shown = BTreeSet::new();
@@ -58,11 +58,11 @@ impl BoardRun<'_> {
     /// Records a pair of each of `views` attitudes but those of `skip`.
     ///
     /// # Errors
-    /// When a camera is lost or refuses pair after pair, nobody holds the board, the disk does not take the pictures, or the user interrupts.
+    /// When a camera is lost or refuses pair after pair, nobody holds the board, the disk does not accept the pictures, or the user interrupts.
     pub fn run(&mut self, views: u32, skip: &BTreeSet<u32>, ask: AskBoard) -> Result<(), DeviceError> {
         let mut eyes = [(); 2].map(|()| Eye::new(self.clock_scale));
         for view in (0..views).filter(|view| !skip.contains(view)) {
-            // Nobody holds what the bench holds up by itself.
+            // A bench that presents the board by itself needs no person.
             if !self.pair.show_board(Some(view as usize))? {
                 ask(view)?;
             }

@@ -39,7 +39,7 @@ impl CameraPair {
         Self { offset: None, ..Self::new(cameras, limit_ms) }
     }
 
-    /// What both say of themselves.
+    /// Descriptions of both units.
     ///
     /// # Errors
     /// When a unit does not answer.
@@ -103,7 +103,7 @@ impl CameraPair {
     }
 
     fn judge(&mut self, a: CameraFrame, b: CameraFrame) -> Result<FramePair, DeviceError> {
-        // A frame that was cut short on its way is a lost pair, not the end of a sweep.
+        // A frame truncated in transfer is a lost pair, not the end of a sweep.
         for (which, frame) in [("first", &a), ("second", &b)] {
             if let Some(found) = torn(frame) {
                 let expected = format!("a whole picture of the {which} camera");
@@ -126,7 +126,7 @@ impl CameraPair {
     }
 }
 
-/// How many grey values a frame has where its size says otherwise.
+/// Number of grey values of a frame that disagrees with its size.
 fn torn(frame: &CameraFrame) -> Option<String> {
     let expected = u64::from(frame.width_px) * u64::from(frame.height_px);
     let found = frame.grey.len() as u64;

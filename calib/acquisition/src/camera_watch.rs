@@ -103,9 +103,9 @@ impl Eye {
         Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
     }
 
-    /// Whether the exposure began after a host time. Frames may wait in a queue: their arrival says nothing of their exposure. The least
-    /// delayed arrival holds at least the exposure itself, so that this is added. Without a clock of the camera's own it is sure of a frame
-    /// only when the one before came after that time, too.
+    /// Whether the exposure began after a host time. Frames may wait in a queue, so that their arrival does not give their exposure. Even the
+    /// least delayed arrival is late by the exposure itself, which is added. Without a clock of the camera's own a frame is accepted only
+    /// when the previous one arrived after that time, too.
     pub(crate) fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
         let exposure_s = frame.measured_exposure_ms.or(frame.commanded_exposure_ms).unwrap_or(0.0) * 1e-3;
         match (frame.clocks.device_s, self.clocks.device_s(host_s)) {

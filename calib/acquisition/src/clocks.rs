@@ -1,10 +1,16 @@
-//! Two clocks side by side: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
+//! Relation of two clocks: offset and drift from the pairs that arrived with least delay. Nothing is stretched: device
 //! times stay as they are, host times of other devices are mapped onto them.
 //!
-//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can (Moon, Skelly,
-//! Towsley, "Estimation and removal of clock skew from network delay measurements", 1999): the edge of their upper convex
-//! hull over the middle of the recording. What comes seconds late says nothing of the clocks and is left out of the line: a stream
-//! that falls behind for half a recording would tilt it.
+//! A delay only ever makes a reading late, so the line lies above all pairs and as close to them as it can: with x the host time and
+//! y the device time less x,
+//!
+//! ```text
+//! min over a, b of sum_i (a + b x_i - y_i)   subject to   a + b x_i >= y_i
+//! ```
+//!
+//! whose solution is the edge of the pairs' upper convex hull over the mean of x (Moon, Skelly, Towsley, "Estimation and removal of clock
+//! skew from network delay measurements", 1999). Arrivals seconds late carry no information on the clocks and are left out of the line: a
+//! stream that falls behind for half a recording would tilt it.
 
 use wcal_core::clock::late_s;
 
@@ -13,7 +19,7 @@ const INTERVAL_S: f64 = 1.0;
 /// Intervals that count as recent: a crystal drifts by a millisecond in them, a busy host recovers.
 const RECENT: usize = 10;
 
-/// Error of the clocks' alignment that does no harm (wall time), s: what a busy host delays by.
+/// Tolerated error of the clocks' alignment (wall time), s: the delay of a busy host.
 const ALIGNED_S: f64 = 0.02;
 
 /// Host and device time of one stream.
@@ -31,7 +37,7 @@ pub struct ClockPair {
 /// device = host + offset + drift * (host - origin).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockFit {
-    /// Host time at which `offset_s` holds, s.
+    /// Host time of `offset_s`, s.
     pub origin_host_s: f64,
     /// Device minus host time there, s.
     pub offset_s: f64,
@@ -43,7 +49,7 @@ pub struct ClockFit {
     pub scatter_s: f64,
 }
 
-/// A drift above this is no crystal's, s/s: the clock is broken or the recording is not what it says.
+/// Largest drift of a working quartz clock, s/s: above it the clock is broken or the recording is inconsistent.
 const BROKEN_CLOCK: f64 = 300e-6;
 
 impl ClockFit {
@@ -111,7 +117,7 @@ impl ClockPair {
         }
     }
 
-    /// Device time at a host time, s: the later of what the line and the recent pairs say; `None` without any pair. Late rather than
+    /// Device time at a host time, s: the later of the line's and the recent pairs' times; `None` without any pair. Late rather than
     /// early: delays, however long they last, only make a clock seem to lag.
     #[must_use]
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
@@ -138,8 +144,8 @@ impl ClockPair {
         self.delay_s(host_s, device_s) > self.late_s
     }
 
-    /// Whether host times cannot be told in device times: the line drifts more than a working clock does, by a harmful amount. A stream
-    /// that falls behind more and more looks like this, too: nothing tells it from a slow clock.
+    /// Whether host times cannot be converted to device times: the line drifts more than a working clock does, by a harmful amount. A stream
+    /// that falls behind steadily has the same effect: it cannot be distinguished from a slow clock.
     #[must_use]
     pub fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
@@ -158,7 +164,7 @@ impl ClockPair {
         let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;
         let sxx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
         let scatter_s = scatter(&points);
-        // A drift needs some length of recording to stand out from delays.
+        // Fewer pairs do not separate a drift from delays.
         let (drift, offset_s, drift_sd) = if points.len() >= 5 {
             let (slope, at_zero) = upper_line(&points, mean_x);
             (slope, at_zero, scatter_s / sxx.sqrt())
@@ -187,7 +193,7 @@ fn upper_line(points: &[(f64, f64)], middle: f64) -> (f64, f64) {
     (slope, a.1 - slope * a.0)
 }
 
-/// Scatter of neighbouring pairs by their second differences: blind to any steady or broken course of the clock itself.
+/// Scatter of neighbouring pairs by their second differences, in which a piecewise linear course of the clock cancels.
 fn scatter(points: &[(f64, f64)]) -> f64 {
     /// Median absolute value to standard deviation of a normal distribution; a second difference has the variance 1 + 4 + 1.
     const MEDIAN_TO_SD: f64 = 1.4826;
@@ -242,7 +248,7 @@ mod tests {
         let fit = pair.fit().unwrap();
         assert!(fit.drift.abs() < 1e-4 && (fit.device_s(30.0) - 30.0).abs() < 2e-3, "{fit:?}");
         assert!((pair.device_s(61.0).unwrap() - 61.0).abs() < 1e-2);
-        // Half a minute of nothing but late arrivals: what was learnt before still holds.
+        // Half a minute of late arrivals only: the earlier fit remains.
         (6000..9000).for_each(|k| pair.add(f64::from(k) * 0.01 + 4.0, f64::from(k) * 0.01));
         assert!((pair.device_s(94.0).unwrap() - 94.0).abs() < 0.1, "{:?}", pair.device_s(94.0));
     }

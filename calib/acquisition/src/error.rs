@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 use wcal_core::device::DeviceError;
 
-/// What went wrong while planning, recording or reducing.
+/// Errors of planning, recording or reducing.
 #[derive(Debug, Error)]
 pub enum AcquisitionError {
     /// A rig, plan or recording that cannot be used.

@@ -1,6 +1,13 @@
 //! Delay of the signal behind the stage, from a move in and out of contact.
+//!
+//! ```text
+//! y_g(t) = a_g + b_g max(x(t - tau), 0) + noise,   tau = argmin sum_g min over a_g, b_g of RSS_g(tau)
+//! ```
+//!
+//! y_g: wavelength of grating g, x: depth of the groove. The misfit is computed on a grid of tau and refined by a parabola through its
+//! minimum (profile least squares: G. A. F. Seber, C. J. Wild, "Nonlinear Regression", 1989, 2.1).
 
-/// Largest delay looked for, s, and the step of the search.
+/// Largest delay searched for, s, and the step of the search.
 const RANGE_S: f64 = 0.25;
 const STEP_S: f64 = 0.002;
 
@@ -33,7 +40,7 @@ pub fn estimate_s(signal: &[(f64, f64, f64)], depth_mm: impl Fn(f64) -> Option<f
         }
         let rss = sums.map(|[x, y, xx, xy, yy]| {
             let (sxx, sxy, syy) = (xx - x * x / n, xy - x * y / n, yy - y * y / n);
-            // Share of the variance left over, weighted by the variance.
+            // RSS of the line y = a + b x from its sums.
             if sxx > 0.0 { syy - sxy * sxy / sxx } else { syy }
         });
         Some((rss[0] + rss[1]) / n)
@@ -44,7 +51,7 @@ pub fn estimate_s(signal: &[(f64, f64, f64)], depth_mm: impl Fn(f64) -> Option<f
     if best == 0 || best + 1 == grid.len() || grid[best] > 0.5 * worst {
         return None;
     }
-    // Parabola through the three lowest.
+    // Parabola through the minimum and its neighbours.
     let (l, m, r) = (grid[best - 1], grid[best], grid[best + 1]);
     let shift = 0.5 * (l - r) / (l - 2.0 * m + r);
     Some((best as f64 - f64::from(count) + shift) * STEP_S)

@@ -1,4 +1,9 @@
-//! The signal as it arrives: rate, losses, health, clocks, and whether it has settled.
+//! The signal as it arrives: rate, losses, health, clocks, and its drift.
+//!
+//! ```text
+//! y_g = (l_g - r_g l_ref) 1e3                                     pm: grating g less the reference's temperature, r_g the temperature ratio
+//! drift = sum (t - t_m)(y - y_m) / sum (t - t_m)^2,   sd^2 = RSS / (n - 2) / sum (t - t_m)^2         least squares over block means
+//! ```
 
 use crate::assign::{Assigned, ChannelMap};
 use crate::clocks::ClockPair;
@@ -141,7 +146,7 @@ impl Monitor {
         self.picture
     }
 
-    /// Withdraws the wish for a picture, because it was taken or is too late; says whether there was one.
+    /// Withdraws the request for a picture, because it was taken or is too late; returns whether there was one.
     pub fn end_picture(&mut self) -> bool {
         self.picture.take().is_some()
     }
@@ -189,7 +194,7 @@ impl Monitor {
     fn add_block(&mut self, device_s: f64, sensing_nm: [f64; 2]) {
         let heat_nm = self.latest.reference_nm.unwrap_or(0.0);
         let value: [f64; 2] = std::array::from_fn(|k| {
-            // The reference's absolute wavelength only adds a constant to the drift.
+            // The reference's absolute wavelength adds a constant only, which the slope does not see.
             (sensing_nm[k] - self.temperature_ratio[k] * heat_nm) * 1e3
         });
         match self.blocks.back_mut() {
@@ -211,7 +216,7 @@ impl Monitor {
         self.blocks.iter().filter(|b| (begin_s..end_s).contains(&b.start_s)).map(|b| b.count).sum()
     }
 
-    /// Largest drift of the sensing gratings over the last `window_s`, temperature taken out, pm/s, with its standard
+    /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated, pm/s, with its standard
     /// error; `None` until the window is full since `since_s`.
     #[must_use]
     pub fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {

@@ -1,6 +1,6 @@
 //! Pictures of a recording: how frames are stored, and the pairs of the settled poses as files of the session.
 //!
-//! Of every frame the recording holds a [`FrameInfo`]; of those that show a settled pose the picture itself, lossless (PNG); of the others
+//! Of every frame the recording has a [`FrameInfo`]; of those that show a settled pose the picture itself, lossless (PNG); of the others
 //! now and then a small one for people (JPEG).
 
 use crate::clocks::ClockFit;

@@ -9,7 +9,7 @@ use wcal_core::Role;
 /// `format` of a plan file.
 pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
-/// More attitudes tell nothing more, and nobody holds them.
+/// More attitudes add no information, and a person cannot hold them all.
 const MAX_BOARD_VIEWS: u32 = 100;
 
 /// A plan.
@@ -32,7 +32,7 @@ pub struct Plan {
     /// Attitudes of the calibration board that are pictured before anything moves; 0: none.
     #[serde(default)]
     pub board_views: u32,
-    /// A small move at start and end that shows the delay between stage and interrogator.
+    /// A small move at start and end that determines the delay between stage and interrogator.
     #[serde(default = "yes")]
     pub sync_move: bool,
     /// Blocks in order.
@@ -82,7 +82,7 @@ pub struct Block {
     /// Repetitions of the whole path.
     #[serde(default = "once")]
     pub replicates: u32,
-    /// Also on the way back.
+    /// Also during retraction.
     #[serde(default)]
     pub unloading: bool,
     /// Speeds of the moves, mm/s; the path is repeated for each. Empty: the rig's.

@@ -1,6 +1,6 @@
 //! The pictures of a session's settled poses, read back: which two belong to a row, and which of them cannot be its pictures.
 //!
-//! `pictures.csv` says of every file which row it shows, when it was exposed (session time), in which session, and its SHA-256. A picture
+//! `pictures.csv` has for every file its row, time of exposure (session time), session and SHA-256. A picture
 //! was exposed while the stage stood at its row's pose: after it arrived there and before it arrived at the next one.
 
 use crate::error::AcquisitionError;
@@ -85,7 +85,7 @@ pub fn pose_pairs(
 struct Stand {
     sealed: bool,
     point: i64,
-    /// Arrival; none where the table does not say.
+    /// Arrival; none where the table has none.
     from_s: Option<f64>,
     loaded: bool,
 }
@@ -179,7 +179,7 @@ impl Cells {
     fn point(&self, row: usize, column: usize) -> Result<i64, AcquisitionError> {
         let text = self.rows[row].get(column).unwrap_or_default().trim();
         let place = || format!("{}, line {}", self.place, row + 2);
-        // What a file's name can hold.
+        // Characters that a file's name may have.
         text.parse()
             .ok()
             .filter(|p| (0..100_000).contains(p))

@@ -71,7 +71,7 @@ impl RecordResult {
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         match &self.reduction {
-            // The tables know of every run of the session, the sweep of its own.
+            // The tables contain every run of the session, the sweep its own only.
             Ok(reduction) => {
                 let mut all = reduction.stream_warnings();
                 all.extend(self.sweep.signal_warnings());
@@ -289,7 +289,7 @@ fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
     ))
 }
 
-/// A document without what says where the devices hang; `None` where it is no TOML.
+/// A document without the devices' addresses; `None` where it is no TOML.
 fn without_links(text: &str) -> Option<toml::Table> {
     let mut table: toml::Table = text.parse().ok()?;
     for (section, keys) in [

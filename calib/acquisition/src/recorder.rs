@@ -91,7 +91,7 @@ pub(crate) fn at(seconds: f64) -> PartialMetadata {
 }
 
 impl Recorder {
-    /// Creates the file; it must not exist. `about` goes into it as metadata (devices, plan, program).
+    /// Creates the file; it must not exist. `about` is written to it as metadata (devices, plan, program).
     ///
     /// # Errors
     /// When the file exists or cannot be written.
@@ -114,7 +114,7 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// A recorder without a file: what is recorded is seen by a live view alone.
+    /// A recorder without a file, for a live view only.
     ///
     /// # Errors
     /// When the channels cannot be made.
@@ -214,7 +214,7 @@ impl Recorder {
         self.log.log_with_meta(&message, at(host_s));
     }
 
-    /// Records that a frame came, and where it shows a settled pose or the board the picture without loss.
+    /// Records the arrival of a frame and, where it shows a settled pose or the board, the picture without loss.
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
@@ -273,7 +273,7 @@ impl Recorder {
         file.sync_all().map_err(|e| AcquisitionError::Recorder(e.to_string()))
     }
 
-    /// Brings everything so far into the file.
+    /// Writes everything so far to the file.
     ///
     /// # Errors
     /// When the disk does not take it.

@@ -37,9 +37,9 @@ pub struct Reduction {
     pub gaps: u64,
     /// Scans that came so late that the bench or the recording computer had fallen behind.
     pub late: u64,
-    /// Longest time that a scan came late by, s of the bench's time.
+    /// Largest delay of a scan, s of the bench's time.
     pub longest_delay_s: f64,
-    /// Rows by what their windows met: scans missing, scans late.
+    /// Rows by faults in their windows: scans missing, scans late.
     pub marked: [usize; 2],
     /// Windows without the two usable scans that a row needs.
     pub empty_windows: usize,
@@ -64,7 +64,7 @@ pub struct Reduction {
 }
 
 impl Reduction {
-    /// What was lost or is not as it should be; each is a reason for exit code 3.
+    /// Losses and faults; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut all = self.stream_warnings();
@@ -171,7 +171,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     Ok(result)
 }
 
-/// Entries of an earlier session.toml that name what was made of the pictures: the files are still there.
+/// Entries of an earlier session.toml that name results from the pictures: the files are still there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
     let text = std::fs::read_to_string(folder.join("session.toml")).unwrap_or_default();
     let Ok(old) = text.parse::<toml::Table>() else { return Vec::new() };
@@ -212,7 +212,7 @@ fn reduce_part(
     rows: &mut Vec<Row>,
     result: &mut Reduction,
 ) -> Result<PartClocks, AcquisitionError> {
-    // First pass: what was done, where the stage was, how the clocks ran.
+    // First pass: events, stage positions, clocks.
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
@@ -247,7 +247,7 @@ fn reduce_part(
         }
         Message::PosePicture(..) | Message::Other(..) => {}
     })?;
-    // Older recordings hold every picture and no list of frames.
+    // Older recordings contain every picture and no list of frames.
     result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
@@ -263,7 +263,7 @@ fn reduce_part(
     let map = ChannelMap::new(rig);
     let syncs: Vec<&SweepEvent> = events.iter().filter(|e| e.kind == "sync").collect();
     let mut sync_signals = vec![Vec::new(); syncs.len()];
-    // Where the stage was is told by its host times: without aligned clocks no row can say.
+    // The stage's position is known by host time: without aligned clocks no row can be assigned one.
     let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
     read(path, |message| {

@@ -30,7 +30,7 @@ pub enum Message {
     Other(String, f64),
 }
 
-/// How a recording ended, and what of it could not be read.
+/// End of a recording, and its unreadable parts.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct End {
     /// Why reading stopped before the end of the file; everything before was given.
@@ -58,18 +58,18 @@ impl fmt::Display for End {
     }
 }
 
-/// Longest record that is read, bytes: a chunk of ours holds half a megabyte, or one picture. A longer one is a damaged length.
+/// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture. A longer one is a damaged length.
 const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// Gives every message in file order to `take`. A chunk whose checksum is wrong is left out whole; where a length is wrong, what follows
-/// cannot be found and reading stops. Neither is an error: the result says what was lost.
+/// Passes every message in file order to `take`. A chunk with a wrong checksum is left out whole; at a wrong length the rest
+/// cannot be found and reading stops. Neither is an error: the result states what was lost.
 ///
 /// # Errors
 /// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
     let mut file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
-    // No record is longer than its file, whatever its length says.
+    // No record is longer than its file, whatever length it states.
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
     let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
     let mut reader = LinearReader::new_with_options(options);
@@ -164,7 +164,7 @@ fn number(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |all, b| all << 8 | u64::from(*b))
 }
 
-/// Topics of the channels met so far.
+/// Topics of the channels seen so far.
 #[derive(Default)]
 struct Topics(HashMap<u64, String>);
 
@@ -203,7 +203,7 @@ impl Topics {
 /// Number and topic of a channel record.
 fn channel(mut body: &[u8]) -> Option<(u64, String)> {
     let id = number(cut(&mut body, 2)?);
-    // The schema's number is not needed: topics say what their messages are.
+    // The schema's number is not needed: topics determine their messages.
     cut(&mut body, 2)?;
     let length = number(cut(&mut body, 4)?);
     Some((id, String::from_utf8(cut(&mut body, length)?.to_vec()).ok()?))

@@ -21,7 +21,7 @@ impl ReplayInterrogator {
     /// Opens a recording.
     ///
     /// # Errors
-    /// `Configuration` when it cannot be read or holds no scan.
+    /// `Configuration` when it cannot be read or has no scan.
     pub fn open(path: &Path) -> Result<Self, DeviceError> {
         let name = format!("replay {}", path.display());
         let fail = |found: String| {

@@ -15,7 +15,7 @@ pub struct Rig {
     pub format: String,
     /// Name.
     pub name: String,
-    /// Host seconds per wall second; other than 1 only beside an accelerated virtual bench.
+    /// Host seconds per wall second; other than 1 only with an accelerated virtual bench.
     #[serde(default = "unity")]
     pub clock_scale: f64,
     /// Linear stage.
@@ -124,9 +124,9 @@ impl Rig {
         let gratings = &rig.interrogator.grating;
         for (k, a) in gratings.iter().enumerate() {
             // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
-            let apart = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
+            let overlaps = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
             let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;
-            if let Some(b) = gratings[..k].iter().filter(other).find(apart) {
+            if let Some(b) = gratings[..k].iter().filter(other).find(overlaps) {
                 let found = format!("{} of {} and {} of {}", b.name, b.whisker, a.name, a.whisker);
                 return fail("interrogator.grating", "windows of two whiskers that do not overlap", found);
             }

@@ -8,7 +8,7 @@ use wcal_core::device::DeviceIdentity;
 /// `format` of the file.
 pub const RUN_FORMAT: &str = "wcal-run/1";
 
-/// Everything about a run that the raw streams do not hold.
+/// Everything about a run that the raw streams do not contain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunFile {
     /// `wcal-run/1`.
@@ -58,7 +58,7 @@ pub struct RunOutcome {
 }
 
 impl RunFile {
-    /// Whether the devices were simulated. Files from before the mark tell by the names that the virtual bench's devices give
+    /// Whether the devices were simulated. Files from before this key are recognised by the names that the virtual bench's devices give
     /// themselves, and by its clock.
     #[must_use]
     pub fn is_simulated(&self) -> bool {

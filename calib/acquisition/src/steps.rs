@@ -15,7 +15,7 @@ use wcal_core::rig_devices::Approach;
 /// Pause between stage polls while it moves, and while it stands.
 const POLL_MOVING: Duration = Duration::from_millis(4);
 const POLL_STANDING: Duration = Duration::from_millis(20);
-/// Farthest the stage may stand from its target, mm: above a microstep, below what matters.
+/// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
 const ARRIVAL_MM: f64 = 0.005;
 /// Depth of the sync move past contact (mm) and its speed (mm/s).
 const SYNC_MM: f64 = 1.0;
@@ -37,7 +37,7 @@ pub(crate) enum Fault {
     Elsewhere,
 }
 
-/// A sweep on its way.
+/// A running sweep.
 pub(crate) struct Sweep<'b, 'r, 'p> {
     pub(crate) bench: SweepBench<'b>,
     pub(crate) rig: &'r Rig,
@@ -136,7 +136,7 @@ impl Sweep<'_, '_, '_> {
         self.event(&SweepEvent { kind: "soak".to_owned(), begin_s, end_s, settled, ..SweepEvent::default() })
     }
 
-    /// In and out of contact at a known speed: the delay between the devices shows in the signal.
+    /// In and out of contact at a known speed: the signal reveals the delay between the devices.
     fn sync(&mut self) -> Result<(), DeviceError> {
         let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
         self.go_to(-0.5, speed_mm_s)?;
@@ -178,7 +178,7 @@ impl Sweep<'_, '_, '_> {
         self.event(&SweepEvent { begin_s, end_s, arrived_s, settled, ..event })
     }
 
-    /// The stage stands until the pair of the pose is recorded; a pose whose pair does not come goes on without.
+    /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
     fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
         let start = Instant::now();
         while lock(self.bench.monitor).wanted_picture().is_some() && start.elapsed() < PICTURE {
@@ -191,14 +191,14 @@ impl Sweep<'_, '_, '_> {
         Ok(())
     }
 
-    /// An averaging window that the stream covers: one that fell into a gap is taken again.
+    /// An averaging window that the stream covers: one in a gap is repeated.
     fn window(&mut self, average_s: f64) -> Result<(f64, f64), DeviceError> {
-        let least = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
+        let min_scans = MIN_COVERED * average_s * self.rig.interrogator.rate_hz;
         for _ in 0..WINDOWS {
             let begin_s = self.device_s();
             let end_s = begin_s + average_s;
             self.wait_until(end_s)?;
-            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= least {
+            if lock(self.bench.monitor).scans_between(begin_s, end_s) >= min_scans {
                 return Ok((begin_s, end_s));
             }
         }
@@ -206,7 +206,7 @@ impl Sweep<'_, '_, '_> {
         Err(DeviceError::new(DeviceErrorKind::Timeout, "interrogator", "average", expected, "gaps"))
     }
 
-    /// Rows on the way.
+    /// Rows recorded during motion.
     fn moving(&mut self, from_mm: f64, rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
         self.go_to(from_mm, pose.speed_mm_s)?;
         let begin_s = self.stage_s() + 0.1;
@@ -280,7 +280,7 @@ impl Sweep<'_, '_, '_> {
         }
     }
 
-    /// One look at everything: stage, stream, user.
+    /// One check of everything: stage, stream, user.
     fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
         std::thread::sleep(pause);
         if self.bench.interrupt.load(Ordering::SeqCst) {
@@ -366,7 +366,7 @@ impl Sweep<'_, '_, '_> {
         };
         // The cause is already an error on its way to the user.
         let _ = self.bench.recorder.event(host_s, &event);
-        // A stage that failed, or stands against something, is not moved again.
+        // A stage that failed or is blocked is not moved again.
         if stopped && self.fault == Fault::Elsewhere && cause.kind != DeviceErrorKind::Stalled {
             self.retract();
         }

@@ -78,7 +78,7 @@ pub struct SweepReport {
 }
 
 impl SweepReport {
-    /// What was lost or not as it should be although the sweep went on; each is a reason for exit code 3.
+    /// Losses and faults in spite of which the sweep continued; each is a reason for exit code 3.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;
@@ -90,7 +90,7 @@ impl SweepReport {
         all.chain(self.signal_warnings()).collect()
     }
 
-    /// The warnings that the recording alone does not tell.
+    /// The warnings that do not follow from the recording alone.
     #[must_use]
     pub fn signal_warnings(&self) -> Vec<String> {
         let (unsettled, unusable) = (self.unsettled, self.counts.unusable);

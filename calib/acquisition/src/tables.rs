@@ -110,7 +110,7 @@ fn csv_text(
 /// marked in a last column.
 ///
 /// # Errors
-/// Practically none: text goes to memory.
+/// Practically none: text is written to memory.
 pub fn write_tables(
     rig: &Rig,
     rows: &[Row],
@@ -191,7 +191,7 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
     for (k, name) in ["fbg_1", "fbg_2"].iter().enumerate() {
         let nominal = rig.grating(name).map_or(0.0, |g| g.nominal_nm);
         let shift = (row.mean.sensing_nm[k] - nominal) * 1e3 - ratios[k] * heat_pm;
-        // Both gratings' noise enters: the correction has an uncertainty of its own.
+        // Var(y) = var_g + r^2 var_ref: the temperature correction adds the reference's noise.
         let variance = row.mean.sensing_sd_pm[k].powi(2) + (ratios[k] * row.mean.reference_sd_pm).powi(2);
         fields.extend([format!("{shift:.4}"), format!("{:.4}", (variance / n).sqrt())]);
     }
@@ -351,7 +351,7 @@ fn clock(fit: &ClockFit, name: Option<&str>) -> Value {
     }
     table.insert("device_minus_host_s".to_owned(), Value::Float(fit.offset_s));
     table.insert("drift_ppm".to_owned(), Value::Float(fit.drift * 1e6));
-    // A recording of some seconds cannot tell.
+    // A recording of a few seconds does not determine the drift.
     if fit.drift_sd.is_finite() {
         table.insert("drift_sd_ppm".to_owned(), Value::Float(fit.drift_sd * 1e6));
     }

@@ -1,4 +1,4 @@
-//! Contact points and events of `wcal track`, beside the raw streams in a recording and on a live view.
+//! Contact points and events of `wcal track`, with the raw streams in a recording and on a live view.
 
 use crate::error::AcquisitionError;
 use crate::message::McapMessage;
@@ -19,7 +19,7 @@ pub mod topic {
     pub const POSE: &str = "/track/pose/";
 }
 
-/// One row of a track: what `track.csv` holds. Lists are empty where the row has none.
+/// One row of a track, as in `track.csv`. Lists are empty where the row has none.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ContactPoint {
     /// Whisker.
@@ -40,7 +40,7 @@ pub struct ContactPoint {
     /// Outside the calibration's valid region.
     #[prost(bool, tag = "6")]
     pub outside_valid_region: bool,
-    /// Why the calibration or the model is not to be trusted; empty: nothing speaks against it.
+    /// Reasons not to trust the calibration or the model; empty without any.
     #[prost(string, tag = "7")]
     pub doubts: String,
     /// Probability of contact.

@@ -27,7 +27,7 @@ pub struct WhiskerReader {
 }
 
 impl WhiskerReader {
-    /// The reader of a whisker whose calibration holds `fbg`; `place` names the rig.
+    /// The reader of a whisker whose calibration has `fbg`; `place` names the rig.
     ///
     /// # Errors
     /// Where the rig's gratings are not those of the calibration, or one of them is missing.

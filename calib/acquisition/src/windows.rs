@@ -1,4 +1,10 @@
 //! Samples of one averaging window: mean, spread, marked outliers.
+//!
+//! ```text
+//! outlier   |x - med| > 8 * 1.4826 * median |x - med|        the factor makes the deviation that of a normal distribution
+//! ```
+//!
+//! Source: F. R. Hampel, "The Influence Curve and Its Role in Robust Estimation", J. Am. Stat. Assoc. 69 (1974) 383.
 
 /// A sample farther than this many robust standard deviations from the median is marked, not averaged.
 const OUTLIER_SIGMA: f64 = 8.0;
@@ -67,7 +73,7 @@ impl Samples {
 fn mark(values: &[f64], marked: &mut [bool]) {
     let centre = median(values.to_vec());
     let deviation = median(values.iter().map(|v| (v - centre).abs()).collect());
-    // Quantised data can have a deviation of zero; then nothing stands out.
+    // Quantised data can have a deviation of zero: then no sample is marked.
     let limit = OUTLIER_SIGMA * MAD_TO_SD * deviation;
     if limit > 0.0 {
         for (value, mark) in values.iter().zip(marked) {

@@ -68,7 +68,9 @@ pub fn read(path: &Path, offset_s: f64) -> Result<LoggedMotion> {
     };
     let turn: Vec<usize> = TURN.iter().filter_map(|c| table.column(c).ok()).collect();
     if !matches!((turn.len(), posed), (0, _) | (4, true)) {
-        bail!("{name}: expected base_qw, base_qx, base_qy and base_qz beside base_x_mm, or none of them");
+        bail!(
+            "{name}: expected base_qw, base_qx, base_qy and base_qz in addition to base_x_mm, or none of them"
+        );
     }
     let mut rows = Vec::with_capacity(table.rows.len());
     for (k, (line, _)) in table.rows.iter().enumerate() {

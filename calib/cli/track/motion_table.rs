@@ -91,7 +91,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     }
     for line in log.jumps() {
         eprintln!(
-            "{}: line {line}: the motion jumps; contacts before and after are tracked apart",
+            "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
             motion_file.display()
         );
     }

@@ -1,4 +1,4 @@
-//! What transverse moments alone tell of a contact: an arc, and no more.
+//! The information that transverse moments alone have about a contact: a posterior along an arc.
 //!
 //! Every node k of the inverse explains the moments m by a place p_k with the normal n_k (`StaticInverse`); nothing but a prior weighs them:
 //!
@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Probability that a contact of which nothing is known is one of the tip. An assumption.
 const TIP: f64 = 0.15;
-/// Spread that the nodes do not tell, mm: friction leans the force, a wire is not its model.
+/// Standard deviation added for model errors, mm: friction tilts the force, and a wire differs from its model.
 const MIN_SD_MM: f64 = 0.5;
 /// Mass of the stated regions.
 const REGION: f64 = 0.95;
@@ -44,6 +44,7 @@ pub fn moments_alone(
         true => TIP / tilts,
         false => (1.0 - TIP) * lengths[k] / whole,
     };
+    // Nodes from which no force gives these moments have no weight; without any reachable node the prior remains.
     let any = solutions.iter().any(|s| s.reachable);
     let weight = |(k, s): (usize, &InverseSolution)| if s.reachable || !any { prior(k) } else { 0.0 };
     let mut weights: Vec<f64> = solutions.iter().enumerate().map(weight).collect();
@@ -56,8 +57,9 @@ pub fn moments_alone(
     let mut covariance = Matrix3::identity() * MIN_SD_MM * MIN_SD_MM;
     for (w, s) in each() {
         let off = s.point_mm - mean;
-        let felt = s.normal * s.compliance_mm_per_nmm * noise_nmm;
-        covariance += (off * off.transpose() + felt * felt.transpose()) * *w;
+        // Noise of the moments moves the point along the force by the compliance |dp.n/dm|.
+        let by_noise = s.normal * s.compliance_mm_per_nmm * noise_nmm;
+        covariance += (off * off.transpose() + by_noise * by_noise.transpose()) * *w;
     }
     let normal = normal.try_normalize(1e-6).unwrap_or_else(Vector3::zeros);
     Prediction {
@@ -110,6 +112,7 @@ pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {
     let lengths = lengths(nodes);
     let mut order: Vec<usize> = (0..on_wire).collect();
     order.sort_by(|a, b| (mass[*b] / lengths[*b]).total_cmp(&(mass[*a] / lengths[*a])));
+    // Highest density: nodes in order of mass per length until the region has its mass.
     let (mut inside, mut sum) = (vec![false; on_wire], 0.0);
     for k in order {
         if sum >= REGION {

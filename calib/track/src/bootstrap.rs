@@ -12,14 +12,14 @@ const RESAMPLES: usize = 2000;
 /// Which error.
 pub type ErrorOf = fn(&SweepSums) -> SquareSum;
 
-/// 95 % interval of the RMSE over one object, mm: its sweeps are drawn again; none with fewer than two.
+/// 95 % interval of the RMSE over one object, mm: its sweeps are resampled; none with fewer than two.
 #[must_use]
 pub fn object_interval95(sweeps: &[SweepSums], of: ErrorOf) -> Option<[f64; 2]> {
     let n = sweeps.len();
     interval95(n, |rng| resampled_rmse(sweeps, of, rng))
 }
 
-/// 95 % interval of the mean over objects of their RMSE, mm: whole objects are drawn again (A. C. Davison, D. V. Hinkley, "Bootstrap Methods
+/// 95 % interval of the mean over objects of their RMSE, mm: whole objects are resampled (A. C. Davison, D. V. Hinkley, "Bootstrap Methods
 /// and their Application", 3.8); of one object its sweeps.
 #[must_use]
 pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
@@ -31,11 +31,11 @@ pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     interval95(n, |rng| redrawn(n, rng).map(|k| each[k]).sum::<f64>() / n as f64)
 }
 
-/// 95 % interval of the largest RMSE of these objects, mm: sweeps are drawn again within each.
+/// 95 % interval of the largest RMSE of these objects, mm: sweeps are resampled within each.
 #[must_use]
 pub fn worst_interval95(rows: &[&ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
-    let least = rows.iter().map(|r| r.sweeps.len()).min()?;
-    interval95(least, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
+    let smallest = rows.iter().map(|r| r.sweeps.len()).min()?;
+    interval95(smallest, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))
 }
 
 fn rmse_of(sweeps: &[SweepSums], of: ErrorOf) -> f64 {
@@ -46,7 +46,7 @@ fn resampled_rmse(sweeps: &[SweepSums], of: ErrorOf, rng: &mut ChaCha8Rng) -> f6
     redrawn(sweeps.len(), rng).map(|k| of(&sweeps[k])).fold(SquareSum::default(), SquareSum::plus).rmse_mm()
 }
 
-/// Of a statistic of `units` units that are drawn again.
+/// Of a statistic of `units` resampled units.
 fn interval95(units: usize, draw: impl Fn(&mut ChaCha8Rng) -> f64) -> Option<[f64; 2]> {
     (units > 1).then(|| expanded_interval95(replicates(RESAMPLES, units as u64, draw), units))?
 }

@@ -1,4 +1,4 @@
-//! Spread by class of object: what one touches is often known (tools, food, ...), and how well the stated spread holds differs by it.
+//! Spread by class of object: the class is often known (tools, food, ...), and the calibration of the stated spread differs by class.
 //!
 //! A class's factor is shrunk toward the common one in the logarithm: `log f = (n log f_own + n0 log f_common) / (n + n0)`, n the class's
 //! held-out objects, n0 = 2 (as an empirical Bayes estimate with a prior worth n0 objects: B. Efron, C. Morris, JASA 70 (1975) 311).
@@ -23,11 +23,11 @@ pub struct ClassSpread {
     pub sd_factors: [f64; 2],
 }
 
-/// Objects that the factor of all classes together counts for: a class with as many of its own stands half way between.
+/// Weight of the common factor, in objects: a class with this many objects has the geometric mean of both factors.
 const PRIOR_OBJECTS: f64 = 2.0;
 
 /// Factors by class from the regions of held-out series (base's speed not known, and known): logarithms of a class's own factor and of the
-/// common one, contact_evidence by numbers of objects.
+/// common one, weighted by numbers of objects.
 #[must_use]
 pub fn spread_by_class(
     regions: &[Vec<(String, EstimateError)>; 2],

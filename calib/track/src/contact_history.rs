@@ -1,4 +1,4 @@
-//! What is made of all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
+//! Results over all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
 
 use crate::network::Prediction;
 use crate::segments::SegmentFinder;
@@ -10,13 +10,13 @@ use serde_json::{Value, json};
 /// Contacts of this probability and more are points of the surface.
 const TOUCHED: f32 = 0.9;
 
-/// What is made of the rows of one whisker.
+/// Results over the rows of one whisker.
 #[derive(Debug, Default)]
 pub struct ContactHistory {
     segments: SegmentFinder,
     cloud: Vec<CloudPoint>,
     last_s: Option<f64>,
-    /// Way of the base along its +z since the first row by its speed, mm.
+    /// Travel of the base along its +z since the first row by its speed, mm.
     way_mm: f64,
     posed: bool,
 }
@@ -28,7 +28,7 @@ impl ContactHistory {
         Self { segments: SegmentFinder::new(whisker), ..Self::default() }
     }
 
-    /// Takes a row and gives the segment that it belongs to.
+    /// Takes a row and returns the number of its segment.
     pub fn row(
         &mut self,
         t_s: f64,
@@ -63,7 +63,7 @@ impl ContactHistory {
         self.segments.push(t_s, f64::from(p.contact), point_mm, covariance, step_mm)
     }
 
-    /// Probable contacts where the way of the base is known, in the frame that it moves in, mm.
+    /// Probable contacts where the motion of the base is known, in the frame in which it moves, mm.
     #[must_use]
     pub fn contacts_mm(&self) -> Vec<Vector3<f64>> {
         self.cloud.iter().map(|c| c.point_mm).collect()

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-/// What went wrong on the way from sweeps to tracks.
+/// Errors from sweeps to tracks.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
     /// A sweep dataset or an object.

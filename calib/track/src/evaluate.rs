@@ -1,4 +1,4 @@
-//! Trackers over series: the network and the baselines beside it, object by object. All of it is SIMULATED.
+//! Trackers over series: the network and the baselines, object by object. All of it is SIMULATED.
 
 use crate::error::TrackError;
 use crate::filter::{BayesFilter, BayesSettings, FilterBank};
@@ -120,9 +120,9 @@ fn static_point(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64
 pub struct ObjectScores {
     /// Object.
     pub name: String,
-    /// All instants with contact.
+    /// All samples with contact.
     pub all: Scores,
-    /// Those at least `SETTLING_MM` of the base's way after an onset, jump or slip.
+    /// Those at least `SETTLING_MM` of the base's travel after an onset, jump or slip.
     pub followed: Scores,
     /// Contact or not.
     pub detection: Detection,
@@ -131,13 +131,13 @@ pub struct ObjectScores {
     pub sweeps: Vec<SweepSums>,
 }
 
-/// Way of the base after which a new contact can have been told by its motion, mm.
+/// Travel of the base after which the motion can have determined a new contact, mm.
 pub const SETTLING_MM: f64 = 2.0;
 
-/// Contact or not, at every instant: called and true.
+/// Contact or not, at every sample: called and true.
 pub type Calls = Vec<(bool, bool)>;
 
-/// Estimates of a series beside the truth: where there is contact, and whether it has been followed for a while.
+/// Errors of a series' estimates where there is contact, and whether the contact has been tracked for a while.
 #[must_use]
 pub fn compare_with_truth(
     series: &SweepSeries,
@@ -155,17 +155,17 @@ pub fn compare_with_truth(
             before = None;
             continue;
         };
-        let way = before.map_or(Vector3::zeros(), |b| truth.point_mm - b);
+        let path = before.map_or(Vector3::zeros(), |b| truth.point_mm - b);
         before = Some(truth.point_mm);
         let surface_mm = series.surface_distance_mm(mesh, now.travel_mm, &estimate.point_mm);
         let off = estimate.point_mm - truth.point_mm;
-        let one = EstimateError::new(surface_mm, off, &way, estimate.covariance_mm2.as_ref());
+        let one = EstimateError::new(surface_mm, off, &path, estimate.covariance_mm2.as_ref());
         pairs.push((one, now.travel_mm - since_mm >= SETTLING_MM));
     }
     (pairs, calls)
 }
 
-/// The network's places and stated spreads beside the truth, where there is contact, with the object's name.
+/// Errors of the network's places with their stated spreads where there is contact, with the object's name.
 #[must_use]
 pub fn held_out_regions(
     tracker: &Tracker,
@@ -176,7 +176,7 @@ pub fn held_out_regions(
     all.collect()
 }
 
-/// The same over one series, the filters told of other noise.
+/// The same over one series, with other filters (measurement noise).
 #[must_use]
 pub fn regions(
     tracker: &Tracker,

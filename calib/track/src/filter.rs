@@ -15,7 +15,7 @@
 //!
 //! `p_k`, `n_k`: point and direction of the force that explain the moments m at node k (`StaticInverse`). Along its normal the touched point
 //! moves as the object does, and Coulomb friction leans the force against the slip across the wire by `d = mu / sqrt(1 + mu^2)`. At first
-//! contact the wire cannot have bent further than the base went. Friction along the wire, a bending object and several contacts are outside
+//! contact the deflection is at most the base's travel. Friction along the wire, a bending object and several contacts are outside
 //! the model. Offsets and velocities within a node are Gaussian and merged by their moments (`GridCell`).
 //!
 //! Sources: R. S. Bucy, K. D. Senne, "Digital synthesis of non-linear filters", Automatica 7 (1971) 287; D. Alspach, H. Sorenson, "Nonlinear
@@ -32,7 +32,7 @@ use nalgebra::{Matrix3, Vector3};
 pub use settings::{BayesSettings, FilterBank};
 use transition::TransitionModel;
 
-/// Where the contact is believed to be.
+/// Posterior of the contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Belief {
     /// Posterior mean, base frame, mm.
@@ -82,7 +82,7 @@ impl<'a> BayesFilter<'a> {
         let nodes = self.inverse.nodes.len();
         let mut sum = vec![0.0; if self.weights.is_empty() { 0 } else { nodes }];
         for (k, cell) in self.weights.iter().flat_map(|row| row.iter().enumerate()) {
-            // A place between two nodes is shared out among them by linear interpolation, which keeps the mean.
+            // A place between two nodes is split between them by linear interpolation, which conserves the mean.
             let neighbour = if cell.offset < 0.0 { k.checked_sub(1) } else { Some(k + 1) };
             let share = match neighbour {
                 Some(neighbour) if neighbour < nodes => {
@@ -164,7 +164,7 @@ impl<'a> BayesFilter<'a> {
         std::mem::swap(&mut self.before, &mut self.now);
         let size = moment_nmm[0].hypot(moment_nmm[1]);
         if size < self.settings.onset_nmm {
-            // What is left of a free wire's moments has no direction: the solutions must not depend on any.
+            // A free wire's moments are noise without a direction: the solutions must not depend on it.
             solutions(FREE_NMM, &mut self.now);
             self.weights.clear();
             self.log_evidence = 0.0;
@@ -180,10 +180,10 @@ impl<'a> BayesFilter<'a> {
         let predicted =
             self.weights.len() == frictions * speeds.len() && self.predict(dt_s, &speeds, travel_sd_mm);
         if !predicted {
-            // First contact, or nothing explains the sample: the posterior starts again from the prior.
+            // First contact, or no transition explains the sample: the posterior is reset to the prior.
             let loaded_before = !self.weights.is_empty() || self.before.is_empty();
             if !loaded_before {
-                // The wire at rest, in the direction of the moments of now.
+                // The wire at rest: the limit of small moments in the present direction.
                 self.inverse.solutions(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
             }
             let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
@@ -201,7 +201,7 @@ impl<'a> BayesFilter<'a> {
         (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect()
     }
 
-    /// Prediction and update of all rows; whether anything is left that explains the sample.
+    /// Prediction and update of all rows; false where no transition explains the sample.
     fn predict(&mut self, dt_s: f64, speeds: &[f64], travel_sd_mm: f64) -> bool {
         let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
         let total = self.total();
@@ -210,6 +210,7 @@ impl<'a> BayesFilter<'a> {
             .zip(&self.weights)
             .map(|((friction, speed), row)| model.predict(row, total, [speed * dt_s, travel_sd_mm], friction))
             .collect();
+        // Random walk of the speed; a quarter to each neighbour at most, so that a row keeps half.
         let share = (self.settings.speed_change_per_s * dt_s).min(0.25);
         next.chunks_mut(speeds.len()).for_each(|rows| diffuse_speeds(rows, share));
         self.weights = next;
@@ -242,6 +243,7 @@ impl<'a> BayesFilter<'a> {
             point += c.point_mm * (w / total);
             arclength += s.arclength_mm * w / total;
         }
+        // C = sum w (p_k - p)(p_k - p)^T + var_c I.
         let mut covariance = Matrix3::identity() * self.settings.constraint_sd_mm.powi(2);
         for (w, c) in posterior.iter().zip(&self.now) {
             let off = c.point_mm - point;
@@ -251,7 +253,7 @@ impl<'a> BayesFilter<'a> {
     }
 }
 
-/// Moment of a wire that is as good as at rest, N mm.
+/// Moment of a wire practically at rest, N mm.
 const REST_NMM: f64 = 1e-5;
 /// Moments (y, z) that stand for none: those of a push against the base's travel.
 const FREE_NMM: [f64; 2] = [REST_NMM, 0.0];

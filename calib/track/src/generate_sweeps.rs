@@ -12,7 +12,7 @@ use wcal_sim::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
 /// What to simulate.
 #[derive(Debug, Clone)]
 pub struct SweepRequest<'a> {
-    /// Whisker that is dragged along.
+    /// Whisker.
     pub whisker: &'a WhiskerSpec,
     /// Speeds, physics and rate.
     pub plan: &'a SweepPlan,
@@ -25,7 +25,7 @@ pub struct SweepRequest<'a> {
 /// Upper limit of sweeps tried for each usable one.
 const MAX_TRIES: usize = 6;
 
-/// Sweep series over an object; fewer than asked for where it is hardly ever touched.
+/// Sweep series over an object; fewer than requested where the whisker rarely touches it.
 ///
 /// # Errors
 /// Where whisker or plan cannot be used.

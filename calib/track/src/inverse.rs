@@ -32,9 +32,9 @@ pub struct InverseGrid {
     pub first_mm: f64,
     /// See `first_mm`.
     pub step_mm: f64,
-    /// Nodes for each one at which the rod is broyden; those between are interpolated.
+    /// Nodes for each one at which the rod is solved; those between are interpolated.
     pub refine: usize,
-    /// Leans of the force at the tip: parts of the way from square to the wire to straight at the root, less the last one.
+    /// Tilts of the force at the tip: equal steps from perpendicular to the wire to straight at the root, without the last one.
     #[serde(alias = "leans")]
     pub tilts: usize,
     /// Directions of the moment around the root.
@@ -64,7 +64,7 @@ impl Default for InverseGrid {
 }
 
 impl InverseGrid {
-    /// A table that is there in a quarter of the time: 19 of 20 places are within
+    /// A table that is built in a quarter of the time: 19 of 20 places are within
     /// 0.08 mm of the default's (tests of `arc`), enough for regions of millimetres.
     #[must_use]
     pub fn coarse() -> Self {
@@ -83,7 +83,7 @@ pub struct InverseSolution {
     pub compliance_mm_per_nmm: f64,
     /// Derivative of the force's direction by the moments (norm over both), rad/(N mm).
     pub turn_rad_per_nmm: f64,
-    /// Whether the moments can come from this arc length at all; where not, the last moments on the way that can are meant.
+    /// Whether a force at this arc length can give the moments; where not, the solution is that of the largest moments that it can give.
     pub reachable: bool,
 }
 
@@ -92,7 +92,7 @@ pub struct InverseSolution {
 pub struct Node {
     /// Arc length, mm.
     pub arclength_mm: f64,
-    /// Lean of the force: 0 square to the wire, toward 1 straight at the root; 0 but at the tip.
+    /// Tilt of the force: 0 perpendicular to the wire, toward 1 straight at the root; nonzero at the tip only.
     pub tilt: f64,
 }
 
@@ -171,6 +171,7 @@ impl StaticInverse {
     /// Candidates at every node for transverse moments (N mm), written over `out`.
     pub fn solutions(&self, moment_nmm: [f64; 2], out: &mut Vec<InverseSolution>) {
         let [y, z] = moment_nmm;
+        // dp/dm and dn/dm by forward differences in each moment component.
         let here = self.stencil(moment_nmm);
         let displaced = [self.stencil([y + MOMENT_STEP_NMM, z]), self.stencil([y, z + MOMENT_STEP_NMM])];
         out.clear();
@@ -192,8 +193,8 @@ impl StaticInverse {
         }));
     }
 
-    /// Cells around a moment, as offsets within a node, with their weights: cubic through four in each direction. Nearer to rest than the
-    /// first cells a parabola through three goes on.
+    /// Cells around a moment, as offsets within a node, with their weights: cubic through four in each direction; at the ends of the
+    /// moments' range the parabola through three.
     fn stencil(&self, moment_nmm: [f64; 2]) -> Stencil {
         let g = &self.grid;
         let (size, angle) = (moment_nmm[0].hypot(moment_nmm[1]), moment_nmm[1].atan2(moment_nmm[0]));
@@ -201,7 +202,7 @@ impl StaticInverse {
         let around = angle.rem_euclid(TAU) / TAU * g.directions as f64;
         let (m, d) = (along as usize, around as usize);
         let (mut by_m, by_d) = (cubic(along - m as f64), cubic(around - d as f64));
-        // A fourth cell that the table lacks is the parabola's through the other three.
+        // A fourth cell outside the table has the value of the parabola through the other three.
         let first = if m == 0 {
             by_m = [by_m[1] + 3.0 * by_m[0], by_m[2] - 3.0 * by_m[0], by_m[3] + by_m[0], 0.0];
             0
@@ -233,7 +234,7 @@ impl StaticInverse {
         let mut add = |(at, weight): &(usize, f64)| {
             sum.iter_mut().zip(&cells[*at].0).for_each(|(a, b)| *a += weight * f64::from(*b));
         };
-        // Next to what cannot be reached the four innermost will do.
+        // Next to unreachable cells bilinear interpolation through the four innermost.
         if stencil.cells.iter().all(|(at, weight)| *weight == 0.0 || cells[*at].1) {
             stencil.cells.iter().for_each(&mut add);
             (sum, true)
@@ -277,7 +278,7 @@ fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGr
             arclength_mm: mix(a.arclength_mm, b.arclength_mm, u),
             tilt: mix(a.tilt, b.tilt, u),
         });
-        // Cubic along the wire and along the tilts, not past the end where both meet.
+        // Cubic along the wire and along the tilts, linear next to the tip, where the curve has a corner.
         let whole = from > 0
             && to + 1 < nodes.len()
             && (from < first_tip) == (from - 1 < first_tip)

@@ -1,4 +1,4 @@
-//! Answers beside the groove of a calibration, whose place is known at each of its readings.
+//! Answers compared with the groove of a calibration, whose place is known at each of its readings.
 //!
 //! A reading at which the stage stood takes the last answer before it, a moving one the nearest in time; with h of n readings in their 90 %
 //! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
@@ -10,9 +10,9 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
 
-/// An answer this long before or after a reading is none of it, s.
-const APART_S: f64 = 0.3;
-/// Share of the readings that the stated regions are to hold, and chance below which fewer is no accident.
+/// Longest interval between a reading and the answer that it is compared with, s.
+const MAX_INTERVAL_S: f64 = 0.3;
+/// Stated coverage of the regions, and level of significance of the test against it.
 const STATED: f64 = 0.9;
 const LEVEL: f64 = 0.01;
 
@@ -54,7 +54,7 @@ struct Answer {
     contact: f64,
 }
 
-/// Known places beside what was answered.
+/// Known places compared with the answers.
 #[derive(Debug, Clone)]
 pub struct KnownGroove {
     places: Vec<KnownPlace>,
@@ -80,7 +80,7 @@ impl KnownGroove {
         let normal = Vector3::from(answer.normal.map(f64::from));
         let now = Answer {
             t_s,
-            // The contact lies on the object; the groove's place is that of the wire's axis.
+            // The contact is on the object's surface; the groove's place is that of the wire's axis.
             axis_mm: Vector3::from(answer.point_mm.map(f64::from)) + normal * self.radius_mm,
             covariance_mm2: Matrix3::from_fn(|i, j| f64::from(answer.covariance_mm2[i][j])),
             contact: f64::from(answer.contact),
@@ -92,13 +92,13 @@ impl KnownGroove {
                 Some(last) => last,
                 None => now,
             };
-            if (chosen.t_s - place.t_s).abs() <= APART_S {
+            if (chosen.t_s - place.t_s).abs() <= MAX_INTERVAL_S {
                 let off_mm = chosen.axis_mm - place.groove_mm;
-                let way = Vector3::zeros();
+                let path = Vector3::zeros();
                 self.compared.push(EstimateError::new(
                     off_mm.norm(),
                     off_mm,
-                    &way,
+                    &path,
                     Some(&chosen.covariance_mm2),
                 ));
                 self.unseen += usize::from(chosen.contact < 0.5);

@@ -1,4 +1,4 @@
-//! Contact points beside the mesh of the object that was touched.
+//! Distances of contact points from the mesh of the touched object.
 //!
 //! Where the mesh lies in the frame of the points (x = R p + t) is either known, or taken from the points themselves: R and t minimise
 //! `sum_i |x_i - c(x_i)|^2`, c the mesh's closest point, by iterated closest points from the 24 turns by right angles
@@ -17,7 +17,7 @@ const ROUNDS: [usize; 2] = [8, 80];
 const SETTLED: f64 = 1e-6;
 /// Fewer points place no mesh.
 const MIN_POINTS: usize = 6;
-/// Beyond this a point is nowhere near the mesh, mm.
+/// Points farther than this from the mesh have no closest point, mm.
 const MAX_DISTANCE_MM: f64 = 1e4;
 
 /// Distances of contact points to the mesh.
@@ -35,7 +35,7 @@ pub struct MeshScore {
     pub placed_by_points: bool,
 }
 
-/// Closest point of the mesh; the point itself where it is nowhere near.
+/// Closest point of the mesh; the point itself beyond that distance.
 fn closest(mesh: &Mesh, p: &Vector3<f64>) -> (f64, Vector3<f64>) {
     mesh.closest_point(p, MAX_DISTANCE_MM)
         .map_or((MAX_DISTANCE_MM, *p), |n| (n.distance_mm.abs(), n.point_mm))

@@ -57,7 +57,7 @@ pub struct Card {
     pub objects: Split,
     /// SHA-256 of what each object's sweeps follow from.
     pub data: BTreeMap<String, String>,
-    /// The same of each folder of other sweeps (friction, weight, ...) that were trained on beside them.
+    /// The same of each folder of other sweeps (friction, weight, ...) that were trained on as well.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub data_beside: Vec<BTreeMap<String, String>>,
     /// SHA-256 of the weights that the training began with.
@@ -134,7 +134,7 @@ pub struct Split {
     pub training: Vec<String>,
     /// Early stop and spread.
     pub held_out: Vec<String>,
-    /// Never looked at in training.
+    /// Not used in training.
     pub unseen: Vec<String>,
 }
 

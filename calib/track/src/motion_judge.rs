@@ -1,10 +1,10 @@
-//! What an answer of the network rests on. It was trained on one motion, and two moments cannot show that another one is not that: presses
-//! and sweeps give the same moments (tests/untrained.rs). So a contact stands on one of three grounds:
+//! Status of an answer of the network. It was trained on one motion, and two moments cannot exclude another one: presses and sweeps give
+//! the same moments (tests/untrained.rs). So a contact has one of three statuses:
 //!
 //! | motion | status | point | regions |
 //! |---|---|---|---|
 //! | known or vouched for, and one of training | `ok` | network's | network's |
-//! | not known, nothing speaks against training | `motion-assumed` | network's | of the mixture of both others (`arc::any_motion`) |
+//! | not known, no evidence against training | `motion-assumed` | network's | of the mixture of both others (`arc::any_motion`) |
 //! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::moments_alone`) |
 
 use crate::arc::{any_motion, arclength_regions, moments_alone};
@@ -47,7 +47,7 @@ pub struct JudgedRow {
 #[derive(Debug, Clone)]
 pub struct MotionJudge {
     check: MotionCheck,
-    /// Whether somebody vouches for a motion as in training where it is not known.
+    /// Whether the user vouches for a motion as in training where it is not known.
     vouched: bool,
     untrained: BTreeMap<&'static str, u64>,
     assumed: u64,

@@ -85,7 +85,7 @@ impl<'a> RowTracker<'a> {
         }
     }
 
-    /// What happens from here on does not follow from what was: filters, network and judge start anew.
+    /// Forgets the past: filters, network and judge are reset.
     pub fn restart(&mut self) {
         self.stream = self.tracker.stream_with(self.filters);
         self.motion.restart();

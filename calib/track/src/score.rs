@@ -17,7 +17,7 @@ use serde::Serialize;
 /// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
 pub const CHI2_90: f64 = 6.251_388_631_170_32;
 
-/// One estimate beside the truth.
+/// One estimate compared with the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EstimateError {
     /// Distance of the estimate to the object's surface, mm.
@@ -28,7 +28,7 @@ pub struct EstimateError {
     pub mahalanobis2: Option<f64>,
     /// Root of the stated covariance's trace, mm.
     pub stated_spread_mm: Option<f64>,
-    /// Part of the error along the contact's way over the sample, mm (0 where it did not move).
+    /// Part of the error along the contact's path over the sample, mm (0 where it did not move).
     pub along_mm: f64,
 }
 
@@ -44,11 +44,12 @@ impl EstimateError {
     pub fn new(
         surface_mm: f64,
         error_mm: Vector3<f64>,
-        way: &Vector3<f64>,
+        path: &Vector3<f64>,
         covariance: Option<&Matrix3<f64>>,
     ) -> Self {
+        // (p - c)^T C^-1 (p - c); a covariance that is not positive definite states nothing.
         let mahalanobis2 = covariance.and_then(|c| c.cholesky()).map(|c| error_mm.dot(&c.solve(&error_mm)));
-        let along_mm = way.try_normalize(1e-9).map_or(0.0, |w| w.dot(&error_mm));
+        let along_mm = path.try_normalize(1e-9).map_or(0.0, |w| w.dot(&error_mm));
         let stated_spread_mm = covariance.map(|c| c.trace().max(0.0).sqrt());
         Self { surface_mm, error_mm, mahalanobis2, stated_spread_mm, along_mm }
     }
@@ -80,20 +81,20 @@ impl SquareSum {
 /// Errors over one sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SweepSums {
-    /// To the surface, to the true contact, and along its way.
+    /// To the surface, to the true contact, and along its path.
     pub surface: SquareSum,
     /// See `surface`.
     pub contact: SquareSum,
     /// See `surface`.
     pub along: SquareSum,
-    /// ErrorOf instants that were followed for a while: to the surface, and to the true contact.
+    /// The same over samples whose contact has been tracked for a while: to the surface, and to the true contact.
     pub followed_surface: SquareSum,
     /// See `followed_surface`.
     pub followed_contact: SquareSum,
 }
 
 impl SweepSums {
-    /// ErrorOf the estimates of a sweep; `true`: followed for a while.
+    /// Of the estimates of a sweep; `true`: tracked for a while.
     #[must_use]
     pub fn of(pairs: &[(EstimateError, bool)]) -> Self {
         let all = |value: fn(&EstimateError) -> f64| SquareSum::of(pairs.iter().map(|p| value(&p.0)));
@@ -125,7 +126,7 @@ pub struct Scores {
     pub true_contact_rmse_mm: f64,
     /// Median distance to the true contact, mm.
     pub true_contact_median_mm: f64,
-    /// RMSE along the contact's way, mm.
+    /// RMSE along the contact's path, mm.
     pub along_track_mm: f64,
     /// Share of true contacts in the stated 90 % region.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -170,6 +171,7 @@ pub fn calibrating_factor(all: &[EstimateError]) -> f64 {
         return 1.0;
     }
     stated.sort_by(f64::total_cmp);
+    // The (n + 1) in the rank makes the coverage hold for finite n: the next estimate is exchangeable with these.
     let rank = ((stated.len() + 1) as f64 * 0.9).ceil() as usize;
     (stated[rank.clamp(1, stated.len()) - 1] / CHI2_90).sqrt()
 }

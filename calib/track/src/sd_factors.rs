@@ -83,7 +83,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Estimates: some sure and twice as good as they say, the others lost and twice as bad; widened by what `factor` says of the spread.
+    /// Estimates: some sure with half the stated error, the others lost with twice the stated error; widened by the `factor` of their spread.
     fn drawn(sure: usize, lost: usize, seed: u64, factor: &SdFactors) -> Vec<EstimateError> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let mut normal =

@@ -1,4 +1,12 @@
-//! Contact intervals: from touch to release, split where the contact is somewhere else all at once.
+//! Contact intervals: from touch to release, split where the contact jumps.
+//!
+//! ```text
+//! begin   P(contact) >= 0.6,   end   P(contact) < 0.4                          hysteresis: noise near one limit splits nothing
+//! jump    |p_t - p_{t-1} + z e_z| > |z| + 3 mm  and  > 3 sqrt(tr C_t + tr C_{t-1})
+//! ```
+//!
+//! p, C: contact with covariance in the base frame; z: travel of the base along its +z since the row before. On one rigid body at rest a
+//! contact slides about as far as the base travels.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -6,7 +14,7 @@ use serde::Serialize;
 /// Probability at which a segment begins, and below which it ends.
 const START_PROBABILITY: f64 = 0.6;
 const END_PROBABILITY: f64 = 0.4;
-/// A contact that moved farther than this beyond the base's way, mm, and beyond so many standard deviations of both ends, is another one.
+/// A contact that moved this much farther than the base's travel, mm, and by this many standard deviations of both ends, is another one.
 const JUMP_MM: f64 = 3.0;
 const JUMP_SDS: f64 = 3.0;
 
@@ -16,9 +24,9 @@ const JUMP_SDS: f64 = 3.0;
 pub enum SegmentBoundary {
     /// The recording begins or ends.
     Recording,
-    /// Free before, touched from here on; touched, free from here on.
+    /// From free to contact, or from contact to free.
     Touch,
-    /// The contact is elsewhere at once.
+    /// The contact jumps.
     Jump,
     /// Readings are missing.
     Gap,
@@ -64,8 +72,8 @@ impl SegmentFinder {
         Self { whisker: whisker.to_owned(), ..Self::default() }
     }
 
-    /// Takes a row: time (s), probability of contact, contact (base frame, mm) with covariance, and the base's way along its +z since the row
-    /// before, mm. Gives the number of the segment that it belongs to.
+    /// Takes a row: time (s), probability of contact, contact (base frame, mm) with covariance, and the base's travel along its +z since the row
+    /// before, mm. Returns the number of the row's segment.
     pub fn push(
         &mut self,
         t_s: f64,
@@ -79,7 +87,7 @@ impl SegmentFinder {
                 self.close(SegmentBoundary::Touch);
                 return None;
             }
-            // The object goes back as the base goes on.
+            // In the base frame the object moves by -z: the path on the object is the difference plus z e_z.
             let moved = (point_mm - last + Vector3::z() * base_way_mm).norm();
             let sd = (covariance_mm2.trace() + spread.trace()).sqrt();
             if moved > base_way_mm.abs() + JUMP_MM && moved > JUMP_SDS * sd {
@@ -125,7 +133,7 @@ impl SegmentFinder {
         self.next = Some(ends);
     }
 
-    /// All segments; one that is under way ends with the recording.
+    /// All segments; an open one ends with the recording.
     #[must_use]
     pub fn all(&self) -> Vec<Segment> {
         self.done.iter().cloned().chain(self.open.iter().map(|o| o.0.clone())).collect()

@@ -41,11 +41,11 @@ pub struct SurfaceSettings {
     pub thinning_mm: f64,
     /// Largest number of contacts.
     pub max_contacts: usize,
-    /// Length over which the surface bends, mm.
+    /// Correlation length of the surface, mm.
     pub length_mm: f64,
     /// Distance in front of a contact and behind it at which the process is given its value, mm.
     pub offset_mm: f64,
-    /// Size of the mesh's cells, mm, and how far from a contact it goes, mm.
+    /// Size of the mesh's cells, mm, and its extent around a contact, mm.
     pub cell_mm: f64,
     /// See `cell_mm`.
     pub reach_mm: f64,
@@ -67,7 +67,7 @@ impl Default for SurfaceSettings {
 
 /// Standard deviation that every contact has at least, mm.
 const MIN_SD_MM: f64 = 0.05;
-/// Standard deviation of the value at an offset point, mm: the surface turns and bends.
+/// Standard deviation of the value at an offset point, mm: the normal is uncertain and the surface curved.
 const OFFSET_SD_MM: f64 = 0.3;
 /// Standard deviation of the signed distance where nothing is known, mm.
 const PRIOR_SD_MM: f64 = 20.0;
@@ -90,6 +90,7 @@ impl ImplicitSurface {
             [(0.0, 0.0), (settings.offset_mm, OFFSET_SD_MM), (-settings.offset_mm, OFFSET_SD_MM)];
         let mut places = Vec::new();
         let (mut values, mut variances) = (Vec::new(), Vec::new());
+        // Three constraints a contact: d = 0 on the surface and d = h on both sides, as zeros alone do not determine inside and outside.
         for c in &contacts {
             for (off_mm, sd_mm) in constraints {
                 places.push(c.point_mm + c.normal * off_mm);
@@ -110,7 +111,7 @@ impl ImplicitSurface {
         Some(Self { settings, contacts, places, process })
     }
 
-    /// Contacts that it goes through.
+    /// Contacts that constrain it.
     #[must_use]
     pub fn contacts(&self) -> &[CloudPoint] {
         &self.contacts

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::{Mesh, read};
 
-/// The contact nearest to the base; where several count as one (`count_contacts`), the place where their forces act: their mean by what they carry.
+/// The contact nearest to the base; where several count as one (`count_contacts`), their mean weighted by the forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Point of the object, base frame, mm.
@@ -80,7 +80,7 @@ pub(crate) fn nearest_contact(touched: &[(Contact, f64)]) -> Option<Contact> {
 
 /// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
 pub(crate) const SWEEP_STEP_S: f64 = 0.1;
-/// Beyond this an estimate is nowhere near the object, mm.
+/// Estimates farther than this from the object have no nearest point, mm.
 const MAX_DISTANCE_MM: f64 = 1e4;
 /// Time at the start, without contact, that sets the zero (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
@@ -108,7 +108,7 @@ impl SweepSeries {
             .map_or(MAX_DISTANCE_MM, |n| n.distance_mm.abs())
     }
 
-    /// The surface's point nearest to a point (base frame, mm) after a travel of the base, mm; the point itself where it is nowhere near.
+    /// The surface's point nearest to a point (base frame, mm) after a travel of the base, mm; the point itself beyond that distance.
     #[must_use]
     pub fn closest_surface_point(
         &self,

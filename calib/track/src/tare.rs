@@ -1,6 +1,6 @@
 //! The zero of a recording: `m0 = mean of m(t), t - t_0 < span`, from its beginning without contact; what follows is `m(t) - m0`.
 
-/// Takes the mean moments of the first seconds off all that follow.
+/// Subtracts the mean moments of the first seconds from all that follow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tare {
     span_s: f64,
@@ -16,7 +16,7 @@ impl Tare {
         Self { span_s, begun_s: None, sum_nmm: [0.0; 2], count: 0.0 }
     }
 
-    /// Moments (N mm) less the mean of those on_pass so far in the span.
+    /// Moments (N mm) less the mean of those seen so far in the span.
     pub fn zeroed(&mut self, t_s: f64, moment_nmm: [f64; 2]) -> [f64; 2] {
         let begun_s = *self.begun_s.get_or_insert(t_s);
         if t_s - begun_s < self.span_s {

@@ -71,7 +71,7 @@ impl Tracker {
         self.stream_with(self.filters)
     }
 
-    /// A stream from its beginning whose filters are told of other noise.
+    /// A stream from its beginning with other filters (measurement noise).
     #[must_use]
     pub fn stream_with(&self, filters: FilterBank) -> TrackerStream<'_> {
         TrackerStream {
@@ -88,7 +88,7 @@ impl Tracker {
         self.track_series_with(self.filters, samples)
     }
 
-    /// The same with the filters told of other noise.
+    /// The same with other filters (measurement noise).
     #[must_use]
     pub fn track_series_with(&self, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
         let mut features = FeatureExtractor::for_network(&self.config, &self.inverse, filters);
@@ -124,6 +124,7 @@ impl Tracker {
                 normal: [0.0; 3],
             };
         }
+        // Floor e: a share of the weight that the filters cannot rule out, spread uniformly over the K nodes.
         let floor = (out[k + 5] + INITIAL_LOG_FLOOR).exp() / token.posterior.len() as f32;
         let factors =
             knot_weights(token.posterior.len()).into_iter().map(|(knot, u)| match out[..k].get(knot + 1) {
@@ -139,8 +140,9 @@ impl Tracker {
                 .for_each(|(b, frictionless)| *b += (frictionless - *b) * share);
         }
         let mut weights: Vec<f32> = factors.zip(&posterior).map(|(f, b)| f + (b + floor).ln()).collect();
-        let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        weights.iter_mut().for_each(|w| *w = (*w - most).exp());
+        // Softmax, the maximum subtracted against overflow.
+        let max = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        weights.iter_mut().for_each(|w| *w = (*w - max).exp());
         let total: f32 = weights.iter().sum();
         weights.iter_mut().for_each(|w| *w /= total);
         let mut mean = [0.0_f32; 3];
@@ -153,6 +155,7 @@ impl Tracker {
         }
         let size = normal.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-6);
         let normal = normal.map(|x| x / size);
+        // Second moment of the posterior on the curve, widened by the calibrated factor of its spread.
         let mut covariance = [[0.0; 3]; 3];
         for (w, p) in weights.iter().zip(&token.points_mm) {
             for i in 0..3 {
@@ -173,7 +176,7 @@ impl Tracker {
     }
 }
 
-/// Spread that the curve's nodes do not tell, mm.
+/// Standard deviation added for errors that the curve's nodes do not represent, mm.
 const MIN_SD_MM: f32 = 0.1;
 
 /// The stream of one whisker.

@@ -67,13 +67,13 @@ pub fn train(
 ) -> Result<(WhiskerNet, Vec<Pass>), TrackError> {
     let TrainingData { all_series, held_out, inverse, meshes, from } = *material;
     if all_series.is_empty() || held_out.is_empty() {
-        return Err(TrackError::value("training", "all_series to train on and to hold out", "none"));
+        return Err(TrackError::value("training", "series to train on and to hold out", "none"));
     }
     config.check_filters(&settings.filters())?;
     let learning = device.clone().autodiff();
     learning.seed(settings.seed);
     let mut net = WhiskerNet::new(config, &learning)?;
-    // What goes on from another training draws anew: the same noise again would be learnt by heart.
+    // A continued training draws from another seed: the same noise again would be memorised.
     let mut seed = settings.seed;
     if let Some(folder) = from {
         seed ^= put_weights(&mut net, folder)?;

@@ -70,8 +70,8 @@ pub fn train_model(
     let eighth = (all.len() / 8).max(1);
     let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
     let mut objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
-    let most = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
-    let sweeps_trained = (most as f64 * TRAINED) as u64;
+    let sweeps = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+    let sweeps_trained = (sweeps as f64 * TRAINED) as u64;
     let mut of = |names: &[String]| -> Vec<SweepSeries> {
         names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
     };
@@ -133,7 +133,7 @@ pub fn train_model(
         SdFactors::calibrated(&all)
     });
     let held_out_regions = [false, true].map(|known| held_out_regions(&tracker, &held_out, known));
-    // With which the 90 % regions hold on what was not trained on.
+    // With these factors the 90 % regions have their coverage on held-out sweeps.
     let sd_factors =
         held_out_regions.each_ref().map(|r| calibrating_factor(&r.iter().map(|r| r.1).collect::<Vec<_>>()));
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
@@ -163,7 +163,7 @@ pub fn train_model(
     Ok(card)
 }
 
-/// SHA-256 of the weights of a model with which a training may begin: what is kept for the evaluation must not have been trained on.
+/// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.
 fn check_start_model(
     folder: &Path,
     network: &NetworkConfig,

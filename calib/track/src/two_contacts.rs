@@ -1,8 +1,8 @@
 //! Two contacts at once, 3 mm apart or more (`SweepSample::contacts`): how well the two moments distinguish them from one, on SIMULATED
 //! sweeps.
 //!
-//! At any instant one contact explains any two moments: the curve of inverse solutions has a point for every arc length. Only the change of
-//! the moments over time speaks against one contact on a rigid body; that is the Bayes filter's evidence. The test is
+//! At any one time a single contact explains any two moments: the curve of inverse solutions has a point for every arc length. Only the change of
+//! the moments over time can rule out one contact on a rigid body: the Bayes filter's evidence. The test is
 //!
 //! ```text
 //! two contacts  <=>  log p(m_t | m_1 .. m_{t-1}, one contact) < limit,   limit = argmax F1 on other sweeps
@@ -18,7 +18,7 @@ use crate::tracker::{Sample, Tracker};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// An instant with contact.
+/// A sample with contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactEvidence {
     /// Logarithm of the filter's evidence for one contact; 0 where it had no prediction.
@@ -29,7 +29,7 @@ pub struct ContactEvidence {
     pub two: bool,
 }
 
-/// All instants with contact; the base's speed is known. `given_truth`: before each step the filter is given the true place of the contact. That bounds
+/// All samples with contact; the base's speed is known. `given_truth`: before each step the filter is given the true place of the contact. That bounds
 /// what this evidence can show; a model of two contacts might show more.
 #[must_use]
 pub fn contact_evidence<'a>(
@@ -49,6 +49,7 @@ pub fn contact_evidence<'a>(
             let two = i.contacts >= 2;
             if let Some(truth) = i.contact {
                 found.push(ContactEvidence { log_evidence: filter.log_evidence(), two_before, two });
+                // Given the truth: the posterior collapses to the node nearest to the true contact.
                 let off = |k: &usize| (filter.solutions()[*k].point_mm - truth.point_mm).norm();
                 let nearest = (0..filter.solutions().len()).min_by(|a, b| off(a).total_cmp(&off(b)));
                 if let Some(nearest) = nearest.filter(|_| given_truth) {
@@ -78,8 +79,8 @@ pub fn network_evidence<'a>(
         for (i, answer) in series.samples.iter().zip(&answers) {
             let two = i.contacts >= 2;
             if i.contact.is_some() {
-                let left = (1.0 - f64::from(answer.several)).max(1e-9);
-                found.push(ContactEvidence { log_evidence: left.ln().min(-1e-12), two_before, two });
+                let one_contact = (1.0 - f64::from(answer.several)).max(1e-9);
+                found.push(ContactEvidence { log_evidence: one_contact.ln().min(-1e-12), two_before, two });
             }
             two_before = two;
         }
@@ -93,14 +94,14 @@ pub fn network_evidence<'a>(
 pub struct GivenPreviousTruth {
     /// By the count before alone: as many as before.
     pub f1_as_before: f64,
-    /// By that and by how well one contact explains the way from the true place before.
+    /// By that and by how well one contact explains the path from the true place before.
     pub f1: f64,
 }
 
 /// Bins of the evidence, equally filled.
 const EVIDENCE_BINS: usize = 20;
 
-/// Shares of two by count before and evidence are learned on `chosen_on`, judged on `judged_on`; none without an instant in either.
+/// Shares of two by count before and evidence are learned on `chosen_on`, judged on `judged_on`; none without a sample in either.
 #[must_use]
 pub fn two_contacts_given_previous(
     chosen_on: &[ContactEvidence],
@@ -127,7 +128,7 @@ pub fn two_contacts_given_previous(
         let [one, two] = counts[bin(w)];
         two / (one + two).max(1.0)
     };
-    // The parts are called two from the one with the largest share on, down to where F1 is best.
+    // Bins are called two in order of decreasing share, down to the limit with the best F1.
     let limit = best_limit(chosen_on.iter().map(|w| (-share(w), w.two)).collect())?;
     let pairs: Vec<(bool, bool)> = judged_on.iter().map(|w| (-share(w) < limit, w.two)).collect();
     let before: Vec<(bool, bool)> = judged_on.iter().map(|w| (w.two_before, w.two)).collect();
@@ -137,7 +138,7 @@ pub fn two_contacts_given_previous(
 /// Detection of two contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TwoContacts {
-    /// Instants with contact, and the share of those with two or more.
+    /// Samples with contact, and the share of those with two or more.
     pub instants: usize,
     /// See `instants`.
     pub share: f64,
@@ -147,8 +148,8 @@ pub struct TwoContacts {
     pub detection: Detection,
     /// F1 of calling two always.
     pub f1_always: f64,
-    /// Share of the instants with two contacts that one contact explains better than it does a twentieth of those with one: there no
-    /// detector that leans on this discrepancy can tell them.
+    /// Share of the samples with two contacts whose evidence for one contact is above the 5 % quantile of samples with one: no limit on
+    /// this evidence separates these.
     pub explained_by_one: f64,
 }
 
@@ -179,6 +180,7 @@ pub fn two_contacts(chosen_on: &[ContactEvidence], judged_on: &[ContactEvidence]
 
 /// Evidence below which to call two, from evidence and whether there are two, so that F1 is best.
 fn best_limit(mut sorted: Vec<(f64, bool)>) -> Option<f64> {
+    // F1 = 2 hits / (called + true), over every limit between two distinct evidences.
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let all = sorted.iter().filter(|w| w.1).count() as f64;
     let (mut hits, mut best) = (0.0, None);

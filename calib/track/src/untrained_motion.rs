@@ -3,11 +3,11 @@
 //!
 //! `v_low <= w_z <= v_high` and `|w - w_z z| <= ASIDE w_z`.
 //!
-//! Where w is not known the moments tell two motions apart that no sweep has. What the base passes pushes the free wire against its way,
-//! toward -z, which gives M_y > 0 at the root; a first touch toward +z (M_y < 0) comes from an object that goes after the wire. (Later in a
-//! sweep the tip, which hangs below the base, may well be pulled that way.) And moments that stand still for long are those of a base that
-//! does not move. And whatever the motion, the filters foretell each row from those before (p(m_t | m_1 .. m_{t-1})): where the mean logarithm
-//! of the last rows is lower than in any sweep, the contact does something that none does.
+//! Where w is not known the moments reveal two motions that no sweep has. An object that the base passes pushes the free wire against the
+//! travel, toward -z, which gives M_y > 0 at the root; a first touch toward +z (M_y < 0) comes from an object that overtakes the wire. (Later in
+//! a sweep the tip, which hangs below the base, may be pulled in that direction.) Moments that are constant for long are those of a base that
+//! does not move. Whatever the motion, the filters predict each row from those before (p(m_t | m_1 .. m_{t-1})): where the mean logarithm of
+//! the last rows is lower than in any sweep, the motion is outside training.
 
 use crate::train::TrainSettings;
 use nalgebra::Vector3;
@@ -17,12 +17,12 @@ use std::collections::VecDeque;
 /// Probability of contact from which a row is judged, and below which the contact is over (as for `segments`).
 const START_PROBABILITY: f64 = 0.6;
 const END_PROBABILITY: f64 = 0.4;
-/// A wire that is loaded this much, and by so many standard deviations, touches something whatever the network makes of it, N mm.
+/// A wire loaded by this much, and by this many standard deviations, is in contact whatever the network states, N mm.
 const LOADED_NMM: f64 = 0.02;
 const LOADED_SDS: f64 = 5.0;
-/// Least moment whose direction says something, N mm.
+/// Smallest moment whose direction is significant, N mm.
 const DIRECTED_NMM: f64 = 0.05;
-/// Way across the base's +z, by the way along it, that is still the trained motion.
+/// Largest ratio of the velocity across the base's +z to that along it in the trained motion.
 const ASIDE: f64 = 0.2;
 /// Part of the moment that a first touch toward +z must have to be one, and time for which the wire must have been free before it, s.
 const TOWARD: f64 = 0.3;
@@ -32,7 +32,7 @@ const FREE_S: f64 = 0.5;
 const EVIDENCE_ROWS: usize = 8;
 const EVIDENCE_FLOOR: f64 = -20.0;
 const EVIDENCE_LOW: f64 = 0.0;
-/// Moments that change by less than this (N mm, and a part of them) for so long (s) stand still.
+/// Moments that change by less than this (N mm, and relative) for this long (s) are constant.
 const STILL_NMM: f64 = 0.01;
 const STILL_SHARE: f64 = 0.01;
 const STILL_S: f64 = 20.0;
@@ -43,13 +43,13 @@ const STILL_S: f64 = 20.0;
 pub enum UntrainedMotion {
     /// The base stands or creeps past what it touches.
     Hold,
-    /// What is touched goes after the wire, or the base goes back.
+    /// The object overtakes the wire, or the base moves backward.
     Against,
-    /// The base goes across its +z.
+    /// The base moves across its +z.
     Aside,
     /// Faster than any sweep.
     Fast,
-    /// The moments go on as no filter foretells.
+    /// The filters' predictions fail.
     Unforeseen,
 }
 
@@ -84,8 +84,8 @@ pub struct MotionSample {
     pub log_evidence: Option<f64>,
 }
 
-/// Judges the rows of one whisker. Once a contact has been moved as no sweep is, all of it is in doubt to its end: network and filters
-/// remember the way.
+/// Judges the rows of one whisker. An untrained motion puts a contact in doubt until its end: the state of network and filters depends
+/// on the whole path.
 #[derive(Debug, Clone)]
 pub struct MotionCheck {
     /// Speeds of the base in training, mm/s.
@@ -95,14 +95,14 @@ pub struct MotionCheck {
     /// Since when the wire has been free of load, and whether its next load is a first touch that is not judged yet.
     free_since: Option<f64>,
     first_touch: bool,
-    /// Time and moments since when they have stood still.
+    /// Start time and value of constant moments.
     still: Option<(f64, [f64; 2])>,
     /// Predictive densities of the last rows of the contact.
     evidence: VecDeque<f64>,
 }
 
 impl MotionCheck {
-    /// For a network that was trained so. Its sweeps' times were drawn out by `time_factor`.
+    /// For a network with these settings of training, whose sweeps' times were stretched by `time_factor`.
     #[must_use]
     pub fn new(training: &TrainSettings) -> Self {
         let ([low, high], [short, long]) = (training.filter.speed_mm_s, training.time_factor);
@@ -123,7 +123,7 @@ impl MotionCheck {
         self.touching
     }
 
-    /// What was touched before is not known any more.
+    /// Forgets the contact so far.
     pub fn restart(&mut self) {
         (self.touching, self.found, self.still) = (false, None, None);
         (self.free_since, self.first_touch) = (None, false);
@@ -193,7 +193,7 @@ impl MotionCheck {
         self.evidence.len() == EVIDENCE_ROWS && sum < EVIDENCE_LOW * EVIDENCE_ROWS as f64
     }
 
-    /// Whether the free wire is touched first by what goes after it: nothing that the base passes does so.
+    /// Whether the first touch of the free wire pushes it toward +z: no object that the base passes does so.
     fn touched_behind(&mut self, row: &MotionSample) -> bool {
         let [y, z] = row.moment_nmm;
         let size = y.hypot(z);

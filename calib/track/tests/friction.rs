@@ -85,7 +85,7 @@ fn a_free_wire_that_hangs_has_no_moment() {
         let counts = |c: &SweepSeries| c.samples.iter().map(|i| i.contacts).collect::<Vec<_>>();
         assert_eq!((read.sweep, counts(read)), (drawn.sweep, counts(drawn)));
     }
-    // Negative control: what the twin itself feels is the weight.
+    // Negative control: the twin's own moment is that of the weight.
     let samples = wcal_sim::read::table(&folder.path().join(first_shard(folder.path()))).unwrap();
     let [y, z] = ["moment_y_nmm", "moment_z_nmm"].map(|k| samples.real(k).unwrap()[0]);
     assert!(y.hypot(z) > 1e-3, "{y} {z}");

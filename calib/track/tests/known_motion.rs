@@ -140,7 +140,7 @@ fn contacts_are_found_at_the_bound_and_their_regions_hold() {
     }
 }
 
-/// A push, a hold, a way back, a way aside and a turn of the base, by the tracker's own rod: what the plant's stage cannot do.
+/// A push, a hold, a retraction, a lateral motion and a rotation of the base, by the tracker's own rod: what the plant's stage cannot do.
 fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let noise_nmm = 4e-3;

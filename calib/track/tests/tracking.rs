@@ -159,7 +159,7 @@ fn drawn_courses_are_those_of_a_dataset() {
     assert!(other[0].samples != kept[0].samples);
 }
 
-/// With the base's speed known the filter finds the contact; told another speed, it does not.
+/// With the base's speed known the filter finds the contact; with another speed stated, it does not.
 #[test]
 fn the_bayes_filter_follows_with_the_right_speed_only() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();

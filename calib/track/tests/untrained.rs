@@ -1,4 +1,5 @@
-//! Contacts in motions that no sweep has, and of which nothing is told: they are noticed from the moments, and their regions hold (SIMULATED).
+//! Contacts in motions that no sweep has, without any record of the motion: the moments reveal them, and their regions have the stated
+//! coverage (SIMULATED).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use burn::tensor::Device;
@@ -31,9 +32,9 @@ struct Row {
 /// Motions that no sweep has.
 #[derive(Debug, Clone, Copy)]
 enum Press {
-    /// A groove that presses the wire, holds it, goes back a way and leaves it, as in a calibration.
+    /// A groove that presses the wire, holds it, retracts partly and leaves it, as in a calibration.
     HoldAndBack,
-    /// In steps of a millimetre with pauses of a second, and back half of the way in between.
+    /// In steps of a millimetre with pauses of a second, and back by half of the depth in between.
     StepsAndReversal,
     /// Presses, then carries the wire aside.
     Aside,

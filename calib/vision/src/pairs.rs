@@ -15,7 +15,7 @@ pub struct PairFiles {
     pub right: Option<PathBuf>,
     /// Row of the session's table that the pair shows; none outside a session.
     pub point: Option<i64>,
-    /// Why the pair is not to be used, where that is known before the pictures are looked at.
+    /// Why the pair is not to be used, where that is known before the pictures are read.
     pub refused: Option<String>,
 }
 

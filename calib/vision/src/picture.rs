@@ -248,7 +248,7 @@ fn grey_values(name: &str, rgb: &[u8], colours_allowed: bool) -> Result<Vec<u8>,
     Ok(pixels.map(|p| p[1]).collect())
 }
 
-/// Decoders fill what is missing of a cut-off file with grey; the end markers tell.
+/// Decoders fill the missing part of a truncated file with grey; the end markers reveal it.
 fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
     if bytes.is_empty() {
         return Err(VisionError::content(name, "a PNG, JPEG or PNM picture", "a file of zero bytes"));

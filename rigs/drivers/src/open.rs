@@ -16,7 +16,7 @@ use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig,
 /// The drivers of this crate by their names.
 #[derive(Debug, Default)]
 pub struct Drivers {
-    /// The line of the stage where it speaks ASCII; a mount may hang on it, too.
+    /// The serial line of an ASCII stage; a mount may be connected to it, too.
     chain: Option<Rc<RefCell<Chain>>>,
 }
 

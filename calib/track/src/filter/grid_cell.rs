@@ -117,7 +117,7 @@ impl MomentSums {
             return Self::default();
         };
         let weight = (-0.5 * unexplained).exp() * inside / (TAU * precision * det).sqrt();
-        // x given y: how both go together says how far the contact went, that is its velocity.
+        // Posterior of x given y: their joint moments give the path's mean and variance, and so the velocity's.
         let before_gain = solve(l.by_before);
         let slope = -l.variance * dot(before_gain, l.by_now);
         let before = -l.variance * dot(before_gain, l.residual) + slope * offset;

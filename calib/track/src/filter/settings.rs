@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Largest number of coefficients of friction that the filter weighs against each other.
+/// Largest number of hypotheses for the coefficient of friction.
 const MAX_FRICTIONS: usize = 3;
 
-/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, where nothing else is said. The aliases are
+/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, unless stated otherwise. The aliases are
 /// the names in models of before 2026-11-25.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -20,8 +20,8 @@ pub struct BayesSettings {
     /// See `constraint_sd_mm`.
     #[serde(alias = "rule_share")]
     pub constraint_sd_share: f64,
-    /// Coefficients of friction considered, in rising order (the last one again where there are fewer), and the standard deviation of those
-    /// that each above 0 stands for.
+    /// Coefficients of friction considered, in rising order (the last one repeated where there are fewer), and the standard deviation
+    /// about each above 0.
     pub friction: [f64; MAX_FRICTIONS],
     /// See `friction`.
     pub friction_sd: f64,
@@ -39,7 +39,7 @@ pub struct BayesSettings {
     #[serde(alias = "wide_share")]
     pub outlier_sd_share: f64,
     /// Standard deviation of the path along the wire about the predicted one, mm and by the base's travel: at constant velocity, at a perturbed
-    /// one, and where the velocity is drawn anew, with the mean `reset_mean` by the base's travel.
+    /// one, and where the velocity is redrawn, with the mean `reset_mean` by the base's travel.
     #[serde(alias = "steady")]
     pub constant_velocity: [f64; 2],
     /// See `constant_velocity`.
@@ -66,7 +66,7 @@ pub struct BayesSettings {
     /// See `tip_constant_velocity`.
     #[serde(alias = "tip_changed")]
     pub tip_reset: [f64; 2],
-    /// Probability that the force at the tip turns to anywhere (an edge).
+    /// Probability that the force at the tip turns to any direction (an edge).
     #[serde(alias = "turn_any")]
     pub tip_uniform_fraction: f64,
     /// Mean turn of the force about the wire over a step: rad, and rad/mm.
@@ -114,8 +114,8 @@ pub struct BayesSettings {
 }
 
 impl BayesSettings {
-    /// For objects with friction: three coefficients are weighed against each other, and constraint and moments, which friction along the wire
-    /// disturbs, are taken for less exact. The default is a wire that slides without friction.
+    /// For objects with friction: three coefficients as hypotheses, and larger uncertainties of constraint and moments, which friction along
+    /// the wire disturbs. The default is a wire that slides without friction.
     #[must_use]
     pub fn multi_mu() -> Self {
         Self {

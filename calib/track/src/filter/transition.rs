@@ -27,20 +27,20 @@ use nalgebra::Vector3;
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
 
-/// Paths along the wire beyond so many standard deviations are left to jumps.
+/// Paths along the wire beyond this many standard deviations count as jumps.
 const MAX_PATH_SDS: f64 = 5.0;
-/// Length of the wire that a contact may jump to when it goes anywhere, mm.
+/// Length of wire over which a jump to anywhere is uniform, mm.
 const WIRE_MM: f64 = 56.0;
-/// Probability that a tip under a square force moves on to the wire, and how fast it falls with the tilt, rad.
+/// Probability that a contact of the tip under a perpendicular force moves on to the wire, and its decay with the tilt, rad.
 const TIP_TO_WIRE: f64 = 0.1;
 const TIP_TO_WIRE_TILT: f64 = 0.05;
-/// Least share of a first contact's probability where wires are hardly touched first.
+/// Floor of the density of first contacts, where wires are rarely touched first.
 const MIN_FIRST_CONTACT: f64 = 0.02;
 /// Length of wire that the tip stands for at a first contact, mm.
 const TIP_MM: f64 = 1.0;
 /// Weights below this share of all are dropped.
 const MIN_WEIGHT: f64 = 5e-5;
-/// Share of the posterior from which on a place can be jumped from.
+/// Smallest share of the posterior for which jumps are computed.
 const MIN_JUMP_WEIGHT: f64 = 1e-3;
 
 /// Inverse solutions of two samples, with their derivatives.
@@ -81,7 +81,7 @@ impl<'a> TransitionModel<'a> {
         Self { settings, inverse, before: geometry(before), now: geometry(now), first_tip }
     }
 
-    /// Prior of a first contact: as probable along the wire and round it everywhere, but no deeper than the base went since the wire was at
+    /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than the base's travel since the wire was at
     /// rest (mm; `None`: unknown).
     pub(super) fn first_contact_prior(&self, travel_mm: Option<f64>, travel_sd_mm: f64) -> Vec<GridCell> {
         let now = &self.now;
@@ -92,7 +92,7 @@ impl<'a> TransitionModel<'a> {
             if !c.reachable {
                 return GridCell::default();
             }
-            // Length of wire that the node stands for; the tip's nodes share its own by their turn.
+            // Length of wire that the node stands for; the tip's nodes share its length in proportion to the turn of the force.
             let length_mm = if j < self.first_tip {
                 pitch_mm
             } else {
@@ -101,7 +101,7 @@ impl<'a> TransitionModel<'a> {
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
             let along = MIN_FIRST_CONTACT + (-0.5 * off * off).exp();
-            // Probability that the wire is bent no further than the base went.
+            // Probability that the deflection is at most the base's travel: Phi of the distance over its standard deviation.
             let depth = travel_mm.map_or(1.0, |travel_mm| {
                 let off = c
                     .normal
@@ -150,7 +150,7 @@ impl<'a> TransitionModel<'a> {
             reach_mm: (1.0 + s.reset_mean.abs()) * travel + MAX_PATH_SDS * path_variances[2].sqrt(),
             path_sd_mm: path_variances[2].sqrt(),
         };
-        // What hardly weighs is left out: it costs as much as what does.
+        // Negligible weights are dropped: they cost as much as the others.
         let mut new = vec![MomentSums::default(); self.now.solutions.len()];
         let jump_share = (s.jump_per_mm * travel).min(0.5);
         for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
@@ -165,7 +165,7 @@ impl<'a> TransitionModel<'a> {
         both.map(|(w, c)| if c.reachable { w.cell() } else { GridCell::default() }).collect()
     }
 
-    /// To nodes that a contact jumps to: against the force, away from what held it; not far along the wire as a rule, rarely anywhere.
+    /// Jumps: against the force, away from the surface that held the wire; mostly a short path along it, rarely to anywhere.
     fn jump_density(
         &self,
         k: usize,
@@ -196,7 +196,7 @@ impl<'a> TransitionModel<'a> {
             } else {
                 to_tip * self.now.normal_slopes[j].norm() / tip_turn.max(1e-9)
             };
-            // Off the surface: the wire springs back against the force, a short or a long way; now and then the other way.
+            // Off the surface: the wire springs back against the force, mixture of a short and a long scale; rarely in its direction.
             let normal = (from.normal + c.normal).try_normalize(0.1).unwrap_or(c.normal);
             let off = normal.dot(&(c.point_mm - from.point_mm + Vector3::z() * step.travel_mm));
             let off_density = if off < 0.0 {
@@ -217,7 +217,7 @@ impl<'a> TransitionModel<'a> {
         }
     }
 
-    /// To nodes on the wire. From the tip only where its force is about square to the wire: there both meet.
+    /// To nodes on the wire. From the tip only where its force is about perpendicular to the wire: there both parts of the curve meet.
     fn wire_transition(
         &self,
         k: usize,
@@ -273,7 +273,7 @@ impl<'a> TransitionModel<'a> {
         [(mean, variances[0] + carried), (mean, variances[1] + carried), (reset_mean * travel, variances[2])]
     }
 
-    /// Adds what comes from a contact to node `j`, whose path along the curve, and its derivatives by the offset before and now, are `path`.
+    /// Adds the density of a transition from a contact to node `j`; `path`: path along the curve and its derivatives by the offsets before and now.
     #[allow(clippy::too_many_arguments)]
     fn accumulate(
         &self,
@@ -287,9 +287,9 @@ impl<'a> TransitionModel<'a> {
         new: &mut MomentSums,
     ) {
         let (s, c, pair) = (self.settings, &self.now.solutions[j], &residual.pair);
-        // What no offset in the node and about the one before can take up: beyond a few standard deviations nothing is added.
-        let taken_up = 0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
-        let left = (pair.residual[0].abs() - taken_up).max(0.0).powi(2);
+        // Part of the residual that no offset in both nodes can absorb: beyond a few standard deviations the density is negligible.
+        let absorbed = 0.5 * pair.by_now[0].abs() + 3.0 * pair.by_before[0].abs() * pair.variance.sqrt();
+        let left = (pair.residual[0].abs() - absorbed).max(0.0).powi(2);
         if left > MAX_MAHALANOBIS2 * residual.outlier_variance {
             return;
         }
@@ -321,7 +321,7 @@ impl<'a> TransitionModel<'a> {
         }
     }
 
-    /// To the tip: past the wire's end the path on the surface goes on as a turn of the force.
+    /// To the tip: past the wire's end the path on the surface continues as a turn of the force.
     fn tip_transition(
         &self,
         k: usize,
@@ -335,7 +335,7 @@ impl<'a> TransitionModel<'a> {
         }
         let nodes = &self.inverse.nodes;
         let at_tip = k >= self.first_tip;
-        // Probability to run off the end of the wire.
+        // Probability to pass the end of the wire: tail of a Laplace density.
         let past = if at_tip {
             1.0
         } else {
@@ -366,7 +366,7 @@ impl<'a> TransitionModel<'a> {
             let residual = self.constraint(from, j, step);
             let onward = weight * past * (1.0 - uniform) * pitch;
             self.accumulate(from, j, onward, step, &residual, &modes, path, new);
-            // At an edge the force turns to anywhere: the constraint alone counts.
+            // At an edge of the object the force may turn to any tilt: the constraint alone counts.
             let anywhere = MomentSums::of_first(&residual.pair);
             if anywhere.weight > 0.0 {
                 let turn = self.turn_density(from, j, step) * self.excess_slip(&residual.slip_mm, step);

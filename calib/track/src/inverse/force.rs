@@ -6,7 +6,7 @@
 //! dF = -J^-1 g(F),  |dF| <= |F| / 2,   J+ = J + (g(F + dF) - g(F) - J dF) dF^T / |dF|^2
 //! ```
 //!
-//! Source: C. G. Broyden, Mathematics of Computation 19 (1965) 577. J is made anew by central differences where the residual falls slowly.
+//! Source: C. G. Broyden, Mathematics of Computation 19 (1965) 577. J is recomputed by central differences where the residual falls slowly.
 
 use super::{InverseGrid, TableEntry};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
@@ -15,11 +15,11 @@ use wcal_rod::{DiscreteRod, PointLoad};
 
 /// Newton steps for one moment.
 const NEWTON_STEPS: usize = 24;
-/// A step with a carried derivative is taken where it leaves less than this part of the residual.
+/// A step with a carried derivative is accepted where it reduces the residual below this ratio.
 const MAX_BROYDEN_RATIO: f64 = 0.6;
-/// Agreement asked for, N mm.
+/// Tolerance of the moments, N mm.
 const TOLERANCE_NMM: f64 = 1e-7;
-/// Moment that stands for the first touch, N mm.
+/// Moment that represents first touch, N mm.
 const FIRST_NMM: f64 = 1e-4;
 
 /// Moments at the root of a cell, N mm.
@@ -29,7 +29,7 @@ pub(super) fn moment(direction: usize, step: usize, grid: &InverseGrid) -> Vecto
     Vector2::new(angle.cos(), angle.sin()) * size
 }
 
-/// What a force (N, frame of the wire at the contact) makes of the wire there.
+/// Touched point and normal under a force (N, frame of the wire at the contact).
 fn entry(rod: &DiscreteRod, arclength_mm: f64, force: &Vector3<f64>, reachable: bool) -> TableEntry {
     let push = rod.under_point_load(arclength_mm, force);
     let normal = push.force_n.normalize();
@@ -37,7 +37,7 @@ fn entry(rod: &DiscreteRod, arclength_mm: f64, force: &Vector3<f64>, reachable: 
     ([point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|x| x as f32), reachable)
 }
 
-/// Forces square to the wire at an arc length, mm, in one direction: moments from none to the largest.
+/// Forces perpendicular to the wire at an arc length, mm, in one direction: moments from none to the largest.
 pub(super) fn solve_ray(
     rod: &DiscreteRod,
     arclength_mm: f64,
@@ -45,7 +45,7 @@ pub(super) fn solve_ray(
     grid: &InverseGrid,
 ) -> Vec<(TableEntry, Option<Vector3<f64>>)> {
     let across = |f: Vector2<f64>| Vector3::new(0.0, f.x, f.y);
-    // Without a force there is a direction all the same: that of the first one.
+    // At zero force the normal is the limit of small forces.
     let mut rate = None;
     let mut force = solve_square(rod, arclength_mm, moment(direction, 0, grid), Vector2::zeros(), &mut rate);
     let mut last = force.unwrap_or(Vector2::new(1e-6, 0.0));
@@ -79,12 +79,12 @@ fn solve_square(
         let m = rod.under_point_load(arclength_mm, &Vector3::new(0.0, f.x, f.y)).moment_nmm;
         Vector2::new(m.y, m.z) - moment_nmm
     };
-    // A force that turned round on the way belongs to another branch.
+    // A force that reversed between two entries belongs to another branch.
     broyden(off, start, rate).filter(|force| first || force.dot(&start) > 0.0)
 }
 
 /// Zero of a function of a force, N mm. Its derivative `rate` is carried from one solution to the next by Broyden's update (1965, Math.
-/// Comp. 19:577) and made anew by differences where the residual does not fall fast.
+/// Comp. 19:577) and recomputed by central differences where the residual falls slowly.
 fn broyden<const N: usize>(
     off: impl Fn(&SVector<f64, N>) -> SVector<f64, N>,
     start: SVector<f64, N>,
@@ -106,8 +106,8 @@ fn broyden<const N: usize>(
         let carried = rate.take();
         let slope = carried.unwrap_or_else(|| by_differences(&force));
         let step = -slope.try_inverse()? * value;
-        let most = 0.5 * force.norm();
-        let step = if step.norm() > most { step * (most / step.norm()) } else { step };
+        let largest = 0.5 * force.norm();
+        let step = if step.norm() > largest { step * (largest / step.norm()) } else { step };
         let next = off(&(force + step));
         let fast = next.norm() < MAX_BROYDEN_RATIO * value.norm();
         if fast {

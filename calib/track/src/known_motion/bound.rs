@@ -1,4 +1,12 @@
-//! The smallest covariance that an estimate of the contact can have.
+//! The smallest covariance that an estimate of the contact can have: the Bayesian Cramer-Rao bound.
+//!
+//! ```text
+//! E[(P^ - P)(P^ - P)^T] >= T J^-1 T^T,   T = dP/dtheta,   theta = (s, x, g)
+//! J = G^T S^-1 G + diag(12 / L_s^2, 12 / L_x^2, 1 / s_g^2),   G = dm/dtheta
+//! ```
+//!
+//! A uniform prior has no Fisher information of its own; those of s and x (widths L_s, L_x) count as Gaussians of their variance L^2 / 12.
+//! Source: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 1968, 2.4.3.
 
 use super::contact_path::{ContactPath, State};
 use super::likelihood::{Likelihood, moved};
@@ -6,7 +14,7 @@ use super::{Episode, MomentField, Settings};
 use crate::TrackError;
 use nalgebra::{Matrix3, Vector3};
 
-/// Posterior Cramer-Rao bound of the place at an episode's true state, mm^2: `T J^-1 T'` with `J` of the module's head and `T = dP/dtheta`.
+/// Bayesian Cramer-Rao bound of the contact point at an episode's true state, mm^2: `T J^-1 T'` of the module's head.
 /// None where the rod has no derivative there.
 ///
 /// # Errors
@@ -22,7 +30,7 @@ pub fn bound_mm2(
     let likelihood = Likelihood::new(&path, settings, Some((truth, &plain)))?;
     let Some(slopes) = likelihood.slopes(&path, settings, truth) else { return Ok(None) };
     let mut information = slopes.transpose() * &slopes;
-    // The even priors of arc length and onset, by their variances.
+    // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12; the gap's is the last residual.
     information[(0, 0)] += 12.0 / (field.length_mm() - settings.first_mm).powi(2);
     information[(1, 1)] += 12.0 / (path.onset_mm[1] - path.onset_mm[0]).powi(2);
     let (Some(covariance), Some(turn)) = (information.try_inverse(), place_rates(&path, truth)) else {

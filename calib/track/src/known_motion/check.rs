@@ -1,7 +1,12 @@
-//! Whether motion and moments belong together: the innovations at the best state, and what would mend them.
+//! Consistency of motion and moments: the innovations at the best state, and the mistake that explains them.
 //!
-//! Under the likelihood the squared whitened residuals are chi-squared with two degrees of freedom a reading, less three. Where they are far
-//! beyond it, the episode is fitted again with the motion as common mistakes would leave it; the one that mends it is named.
+//! ```text
+//! chi2 = |S^-1/2 (y - m(theta))|^2 ~ chi-squared(2 n - 3)            n readings of two moments, three fitted numbers
+//! inconsistent where P(chi-squared > chi2) < 1e-4 and chi2 > 1.5 (2 n - 3)
+//! ```
+//!
+//! An inconsistent episode is fitted again with the motion under common mistakes (sign, unit); one that restores consistency is named.
+//! Source of the test: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 5.4.
 
 use super::contact_path::ContactPath;
 use super::likelihood::Likelihood;
@@ -9,24 +14,24 @@ use super::posterior::{climb, modes};
 use super::{Episode, MomentField, Settings};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Chance and ratio to the degrees of freedom from which on innovations are too large.
+/// Innovations are too large below this p-value and above this ratio to the degrees of freedom.
 const LEVEL: f64 = 1e-4;
 const RATIO: f64 = 1.5;
-/// A mistake mends them where they are as they should be without it, and less by this: e^-10 as likelihood ratio.
-const MENDS: f64 = 20.0;
-/// One reading in so many may be gross.
+/// A mistake is accepted where correcting it restores consistency and lowers chi-squared by this: a likelihood ratio of e^10.
+const MIN_DROP: f64 = 20.0;
+/// One reading in this many may be an outlier.
 const MAX_GROSS: usize = 10;
 
-/// What speaks against motion and moments belonging together.
+/// Kind of disagreement between motion and moments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Disagreement {
-    /// The motion fits once its sign is turned.
+    /// The motion fits with its sign reversed.
     Reversed,
-    /// The motion fits once it is taken as metres.
+    /// The motion fits when read as metres.
     Metres,
-    /// The motion fits once it is divided by a thousand.
+    /// The motion fits when divided by a thousand.
     Thousandths,
-    /// None of these mends it: the calibration, the clock or the kind of contact.
+    /// No such correction helps: the calibration, the clock or the kind of contact.
     Unexplained,
 }
 
@@ -47,7 +52,7 @@ impl Disagreement {
     pub fn sentence(self) -> &'static str {
         match self {
             Self::Reversed => {
-                "moments and motion agree only with the motion reversed: expected the way of the object with respect to the base"
+                "moments and motion agree only with the motion reversed: expected the displacement of the object with respect to the base"
             }
             Self::Metres => {
                 "moments and motion agree only with the motion taken as metres: expected millimetres"
@@ -65,13 +70,13 @@ impl Disagreement {
 /// Innovations of an episode at its best state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovations {
-    /// Squared, every reading taken as regular.
+    /// Chi-squared with every reading taken as regular.
     pub plain: f64,
-    /// Squared, with the noise of gross readings for those taken as such.
+    /// Chi-squared with the larger noise for the outliers.
     pub robust: f64,
     /// Degrees of freedom.
     pub dof: f64,
-    /// Readings taken as gross.
+    /// Outliers.
     pub gross: usize,
     /// Readings.
     pub rows: usize,
@@ -84,29 +89,29 @@ impl Innovations {
         Self { plain: f64::INFINITY, robust: f64::INFINITY, dof: 2.0 * rows as f64, gross: 0, rows }
     }
 
-    /// Whether single gross readings explain what is too large.
-    fn as_they_should_be(&self) -> bool {
+    /// Whether the innovations are consistent, a few outliers allowed.
+    fn consistent(&self) -> bool {
         !too_large(self.robust, self.dof) && self.gross <= (self.rows / MAX_GROSS).max(1)
     }
 }
 
-/// What is wrong with an episode; none where its innovations are as they should be.
+/// The disagreement of an episode; none where its innovations are consistent.
 pub(crate) fn disagreement(
     field: &MomentField,
     episode: &Episode,
     settings: &Settings,
     found: &Innovations,
 ) -> Option<Disagreement> {
-    if found.as_they_should_be() {
+    if found.consistent() {
         return None;
     }
     let mistakes =
         [(-1.0, Disagreement::Reversed), (1e3, Disagreement::Metres), (1e-3, Disagreement::Thousandths)];
-    let mended = mistakes.into_iter().find(|(factor, _)| {
+    let explained = mistakes.into_iter().find(|(factor, _)| {
         best_chi2(field, &scaled(episode, *factor), settings)
-            .is_some_and(|c| !too_large(c, found.dof) && c + MENDS < found.plain)
+            .is_some_and(|c| !too_large(c, found.dof) && c + MIN_DROP < found.plain)
     });
-    Some(mended.map_or(Disagreement::Unexplained, |m| m.1))
+    Some(explained.map_or(Disagreement::Unexplained, |m| m.1))
 }
 
 fn too_large(chi2: f64, dof: f64) -> bool {

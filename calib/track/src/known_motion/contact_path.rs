@@ -1,4 +1,13 @@
-//! Moments along an episode for one state of the contact.
+//! Moments along an episode for one state (s, x, g) of the contact.
+//!
+//! ```text
+//! touch       P_0 = r0(s) + g n,   n = t0(s) x u / |t0(s) x u|                 u: unit vector of the push
+//! place       P_k = Q_k (P_0 - x u) + d_k                                      Q_k, d_k: motion since the first loaded reading
+//! contact     (P_k - P_0) . u > 0,   else the wire is free and m = 0
+//! friction    s_c(k) = clamp(s_c(k-1), s(P_k, -mu), s(P_k, +mu))               stick, then slip: a play operator
+//! ```
+//!
+//! Source of the play operator: M. A. Krasnosel'skii, A. V. Pokrovskii, "Systems with Hysteresis", 1989.
 
 use super::field::{Held, MomentField};
 use super::{Episode, MotionRow};
@@ -7,21 +16,21 @@ use nalgebra::{Rotation3, Vector3};
 /// State of an episode's contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct State {
-    /// Arc length at which the free wire is met, mm.
+    /// Arc length s at which the object first touches the free wire, mm.
     pub s_mm: f64,
-    /// Way along the push at which it is met, mm.
+    /// Displacement x along the push at first touch, mm.
     pub onset_mm: f64,
-    /// Gap at which it is passed, mm.
+    /// Gap g between the free wire and the object's point at first touch, mm.
     pub gap_mm: f64,
 }
 
-/// Longest step of the contact's play, mm.
+/// Longest step over which stick and slip are integrated, mm.
 const PLAY_MM: f64 = 0.25;
 /// Moment beyond which a reading is no longer that of a free wire, in standard deviations.
 const LOADED_SDS: f64 = 4.0;
-/// Least cosine between the push and a direction across the wire.
+/// Smallest sine of the angle between push and wire: a push along the wire has no gap direction.
 const ACROSS: f64 = 0.1;
-/// Room for the onset before the first reading, mm.
+/// Range of the onset before the first reading, mm.
 const BEFORE_MM: f64 = 20.0;
 
 /// An episode with its push direction, ready for states.
@@ -30,9 +39,9 @@ pub struct ContactPath<'a> {
     pub(crate) rows: &'a [MotionRow],
     /// Unit vector of the push.
     pub(crate) push: Vector3<f64>,
-    /// Each reading's motion from the reference reading on: `P_k = turn P + way`, mm.
-    ways: Vec<(Rotation3<f64>, Vector3<f64>)>,
-    /// Ways along the push between which the onset lies, mm.
+    /// Each reading's motion since the reference, the first loaded reading: `P_k = turn P + displacement`, mm.
+    motions: Vec<(Rotation3<f64>, Vector3<f64>)>,
+    /// Range of the onset: displacements along the push, mm.
     pub(crate) onset_mm: [f64; 2],
 }
 
@@ -50,14 +59,15 @@ impl<'a> ContactPath<'a> {
         let rows = &episode.rows[..];
         let first = rows.iter().position(loaded)?;
         let back = rows[first].turn.inverse();
-        let ways = rows.iter().map(|r| {
+        let motions = rows.iter().map(|r| {
             let turn = r.turn * back;
             (turn, r.moved_mm - turn * rows[first].moved_mm)
         });
-        let mut own = Self { field, rows, push: Vector3::zeros(), ways: ways.collect(), onset_mm: [0.0; 2] };
+        let mut own =
+            Self { field, rows, push: Vector3::zeros(), motions: motions.collect(), onset_mm: [0.0; 2] };
         let push = match episode.push {
             Some(push) => push,
-            None => own.first_way(first)?,
+            None => own.push_direction(first)?,
         };
         own.push = push.try_normalize(1e-9)?;
         let along: Vec<f64> = (0..rows.len()).map(|k| own.along(k)).collect();
@@ -69,40 +79,40 @@ impl<'a> ContactPath<'a> {
 
     /// The same motion past another wire.
     pub(crate) fn past(&self, field: &'a MomentField) -> Self {
-        Self { field, ways: self.ways.clone(), ..*self }
+        Self { field, motions: self.motions.clone(), ..*self }
     }
 
-    /// Way of a reading from the reference, mm; where the base turns, that of the wire's middle.
-    fn way(&self, row: usize) -> Vector3<f64> {
+    /// Displacement of a reading from the reference, mm; under rotation that of the wire's middle.
+    fn displacement(&self, row: usize) -> Vector3<f64> {
         let middle = self.field.free(0.5 * self.field.length_mm()).0;
         self.carried(&middle, row) - middle
     }
 
-    /// Direction in which the object goes on when it first loads the wire: over a tenth of its farthest way, so that jitter has none.
-    fn first_way(&self, first: usize) -> Option<Vector3<f64>> {
+    /// Direction of motion when the object first loads the wire, over a tenth of its largest displacement so that jitter does not set it.
+    fn push_direction(&self, first: usize) -> Option<Vector3<f64>> {
         const SHARE: f64 = 0.1;
-        let ways: Vec<Vector3<f64>> = (0..self.rows.len()).map(|k| self.way(k)).collect();
-        let farthest = ways.iter().map(Vector3::norm).fold(0.0, f64::max);
+        let displacements: Vec<Vector3<f64>> = (0..self.rows.len()).map(|k| self.displacement(k)).collect();
+        let farthest = displacements.iter().map(Vector3::norm).fold(0.0, f64::max);
         let jitter = 3.0 * self.rows.iter().map(|r| r.moved_sd_mm).fold(0.0, f64::max);
         let enough = |w: &Vector3<f64>| w.norm() >= (SHARE * farthest).max(jitter).max(1e-9);
-        let before = ways[..first].iter().rev().map(|w| -w).find(enough);
-        before.or_else(|| ways[first..].iter().copied().find(enough))
+        let before = displacements[..first].iter().rev().map(|w| -w).find(enough);
+        before.or_else(|| displacements[first..].iter().copied().find(enough))
     }
 
-    /// Way along the push of a reading, mm, from the reference; where the base turns, that of the wire's middle.
+    /// Displacement along the push of a reading from the reference, mm; under rotation that of the wire's middle.
     pub(crate) fn along(&self, row: usize) -> f64 {
-        self.way(row).dot(&self.push)
+        self.displacement(row).dot(&self.push)
     }
 
     /// Where a point that is at `place_mm` at the reference reading is at another, mm.
     fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
-        let (turn, way) = &self.ways[row];
-        turn * place_mm + way
+        let (turn, displacement) = &self.motions[row];
+        turn * place_mm + displacement
     }
 
-    /// How the axes at the reference reading lie at another.
+    /// Rotation from the reference reading to another.
     pub(crate) fn turned(&self, row: usize) -> &Rotation3<f64> {
-        &self.ways[row].0
+        &self.motions[row].0
     }
 
     /// Place at first touch and the direction of the gap; none where the push runs along the wire.
@@ -119,7 +129,7 @@ impl<'a> ContactPath<'a> {
         Some(self.carried(&(touch - self.push * state.onset_mm), row))
     }
 
-    /// Way along the push past first touch, mm.
+    /// Displacement along the push past first touch, mm.
     pub(crate) fn depth(&self, state: &State, row: usize) -> Option<f64> {
         let (touch, _) = self.touch(state)?;
         Some((self.place(state, row)? - touch).dot(&self.push))
@@ -129,9 +139,10 @@ impl<'a> ContactPath<'a> {
     #[must_use]
     pub fn state_of(&self, place_mm: &Vector3<f64>, row: usize, near_mm: Option<f64>) -> Option<State> {
         // The line of the push through the point at the reference reading.
-        let (turn, way) = &self.ways[row];
-        let origin = turn.inverse() * (place_mm - way);
+        let (turn, displacement) = &self.motions[row];
+        let origin = turn.inverse() * (place_mm - displacement);
         let steps = 2 * self.field.length_mm().ceil() as usize;
+        // Squared distance of the free wire from that line: each of its minima over s is a state.
         let gap2 = |s: f64| {
             let off = self.field.free(s).0 - origin;
             (off - self.push * off.dot(&self.push)).norm_squared()
@@ -141,7 +152,8 @@ impl<'a> ContactPath<'a> {
             let here = gap2(grid[*k]);
             (*k == 0 || gap2(grid[k - 1]) >= here) && (*k + 1 == steps || gap2(grid[k + 1]) > here)
         };
-        let sharp = |k: usize| {
+        // Golden-section search.
+        let refined = |k: usize| {
             let (mut a, mut b) = (grid[k.saturating_sub(1)], grid[(k + 1).min(steps - 1)]);
             for _ in 0..60 {
                 let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
@@ -149,7 +161,7 @@ impl<'a> ContactPath<'a> {
             }
             0.5 * (a + b)
         };
-        let found = (0..steps).filter(minimum).map(sharp);
+        let found = (0..steps).filter(minimum).map(refined);
         let s_mm = match near_mm {
             Some(near) => found.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())),
             None => found.min_by(|a, b| gap2(*a).total_cmp(&gap2(*b))),
@@ -178,7 +190,7 @@ impl<'a> ContactPath<'a> {
             };
             return (0..self.rows.len()).map(moment).collect();
         }
-        // With friction the contact remembers where it stuck: from first touch on, visit by visit.
+        // Friction makes the contact depend on its history: integrated from first touch on, visit by visit.
         let mut moments = Vec::with_capacity(self.rows.len());
         let mut contact: Option<(f64, Vector3<f64>, u32)> = None;
         for (k, row) in self.rows.iter().enumerate() {
@@ -190,7 +202,7 @@ impl<'a> ContactPath<'a> {
             }
             let (mut s, from) = match contact.filter(|c| c.2 == row.visit) {
                 Some((s, from, _)) => (s, from),
-                None => (state.s_mm, self.met(&touch, &to)),
+                None => (state.s_mm, self.visit_start(&touch, &to)),
             };
             let share = if row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
             let steps = ((to - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
@@ -205,20 +217,20 @@ impl<'a> ContactPath<'a> {
         Some(moments)
     }
 
-    /// Where a visit begins whose first reading is at `to`, mm: on the free wire, straight back along the push.
-    fn met(&self, touch: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+    /// Start of a visit whose first reading is at `to`, mm: on the free wire, straight back along the push.
+    fn visit_start(&self, touch: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
         let depth = (to - touch).dot(&self.push);
-        // Just past first touch: at it the force has no direction.
+        // Just past first touch: at touch itself the force vanishes and has no direction.
         to - self.push * (depth - depth.min(1e-3))
     }
 
-    /// One move of the contact: it sticks until the cone's edge, then slips along it.
+    /// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
     fn play(&self, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
         let [low, free, high] =
             [-friction, 0.0, friction].map(|r| self.field.held(at, r).map(|h| h.arclength_mm));
         let (low, free, high) = (low?, free?, high?);
         *s_mm = s_mm.clamp(low.min(high), low.max(high));
-        // Ratio whose equilibrium sits there: the parabola through the three, by regula falsi from the chord.
+        // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.
         let (mut a, mut b) = ((-friction, low - *s_mm), (friction, high - *s_mm));
         let mut ratio = 0.0;
         let mut value = free - *s_mm;

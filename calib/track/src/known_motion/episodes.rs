@@ -1,17 +1,23 @@
-//! Which readings of a record have one contact: from the free wire before it to the last loaded one.
+//! Division of a record into episodes of one contact each: from the free wire before it to the last loaded reading.
 //!
-//! An object that goes back beyond where it first met the wire and comes again meets it at the same place: such contacts are one episode.
+//! ```text
+//! loaded      |m_k| > 4 sqrt(tr R_k + sum_j |h_kj|^2)               R_k: noise, h_kj: shared deviations of the calibration
+//! run         loaded readings with at most 3 others between two of them, at least 3, without a jump of the motion
+//! one episode two runs with d_k . u <= 0.3 mm at all readings between them       d_k: displacement since the first load, u: push
+//! ```
+//!
+//! An object that retracts past first touch and returns along its known motion touches the wire at the same point again.
 
 use super::contact_path::{ContactPath, loaded};
 use super::{Episode, MomentField, MotionRow};
 
 /// Free readings before a contact that belong to it.
 const LEAD: usize = 25;
-/// Readings within a contact that may look free: the moment passes through nothing.
+/// Readings within a contact that may appear free: the moment passes through zero.
 const DIPS: usize = 3;
 /// Fewer loaded readings are no contact.
 const MIN_LOADED: usize = 3;
-/// An object is back where it is no farther than this past where the wire was loaded first, mm.
+/// An object is retracted where it is at most this far past its position at the first load, mm.
 const BACK_MM: f64 = 0.3;
 
 /// A contact as ranges of readings.
@@ -34,14 +40,14 @@ fn runs(rows: &[MotionRow], pieces: &[u32]) -> Vec<Run> {
     runs
 }
 
-/// Whether the object is back behind first touch at every reading between two runs.
-fn comes_again(field: &MomentField, rows: &[MotionRow], from: usize, run: &Run, next: &Run) -> bool {
+/// Whether the object is retracted at every reading between two runs.
+fn returns(field: &MomentField, rows: &[MotionRow], from: usize, run: &Run, next: &Run) -> bool {
     let episode = Episode { rows: rows[from..next.first].to_vec(), push: None };
     let Some(path) = ContactPath::new(field, &episode) else { return false };
     (run.last + 1..next.first).all(|k| path.along(k - from) <= BACK_MM)
 }
 
-/// Ranges (first, one past the last) of the readings of each contact; `pieces` counts up where the motion jumped. `visit` of the rows is
+/// Ranges (first, one past the last) of the readings of each contact; `pieces` is incremented where the motion jumped. `visit` of the rows is
 /// set to the contact's run.
 #[must_use]
 pub fn episodes(field: &MomentField, rows: &mut [MotionRow], pieces: &[u32]) -> Vec<[usize; 2]> {
@@ -54,7 +60,7 @@ pub fn episodes(field: &MomentField, rows: &mut [MotionRow], pieces: &[u32]) -> 
         let before = n.checked_sub(1).map(|n| &runs[n]);
         if let (Some(before), Some(last)) = (before, found.last_mut())
             && pieces[before.last] == pieces[run.first]
-            && comes_again(field, rows, last[0], before, run)
+            && returns(field, rows, last[0], before, run)
         {
             last[1] = run.last + 1;
             continue;
@@ -102,10 +108,10 @@ mod tests {
         let mut all = rows(&twice);
         assert_eq!(episodes(&field, &mut all, &vec![0; twice.len()]), vec![[0, twice.len()]]);
         assert!(all[7].visit == 0 && all[twice.len() - 1].visit == 1);
-        // The motion jumped in between: what came before tells nothing of the second.
+        // The motion jumped in between: the first contact says nothing about the second.
         let pieces: Vec<u32> = (0..twice.len()).map(|k| u32::from(k >= 15)).collect();
         assert_eq!(episodes(&field, &mut rows(&twice), &pieces), vec![[0, 12], [15, twice.len()]]);
-        // Released while the object goes on: it is another place that is met next.
+        // Released while the object moves on: the next touch is at another point.
         let mut on = rows(&(0..20).map(f64::from).collect::<Vec<_>>());
         on[8..14].iter_mut().for_each(|r| r.moment_nmm = [0.0; 2]);
         assert_eq!(episodes(&field, &mut on, &[0; 20]), vec![[0, 8], [8, 20]]);

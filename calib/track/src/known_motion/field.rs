@@ -1,9 +1,10 @@
-//! Base moments as a function of the place that holds the wire, tabulated where they are asked for.
+//! Base moments as a function of the contact point, tabulated on demand.
 //!
 //! A point contact at P has one equilibrium near the free wire (wcal-rod): `r(s_c) = P`, `F . t = ratio |F_perp|`, base moment `m = P x F`. With
 //! `q(P) = |P|^2 m(P)`, from which a cantilever's `3 E I delta / |P|^2` has lost its pole at the root, `q` and `s_c` are smooth in P and
-//! interpolated by Lagrange's cubic in each coordinate. The wire goes on beyond its tip in the table, so that its end is no edge of the
-//! functions; that `s_c` lies on the wire is for the caller to ask.
+//! interpolated by Lagrange's cubic in each coordinate. In the table the wire is extended beyond its tip, so that `q` and `s_c` stay smooth
+//! there; [`MomentField::held`] refuses `s_c` beyond the true length. Nodes are solved by continuation from the free wire, which keeps to
+//! the branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
 use nalgebra::Vector3;
 use std::collections::HashMap;
@@ -11,18 +12,18 @@ use std::sync::{Arc, RwLock};
 use wcal_core::observation::MomentAxes;
 use wcal_rod::{Equilibrium, Guess, Rod, Tangential};
 
-/// Distance of the nodes, mm. Interpolated moments are right to 3e-4 of themselves from 10 mm on (tests).
+/// Spacing of the nodes, mm. Relative error of interpolated moments: 3e-4 from 10 mm on (tests).
 const PITCH_MM: f64 = 2.0;
-/// Wire beyond the tip, mm: the reach of a cell's outermost nodes.
+/// Extension of the wire beyond the tip, mm: the reach of a cell's outermost nodes.
 const BEYOND_MM: f64 = 8.0;
 /// Spacing of the free wire's samples, mm.
 const WIRE_MM: f64 = 0.25;
-/// A node nearer to the root than this has no answer, mm.
+/// Nodes closer to the root than this are left out, mm.
 const ROOT_MM: f64 = 1.0;
-/// Largest jump of the contact along the wire per way of the place, and in addition to it (mm): more is another equilibrium.
+/// Largest step of the contact along the wire per displacement of the contact point, plus a constant (mm): more is another equilibrium.
 const JUMP: f64 = 4.0;
 const JUMP_MM: f64 = 0.5;
-/// Halvings of the way from a node to the next before it counts as cut off.
+/// Halvings of the continuation step from a node to the next before the node counts as unreachable.
 const HALVINGS: usize = 4;
 
 /// Friction along the wire.
@@ -39,7 +40,7 @@ impl Friction {
     pub const NONE: Self = Self { coefficient: 0.0, moving_share: 1.0 };
 }
 
-/// What holds at one place: moments (N mm) and contact arc length (mm).
+/// The wire held at one point: moments (N mm) and contact arc length (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Held {
     /// The two moment components, N mm.
@@ -51,14 +52,14 @@ pub struct Held {
 /// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
 type Values = Vec<[f64; 3]>;
 
-/// How a place is reached from the free wire.
-struct Way {
-    /// Arc length of the free wire's sample next to it, mm.
+/// The step of the continuation that leads to a node.
+struct Continuation {
+    /// Arc length of the nearest sample of the free wire, mm.
     arclength_mm: f64,
     /// Distance to that sample, mm.
-    length_mm: f64,
-    /// The node before on the way; none where the free wire is near.
-    before: Option<Key>,
+    distance_mm: f64,
+    /// The previous node; none within one spacing of the free wire.
+    previous: Option<Key>,
 }
 
 struct Node {
@@ -75,7 +76,7 @@ pub struct MomentField {
     axes: MomentAxes,
     friction: Friction,
     at_rest_nmm: [f64; 2],
-    /// The same by one standard deviation of each of the first common unknowns.
+    /// The field with each of the first common unknowns one standard deviation higher.
     pub(crate) changed: Vec<MomentField>,
     /// Samples of the free wire: arc length and place.
     wire: Vec<(f64, Vector3<f64>)>,
@@ -103,10 +104,10 @@ fn cubic(u: f64) -> [f64; 4] {
 }
 
 impl MomentField {
-    /// Of a rod with its accepted deviations; moments are those of contact, the free wire's weight taken off.
+    /// Of a rod with its accepted effects; moments are those of contact, less the moment of the free wire's weight.
     #[must_use]
     pub fn new(rod: &Rod, axes: &MomentAxes, friction: Friction) -> Self {
-        // Weight beyond the tip would bend the wire.
+        // A heavy extension would change the sag of the wire itself.
         let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 { 0.0 } else { BEYOND_MM };
         let length_mm = rod.shape.length_mm;
         let at_rest_nmm = axes.components_nmm(&rod.rest_moment_nmm());
@@ -129,7 +130,7 @@ impl MomentField {
         }
     }
 
-    /// With the tables of the wires that it is by one standard deviation of each of the first common unknowns of the readings.
+    /// With the fields of the wire that has each of the readings' first common unknowns one standard deviation higher.
     #[must_use]
     pub fn with_changed(mut self, changed: Vec<Self>) -> Self {
         self.changed = changed;
@@ -151,9 +152,9 @@ impl MomentField {
     /// Free wire at an arc length (mm): place and tangent.
     #[must_use]
     pub fn free(&self, s_mm: f64) -> (Vector3<f64>, Vector3<f64>) {
-        const BESIDE_MM: f64 = 0.05;
+        const STEP_MM: f64 = 0.05;
         let at = |s: f64| self.rod.shape.rest_point(s.clamp(0.0, self.rod.shape.length_mm));
-        let tangent = at(s_mm + BESIDE_MM) - at(s_mm - BESIDE_MM);
+        let tangent = at(s_mm + STEP_MM) - at(s_mm - STEP_MM);
         (at(s_mm), tangent.try_normalize(1e-12).unwrap_or_else(Vector3::x))
     }
 
@@ -207,13 +208,13 @@ impl MomentField {
         if let Some(known) = self.nodes.read().ok()?.get(&key) {
             return known.clone();
         }
-        // Back to what is known, then outward: the stack does not grow with the way.
+        // Back to a solved node, then outward: a loop, so that the stack does not grow with the distance.
         let mut unknown = vec![key];
-        while let Some(before) = unknown.last().and_then(|k| self.way(k)?.before) {
-            if self.nodes.read().ok()?.contains_key(&before) {
+        while let Some(previous) = unknown.last().and_then(|k| self.continuation(k)?.previous) {
+            if self.nodes.read().ok()?.contains_key(&previous) {
                 break;
             }
-            unknown.push(before);
+            unknown.push(previous);
         }
         for key in unknown.into_iter().rev() {
             let node = self.solve(key).map(Arc::new);
@@ -222,19 +223,21 @@ impl MomentField {
         self.nodes.read().ok()?.get(&key).cloned().flatten()
     }
 
-    /// How a place is reached; none where no wire reaches.
-    fn way(&self, key: &Key) -> Option<Way> {
+    /// Step of the continuation to a node; none out of the wire's reach.
+    fn continuation(&self, key: &Key) -> Option<Continuation> {
         let target = place(key);
         let (arclength_mm, wire) = self.nearest(&target);
-        // No wire reaches farther than it is long; a motion in the wrong unit asks for places metres away.
+        // No wire reaches farther than its length; a motion in the wrong unit leads to points metres away.
         if arclength_mm < ROOT_MM || target.norm() > self.rod.shape.length_mm {
             return None;
         }
-        let way = wire - target;
-        let before = key_of(&(target + way * (PITCH_MM / way.norm().max(PITCH_MM))));
-        // Each step comes nearer to the wire, so that the way ends.
-        let near = way.norm() <= PITCH_MM || before == *key || (place(&before) - wire).norm() >= way.norm();
-        Some(Way { arclength_mm, length_mm: way.norm(), before: (!near).then_some(before) })
+        let to_wire = wire - target;
+        let distance_mm = to_wire.norm();
+        let previous = key_of(&(target + to_wire * (PITCH_MM / distance_mm.max(PITCH_MM))));
+        // Each step must come closer to the wire, or the continuation would not end.
+        let near =
+            distance_mm <= PITCH_MM || previous == *key || (place(&previous) - wire).norm() >= distance_mm;
+        Some(Continuation { arclength_mm, distance_mm, previous: (!near).then_some(previous) })
     }
 
     /// Sample of the free wire next to a place.
@@ -244,18 +247,18 @@ impl MomentField {
         found.copied().unwrap_or((0.0, Vector3::zeros()))
     }
 
-    /// From the free wire where it is near, else from the node before on the way to it: the branch that starts at first touch.
+    /// From the free wire within one spacing of it, else from the previous node: the branch that starts at first touch.
     fn solve(&self, key: Key) -> Option<Node> {
         let target = place(&key);
-        let way = self.way(&key)?;
-        let equilibrium = match way.before {
+        let step = self.continuation(&key)?;
+        let equilibrium = match step.previous {
             None => {
-                let free = Guess { force_n: Vector3::zeros(), arclength_mm: way.arclength_mm };
+                let free = Guess { force_n: Vector3::zeros(), arclength_mm: step.arclength_mm };
                 let found = self.rod.solve(&target, &free, Tangential::Frictionless).ok()?;
-                let jump = (found.arclength_mm - way.arclength_mm).abs();
-                (jump <= JUMP * way.length_mm + JUMP_MM).then_some(found)?
+                let jump = (found.arclength_mm - step.arclength_mm).abs();
+                (jump <= JUMP * step.distance_mm + JUMP_MM).then_some(found)?
             }
-            Some(before) => self.carried(&self.node(before)?.equilibrium, &target)?,
+            Some(previous) => self.continued(&self.node(previous)?.equilibrium, &target)?,
         };
         let squared = target.norm_squared();
         let values = |e: &Equilibrium| {
@@ -271,8 +274,8 @@ impl MomentField {
         Some(Node { equilibrium, values: vec![slipped(-mu)?, free, slipped(mu)?] })
     }
 
-    /// From a known equilibrium straight to a place, in as many steps as it takes.
-    fn carried(&self, from: &Equilibrium, target: &Vector3<f64>) -> Option<Equilibrium> {
+    /// Continuation of a known equilibrium along the straight line to a point, with the step halved where a solution is refused.
+    fn continued(&self, from: &Equilibrium, target: &Vector3<f64>) -> Option<Equilibrium> {
         (0..=HALVINGS).find_map(|halvings| {
             let steps = 1 << halvings;
             let mut last = *from;
@@ -280,9 +283,9 @@ impl MomentField {
                 let at = from.point_mm + (target - from.point_mm) * (f64::from(k) / f64::from(steps));
                 let found = self.rod.solve(&at, &Guess::from(&last), Tangential::Frictionless).ok()?;
                 let jump = (found.arclength_mm - last.arclength_mm).abs();
-                let way = (at - last.point_mm).norm();
-                // A determinant of the other sign belongs to another branch (wcal-rod, path).
-                if jump > JUMP * way + JUMP_MM || found.determinant * last.determinant <= 0.0 {
+                let step_mm = (at - last.point_mm).norm();
+                // The determinant changes its sign at a fold: the other sign is another branch (wcal-rod, path).
+                if jump > JUMP * step_mm + JUMP_MM || found.determinant * last.determinant <= 0.0 {
                     return None;
                 }
                 last = found;

@@ -1,18 +1,22 @@
-//! Likelihood of an episode's moments: what the readings share is integrated out.
+//! Likelihood of an episode's moments, the errors that the readings share integrated out.
 //!
 //! `S = B + U U'`, B 2 x 2 blocks (a reading's own) and few columns U (what is shared). With `B_k = L_k L_k'` and the thin decomposition
 //! `L^-1 U = Q diag(l) V'`, residuals are whitened by `S^-1/2 = (1 + Q (diag(1 / sqrt(1 + l^2)) - 1) Q') L^-1`, and
-//! `ln det S = sum ln det B_k + sum ln(1 + l^2)`: linear in the readings.
+//! `ln det S = sum ln det B_k + sum ln(1 + l^2)`: linear in the number of readings.
+//!
+//! Outliers: with the squared normalised residual e^2, `P(regular) = (1 - eps) exp(-e^2 / 2) / ((1 - eps) exp(-e^2 / 2) + eps / h^2
+//! exp(-e^2 / 2 h^2))`, h = 10; the reading counts with the expected inverse variance, `R_k / (P + (1 - P) / h^2)` (the E step of
+//! A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat. Soc. B 39 (1977) 1).
 
 use super::Settings;
 use super::contact_path::{ContactPath, State};
 use crate::TrackError;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
-/// Gross readings scatter by so many times the noise.
+/// Standard deviation of outliers in units of the noise.
 const GROSS: f64 = 10.0;
-/// A column whose size in standard deviations is below this is none: the square root of what rounding leaves of its square.
-const LEAST: f64 = 1e-6;
+/// A column with a norm below this (in standard deviations) is zero: the square root of the rounding error of its square.
+const MIN_NORM: f64 = 1e-6;
 /// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
 const TABLE_SHARE: f64 = 3e-4;
 /// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate, mm.
@@ -26,14 +30,14 @@ pub struct Likelihood {
     own: Vec<Matrix2<f64>>,
     /// Q, and `1 / sqrt(1 + l^2) - 1`.
     shared: (DMatrix<f64>, DVector<f64>),
-    /// Probability of each reading to be none of the gross ones.
+    /// Probability that each reading is no outlier.
     pub(crate) regular: Vec<f64>,
     ln_determinant: f64,
 }
 
 impl Likelihood {
-    /// With a state, what depends on it is taken there: clock, noise of the motion, common unknowns of stage and wire, and which readings
-    /// are gross (from the residuals under the likelihood before).
+    /// With a state, the terms that depend on it are evaluated there: clock, noise of the motion, common unknowns of stage and rod, and the
+    /// outliers (from the residuals under the previous likelihood).
     ///
     /// # Errors
     /// Where the covariance is not positive definite.
@@ -47,7 +51,7 @@ impl Likelihood {
         let regular = at.map_or_else(|| vec![1.0; n], |(state, _)| regular(path, settings, state));
         // E[1/variance] of the mixture.
         let gross = |r: &f64| r + (1.0 - r) / (GROSS * GROSS);
-        // The table's own error is that of the prediction, however good the reading.
+        // The interpolation error belongs to the prediction, so that an outlier's weight does not scale it.
         let table = |row: &super::MotionRow| {
             let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
             Matrix2::identity() * TABLE_SHARE.powi(2) * size2
@@ -55,7 +59,7 @@ impl Likelihood {
         let mut blocks: Vec<Matrix2<f64>> =
             rows.iter().zip(&regular).map(|(row, r)| row.noise_nmm2 / gross(r) + table(row)).collect();
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
-        // The last column is the clock's.
+        // Columns U: one for each common unknown, the last for the clock's offset.
         let mut modes = DMatrix::zeros(2 * n, shared + 1);
         for (k, row) in rows.iter().enumerate() {
             for (j, by) in row.shared_nmm.iter().enumerate() {
@@ -63,19 +67,21 @@ impl Likelihood {
             }
         }
         if let Some((state, _)) = at {
-            by_other_wires(path, state, &mut modes);
+            add_rod_changes(path, state, &mut modes);
             for (k, row) in rows.iter().enumerate().filter(|(k, _)| path.held(state, *k)) {
                 let Some(rate) = rate_by_place(path, state, k) else { continue };
                 blocks[k] += rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2));
                 let drift = row.velocity_mm_s * settings.clock_sd_s;
-                let ways = row.shared_way_mm.iter().enumerate().chain([(shared, &drift)]);
-                for (j, way) in ways {
-                    let by_way = rate * way;
-                    (0..2).for_each(|c| modes[(2 * k + c, j)] += by_way[c]);
+                // Errors of the displacement enter through dm/dP: independent ones in the block, shared ones in the columns.
+                let shifts = row.shared_way_mm.iter().enumerate().chain([(shared, &drift)]);
+                for (j, shift) in shifts {
+                    let change = rate * shift;
+                    (0..2).for_each(|c| modes[(2 * k + c, j)] += change[c]);
                 }
             }
         }
         let fails = || TrackError::value("covariance of the moments", "positive definite", "one that is not");
+        // Whitening by each reading's own block: L_k^-1 from B_k = L_k L_k'.
         let mut own = Vec::with_capacity(n);
         let mut ln_determinant = 0.0;
         for (k, block) in blocks.iter().enumerate() {
@@ -86,13 +92,13 @@ impl Likelihood {
             modes.view_mut((2 * k, 0), (2, shared + 1)).copy_from(&white);
             own.push(inverse);
         }
-        // Q and l from the small matrix U' U: its columns without size span nothing.
+        // Q and l by the eigenvalues of the small matrix (L^-1 U)' L^-1 U; zero columns span nothing.
         let eigen = (modes.transpose() * &modes).symmetric_eigen();
         let sizes = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
         ln_determinant += eigen.eigenvalues.iter().map(|v| v.max(0.0).ln_1p()).sum::<f64>();
         let mut span = &modes * &eigen.eigenvectors;
         for (mut column, size) in span.column_iter_mut().zip(&sizes) {
-            column.scale_mut(if *size > LEAST { 1.0 / size } else { 0.0 });
+            column.scale_mut(if *size > MIN_NORM { 1.0 / size } else { 0.0 });
         }
         let shrink = sizes.map(|l| 1.0 / (1.0 + l * l).sqrt() - 1.0);
         Ok(Self { own, shared: (span, shrink), regular, ln_determinant })
@@ -163,8 +169,8 @@ impl Likelihood {
     }
 }
 
-/// Adds to the common unknowns (columns) what another wire changes in the moments of every reading, `m_j(P_k) - m(P_k)`.
-fn by_other_wires(path: &ContactPath<'_>, state: &State, modes: &mut DMatrix<f64>) {
+/// Adds to the columns of the common unknowns the moments that a changed rod causes at every reading, `m_j(P_k) - m(P_k)`.
+fn add_rod_changes(path: &ContactPath<'_>, state: &State, modes: &mut DMatrix<f64>) {
     let Some(here) = path.moments(state).filter(|_| !path.field.changed.is_empty()) else { return };
     for (field, mut mode) in path.field.changed.iter().zip(modes.column_iter_mut()) {
         let Some(there) = path.past(field).moments(state) else { continue };
@@ -181,7 +187,7 @@ pub(crate) fn moved(state: &State, k: usize, by: f64) -> State {
     state
 }
 
-/// How the moments of a reading change with the place, N mm/mm: frictionless.
+/// Derivative dm/dP of a reading's moments by the contact point, N mm/mm, without friction.
 pub(crate) fn rate_by_place(
     path: &ContactPath<'_>,
     state: &State,
@@ -198,7 +204,7 @@ pub(crate) fn rate_by_place(
     Some(rate)
 }
 
-/// Probability of each reading to be regular, given its residual under its own noise and what is shared.
+/// Probability that each reading is no outlier, from its residual under its own noise and the shared errors.
 fn regular(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<f64> {
     let Some(moments) = path.moments(state) else { return vec![1.0; path.rows.len()] };
     let one = |(row, m): (&super::MotionRow, &[f64; 2])| {
@@ -211,7 +217,7 @@ fn regular(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<f6
         let squared = off.dot(&(inverse * off));
         let plain = (1.0 - settings.gross_share) * (-0.5 * squared).exp();
         let gross = settings.gross_share / (GROSS * GROSS) * (-0.5 * squared / (GROSS * GROSS)).exp();
-        // Far away both vanish: gross then.
+        // Both densities underflow far away: an outlier.
         if plain + gross > 0.0 { plain / (plain + gross) } else { 0.0 }
     };
     path.rows.iter().zip(&moments).map(one).collect()

@@ -1,11 +1,12 @@
 //! Where the wire is held when the relative motion of base and object is known: physics, no network.
 //!
-//! An object holds the wire at one point (a V-groove, an edge, a tip) and moves with respect to the base by a known way d(t), known up to a
+//! An object holds the wire at one point (a V-groove, an edge, a tip) and moves with respect to the base by d(t), known up to a
 //! constant within one episode. All in the base frame, lengths in mm, moments in N mm.
 //!
-//! State of an episode, theta = (s, x, g): the free wire is first met at arc length s when the way along the push u is x, and passed at a gap g,
+//! State of an episode, theta = (s, x, g): the free wire is first touched at arc length s when the displacement along the push u is x, with
+//! a gap g between wire and point,
 //!
-//! `P_ref = r0(s) + g n(s) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`, `P_k = Q_k P_ref + d_k` (Q_k the turn, 1 where the base does not).
+//! `P_ref = r0(s) + g n(s) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`, `P_k = Q_k P_ref + d_k` (Q_k the rotation, 1 without one).
 //!
 //! Transition: none but the motion. Holds and reversals are d_k itself; before first touch, `(P_k - r0(s) - g n(s)) . u <= 0`, the wire is
 //! free and m = 0. With friction the contact's arc length s_c plays between the two slip branches of the rod,
@@ -16,18 +17,18 @@
 //! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
 //! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k)`;
 //!
-//! one standard deviation of an unknown c_j moves the moments by h_kj (map), the way by w_kj (an accepted effect of the stage) and the wire
-//! to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
+//! one standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
+//! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
 //! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + (s_d^2 + s_p^2) D_k D_k' + s_q^2 |m_k|^2 1) + H H' + T T'`
-//! ([`likelihood`]); s_p (mm) and s_q (share) are the error of the interpolated m(P), which is all there is where the noise is tiny.
+//! ([`likelihood`]); s_p (mm) and s_q (relative) are the error of the interpolated m(P), which dominates where the noise is negligible.
 //!
-//! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s even over the wire, x even over the episode; on a grid of s that is refined
+//! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s uniform over the wire, x uniform over the episode; on a grid of s that is refined
 //! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71
 //! (2009) 319) ([`posterior`]). The 95 % region is that of highest density.
 //!
-//! Bound: no estimator without bias has a smaller error than `J^-1`, `J = G' S^-1 G + diag(0, 0, 1/s_g^2)`, `G = dm/dtheta` at the truth (Bayesian
-//! Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory" I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process.
-//! 46 (1998) 1386) for a state that does not move) ([`bound`]).
+//! Bound: no estimator has a smaller mean squared error than `J^-1`, `J = G' S^-1 G + diag(12/L_s^2, 12/L_x^2, 1/s_g^2)`, `G = dm/dtheta` at the
+//! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory"
+//! I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process. 46 (1998) 1386) for a constant state) ([`bound`]).
 
 pub mod bound;
 pub mod check;
@@ -59,18 +60,18 @@ pub struct MotionRow {
     pub moment_nmm: [f64; 2],
     /// Covariance of this reading's own noise, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
-    /// What it shares with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
-    /// N mm; as many in every row.
+    /// Errors shared with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
+    /// N mm; the same number in every row.
     pub shared_nmm: Vec<[f64; 2]>,
-    /// By how much it makes the way longer, base frame, mm; as many, or none where the way is none of them.
+    /// By how much each changes the displacement, base frame, mm; the same number, or empty where the displacement depends on none.
     pub shared_way_mm: Vec<Vector3<f64>>,
-    /// Way of the object with respect to the base, base frame, mm, up to a constant in the episode: a point of it is at `turn p + moved`.
+    /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the episode: a point is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
-    /// Turn of the object with respect to the base, up to a constant.
+    /// Rotation of the object with respect to the base, up to a constant.
     pub turn: Rotation3<f64>,
-    /// Its velocity, mm/s; zero in a hold.
+    /// Velocity of the object, mm/s; zero at standstill.
     pub velocity_mm_s: Vector3<f64>,
-    /// Standard deviation of the way in each coordinate, mm.
+    /// Standard deviation of the displacement in each coordinate, mm.
     pub moved_sd_mm: f64,
     /// Known to be free of contact.
     pub free: bool,
@@ -78,7 +79,7 @@ pub struct MotionRow {
     pub visit: u32,
 }
 
-/// Readings over which the way is known up to one constant, in order of time.
+/// Readings over which the displacement is known up to one constant, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
     /// Readings.
@@ -94,9 +95,9 @@ pub struct Settings {
     pub gap_sd_mm: f64,
     /// Standard deviation of the clock of the motion against that of the moments, s.
     pub clock_sd_s: f64,
-    /// Contact no nearer to the root than this, mm.
+    /// Smallest arc length of a contact, mm.
     pub first_mm: f64,
-    /// Share of grossly wrong readings.
+    /// Prior probability that a reading is an outlier.
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
     pub max_rows: usize,
@@ -112,24 +113,24 @@ impl Default for Settings {
 /// Where the wire is held at one reading.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
-    /// Mean place of the wire's axis at the contact, mm; none where the episode tells nothing.
+    /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable contact.
     pub place_mm: Option<Vector3<f64>>,
     /// Covariance, mm^2.
     pub covariance_mm2: Matrix3<f64>,
     /// Probability that the wire is held.
     pub contact: f64,
-    /// Whether the reading was taken as grossly wrong.
+    /// Whether the reading was treated as an outlier.
     pub gross: bool,
 }
 
-/// What an episode tells.
+/// Result of an episode.
 #[derive(Debug, Clone)]
 pub struct Located {
-    /// One for each row.
+    /// The contact at each row.
     pub places: Vec<Place>,
     /// The posterior of the state; none where no state explains anything.
     pub posterior: Option<Posterior>,
-    /// What speaks against motion, map or rod.
+    /// Evidence against motion, map or rod.
     pub disagreement: Option<Disagreement>,
     /// Innovations at the best state.
     pub innovations: Innovations,
@@ -147,7 +148,7 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
         if !episode.rows.iter().any(loaded) {
             return Ok(found);
         }
-        // A loaded wire and a motion without direction.
+        // The wire is loaded, but the motion has no direction.
         let innovations = Innovations::unexplained(episode.rows.len());
         let disagreement = check::disagreement(field, episode, settings, &innovations);
         return Ok(Located { disagreement, innovations, ..found });
@@ -160,13 +161,13 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
     };
     let mut likelihood = Likelihood::new(&path, settings, None)?;
     let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
-        // Loaded readings that no place on the wire explains.
+        // Loaded readings that no contact on the wire explains.
         let innovations = Innovations::unexplained(episode.rows.len());
         let disagreement = check::disagreement(field, episode, settings, &innovations);
         return Ok(Located { disagreement, innovations, ..Located::nothing(all) });
     };
     let (plain, dof) = likelihood.innovation(&path, &first.state);
-    // What depends on the state (clock, noise of the motion, gross readings) is taken at the best one.
+    // The covariance depends on the state (clock, noise of the motion, outliers): linearised at the mode, iterated (reweighting).
     let mut best = first;
     for _ in 0..3 {
         likelihood = Likelihood::new(&path, settings, Some((&best.state, &likelihood)))?;
@@ -207,7 +208,7 @@ impl Located {
     }
 }
 
-/// Readings that the posterior is made of: evenly, with the first loaded one, which the way counts from.
+/// Readings used by the posterior: every n-th, with the first loaded one, from which displacements count.
 fn thinned(episode: &Episode, max_rows: usize) -> Vec<usize> {
     let n = episode.rows.len();
     let stride = n.div_ceil(max_rows.max(1)).max(1);

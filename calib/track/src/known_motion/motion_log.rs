@@ -1,35 +1,42 @@
-//! Relative motion of base and object from a log: where it was at a time, how fast it went, and where the log tells nothing.
+//! Relative motion of base and object from a log: pose and velocity at a time, and the intervals in which the motion is unknown.
 //!
-//! Between two rows the motion is the screw-free mean of both: the way linear in time, the turn by the shortest arc.
+//! Between two rows a and b the translation is linear in time and the rotation follows the shortest arc at constant rate:
+//!
+//! ```text
+//! u = (t - t_a) / (t_b - t_a),   d(t) = (1 - u) d_a + u d_b,   Q(t) = Q_a exp(u log(Q_a^T Q_b))
+//! v = (Q_b q + d_b - Q_a q - d_a) / (t_b - t_a),   q = Q(t)^T (p - d(t))      of the object's point at p
+//! ```
+//!
+//! Source of the rotation: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985, 245.
 
 use crate::TrackError;
 use nalgebra::{Rotation3, Vector3};
 
-/// Between rows that are farther apart the motion is not known: this many times the log's own step, and at least so long, s.
+/// Longest interval between rows over which the motion is interpolated: this many times the log's median step, at least this many s.
 const GAP_STEPS: f64 = 5.0;
 const GAP_S: f64 = 0.5;
-/// A step is a jump where it is so many times faster than half of the steps that move, and longer than so much, mm.
+/// A step is a jump where its speed exceeds the median of the moving steps by this factor and its length exceeds this many mm.
 const JUMP_RATIO: f64 = 20.0;
 const JUMP_MM: f64 = 1.0;
-/// Times nearer than this are one: what rounding leaves, s.
+/// Times closer than this are equal: rounding error, s.
 const SAME_S: f64 = 1e-6;
-/// Steps below this are none, mm.
+/// Steps below this count as standstill, mm.
 const STILL_MM: f64 = 1e-3;
-/// Turns are judged as ways at this distance, mm: the length of a whisker.
+/// Rotations are converted to displacements at this lever arm, mm: the length of a whisker.
 const ARM_MM: f64 = 60.0;
 /// Clocks whose spans differ by so much are not in the same unit.
 const SPANS: f64 = 100.0;
 
-/// A row of a log: a point of the object that is at p in some fixed frame is at `turn p + moved` in the base frame.
+/// A row of a log: a point of the object at p in a fixed frame is at `turn p + moved` in the base frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LogRow {
     /// Line in its file.
     pub line: usize,
     /// Time, s.
     pub t_s: f64,
-    /// Turn.
+    /// Rotation.
     pub turn: Rotation3<f64>,
-    /// Way, mm.
+    /// Translation, mm.
     pub moved_mm: Vector3<f64>,
 }
 
@@ -40,9 +47,9 @@ pub struct Motion {
     pub turn: Rotation3<f64>,
     /// See [`LogRow::moved_mm`].
     pub moved_mm: Vector3<f64>,
-    /// Velocity of the object's point that was asked for, base frame, mm/s.
+    /// Velocity of the requested point of the object, base frame, mm/s.
     pub velocity_mm_s: Vector3<f64>,
-    /// Counts up at jumps: what lies between is not known.
+    /// Index of the piece, incremented at every jump: the motion across a jump is unknown.
     pub piece: u32,
 }
 
@@ -51,9 +58,9 @@ pub struct Motion {
 pub enum Lost {
     /// Before the first or after the last row.
     Outside,
-    /// Between rows that are too far apart.
+    /// Between rows more than the longest interval apart in time.
     Gap,
-    /// Between rows of which one jumped.
+    /// Between the two rows of a jump.
     Jump,
 }
 
@@ -79,16 +86,16 @@ pub struct MotionLog {
 
 /// Length of a step, mm.
 fn step_mm(a: &LogRow, b: &LogRow) -> f64 {
-    // 2 sin(angle / 2), which has no rounding where the turn is none.
+    // Frobenius norm / sqrt(2) = 2 sin(angle / 2): unlike an arc cosine exact to rounding near zero rotation.
     let turned = (b.turn.matrix() - a.turn.matrix()).norm() / std::f64::consts::SQRT_2;
     (b.moved_mm - a.moved_mm).norm() + ARM_MM * turned
 }
 
 impl MotionLog {
-    /// Of rows whose times go forward.
+    /// From rows with strictly increasing times.
     ///
     /// # Errors
-    /// Fewer than two rows, or times that do not go forward, by line.
+    /// Fewer than two rows, or times that do not increase, by line.
     pub fn new(rows: Vec<LogRow>) -> Result<Self, TrackError> {
         if rows.len() < 2 {
             return Err(TrackError::value("motion", "at least two rows", rows.len().to_string()));
@@ -102,13 +109,13 @@ impl MotionLog {
         let mut moving: Vec<f64> =
             rows.windows(2).filter(|w| step_mm(&w[0], &w[1]) > STILL_MM).map(speeds).collect();
         moving.sort_by(f64::total_cmp);
-        let usual = moving.get(moving.len() / 2).copied().unwrap_or(0.0);
+        let median_mm_s = moving.get(moving.len() / 2).copied().unwrap_or(0.0);
         let mut steps: Vec<f64> = rows.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         steps.sort_by(f64::total_cmp);
         let max_gap_s = (GAP_STEPS * steps[steps.len() / 2]).max(GAP_S);
         let mut pieces = vec![0];
         for w in rows.windows(2) {
-            let jumped = step_mm(&w[0], &w[1]) > JUMP_MM && speeds(w) > JUMP_RATIO * usual;
+            let jumped = step_mm(&w[0], &w[1]) > JUMP_MM && speeds(w) > JUMP_RATIO * median_mm_s;
             pieces.push(pieces[pieces.len() - 1] + u32::from(jumped));
         }
         Ok(Self { rows, pieces, max_gap_s })
@@ -148,10 +155,10 @@ impl MotionLog {
     /// Motion at a time (s), with the velocity of the object's point that is at `point_mm` (base frame) then.
     ///
     /// # Errors
-    /// Where the log does not tell it.
+    /// Where the motion is unknown at this time.
     pub fn at(&self, t_s: f64, point_mm: &Vector3<f64>) -> Result<Motion, Lost> {
         let after = self.rows.partition_point(|r| r.t_s < t_s - SAME_S);
-        // A row of just this time is known by itself; its velocity comes from a side that is known, too.
+        // At a row's own time the pose is known; the velocity is that of an adjoining interval that is known.
         let own = self.rows.get(after).is_some_and(|r| r.t_s <= t_s + SAME_S);
         let sides = [after.checked_sub(1), own.then_some(after)].into_iter().flatten();
         let mut why = Lost::Outside;
@@ -172,7 +179,7 @@ impl MotionLog {
         if self.pieces[k + 1] != self.pieces[k] {
             return Err(Lost::Jump);
         }
-        // A log that was written only where something moved holds still in between.
+        // A logger that writes only on change leaves intervals at standstill: equal poses at both ends are no gap.
         if b.t_s - a.t_s > self.max_gap_s && step_mm(a, b) > STILL_MM {
             return Err(Lost::Gap);
         }
@@ -186,7 +193,7 @@ impl MotionLog {
         let u = (t_s - a.t_s) / dt_s;
         let turn = a.turn.slerp(&b.turn, u);
         let moved_mm = a.moved_mm + (b.moved_mm - a.moved_mm) * u;
-        // The point in the frame that both rows share.
+        // The point in the object's own frame, in which it is fixed over the interval.
         let fixed = turn.inverse() * (point_mm - moved_mm);
         let of = |r: &LogRow| r.turn * fixed + r.moved_mm;
         Motion { turn, moved_mm, velocity_mm_s: (of(b) - of(a)) / dt_s, piece: self.pieces[k] }
@@ -216,7 +223,7 @@ mod tests {
         assert_eq!(at(&log(&even), -0.1), Err(Lost::Outside));
         assert_eq!(at(&log(&even), 1.95), Err(Lost::Outside));
         assert!(at(&log(&even), 0.0).is_ok() && at(&log(&even), 1.9).is_ok());
-        // A second without rows while it moves on, and while it holds.
+        // A second without rows during motion, and during standstill.
         let mut gap = even.clone();
         gap[10..].iter_mut().for_each(|r| *r = (r.0 + 1.0, r.1));
         assert_eq!(at(&log(&gap), 1.5), Err(Lost::Gap));
@@ -244,7 +251,7 @@ mod tests {
         let log = MotionLog::new((0..5).map(row).collect()).unwrap();
         let point = Vector3::new(40.0, 0.0, 0.0);
         let v = log.at(2.5, &point).unwrap().velocity_mm_s;
-        // w x (p - way) beside the way's own speed.
+        // w x (p - d) in addition to the translation's velocity.
         assert!((v - Vector3::new(0.5, 0.01 * 38.75, 0.0)).norm() < 1e-3, "{v:?}");
     }
 

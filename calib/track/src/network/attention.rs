@@ -208,27 +208,27 @@ impl Head {
         for (i, seen) in (first..end).zip(&mut seen) {
             *seen = &bias[i * time..=i * time + i];
         }
-        let mut most = [[f32::NEG_INFINITY; MAX_HEAD]; TILE];
+        let mut largest = [[f32::NEG_INFINITY; MAX_HEAD]; TILE];
         for (block, (weights, keys)) in self.weights[..blocks].iter_mut().zip(&self.keys).enumerate() {
             for (weights, seen) in weights.iter_mut().zip(&seen) {
                 *weights = biased(seen, block);
             }
             add_products(simd, weights, &queries, keys);
             for v in 0..MAX_HEAD / S::F32_LANES {
-                for (most, weights) in most.iter_mut().zip(&*weights) {
-                    let most = &mut vectors_mut::<S>(most)[v];
-                    *most = simd.max_f32s(*most, vectors::<S>(weights)[v]);
+                for (largest, weights) in largest.iter_mut().zip(&*weights) {
+                    let largest = &mut vectors_mut::<S>(largest)[v];
+                    *largest = simd.max_f32s(*largest, vectors::<S>(weights)[v]);
                 }
             }
         }
         let mut totals = [0.0; TILE];
         for r in 0..TILE {
             // What is beyond the end has seen nothing.
-            let most = reduce(simd, &most[r], S::max_f32s, S::reduce_max_f32s).max(f32::MIN);
+            let largest = reduce(simd, &largest[r], S::max_f32s, S::reduce_max_f32s).max(f32::MIN);
             let mut sums = [0.0_f32; MAX_HEAD];
             for weights in &mut self.weights[..blocks] {
                 for (w, sum) in weights[r].iter_mut().zip(&mut sums) {
-                    *w = exp::<S>(*w - most);
+                    *w = exp::<S>(*w - largest);
                     *sum += *w;
                 }
             }
@@ -396,7 +396,7 @@ mod tests {
         let (wide, mut plain) = (attend(sizes, &qkv, &bias), vec![0.0; 21 * 24]);
         Attend { head: Head::new(sizes), out: &mut plain, qkv: &qkv, bias: &bias }.run(pulp::Scalar::new());
         let off = wide.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        let most = wide.iter().map(|x| x.abs()).fold(0.0, f32::max);
-        assert!(off < 1e-5 && most > 0.1, "{off} {most}");
+        let largest = wide.iter().map(|x| x.abs()).fold(0.0, f32::max);
+        assert!(off < 1e-5 && largest > 0.1, "{off} {largest}");
     }
 }

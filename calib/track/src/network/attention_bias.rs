@@ -12,7 +12,7 @@ pub(super) fn time_bias_slope(head: usize, heads: usize) -> f32 {
     4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
 }
 
-/// Bias of attention for series with these times (s): later tokens and those beyond the context are out of sight.
+/// Bias of attention for series with these times (s): later tokens and those beyond the context are masked.
 #[must_use]
 pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device: &Device) -> Tensor<4> {
     let (batch, n) = (times_s.len(), times_s.first().map_or(0, Vec::len));
@@ -31,5 +31,5 @@ pub fn attention_bias(times_s: &[Vec<f64>], heads: usize, context: usize, device
     Tensor::from_data(TensorData::new(bias, [batch, heads, n, n]), device)
 }
 
-/// Bias of what is out of sight: its weight is 0 in single precision.
+/// Bias of masked tokens: their weight is 0 in single precision.
 const MASKED: f32 = -1e9;

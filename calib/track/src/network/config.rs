@@ -29,7 +29,7 @@ pub struct NetworkConfig {
     pub feed_forward: usize,
     /// Dropout.
     pub dropout: f64,
-    /// Tokens that an answer may look back on, its own included.
+    /// Tokens in the context of an answer, its own included.
     pub context: usize,
     /// Whether there is a second filter below it, which it weighs against the first.
     #[serde(default)]
@@ -71,7 +71,7 @@ impl NetworkConfig {
         }
     }
 
-    /// A transformer of 40 thousand parameters that sees moments, their rates, time step and the base's speed, and nothing of the rod.
+    /// A transformer of 40 thousand parameters with moments, their rates, time step and the base's speed as inputs, and no rod.
     #[must_use]
     pub fn baseline() -> Self {
         Self {
@@ -88,7 +88,7 @@ impl NetworkConfig {
         }
     }
 
-    /// Whether it takes nothing of the rod's curve and the filter.
+    /// Whether it has no inputs from the rod's curve and the filter.
     #[must_use]
     pub fn moments_only(&self) -> bool {
         self.nodes == 0 && self.inputs <= COMMON_INPUTS
@@ -109,7 +109,7 @@ impl NetworkConfig {
     }
 
     /// # Errors
-    /// Where it weighs two filters and there is one, or the other way round.
+    /// Where it weights two filters and there is one, or the reverse.
     pub fn check_filters(&self, filters: &FilterBank) -> Result<(), TrackError> {
         if self.two_filters != filters.frictionless.is_some() {
             let found = if self.two_filters { "one" } else { "two" };

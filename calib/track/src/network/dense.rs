@@ -181,9 +181,9 @@ mod tests {
             (out.inner(), input.grad(&gradients).unwrap(), weight, bias)
         };
         let (ours, burns) = (by(&|x| linear(&layer, x)), by(&|x| layer.forward(x)));
-        let most = |off: Tensor<3>| off.abs().max().into_scalar::<f32>();
-        assert!(most(ours.0 - burns.0) < 1e-5 && most(ours.1 - burns.1.clone()) < 1e-5);
-        assert!(most(burns.1) > 0.1);
+        let largest = |off: Tensor<3>| off.abs().max().into_scalar::<f32>();
+        assert!(largest(ours.0 - burns.0) < 1e-5 && largest(ours.1 - burns.1.clone()) < 1e-5);
+        assert!(largest(burns.1) > 0.1);
         assert!((ours.2 - burns.2).abs().max().into_scalar::<f32>() < 1e-4);
         assert!((ours.3 - burns.3).abs().max().into_scalar::<f32>() < 1e-4);
     }

@@ -1,4 +1,4 @@
-//! What the network sees of a sample, made the same way for training and for a stream.
+//! Inputs of the network at a sample, the same for training and for a stream.
 //!
 //! Of moments m, time step dt, base speed u, and at each knot k the inverse's point p_k, normal n_k and the filter's posterior w_k and velocity v_k:
 //!
@@ -21,19 +21,19 @@ const MOMENT_NMM: f64 = 0.5;
 const SMALL_MOMENT_NMM: f64 = 0.02;
 const LENGTH_MM: f64 = 30.0;
 const SPEED_MM_S: f64 = 5.0;
-/// Time step that counts as none special, s.
+/// Nominal time step, s.
 const STEP_S: f64 = 0.1;
 
-/// Inputs of what the filter makes of the sample: its evidence, and the speed that it believes.
+/// Inputs from the filter: its evidence, and its posterior mean of the speed.
 const FILTER_INPUTS: usize = 2;
 /// Inputs a knot; those of the frictionless filter come after all others: its evidence, and its posterior at each knot.
 const KNOT_INPUTS: usize = 7;
-/// Scale of the logarithm of the evidence, and what a contact that goes on has.
+/// Scale of the logarithm of the evidence, and its usual value during a contact.
 const EVIDENCE_SCALE: f64 = 4.0;
 const TYPICAL_LOG_EVIDENCE: f64 = 8.0;
-/// Nodes of the curve from one knot, of which the network sees and says something, to the next.
+/// Nodes of the curve from one knot, with the network's inputs and outputs, to the next.
 const KNOT_STRIDE: usize = 4;
-/// Logarithm of the floor under the filter's posterior that the network starts with: the weight of nodes that the filter rules out.
+/// Initial logarithm of the network's floor under the filter's posterior: the weight of nodes that the filter rules out.
 pub const INITIAL_LOG_FLOOR: f32 = -4.0;
 
 /// Nodes of the curve at which the network's knots lie: every fourth, and the last.
@@ -82,7 +82,7 @@ pub struct FeatureExtractor<'a> {
     knots: Vec<usize>,
     knot_weights: Vec<(usize, f32)>,
     before: Option<([f64; 2], Vec<InverseSolution>)>,
-    /// The network takes nothing of the rod and the filter: neither is asked.
+    /// The network has no inputs from rod and filter: neither is evaluated.
     moments_only: bool,
 }
 
@@ -108,7 +108,7 @@ impl<'a> FeatureExtractor<'a> {
         Self { moments_only: config.moments_only(), ..Self::new(inverse, filters) }
     }
 
-    /// Inputs of a token on a curve of so many nodes, by one filter or two.
+    /// Inputs of a token on a curve of this many nodes, by one filter or two.
     #[must_use]
     pub fn width(nodes: usize, two_filters: bool) -> usize {
         let knots = knots(nodes).len();
@@ -136,7 +136,7 @@ impl<'a> FeatureExtractor<'a> {
         inputs.push(self.filter.speed_mm_s().or(base_mm_s).unwrap_or(0.0) / SPEED_MM_S);
         let base = Vector3::z() * base_mm_s.unwrap_or(0.0);
         for (k, c) in now.iter().enumerate() {
-            // Along the force the touched point moves as the object does: what breaks that rule speaks against the node.
+            // Along the force the touched point moves as the object does: a violation is evidence against the node.
             let off = self.before.as_ref().map_or(0.0, |(_, before)| {
                 let moved = (c.point_mm - before[k].point_mm) / dt + base;
                 (c.normal.dot(&moved) / SPEED_MM_S).clamp(-4.0, 4.0)
@@ -182,7 +182,7 @@ impl<'a> FeatureExtractor<'a> {
     }
 }
 
-/// A token's inputs on a curve of so many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
+/// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
 pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
     let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
     let places = (0..knots).map(|k| COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * k + 1);
@@ -192,7 +192,7 @@ pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
     }
 }
 
-/// What a filter believes of each node; without contact nothing.
+/// A filter's posterior over the nodes; zero without contact.
 fn posterior_or_uniform(filter: &BayesFilter<'_>) -> Vec<f64> {
     let (posterior, nodes) = (filter.posterior(), filter.solutions().len());
     if posterior.is_empty() { vec![1.0 / nodes as f64; nodes] } else { posterior }
@@ -204,7 +204,7 @@ fn evidence(filter: &BayesFilter<'_>) -> f64 {
     if evidence == 0.0 { 0.0 } else { ((evidence - TYPICAL_LOG_EVIDENCE) / EVIDENCE_SCALE).max(-8.0) }
 }
 
-/// What lies at nodes, shared out among the knots before and after each.
+/// Values at nodes, split between the knots before and after each.
 fn at_knots(knot_weights: &[(usize, f32)], knots: usize, at_nodes: &[f64]) -> Vec<f64> {
     let mut sums = vec![0.0; knots];
     for (weight, (k, u)) in at_nodes.iter().zip(knot_weights) {

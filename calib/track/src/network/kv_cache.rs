@@ -13,7 +13,7 @@ pub struct KvCache {
     times_s: Vec<f64>,
 }
 
-/// Keys and values of a layer, `[time, width]`; what is out of sight leads them, and is dropped now and then.
+/// Keys and values of a layer, `[time, width]`; masked tokens lead them, and are dropped now and then.
 #[derive(Debug, Clone, Default)]
 struct LayerCache {
     keys: Vec<f32>,
@@ -21,14 +21,14 @@ struct LayerCache {
 }
 
 impl KvCache {
-    /// A token comes: what lies `context` tokens back is out of sight from now on.
+    /// Appends a token; the one `context` tokens back is masked from now on.
     pub(super) fn advance(&mut self, t_s: f64, context: usize) {
         self.times_s.push(t_s);
         let out_of_sight = self.times_s.len().saturating_sub(context);
         self.times_s.drain(..out_of_sight);
     }
 
-    /// Values of the last token, contact_evidence over what is remembered, from its queries, keys and values `[3 width]`.
+    /// Values of the last token, weighted over the tokens in the cache, from its queries, keys and values `[3 width]`.
     pub(super) fn attend(&mut self, layer: usize, qkv: &[f32], heads: usize) -> Vec<f32> {
         let width = qkv.len() / 3;
         if self.kept.len() <= layer {
@@ -82,13 +82,13 @@ impl Kernel for LastQuery<'_> {
         for head in 0..heads {
             let (from, to) = (head * of_head, (head + 1) * of_head);
             let (query, slope) = (&query[from..to], time_bias_slope(head, heads));
-            let mut most = f32::NEG_INFINITY;
+            let mut largest = f32::NEG_INFINITY;
             for ((weight, key), age_s) in weights.iter_mut().zip(keys.chunks_exact(width)).zip(&ages_s) {
                 let product = sum(simd, [query, &key[from..to]], |q, k| simd.mul_f32s(q, k), |q, k| q * k);
                 *weight = mul_add::<S>(product, scale, -slope * age_s);
-                most = most.max(*weight);
+                largest = largest.max(*weight);
             }
-            weights.iter_mut().for_each(|w| *w = exp::<S>(*w - most));
+            weights.iter_mut().for_each(|w| *w = exp::<S>(*w - largest));
             let each = 1.0 / weights.iter().sum::<f32>();
             let out = &mut out[from..to];
             for (weight, value) in weights.iter().zip(values.chunks_exact(width)) {

@@ -48,7 +48,7 @@ pub struct Prediction {
     pub covariance_mm2: [[f32; 3]; 3],
     /// Weights of the nodes.
     pub weights: Vec<f32>,
-    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not tell.
+    /// Direction of the force on the wire, the object's outward normal; 0 where the network's head does not state it.
     pub normal: [f32; 3],
 }
 
@@ -107,7 +107,7 @@ impl WhiskerNet {
         self.encode_out.weight.dims()[1]
     }
 
-    /// One token of a stream, inputs `[1, 1, inputs]`; what was attended is remembered up to `context` tokens.
+    /// One token of a stream, inputs `[1, 1, inputs]`; keys and values are cached for up to `context` tokens.
     pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, cache: &mut KvCache) -> Output {
         let device = inputs.device();
         cache.advance(t_s, context);

@@ -122,7 +122,7 @@ fn column_sums(values: &[f32], width: usize) -> Vec<f32> {
     sums
 }
 
-/// Which numbers dropout keeps: drawn by their place, so that the gradient draws the same ones again.
+/// The numbers that dropout keeps: drawn by their place, so that the gradient draws the same ones again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kept {
     /// Share that is kept.
@@ -139,7 +139,7 @@ impl Kept {
         h = (h ^ (h >> 16)).wrapping_mul(0x7feb_352d);
         h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
         h ^= h >> 16;
-        // 24 bits are what single precision holds.
+        // Single precision has 24 bits.
         if ((h >> 8) as f32) < self.share * 16_777_216.0 { 1.0 / self.share } else { 0.0 }
     }
 }
@@ -217,13 +217,13 @@ mod tests {
         let (one, other) = (of(1), of(2));
         let share = |v: &[f32]| v.iter().filter(|x| **x > 0.0).count() as f64 / v.len() as f64;
         // Six standard deviations of a share.
-        let most = |n: usize| 6.0 * (0.09 / n as f64).sqrt();
+        let largest = |n: usize| 6.0 * (0.09 / n as f64).sqrt();
         assert!(one.iter().all(|x| *x == 0.0 || *x == 1.0 / 0.9));
-        assert!((share(&one) - 0.9).abs() < most(N), "{}", share(&one));
+        assert!((share(&one) - 0.9).abs() < largest(N), "{}", share(&one));
         for part in one.chunks(N / 64) {
-            assert!((share(part) - 0.9).abs() < most(N / 64), "{}", share(part));
+            assert!((share(part) - 0.9).abs() < largest(N / 64), "{}", share(part));
         }
-        // Neighbours, places a row of the network apart, and seeds: as rarely dropout together as by chance.
+        // Neighbours, places a row of the network apart, and seeds: dropped together no more often than by chance.
         let together = |a: &[f32], b: &[f32]| {
             a.iter().zip(b).filter(|(a, b)| **a == 0.0 && **b == 0.0).count() as f64 / b.len() as f64
         };

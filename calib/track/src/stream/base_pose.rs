@@ -34,7 +34,7 @@ impl BasePose {
     }
 }
 
-/// A base that stands still or is carried along a line by a stage whose position is read now and then.
+/// A base at rest or moved along a line by a stage whose position is read from time to time.
 #[derive(Debug, Clone)]
 pub struct BaseMotion {
     at_zero: Isometry3<f64>,
@@ -42,13 +42,13 @@ pub struct BaseMotion {
     way: VecDeque<(f64, f64)>,
 }
 
-/// Positions farther apart than this say nothing of what is between them, s.
+/// Longest interval between positions over which they are interpolated, s.
 const MAX_GAP_S: f64 = 0.5;
 /// Positions that are kept, s.
 const KEPT_S: f64 = 10.0;
 
 impl BaseMotion {
-    /// `along`: direction of the stage's way in the base frame; none where the base stands still.
+    /// `along`: direction of the stage's travel in the base frame; none where the base stands still.
     #[must_use]
     pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
         Self { at_zero, along: along.and_then(|a| a.try_normalize(1e-9)), way: VecDeque::new() }
@@ -98,7 +98,7 @@ mod tests {
         let (point, spread) = pose.to_world(&Vector3::new(1.0, 0.0, 0.0), &spread);
         assert!((point - Vector3::new(5.0, 1.0, 2.1)).norm() < 1e-9, "{point}");
         assert!((spread[(0, 0)] - 4.0).abs() < 1e-9 && (spread[(1, 1)] - 1.0).abs() < 1e-9);
-        // Outside what was read, and across a hole, there is no pose.
+        // Outside the readings, and across a gap, there is no pose.
         assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
         motion.push(2.0, 0.0);
         assert!(motion.at(1.5).is_none());

@@ -43,7 +43,7 @@ impl Ring {
     }
 }
 
-/// Mean and spread of a time under exp(-rss / 2 sigma^2), each candidate as wide as its neighbours are apart.
+/// Mean and standard deviation of a time under exp(-rss / 2 sigma^2), on candidates one block apart.
 fn posterior(candidates: &[(f64, f64)], variance: f64) -> Option<EventTime> {
     let best = candidates.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
     let weight = |rss: f64| (-(rss - best) / (2.0 * variance)).exp();
@@ -53,12 +53,12 @@ fn posterior(candidates: &[(f64, f64)], variance: f64) -> Option<EventTime> {
     }
     let mean = candidates.iter().map(|c| weight(c.1) * c.0).sum::<f64>() / total;
     let spread = candidates.iter().map(|c| weight(c.1) * (c.0 - mean).powi(2)).sum::<f64>() / total;
-    // Candidates lie a block apart: the time within one is not known better.
+    // Within a block the time is uniform: width / sqrt(12).
     let step_s = candidates.windows(2).next().map_or(0.0, |w| w[1].0 - w[0].0);
     Some(EventTime { t_s: mean, sd_s: (spread + step_s * step_s / 12.0).sqrt() })
 }
 
-/// The part of a ramp's projection up to 70 % of it: what lies beyond may be a plateau, a second bend.
+/// The part of a ramp's projection up to 70 % of it: beyond may be a plateau, which would be a second corner of the broken line.
 #[must_use]
 pub fn ramp_part(projected: &[(f64, f64)], rising: bool) -> &[(f64, f64)] {
     let mean = |part: &[(f64, f64)]| part.iter().map(|p| p.1).sum::<f64>() / part.len() as f64;
@@ -82,6 +82,7 @@ pub fn hinge(projected: &[(f64, f64)], rising: bool, variance: f64) -> Option<Ev
     if n < 12 {
         return None;
     }
+    // RSS of the line in x = max(t - t0, 0) from its sums: S_yy - S_xy^2 / S_xx.
     let rss_at = |t0: f64| {
         let x = |t: f64| if rising { (t - t0).max(0.0) } else { (t0 - t).max(0.0) };
         let (mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -104,20 +105,20 @@ pub fn hinge(projected: &[(f64, f64)], rising: bool, variance: f64) -> Option<Ev
 /// Lengths of an abrupt change that are tried, s.
 const CHANGES_S: [f64; 6] = [0.0, 0.004, 0.008, 0.012, 0.018, 0.026];
 
-/// Beginning of an abrupt change between `blocks[from]` and `blocks[to]`: one line goes over to another (and its ring, where there is one)
-/// along a raised cosine of unknown length, or at once where the wire rings free: its ring begins with the old level.
+/// Beginning of an abrupt change between `blocks[from]` and `blocks[to]`: a transition from one line to another (and its ring, where there is
+/// one) along a raised cosine of unknown length, or at once where the wire rings free: its ring begins at the old level.
 ///
-/// Blocks are whitened: both components vary by 1. `None` where a kink, a line that bends without a step, explains them as well to within
-/// `least`: the load began or ceased to change there.
+/// Blocks are whitened: both components have variance 1. `None` where a kink, a broken line without a step, explains them as well to
+/// within `min_drop`: the load began or ceased to change there.
 #[must_use]
 pub fn step(
     blocks: &[Block],
     [from, to]: [usize; 2],
     ring: Option<&Ring>,
-    flew: bool,
-    least: f64,
+    rings_free: bool,
+    min_drop: f64,
 ) -> Option<EventTime> {
-    let lengths = if flew { &CHANGES_S[..1] } else { &CHANGES_S[..] };
+    let lengths = if rings_free { &CHANGES_S[..1] } else { &CHANGES_S[..] };
     let (mut candidates, mut kink) = (Vec::new(), f64::INFINITY);
     let mut best = (f64::INFINITY, 0.0);
     for k in from.max(4)..to.min(blocks.len().saturating_sub(8)) {
@@ -133,12 +134,12 @@ pub fn step(
         }
         candidates.push((start_s, here));
     }
-    if kink - best.0 < least {
+    if kink - best.0 < min_drop {
         return None;
     }
     let when = posterior(&candidates, 1.0)?;
-    // Where a change that takes its time begins depends on its shape: a quarter of its length, a block at least.
-    let shape_s = if flew { 0.0 } else { (best.1 / 4.0).max(super::noise::BLOCK_S) };
+    // The beginning of a gradual change depends on the assumed shape: a quarter of its length, a block at least.
+    let shape_s = if rings_free { 0.0 } else { (best.1 / 4.0).max(super::noise::BLOCK_S) };
     Some(EventTime { sd_s: when.sd_s.hypot(shape_s), ..when })
 }
 
@@ -208,17 +209,17 @@ fn fit(blocks: &[Block], ring: Option<(f64, f64)>, degree: usize) -> Option<(f64
 const QS: [f64; 2] = [4.0, 15.0];
 const Q_FACTORS: [f64; 8] = [0.5, 0.6, 0.75, 0.9, 1.1, 1.35, 2.0, 4.0];
 
-/// The ring in whitened `blocks`, where it is significant: it takes out `least` more than a parabola does. Its amplitude is in standard
+/// The ring in whitened `blocks`, where it is significant: it lowers the RSS of a parabola by `min_drop`. Its amplitude is in standard
 /// deviations of a block.
 #[must_use]
-pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], least: f64) -> Option<Ring> {
+pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], min_drop: f64) -> Option<Ring> {
     let span_s = blocks.last()?.t_s - blocks.first()?.t_s;
     let plain = fit(blocks, None, 2)?.0;
     let best = |tried: &mut dyn Iterator<Item = (f64, f64)>| {
         let scored = tried.filter_map(|(hz, q)| Some((fit(blocks, Some((hz, q)), 2)?.0, hz, q)));
         scored.min_by(|a, b| a.0.total_cmp(&b.0))
     };
-    // Half the resolution of the window, then a sixteenth of it.
+    // Grid at half of the window's frequency resolution 1 / span, refined to a sixteenth of it.
     let steps = ((high_hz - low_hz) * span_s * 2.0).ceil().max(2.0);
     let pitch_hz = (high_hz - low_hz) / steps;
     let coarse = (0..=steps as usize).flat_map(|k| QS.map(|q| (low_hz + pitch_hz * k as f64, q)));
@@ -227,10 +228,10 @@ pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], least: f64) -> Option
     let (_, hz, q) = best(&mut fine.into_iter())?;
     let (left, coefficients) = fit(blocks, Some((hz, q)), 2)?;
     let amplitude = coefficients.rows(3, 2).norm();
-    (plain - left >= least).then_some(Ring { hz, q, amplitude, from_s: blocks.first()?.t_s })
+    (plain - left >= min_drop).then_some(Ring { hz, q, amplitude, from_s: blocks.first()?.t_s })
 }
 
-/// Level at the end of `blocks`, the ring taken out.
+/// Level at the end of `blocks`, the ring subtracted.
 #[must_use]
 pub fn level(blocks: &[Block], ring: Option<&Ring>) -> Option<Vector2<f64>> {
     let (_, c) = fit(blocks, ring.map(|r| (r.hz, r.q)), 1)?;

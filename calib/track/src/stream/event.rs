@@ -9,7 +9,7 @@ pub struct EventSettings {
     pub prefix_s: f64,
     /// False alarms an hour that noise as in the prefix may cause at most.
     pub false_alarms_per_hour: f64,
-    /// First mode of the free wire, Hz; 0.6 to 1.5 times it counts as it.
+    /// First mode of the free wire, Hz; a ring from 0.6 to 1.5 times it is attributed to this mode.
     pub first_mode_hz: f64,
 }
 
@@ -24,7 +24,7 @@ pub enum EventKind {
     Slip,
     /// The wire came free and rang in its first mode.
     Snap,
-    /// An abrupt change from contact to contact that rang: the wire flew.
+    /// An abrupt change from contact to contact that rang: the wire was free in between.
     Jump,
 }
 
@@ -47,11 +47,11 @@ impl EventKind {
 pub struct ContactEvent {
     /// What happened.
     pub kind: EventKind,
-    /// EventTime, s.
+    /// Time of the event, s.
     pub t_s: f64,
     /// Standard deviation of the time, s.
     pub sd_s: f64,
-    /// EventTime the detector knew, s: the time of the last block that it needed.
+    /// Time at which the detector knew it, s: that of the last block that it needed.
     pub known_s: f64,
     /// Moments before and after, N mm.
     pub moments_nmm: [[f64; 2]; 2],

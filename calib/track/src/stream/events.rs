@@ -22,21 +22,21 @@ use std::collections::VecDeque;
 
 mod classify;
 
-/// Blocks that are waited for after an onset by level: the ramp must be seen.
+/// Blocks to wait for after an onset by level: its time needs part of the ramp.
 const ONSET_WAIT: usize = 20;
-/// Blocks that are waited for after an abrupt change: five periods at 34 Hz.
+/// Blocks to wait for after an abrupt change: five periods at 34 Hz.
 const RING_WAIT: usize = 75;
 /// Blocks at the baseline, and still, that make a release.
 const BACK_HOLD: usize = 150;
-/// Blocks kept: the longest look back for the beginning of a ramp.
+/// Blocks kept: the longest window for the beginning of a ramp.
 const MAX_BLOCKS: usize = 600;
-/// First look back, blocks; doubled until the ramp's beginning lies inside.
+/// First window for it, blocks; doubled until the ramp's beginning lies inside.
 const LOOK_BACK: usize = 150;
-/// Baseline follows blocks this old: an onset under way must not be taken up, blocks.
+/// Age of the blocks that enter the baseline: the beginning of an undetected onset must not, blocks.
 const BASELINE_DELAY: usize = 125;
-/// Time constant of the baseline, s: a moment that grows more slowly than the level's limit in this time is taken for drift.
+/// Time constant of the baseline, s: a moment that grows more slowly than the level's limit in this time counts as drift.
 const BASELINE_S: f64 = 1.0;
-/// How far back the drift is looked for, s.
+/// Time over which the drift is estimated, s.
 const DRIFT_S: f64 = 60.0;
 
 #[derive(Debug, Clone, Copy)]
@@ -61,7 +61,7 @@ pub struct EventDetector {
     whiten: Matrix2<f64>,
     kept: VecDeque<Block>,
     baseline: Vector2<f64>,
-    /// Blocks that the baseline stands for.
+    /// Blocks that the baseline averages.
     baseline_blocks: f64,
     contact: bool,
     /// Baseline of the free wire now and then, s and N mm, and the drift that follows from it, N mm/s.
@@ -122,7 +122,7 @@ impl EventDetector {
         self.lost_pending
     }
 
-    /// The stream was interrupted for `gap_s`: windows start anew, the baseline stays.
+    /// The stream was interrupted for `gap_s`: windows are reset, the baseline stays.
     pub fn gap(&mut self, gap_s: f64) {
         self.sum = (0, 0.0, Vector2::zeros());
         self.kept.clear();
@@ -210,10 +210,10 @@ impl EventDetector {
         if old.t_s <= self.quiet_until_s {
             return;
         }
-        let most = BASELINE_S / BLOCK_S;
-        self.baseline_blocks = (self.baseline_blocks + 1.0).min(most);
+        let max_blocks = BASELINE_S / BLOCK_S;
+        self.baseline_blocks = (self.baseline_blocks + 1.0).min(max_blocks);
         self.baseline += (old.moment - self.baseline) / self.baseline_blocks;
-        // A running mean is as old as its length.
+        // Age of the running mean: its newest block's plus its length.
         self.frozen_s = old.t_s - BASELINE_S;
         self.learn_drift();
     }
@@ -257,7 +257,7 @@ impl EventDetector {
         let Some(from) = self.kept.len().checked_sub(span) else { return };
         let blocks: [Block; BLOCKS_BEFORE + BLOCKS_AFTER] = std::array::from_fn(|k| self.kept[from + k]);
         let mut v = contrast(&blocks);
-        // What is left of a ring may look like a change of up to twice its envelope.
+        // The rest of a ring can cause a contrast of up to twice its envelope, which is subtracted.
         v *= (1.0 - 2.0 * envelope / v.norm().max(1e-12)).max(0.0);
         let statistic = distance(&v, &noise.abrupt);
         let now = blocks[span - 1].t_s;
@@ -278,6 +278,7 @@ impl EventDetector {
 
     fn watch_level(&mut self, noise: &Noise, limits: &Thresholds, envelope: f64) -> Option<ContactEvent> {
         let now = self.kept.back()?.t_s;
+        // A mean over a window of a ring deviates by at most its envelope.
         let mut v = self.mean(LEVEL_BLOCKS)? - self.baseline;
         v *= (1.0 - envelope / v.norm().max(1e-12)).max(0.0);
         let covariance = self.level_covariance(noise, now);
@@ -302,7 +303,7 @@ impl EventDetector {
         self.release(noise, statistic, limits.back, now)
     }
 
-    /// Whether the moment does not change any more: a slow ramp passes through the neighbourhood of the baseline.
+    /// Whether the moment is constant: a slow ramp only passes through the neighbourhood of the baseline.
     fn still(&self, noise: &Noise, limits: &Thresholds) -> bool {
         let half = BACK_HOLD / 2;
         let blocks = self.newest(BACK_HOLD);
@@ -311,7 +312,7 @@ impl EventDetector {
         }
         let mean = |b: &[Block]| b.iter().map(|b| b.moment).sum::<Vector2<f64>>() / b.len() as f64;
         let change = mean(&blocks[half..]) - mean(&blocks[..half]);
-        // Levels of windows, not blocks: what is correlated is so in both.
+        // Variance of a mean of windows, not of blocks, so that correlated noise counts as such.
         distance(&change, &(noise.level * (2.0 * LEVEL_BLOCKS as f64 / half as f64))) < limits.back
     }
 }

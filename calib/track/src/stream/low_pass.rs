@@ -129,8 +129,8 @@ mod tests {
         assert!(filter.gain(34.0) < 1e-3, "{}", filter.gain(34.0));
         // The stated gain is that of the filter as it runs.
         let wave = filtered(|t| (std::f64::consts::TAU * 4.0 * t).sin(), 0.1);
-        let most = wave.iter().map(|w| w.1.abs()).fold(0.0, f64::max);
-        assert!((most - filter.gain(4.0)).abs() < 1e-3, "{most} {}", filter.gain(4.0));
+        let largest = wave.iter().map(|w| w.1.abs()).fold(0.0, f64::max);
+        assert!((largest - filter.gain(4.0)).abs() < 1e-3, "{largest} {}", filter.gain(4.0));
         assert!(filter.noise_gain() < 0.1);
     }
 

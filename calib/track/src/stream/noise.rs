@@ -7,7 +7,7 @@
 //! level     v = mean of the last 10 blocks - baseline
 //! abrupt    v = mean of the last 5 blocks - the line through the 30 before them, continued
 //! T^2       v^T S^-1 v;   under noise T^2 (n - 1) / (2 n) ~ F(2, n - 1)          (Hotelling)
-//! limit     T^2_p = n (p^(-2 / (n - 1)) - 1),   p = false alarms an hour / 2 / looks an hour
+//! limit     T^2_p = n (p^(-2 / (n - 1)) - 1),   p = false alarms an hour / 2 / blocks an hour
 //! ```
 //!
 //! Source: H. Hotelling, Annals of Mathematical Statistics 2 (1931) 360; the tail of F(2, n) is (1 + 2 f / n)^(-n / 2).
@@ -32,7 +32,7 @@ pub struct Block {
     pub moment: Vector2<f64>,
 }
 
-/// What a no-contact prefix says of the noise.
+/// Noise estimated from a no-contact prefix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
     /// Mean moment at the end of the prefix, N mm.
@@ -89,14 +89,14 @@ impl Noise {
             .collect();
         let level = spread(&levels, 2.0);
         let end_s = blocks.last()?.t_s;
-        // Windows, not blocks: what is correlated must not make the slope look better known than it is.
+        // From windows, not blocks: correlated noise would make the slope's standard error too small.
         let slope_var = level * LEVEL_BLOCKS as f64 / stt;
         let noise = Self {
             baseline: mean + slope * (end_s - middle_s),
             block: spread(&detrended, 2.0),
             level,
             abrupt: spread(&contrasts, 0.0),
-            // Contrasts overlap: they count as those that do not.
+            // Contrasts overlap: as many degrees of freedom as disjoint ones.
             dof: [levels.len() as f64 - 2.0, (blocks.len() / span) as f64],
             drift_nmm_s: slope.norm() + 2.0 * slope_var.trace().sqrt(),
         };
@@ -104,12 +104,13 @@ impl Noise {
         sound.then_some(noise)
     }
 
-    /// Thresholds for a rate of false alarms per hour, shared between both tests. Every block is a look, and looks are counted as
+    /// Thresholds for a rate of false alarms per hour, shared between both tests. Every block is a test, and tests count as
     /// independent: the rate is an upper bound for noise as in the prefix.
     #[must_use]
     pub fn thresholds(&self, false_alarms_per_hour: f64) -> Thresholds {
-        let looks = 3600.0 / BLOCK_S;
-        let each = (false_alarms_per_hour / 2.0 / looks).min(0.01);
+        // Bonferroni: the expected number of false alarms of all blocks and both tests is the stated one.
+        let tests = 3600.0 / BLOCK_S;
+        let each = (false_alarms_per_hour / 2.0 / tests).min(0.01);
         Thresholds {
             level: hotelling(each, self.dof[0]),
             abrupt: hotelling(each, self.dof[1]),
@@ -127,8 +128,8 @@ const MAX_VARIANCE_RATIO: f64 = 6.0;
 /// Largest variance of level windows over what the blocks' own jitter explains: five times the standard deviation is motion, not noise.
 const MAX_SLOW_RATIO: f64 = 25.0;
 
-/// Whether a prefix shows noise alone: its parts and the whole vary alike, each about its own line, and not more slowly than noise does. A contact that
-/// does not change at all cannot be told. A prefix too short to be divided is taken as it is.
+/// Whether a prefix is noise alone: its parts and the whole have similar variances about their own lines, and no slow variation beyond the
+/// noise. A constant contact cannot be detected. A prefix too short to be divided is accepted.
 #[must_use]
 pub fn quiet(blocks: &[Block]) -> bool {
     let size = blocks.len() / PREFIX_PARTS;
@@ -137,7 +138,7 @@ pub fn quiet(blocks: &[Block]) -> bool {
     }
     let mean_square =
         |vs: &[Vector2<f64>]| vs.iter().map(Vector2::norm_squared).sum::<f64>() / vs.len() as f64;
-    // The whole as well: a ramp in one part is a line there.
+    // The whole as well: a ramp over one part is a line there and has no residual.
     let parts = blocks.chunks_exact(size).chain([blocks]);
     let variances = parts.map(|part| mean_square(&windows(&detrended(part).2)));
     let (low, high) = variances.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
@@ -146,7 +147,7 @@ pub fn quiet(blocks: &[Block]) -> bool {
         && high < MAX_SLOW_RATIO * mean_square(&jitter) / 2.0 / LEVEL_BLOCKS as f64
 }
 
-/// Mean and slope (1/s) of the moments, what is left of them, and the middle (s) and squared spread (s^2) of the times.
+/// Mean and slope (1/s) of the moments, their residuals, and the middle (s) and squared spread (s^2) of the times.
 fn detrended(blocks: &[Block]) -> (Vector2<f64>, Vector2<f64>, Vec<Vector2<f64>>, [f64; 2]) {
     let n = blocks.len() as f64;
     let middle_s = blocks.iter().map(|b| b.t_s).sum::<f64>() / n;

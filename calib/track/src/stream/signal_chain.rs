@@ -92,7 +92,7 @@ impl SignalChain {
         &self.detector
     }
 
-    /// Takes a reading. A gap or a reading that cannot be used empties the filter: no row is made of what was not measured.
+    /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values that were not measured.
     pub fn push(&mut self, sensed: &WhiskerReading) -> (Option<Row>, Option<ContactEvent>) {
         let WhiskerReading { serial, t_s, shift_pm, rise_degc, flags } = *sensed;
         let interrupted = Flags::GAP.with(Flags::CLOCK).with(Flags::DROPPED);

@@ -70,6 +70,7 @@ pub(super) fn mesh(surface: &ImplicitSurface, settings: &SurfaceSettings) -> Sur
                 made.corners_mm.len() - 1
             })
         };
+        // One corner alone on its side: a triangle; two against two: a quadrilateral, cut into two triangles.
         let faces: Vec<[usize; 3]> = match (&inside[..], &outside[..]) {
             ([one], [p, q, r]) | ([p, q, r], [one]) => {
                 vec![[cross(*one, *p), cross(*one, *q), cross(*one, *r)]]

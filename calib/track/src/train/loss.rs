@@ -18,7 +18,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// Errors from which on their loss grows straight and not with their square, mm: to the true contact, and to the surface.
+/// Errors above which the loss is linear instead of quadratic, mm: to the true contact, and to the surface.
 const PSEUDO_HUBER_MM: [f64; 2] = [2.0, 2.0];
 /// Weight of the distance to the surface.
 const SURFACE_WEIGHT: f64 = 16.0;
@@ -32,7 +32,7 @@ pub(super) struct LossTerms {
     pub surface: Option<Tensor<1>>,
 }
 
-/// What a window holds of each token.
+/// Values of a window at each token.
 type Values = for<'w, 'a> fn(&'w Window<'a>) -> &'w Vec<f32>;
 
 /// The network on a batch of windows.
@@ -82,7 +82,7 @@ pub(super) fn loss(
         (mean + off_curve, choice.sum() / many.clone())
     };
     let squared = |to: Tensor<2>| (mean.clone() - to).square().sum_dim(1).reshape([n]) * held.clone();
-    // Square near the truth, straight far off: a sprung contact does not drown the rest.
+    // Quadratic near the truth, linear far from it: a contact that jumped does not dominate the mean.
     let robust = |off: &Tensor<1>, straight_mm: f64| {
         ((off.clone() / straight_mm.powi(2) + 1.0).sqrt() - 1.0).sum() / many.clone()
     };

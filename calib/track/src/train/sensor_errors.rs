@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// Share of series without noise and drift.
 const CLEAN_FRACTION: f64 = 0.4;
-/// Time after which the filter is told how far the zero went, s.
+/// Age of the zero, s: the drift over it enters the filters' measurement noise.
 const ZERO_AGE_S: f64 = 10.0;
 
 /// Evenly between two bounds.
@@ -19,7 +19,7 @@ pub(crate) fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
-/// A bench.
+/// Errors of the sensor of one bench.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SensorErrors {
     noise_nmm: f64,
@@ -28,7 +28,7 @@ pub(crate) struct SensorErrors {
 }
 
 impl SensorErrors {
-    /// Draws one: some leave a series as the twin made it, but for the gains; of the others small noise is drawn more often.
+    /// Draws one: some change the gains of a simulated series only; of the others small noise is drawn more often.
     pub fn draw(settings: &TrainSettings, rng: &mut ChaCha8Rng) -> Self {
         let clean = uniform(rng, 0.0, 1.0) < CLEAN_FRACTION;
         let noise_nmm = if clean { 0.0 } else { settings.noise_nmm * uniform(rng, 0.0, 1.0).powi(2) };
@@ -37,20 +37,20 @@ impl SensorErrors {
         Self { noise_nmm, gain, drift_nmm_s: if clean { [0.0; 2] } else { drift } }
     }
 
-    /// FilterBank told of it.
+    /// Filters with this measurement noise.
     pub fn with_measurement_noise(&self, filters: FilterBank) -> FilterBank {
         let [y, z] = self.drift_nmm_s;
         filters.with_measurement_noise(self.noise_nmm, y.hypot(z) * ZERO_AGE_S)
     }
 
-    /// A moment (N mm) as the bench gives it.
+    /// A moment (N mm) as the sensor measures it.
     pub fn measured(&self, moment_nmm: [f64; 2], t_s: f64, rng: &mut ChaCha8Rng) -> [f64; 2] {
-        // As wide as noise of that standard deviation.
+        // Uniform noise of this standard deviation has the half width sqrt(3) sd.
         let mut noise = || self.noise_nmm * 3.0_f64.sqrt() * uniform(rng, -1.0, 1.0);
         [0, 1].map(|i| moment_nmm[i] * self.gain[i] + self.drift_nmm_s[i] * t_s + noise())
     }
 
-    /// A series as the bench gives it.
+    /// A series as the sensor measures it.
     pub fn apply(&self, series: &SweepSeries, rng: &mut ChaCha8Rng) -> SweepSeries {
         let mut measured = series.clone();
         for i in &mut measured.samples {

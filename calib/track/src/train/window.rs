@@ -1,4 +1,4 @@
-//! WindowMaker of series as the network takes them, with noise, gain, drift and clock that a bench would add.
+//! Windows of series as input of the network, with a bench's noise, gain, drift and clock.
 
 use super::sensor_errors::{SensorErrors, uniform};
 use super::settings::TrainSettings;
@@ -25,7 +25,7 @@ pub(super) struct Window<'a> {
     pub points: Vec<f32>,
     /// The filter's belief, a token and node.
     pub posterior: Vec<f32>,
-    /// The same of the filter frictionless; empty where there is none.
+    /// The same of the frictionless filter; empty where there is none.
     pub posterior_frictionless: Vec<f32>,
     /// Weights of the nodes that mean the true place.
     pub weights: Vec<f32>,
@@ -40,7 +40,7 @@ pub(super) struct Window<'a> {
 }
 
 impl Window<'_> {
-    /// Mirrors it at the plane y = 0: what the wire would feel of the mirrored object, where the free wire lies in that plane.
+    /// Mirrors it at the plane y = 0: the moments of the mirrored object, where the free wire lies in that plane.
     pub fn mirror(&mut self) {
         let tokens = self.times_s.len();
         let (width, nodes) = (self.inputs.len() / tokens, self.points.len() / (3 * tokens));
@@ -60,11 +60,11 @@ pub(super) struct WindowMaker<'a> {
     pub meshes: &'a BTreeMap<String, Mesh>,
 }
 
-/// Share of series in which the wire stays free: what noise, drift and a bench's own motion look like alone.
+/// Share of series in which the wire stays free: noise, drift and the bench's own motion alone.
 const FREE_FRACTION: f64 = 0.05;
 
 impl<'a> WindowMaker<'a> {
-    /// WindowMaker of series, with what a bench adds; `seed` draws.
+    /// Windows of series with a bench's errors, drawn from `seed`.
     pub fn make(
         &self,
         all_series: &'a [SweepSeries],
@@ -122,7 +122,7 @@ fn make_window<'a>(
     for k in 0..t {
         let at = first + k * stride;
         let now = &series.samples[at.min(last)];
-        // Beyond its end a series goes on without counting.
+        // Beyond its end a series is padded with tokens that do not count.
         let over_s = at.saturating_sub(last) as f64 * 0.1;
         let t_s = (now.t_s + over_s) * factor;
         let pressed = if free { [0.0; 2] } else { now.moment_nmm };
@@ -208,7 +208,7 @@ pub(super) mod tests {
         assert!(!StaticInverse::new(&whisker, grid).unwrap().flat);
     }
 
-    /// What the wire feels of a mirrored object has a mirrored window, also in what filters and rod make of it.
+    /// The moments of a mirrored object give a mirrored window, also in the features of filters and rod.
     #[test]
     fn the_window_of_a_mirrored_course_is_the_mirrored_window() {
         let (inverse, all_series) = swept("vase");

@@ -1,4 +1,4 @@
-//! Sweep series that state how wide a stream's regions are: held-out objects on shifted_sweeps that are not the one trained on. All of them are SIMULATED.
+//! Sweep series that calibrate the stated regions: held-out objects on whiskers that differ from the one trained on. All of them are SIMULATED.
 
 use super::TrainingRequest;
 use crate::error::TrackError;
@@ -28,12 +28,12 @@ const FRICTION: [f64; 2] = [0.0, 0.3];
 /// Rate of the sweeps that networks are trained on, Hz.
 const RATE_HZ: f64 = 10.0;
 
-/// Sweeps with what the filter is told of the bench.
+/// Sweeps, each with filters that have the measurement noise of its bench.
 pub(super) type SweepsWithFilters = Vec<(SweepSeries, FilterBank)>;
 
 /// A wire as it may be where this one is declared.
 fn perturbed_whisker(declared: &WhiskerSpec, rng: &mut ChaCha8Rng) -> WhiskerSpec {
-    let mut off = |most: f64| uniform(rng, -most, most);
+    let mut off = |max: f64| uniform(rng, -max, max);
     let stiffer = 1.0 + off(YOUNGS);
     let rest_shape = match &declared.rest_shape {
         RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm } => RestShape::StraightArc {

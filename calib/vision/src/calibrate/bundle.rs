@@ -227,14 +227,14 @@ fn linearise(
                 let Some(px) = observed else { continue };
                 let Some((predicted, by_point, by_camera)) = state.cameras[side].project_with_jacobian(x)
                 else {
-                    // Behind the camera: as bad as it gets, so that the step is refused.
+                    // Behind the camera: infinite cost, so that the step is refused.
                     n.cost = f64::INFINITY;
                     continue;
                 };
                 let e = px - predicted;
                 n.cost += e.norm_squared();
                 n.corners += 1;
-                // Only the own camera, the relative pose and the warp are touched: columns and their place among all.
+                // Nonzero columns only, with their place among all: this camera, the relative pose, the warp.
                 let mut columns = [(0, [0.0; 2]); MAX_INTRINSICS + 8];
                 let mut count = 0;
                 let mut push = |place: usize, x: f64, y: f64| {
@@ -254,6 +254,7 @@ fn linearise(
                 } else {
                     by_point
                 };
+                // The warp moves the point along the board's normal.
                 let along = by_left * normal_axis;
                 for (w, shape) in shapes[k].iter().enumerate() {
                     push(layout.warp() + w, along.x * shape, along.y * shape);
@@ -309,6 +310,7 @@ fn step(normal: &Normal, mask: &[bool], lambda: f64) -> Option<SharedStep> {
     }
     let mut rhs = DVector::<f64>::from_fn(free.len(), |i, _| normal.shared_gradient[free[i]]);
     let mut eliminated = Vec::with_capacity(normal.views.len());
+    // Schur complement: the board poses couple only through the shared parameters, so that each is eliminated by its own 6 x 6 block.
     for ViewNormal { cross, own, gradient } in &normal.views {
         let mut damped = *own;
         for k in 0..6 {

@@ -6,7 +6,7 @@ use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use nalgebra::{Vector2, Vector3};
 
-/// Explains a pair that contradicts the others; tries what usually goes wrong.
+/// Explains a pair that contradicts the others by trying the usual mistakes.
 pub(crate) fn explain_view(
     points: &[Vector3<f64>],
     state: &BundleState,
@@ -111,7 +111,7 @@ fn mirror(points: &[Vector3<f64>], corners: &Corners, width: f64) -> Corners {
         .collect()
 }
 
-/// Refuses what no lens and no pair of cameras can be, whatever its RMS.
+/// Refuses results that are impossible for a lens or a pair of cameras, whatever their RMS.
 pub(crate) fn refuse_unphysical(
     points: &[Vector3<f64>],
     solution: &BundleSolution,
@@ -255,7 +255,7 @@ pub(crate) fn weak_geometry(
     if state.right_from_left.translation.x > 0.0 {
         let t = state.right_from_left.translation.vector;
         if t.x.abs() >= t.y.abs().max(t.z.abs()) {
-            warnings.push("swapped cameras, or both mirrored left to right? the right camera stands to the left of the left one".into());
+            warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
         }
     }
     warnings

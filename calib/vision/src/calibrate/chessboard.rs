@@ -1,4 +1,10 @@
 //! Finds a chessboard's inner corners, in an order that the pattern itself fixes, and refines them.
+//!
+//! ```text
+//! homography   h = argmin |A h| over |h| = 1: eigenvector of A^T A with the smallest eigenvalue       (direct linear transformation)
+//! ```
+//! Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., 4.1. Beyond the outer corners the grid's homography predicts the squares'
+//! middles: alternating contrast there, compared with that inside, means a larger board than stated.
 
 use crate::calibrate::corner::{Corner, fit_corner};
 use crate::error::{OpenCvContext, VisionError};
@@ -18,7 +24,7 @@ pub struct BoardSize {
 }
 
 impl BoardSize {
-    /// Whether the colours tell a turn by 180 degrees: one side even, the other odd.
+    /// Whether the colours distinguish a turn by 180 degrees: one side even, the other odd.
     #[must_use]
     pub fn orientation_is_unique(&self) -> bool {
         (self.columns + self.rows) % 2 == 1
@@ -61,7 +67,7 @@ pub enum Finder {
 }
 
 /// Coarse corners (px), row by row; the order is right-handed and starts at a corner whose outer square is dark where
-/// the board's colours tell. None where the board is not found whole.
+/// the board's colours determine. None where the board is not found whole.
 ///
 /// # Errors
 /// Where OpenCV fails.
@@ -93,7 +99,7 @@ pub fn find_chessboard(
     Ok(Some(normalise_order(picture, board, points)))
 }
 
-/// The two finders start at opposite ends and may run either way round; the pattern decides.
+/// The two finders start at opposite ends and may run in either direction; the pattern decides.
 fn normalise_order(picture: &Picture, board: BoardSize, mut points: Vec<Vector2<f64>>) -> Vec<Vector2<f64>> {
     let (c, r) = (board.columns, board.rows);
     let (u, v) = (points[c - 1] - points[0], points[(r - 1) * c] - points[0]);
@@ -183,7 +189,7 @@ pub fn refine(
     }
 }
 
-/// Whether the pattern goes on beyond the corners that were found: then the board is larger than stated. Names the side.
+/// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.
 #[must_use]
 pub fn continues_beyond(
     picture: &Picture,
@@ -196,8 +202,8 @@ pub fn continues_beyond(
         let p = &homography * nalgebra::DVector::from_row_slice(&[x, y, 1.0]);
         (p[0] / p[2], p[1] / p[2])
     };
-    // Contrast between the diagonals of a corner's four squares, with the sign that its place in the grid gives it; of the
-    // squares on one side of it only where `out` says so.
+    // Contrast between the diagonals of a corner's four squares, with the sign of its place in the grid; with `out` of the
+    // squares on that side only.
     let contrast = |i: i64, j: i64, out: [f64; 2]| -> Option<f64> {
         let mut sum = 0.0;
         for (dx, dy, sign) in
@@ -225,7 +231,7 @@ pub fn continues_beyond(
         ("top", [0.0, -1.0], (0..c).map(|i| (i, -1)).collect()),
         ("bottom", [0.0, 1.0], (0..c).map(|i| (i, r)).collect()),
     ];
-    // Outside a true board lies its even margin or something that does not alternate with the squares: no contrast, against all of it.
+    // Outside a true board lies its uniform margin or something that does not alternate with the squares: no contrast, against all of it.
     sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
 }
 

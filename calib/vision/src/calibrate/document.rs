@@ -103,7 +103,7 @@ pub struct StereoDocument {
     /// Board.
     #[serde(default)]
     pub board: BoardDocument,
-    /// How the corners were refined, and the RMS of each way that was tried, px.
+    /// Method of corner refinement, and the RMS of each method tried, px.
     #[serde(default)]
     pub refinement: BTreeMap<String, f64>,
     /// Way that was chosen.

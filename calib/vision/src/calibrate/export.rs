@@ -65,7 +65,7 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         let _ = writeln!(kalibr, "  distortion_model: {}", lens.kalibr_model());
         let _ =
             write!(kalibr, "  distortion_coeffs: [{}]", numbers(d.iter().take(KALIBR_COEFFICIENTS).copied()));
-        // Kalibr's radtan has no k3: it is written beside, and a reader that ignores it is warned by the comment.
+        // Kalibr's radtan has no k3: it is written as an extra key, and a reader that ignores it is warned by the comment.
         let _ = match d.get(KALIBR_COEFFICIENTS) {
             Some(k3) => writeln!(kalibr, " # k3 = {k3:e} has no place in radtan\n  k3: {k3:e}"),
             None => writeln!(kalibr),

@@ -1,4 +1,4 @@
-//! `stereo-calibrate` from two folders: pictures, corners, the way of refining chosen from the data, the solve, the document.
+//! `stereo-calibrate` from two folders: pictures, corners, the method of refinement chosen from the data, the solve, the document.
 
 use crate::calibrate::board::{Board, Pattern, board_points};
 use crate::calibrate::bundle::BoardView;
@@ -18,7 +18,7 @@ use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is told what is done.
+/// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is called with each step.
 ///
 /// # Errors
 /// Where the folders hold no pairs, no board is found, or the calibration is refused.
@@ -56,7 +56,7 @@ pub fn calibrate_folders(
     Ok((document, solution))
 }
 
-/// A refusal says as well why views were missing.
+/// Adds to a refusal the reasons why views were missing.
 fn with_rejections(error: VisionError, rejected: &[RejectedView]) -> VisionError {
     match error {
         VisionError::Result { action, expected, found } if !rejected.is_empty() => {
@@ -171,7 +171,7 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
     let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
         None => Ok(points),
         Some(edge) => Err(format!(
-            "{side} picture: wrong board size? {size} inner corners found, but the pattern goes on beyond its {edge} edge"
+            "{side} picture: wrong board size? {size} inner corners found, but the pattern continues beyond its {edge} edge"
         )),
     };
     let found = match find(Finder::Classic)? {
@@ -184,11 +184,11 @@ fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vec
     }
 }
 
-/// Left pictures, spread over the folder, that are looked at before the size is doubted.
+/// Left pictures, spread over the folder, that are examined before the stated size is doubted.
 const PROBES: usize = 3;
 
 /// Refuses a size that no probe shows while all of them show one other whole size: the finders take minutes to fail on a whole folder, and a
-/// board cut off in one picture looks smaller than it is.
+/// board cut off in one picture appears smaller than it is.
 fn check_size(files: &[PairFiles], size: BoardSize) -> Result<(), VisionError> {
     let count = PROBES.min(files.len());
     let probes: Vec<Picture> = (0..count)

@@ -183,7 +183,7 @@ pub fn import_kalibr(name: &str, text: &str) -> Result<StereoDocument, VisionErr
         let i = bracketed(name, part, "intrinsics", 4)?;
         let count = lens.coefficient_names().len().min(KALIBR_COEFFICIENTS);
         let mut coefficients = bracketed(name, part, "distortion_coeffs", count)?;
-        // Ours stands beside Kalibr's four.
+        // The exporter writes k3 in addition to Kalibr's four coefficients.
         if lens == OPENCV5 {
             coefficients.push(named(part, "k3").and_then(|v| v.parse().ok()).unwrap_or(0.0));
         }

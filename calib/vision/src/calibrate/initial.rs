@@ -1,4 +1,12 @@
-//! First estimates: one camera alone, and the relative pose that most views agree on.
+//! First estimates: one camera alone, and the relative pose on which most views agree.
+//!
+//! ```text
+//! T_v = T_right,v T_left,v^-1                                                   relative pose by view v alone
+//! T   = argmin over v of median over w of RMS_k |px_wk - pi_right(T_v T_left,w p_k)|
+//! ```
+//!
+//! The median bears nearly half of the views being wrong. Source: P. J. Rousseeuw, "Least Median of Squares Regression", J. Am. Stat.
+//! Assoc. 79 (1984) 871.
 
 use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
 use crate::camera::Camera;
@@ -46,7 +54,7 @@ pub fn board_pose(
     points: &[Vector3<f64>],
     corners: &Corners,
 ) -> Result<Isometry3<f64>, VisionError> {
-    // As the same camera would see them without its lens: the solver knows pinholes only.
+    // The corners as a pinhole would see them: the solver models no lens distortion.
     let straight: Corners =
         corners.iter().map(|c| c.as_ref().and_then(|c| camera.undistorted_px(c))).collect();
     let (image, object) = visible(points, &straight);
@@ -177,7 +185,7 @@ pub fn median(values: &[f64]) -> f64 {
     if v.len() % 2 == 1 { v[m] } else { 0.5 * (v[m - 1] + v[m]) }
 }
 
-/// The relative pose of one view that predicts the right corners of most views best, with the RMS (px) that it leaves in each.
+/// The relative pose by one view with the smallest median RMS in the right pictures of all views, with the RMS of each view (px).
 #[must_use]
 pub fn consensus(
     points: &[Vector3<f64>],

@@ -136,9 +136,9 @@ fn charuco(board: &MarkerBoard, picture: &Picture, marker_mm: f64) -> Result<Cor
     let coarse = out.clone();
     for (k, slot) in out.iter_mut().enumerate() {
         let Some(here) = coarse[k] else { continue };
-        let beside = |other: Option<usize>| other.and_then(|o| coarse[o]).map(|p| p - here);
-        let row = beside((k % c + 1 < c).then_some(k + 1)).or(beside((k % c > 0).then(|| k - 1)));
-        let column = beside((k + c < coarse.len()).then_some(k + c)).or(beside(k.checked_sub(c)));
+        let offset_to = |other: Option<usize>| other.and_then(|o| coarse[o]).map(|p| p - here);
+        let row = offset_to((k % c + 1 < c).then_some(k + 1)).or(offset_to((k % c > 0).then(|| k - 1)));
+        let column = offset_to((k + c < coarse.len()).then_some(k + c)).or(offset_to(k.checked_sub(c)));
         *slot = row
             .zip(column)
             .and_then(|(u, v)| fit_corner(picture, &here, [u, v], (clear * u.norm().min(v.norm())).max(3.0)))

@@ -1,9 +1,9 @@
-//! A calibration beside an earlier one, or another tool's, of the same cameras: what no picture of its own can show.
+//! Comparison of a calibration with an earlier one, or another tool's, of the same cameras: errors that its own pictures cannot reveal.
 
 use crate::calibrate::document::{CameraDocument, StereoDocument};
 use nalgebra::Vector3;
 
-/// A principal point this near to half a pixel off in both coordinates looks like the other convention for pixel centres, px.
+/// Tolerance for a principal point offset by half a pixel in both coordinates, the sign of another convention for pixel centres, px.
 const HALF_PIXEL_MARGIN: f64 = 0.15;
 /// Standard deviations beyond which a difference is stated.
 const LIMIT_SD: f64 = 4.0;

@@ -1,4 +1,7 @@
-//! The way of refining a chessboard's corners, chosen from the data: window and method whose corners fit one rigid board best.
+//! Method of refinement of a chessboard's corners, chosen from the data: window and model whose corners fit one rigid board best.
+//!
+//! `method = argmin RMS |corner - pi(T p)|` of the joint solve (`bundle`): all methods have the same parameters, so that their RMS compare
+//! without a penalty for complexity.
 
 use crate::calibrate::bundle::BoardView;
 use crate::calibrate::chessboard::{BoardSize, Refinement, refine};
@@ -18,15 +21,15 @@ pub(crate) struct View {
     pub coarse: [Vec<Vector2<f64>>; 2],
 }
 
-/// Ways of refining that are tried on a chessboard.
+/// Methods of refinement that are tried on a chessboard.
 const CANDIDATES: [Refinement; 4] =
     [Refinement::Model(0.3), Refinement::Model(0.5), Refinement::Model(0.7), Refinement::Gradient(5)];
 
-/// Views, the RMS of every way tried (px), the way chosen.
+/// Views, the RMS of every method tried (px), the method chosen.
 pub(crate) type Refined = (Vec<BoardView>, BTreeMap<String, f64>, String);
 
-/// Refines in every way and keeps the one whose corners fit one rigid board best. All ways solve for the same parameters, so
-/// that their RMS may be compared; a way that loses more than one corner in a hundred does not take part.
+/// Refines with every method and keeps the one whose corners fit one rigid board best. A method that loses more than one corner in a
+/// hundred is excluded.
 pub(crate) fn choose_refinement(
     points: &[Vector3<f64>],
     size: BoardSize,
@@ -63,7 +66,7 @@ pub(crate) fn choose_refinement(
             .collect();
         match calibrate_stereo(points, bundle.clone(), image_size, lens) {
             Ok(solution) => {
-                // Views left out would flatter a way: each costs as if it had four times the RMS.
+                // Left-out views would favour a method: each costs as if it had four times the RMS.
                 let rms =
                     solution.bundle.rms_px() * (1.0 + solution.rejected.len() as f64 / views.len() as f64);
                 progress(&format!("{how}: {:.4} px", solution.bundle.rms_px()));

@@ -63,7 +63,7 @@ pub fn calibrate_stereo(
         .collect::<Result<_, _>>()?;
     let (relative, errors) = consensus(points, &mono[0], &mono[1], &sides[1]);
     let mono_rms = median(&[median(&mono[0].view_rms_px), median(&mono[1].view_rms_px)]);
-    // Unlike the joint solve, one view's relative pose is coarse: a loose bound, the views are judged again below.
+    // One view's relative pose is coarse: a loose bound here, the views are judged again by the joint solve below.
     let bound = 5.0 * median(&errors).max(3.0 * mono_rms);
     let mut used: Vec<usize> = (0..views.len()).filter(|&v| errors[v] <= bound).collect();
     let mut state = BundleState {
@@ -105,7 +105,7 @@ pub fn calibrate_stereo(
     state.left_from_board = used.iter().map(|&v| state.left_from_board[v]).collect();
     let mut warnings = Vec::new();
     let dropped = drop_wild_corners(points, &state, &mut kept);
-    // A speck here and there is nothing to warn of.
+    // Single corners left out need no warning.
     if dropped * 200 > kept.len() * 2 * points.len() {
         warnings
             .push(format!("{dropped} single corners left out: more than {CORNER_OUTLIER} sd from the model"));
@@ -163,7 +163,7 @@ fn drop_wild_corners(points: &[Vector3<f64>], state: &BundleState, views: &mut [
     dropped
 }
 
-/// Estimates the warp as well and keeps it where an F test with two more parameters asks for it (p < 0.001).
+/// Estimates the warp as well and keeps it where an F test of its two parameters rejects the flat board (p < 0.001).
 fn with_warp_if_needed(
     points: &[Vector3<f64>],
     views: &[BoardView],
@@ -173,7 +173,7 @@ fn with_warp_if_needed(
     let shared = bent.shared_covariance.nrows();
     let redundancy = (2 * bent.corners) as f64 - (shared + 6 * views.len()) as f64;
     let f = (flat.cost_px2 - bent.cost_px2) / 2.0 / (bent.cost_px2 / redundancy.max(1.0));
-    // 6.95 is the 99.9 % quantile of F(2, n) for n > 500; smaller samples need more, and there no warp is safer.
+    // 99.9 % quantile of F(2, n) for n > 500, the usual case; for smaller n the quantile is larger.
     if bent.converged && f > 6.95 { (bent, true) } else { (flat, false) }
 }
 

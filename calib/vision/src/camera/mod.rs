@@ -12,7 +12,7 @@ pub mod lens;
 use lens::{Coefficients, Lens, MAX_COEFFICIENTS};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
-/// Parameters of a camera beside its lens: fx, fy, cx, cy.
+/// Parameters of a camera without its lens: fx, fy, cx, cy.
 pub const PINHOLE_NAMES: [&str; 4] = ["fx", "fy", "cx", "cy"];
 
 /// Most intrinsic parameters that a camera has.

@@ -93,7 +93,7 @@ impl CurveModel {
     }
 
     /// The same curve with a force at an arc length. The curvature's slope jumps there by the force over the bending stiffness (n' = -F
-    /// delta, m' = -t x n): a corner that smoothing must not round, for the wire would be seen short of where it is pushed to.
+    /// delta, m' = -t x n): a corner that smoothing must not round, or the fitted wire would be short of the contact.
     #[must_use]
     pub fn with_force_at(&self, arc_mm: f64) -> Self {
         let knot_mm = (self.nodes - 1) as f64 * self.step_mm / (self.splines - 3) as f64;
@@ -161,7 +161,7 @@ impl CurveModel {
         bends
     }
 
-    /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing lets it, from a nearby one.
+    /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing allows, from a nearby one.
     #[must_use]
     pub fn through(
         &self,
@@ -230,7 +230,7 @@ impl CurveModel {
             for (p, w) in &half_steps {
                 turn[*p] += w;
             }
-            // Splines that begin further on have moved nothing yet.
+            // Splines that begin farther along have no effect here.
             let begun = |d: usize| start(d)..start(d) + first + 4;
             for p in (0..ROOT).chain(begun(0)).chain(begun(1)) {
                 move_by[p] += turn[p].cross(&tangent) * self.step_mm;
@@ -244,7 +244,7 @@ impl CurveModel {
         j
     }
 
-    /// What smoothing punishes: the sum of squared second differences of both directions' coefficients, as a quadratic form.
+    /// The roughness: the sum of squared second differences of both directions' coefficients, as a quadratic form.
     #[must_use]
     pub fn penalty(&self) -> &DMatrix<f64> {
         &self.penalty

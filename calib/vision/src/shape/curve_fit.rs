@@ -1,10 +1,10 @@
 //! The wire's shape of one pair: pieces measured in both pictures, a curve of known kind through all of them at once.
-//! Every piece says where the wire is across its own image line only; parts along epipolar lines need no match of their own.
+//! Every piece measures the wire's position across its own image line only; parts along epipolar lines need no match of their own.
 //!
 //! ```text
 //! r_i = n_i . (observed_i - pi_c(T exp(x) p(s_i; c))),   weight_i = (nu + 1) / (nu + (r_i / sd_i)^2) / sd_i^2     (Student, nu = 4)
 //! (J^T W J + P) step = J^T W r - P state,                P: tags' information on x, root, smoothing * roughness
-//! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - least penalised squares) / 2
+//! ln evidence(smoothing) = (rank ln smoothing - ln det(J^T W J + P) - minimum of the penalised squares) / 2
 //! ```
 //! Sources: Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", 1989; MacKay, "Bayesian Interpolation",
 //! 1992 (evidence).
@@ -71,7 +71,7 @@ pub fn image_line(
             Some(t) => t,
             None => continue,
         };
-        // Bend from the neighbours' directions.
+        // Curvature in the picture from the neighbours' directions.
         let bend = match (i.checked_sub(4).and_then(|k| pixels[k]), pixels.get(i + 5).copied().flatten()) {
             (Some((before, _)), Some((after, _))) => {
                 let (d1, d2) = (a - before, after - b);
@@ -86,7 +86,7 @@ pub fn image_line(
             if arc_mm > length_mm {
                 return Line { stations };
             }
-            // Across the curve's own bend the chord lies inside by the sagitta.
+            // The chord of a curved piece is inside the curve by the sagitta.
             let sag = -0.5 * bend * (f * long) * (long - f * long);
             let normal = Vector2::new(-tangent.y, tangent.x);
             let turned = (tangent + normal * (bend * (f - 0.5) * long)).normalize();
@@ -110,7 +110,7 @@ pub fn measure(picture: &Picture, line: &Line, appearance: Appearance, search_px
     line.stations.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
 }
 
-/// Pieces that show the wire: a bar is likelier than an edge, both sides differ from it in the same sense as most do.
+/// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.
 #[must_use]
 pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
     pieces
@@ -134,7 +134,7 @@ pub struct LineObservation {
     pub sd_px: f64,
 }
 
-/// Sights from measured pieces.
+/// Observations from measured pieces.
 #[must_use]
 pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineObservation> {
     pieces
@@ -160,13 +160,13 @@ pub struct PairSystem {
     pub rhs: DVector<f64>,
     /// Weighted sum of squares of the observations.
     pub chi2: f64,
-    /// Sights.
+    /// Number of observations.
     pub count: usize,
     /// Residuals, px, in order of the observations.
     pub residuals_px: Vec<f64>,
     /// Student weights, in order of the observations.
     pub weights: Vec<f64>,
-    /// Derivatives of the predicted offsets along the normal times their weights, one column a sight.
+    /// Derivatives of the predicted offsets along the normal times their weights, one column an observation.
     pub rows_weighted: DMatrix<f64>,
 }
 
@@ -222,6 +222,7 @@ pub fn linearise(
             weights.push(0.0);
             continue;
         };
+        // d r / d x = n . (d pi / d X) R [-hat(p)  I] for the base's correction, times dp / dc for the curve.
         let residual = s.normal.dot(&(s.observed_px - px));
         let by_base = s.normal.transpose() * by_left * turn.matrix();
         let by_turn = -by_base * hat(&p);
@@ -235,6 +236,7 @@ pub fn linearise(
             curve.axpy(by_base[k] * (1.0 - f), &by_parameters.column(3 * i + k), 1.0);
             curve.axpy(by_base[k] * f, &by_parameters.column(3 * i + 3 + k), 1.0);
         }
+        // Iteratively reweighted least squares: Student weight of the present residual.
         let sd = s.sd_px * noise;
         let z2 = (residual / sd).powi(2);
         let student = (STUDENT_DOF + 1.0) / (STUDENT_DOF + z2);
@@ -269,7 +271,7 @@ pub fn stepped(
     (left_from_base * correction, next)
 }
 
-/// What is known besides the observations.
+/// Prior information on base, root and roughness.
 #[derive(Debug, Clone)]
 pub struct Prior {
     /// Information on the base correction about `base_offset`.
@@ -311,7 +313,7 @@ pub fn with_prior(
     let mut rows = g.rows_mut(6, n);
     rows.gemv(-prior.smoothing, model.penalty(), &bends(state, n), 1.0);
     for k in 0..n {
-        // Splines beyond the tip see no data and little penalty: kept near where they are.
+        // Splines beyond the tip have no data and little penalty: a weak ridge keeps the matrix regular.
         h[(6 + k, 6 + k)] += 1e-3;
     }
     (h, g)
@@ -332,8 +334,8 @@ pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &CurveState, 
         let step = cholesky.solve(&g);
         let log_det = 2.0 * cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
         // Minimum of the penalised sum of squares: value at the current state less what the step gains.
-        let least = system.chi2 + smoothing * rough_now - step.dot(&g);
-        let evidence = 0.5 * (rank * smoothing.ln() - log_det - least);
+        let smallest = system.chi2 + smoothing * rough_now - step.dot(&g);
+        let evidence = 0.5 * (rank * smoothing.ln() - log_det - smallest);
         if evidence > best.0 {
             best = (evidence, smoothing);
         }

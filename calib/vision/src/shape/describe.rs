@@ -6,7 +6,7 @@ use crate::shape::pair_fit::PairFit;
 use nalgebra::{Matrix3, Vector3};
 use wcal_core::shapes_document::{Gap, PairDocument, TagDocument};
 
-/// Fills in what the fit found.
+/// Adds the fit's results.
 pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Option<&PairUncertainty>) {
     document.status = "ok".into();
     document.left_from_base = rows(&fit.left_from_base).to_vec();
@@ -42,7 +42,7 @@ pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Op
     }
 }
 
-/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the share of the way to the next.
+/// Places of the centre line half a millimetre apart: arc length (mm), node before, and the fraction of the interval to the next.
 pub(crate) fn places(fit: &PairFit) -> impl Iterator<Item = (f64, usize, f64)> + '_ {
     let last = fit.model.nodes as f64 - 1.001;
     let count = (fit.length_mm / 0.5).round().max(1.0) as usize;

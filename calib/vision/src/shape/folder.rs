@@ -28,7 +28,7 @@ const DISAGREEMENT: f64 = 30.0;
 const UNSEEN_MM: f64 = 3.0;
 /// Part of the wire that counts as near its root, mm.
 const NEAR_ROOT_MM: f64 = 6.0;
-/// Surface strain beyond which NiTi no longer springs back; a bench does not bend it so far at the clamp.
+/// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
 
 /// A corner is good to hundredths of a pixel: whole pixels are no noise.
@@ -37,7 +37,7 @@ const TAG_MISFIT_PX: f64 = 1.0;
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;
 
-/// A pair: pictures in which to look for the wire (background taken off, where there is one), and tags.
+/// A pair: the pictures to search for the wire (background subtracted where there is one), and tags.
 struct Loaded {
     name: String,
     pictures: [Picture; 2],
@@ -56,7 +56,7 @@ pub struct ShapesResult {
     pub times: StageClock,
 }
 
-/// Runs all pairs. `background`: the scene of both cameras without the wire; what it shows is no wire. `progress` is told each pair's
+/// Runs all pairs. `background`: the scene of both cameras without the wire; lines in it are no wire. `progress` is called with each pair's
 /// name when it is done.
 #[must_use]
 pub fn shapes_of_pairs(
@@ -85,7 +85,7 @@ pub fn shapes_of_pairs(
                     Some(Err(why)) => return Err(why.clone()),
                 };
                 let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, &times);
-                // Once a pair, though it may be looked at again.
+                // Once a pair, also where it is fitted again.
                 if start.is_none() && root_sd == ROOT_CLAMPED {
                     progress(&l.name);
                 }
@@ -95,8 +95,8 @@ pub fn shapes_of_pairs(
     };
     let mut root_sd = ROOT_CLAMPED;
     let mut fits = attempt(root_sd, &[]);
-    // A root that stands elsewhere than the tags say is not seen at all, or most wires are lost from it: look for it where the rest of
-    // the wire points.
+    // A root away from the tags' estimate is not seen, or most searches from it fail: search with a free root, in line with the rest of
+    // the wire.
     let sound = |fits: &[Result<PairFit, String>]| fits.iter().flatten().count();
     let most_lost = 2 * sound(&fits) < loaded.iter().flatten().count();
     let free = (most_lost || root_misplaced(&fits, rig.whisker.diameter_mm))
@@ -154,7 +154,7 @@ pub fn shapes_of_pairs(
         describe(&mut document, fit, uncertain[k].as_ref());
         if moved(k) {
             let remark =
-                "the base stands elsewhere than in the other pairs; its pose is from this pair alone";
+                "the base is at another place than in the other pairs; its pose is from this pair alone";
             document.warnings.push(remark.into());
         }
         let Some(u) = &uncertain[k] else { return document };
@@ -186,8 +186,8 @@ pub fn shapes_of_pairs(
     ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
 }
 
-/// In most pairs the curve from the stated root is no wire's: another root shows far more of one, its first millimetres are seen in neither picture, or it bends there
-/// as no wire bears.
+/// In most pairs the curve from the stated root is not the wire: another root has far more evidence, its first millimetres are seen in neither
+/// picture, or its strain there exceeds the elastic range.
 fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     let misplaced = |f: &PairFit| {
         let first = f.observations.iter().map(|s| s.arc_mm).fold(f64::INFINITY, f64::min);
@@ -271,7 +271,7 @@ fn load(
     Ok(Loaded { name: files.name.clone(), pictures, tags })
 }
 
-/// How freely the root may lie, and an earlier fit to go on from.
+/// Standard deviations of the root, and an earlier fit to continue from.
 struct Attempt<'a> {
     root_sd: [f64; 2],
     start: Option<&'a PairFit>,

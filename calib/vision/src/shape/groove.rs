@@ -1,4 +1,4 @@
-//! The groove: where the rig tag says the wire sits, corrected across the wire by the wire's own pictures.
+//! The groove: contact point from the rig tag, corrected across the wire by the wire's own pictures.
 //!
 //! ```text
 //! g = T_base^-1 T_tag v + e_t,  cov C_t;     A (g - p(s)) = e_w,  cov A C_w A;     A = I - t t^T
@@ -15,21 +15,21 @@ use crate::tags::base_pose::RigPose;
 use nalgebra::{Matrix3, Point3, Vector3};
 use wcal_core::shapes_document::GrooveDocument;
 
-/// Contact of a pair, and what its errors follow from.
+/// Contact of a pair, with the quantities that its errors derive from.
 pub(crate) struct GrooveFound {
     /// As in `shapes.json`; standard deviations and covariance are still to come.
     pub(crate) document: GrooveDocument,
     /// Node before the contact.
     pub(crate) node: usize,
-    /// Share of the way to the next.
+    /// Fraction of the interval to the next.
     pub(crate) share: f64,
     /// Unit tangent there.
     pub(crate) tangent: Vector3<f64>,
-    /// `B = I - C_t W A`: how the tag's word follows what it is corrected by.
+    /// `B = I - C_t W A`: derivative of the corrected position by the tag's.
     pub(crate) follow: Matrix3<f64>,
 }
 
-/// The contact of a pair whose rig tag is known. The tag says where along the wire; the wire says where across.
+/// The contact of a pair whose rig tag is known: along the wire from the tag, across it from the wire.
 /// `tag_covariance`: of the vertex position by the tag, base frame, mm^2.
 pub(crate) fn find_groove(
     fit: &PairFit,
@@ -54,7 +54,7 @@ pub(crate) fn find_groove(
     let (mut node, mut share, mut follow) = (nearest, 0.0, Matrix3::identity());
     let wire_covariance = node_covariance(fit, &jacobian, nearest, uncertain);
     let along = |t: &Vector3<f64>| t * t.transpose();
-    // Generalised least squares: tag plus wire across; along the wire only the tag counts.
+    // Generalised least squares: tag and wire across; along the wire the tag only, as the wire has no mark there.
     for _ in 0..3 {
         let across = Matrix3::identity() - along(&tangent);
         let joint = tag_covariance + across * wire_covariance * across + along(&tangent) * 1e6;
@@ -86,7 +86,7 @@ pub(crate) fn find_groove(
         "double" => vec![arc - 0.5 * width_mm, arc + 0.5 * width_mm],
         _ => vec![arc],
     };
-    // Where the flanks meet: the wire's centre stands off it by its radius over the sine of the half angle.
+    // Apex of the flanks: the wire's centre is at the distance r / sin(half angle) from it.
     let apex_mm = place.push.map(|p| {
         let a = by_tag - p * (0.5 * diameter_mm / groove.half_angle_deg.to_radians().sin());
         [a.x, a.y, a.z]
@@ -129,7 +129,7 @@ pub struct Place {
     pub away: Vector3<f64>,
     /// Covariance of that, mm^2; of unit size along the wire.
     pub covariance: Matrix3<f64>,
-    /// Direction in which the groove pushes; none where the wire is not deflected enough to tell.
+    /// Direction in which the groove pushes; none where the deflection is too small to determine it.
     pub push: Option<Vector3<f64>>,
     /// Change of the wire's tangent over the groove's width.
     pub turn: Vector3<f64>,
@@ -153,7 +153,7 @@ impl Place {
             // Beyond the wire's own diameter from the vertex there is no contact, whichever way the groove opens.
             return if self.away.norm() > diameter_mm { "none" } else { "out-of-vertex" };
         };
-        // Over the groove's width the wire's middle stands off its ends by the sagitta of its own bend.
+        // Over the groove's width the wire's middle is off the chord by the sagitta of its curvature.
         let arch = -self.turn.dot(&push) * groove.width_along_wire_mm / 8.0;
         if arch > 0.0 && agrees(push * arch) {
             return "double";

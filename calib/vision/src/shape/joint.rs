@@ -6,7 +6,7 @@
 //!         [K_i' C_i] [c] = [f_i]     (I_tags + sum M_i) x = sum h_i
 //! covariance_i = N_i^-1 + G_i C_cal G_i^T,   G_i = N_i^-1 d(gradient) / d(calibration)
 //! ```
-//! N_i: pair i's normal matrix with what tags and other pairs say about the base. G_i is the implicit function theorem at the minimum:
+//! N_i: pair i's normal matrix with the information of tags and other pairs on the base. G_i is the implicit function theorem at the minimum:
 //! the calibration is no parameter of the fit but moves its solution. Sources: JCGM 102:2011, 6.2 (propagation through a fitted model);
 //! Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6 (elimination).
 
@@ -31,7 +31,7 @@ const RESOLVED_BLURS: f64 = 3.5;
 pub(crate) struct Joint {
     /// Base correction that all agree on.
     step: Vector6<f64>,
-    /// How far the wires pull the base off its tags, in chi2 of 6 degrees of freedom.
+    /// Disagreement of wires and tags about the base, chi2 with 6 degrees of freedom.
     pub(crate) disagreement: f64,
 }
 
@@ -76,7 +76,7 @@ pub struct PairUncertainty {
     pub covariance: DMatrix<f64>,
     /// Rows as above, a column for each parameter of the cameras.
     pub by_calibration: DMatrix<f64>,
-    /// Error in depth that all places of the wire share and that the pictures' scatter does not show, mm.
+    /// Error in depth that all places of the wire share and that the pictures' scatter does not include, mm.
     pub shared_mm: f64,
     /// Columns: independent errors of the curve's parameters by the pair's own pictures, base and cameras held; one standard deviation each.
     pub own: DMatrix<f64>,
@@ -84,7 +84,7 @@ pub struct PairUncertainty {
     pub by_base: DMatrix<f64>,
     /// Covariance of the base's correction by the pictures' noise and the clamp.
     pub base: Matrix6<f64>,
-    /// Whether all pairs share that base; a pair whose base stands elsewhere has its own.
+    /// Whether all pairs share that base; a pair whose base moved has its own.
     pub base_shared: bool,
 }
 
@@ -112,6 +112,7 @@ pub(crate) fn uncertainties(
         })
         .collect();
     let tags = gradient_by_calibration(stereo, &base.observations, &base.pose.left_from_body);
+    // Normal equations of the base: tags plus the Schur complement of every pair whose base did not move.
     let mut information = base.pose.information;
     let mut pull = tags.clone();
     for (k, part) in parts.iter().enumerate() {
@@ -127,7 +128,7 @@ pub(crate) fn uncertainties(
         .map(|(k, fit)| {
             let fit = fit.as_ref().ok()?;
             let (part, full, reduced) = parts[k].as_ref()?;
-            // What others say about the base. One that stands elsewhere has its own tags only, seen by the same cameras.
+            // Information of the other pairs on the base. A base at another place has its own tags only, seen by the same cameras.
             let base_shared = !base.moved.contains(&k);
             let (others, their_pull) = if base_shared {
                 (information - part.information, &pull - reduced)
@@ -171,11 +172,10 @@ fn covariance(
     Some((covariance, response))
 }
 
-/// What the clamp's own offsets do to the base. All pairs show one clamp: its error does not average out over them, though each pair's
-/// wire begins there.
+/// Covariance of the base by the clamp's own offsets. All pairs have the same clamp, so that its error does not average out over them.
 fn clamp_covariance(root_sd: [f64; 2]) -> Matrix6<f64> {
     if root_sd != ROOT_CLAMPED {
-        // The frame follows the tags alone.
+        // With a free root the frame is that of the tags alone.
         return Matrix6::zeros();
     }
     let (shift, turn) = (root_sd[0].powi(2), root_sd[1].powi(2));
@@ -202,7 +202,7 @@ fn held(root_sd: [f64; 2], smoothing: f64) -> Prior {
 struct SchurComplement {
     information: Matrix6<f64>,
     rhs: Vector6<f64>,
-    /// 6 x parameters: what the curve carries over to the base.
+    /// K C^-1, 6 x parameters: coupling of the curve into the base.
     carried: DMatrix<f64>,
     /// L^-T of C = L L^T: independent errors of the curve's parameters with the base held.
     own: DMatrix<f64>,
@@ -249,7 +249,8 @@ fn sensitivity(stereo: &StereoCameras, fit: &PairFit) -> DMatrix<f64> {
     out
 }
 
-/// Radius over sqrt(chi2_2(0.95)) that holds 95 % of a plane Gaussian with these variances (Satterthwaite's approximation).
+/// Radius of the circle with 95 % of a plane Gaussian with these variances, over sqrt(chi2_2(0.95)) (F. E. Satterthwaite, Biometrics
+/// Bulletin 2 (1946) 110: the sum of squares as a scaled chi-squared).
 pub(crate) fn planar_sd(a: f64, b: f64) -> f64 {
     let mean = a + b;
     if !(mean > 0.0) || !mean.is_finite() {

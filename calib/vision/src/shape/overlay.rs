@@ -20,7 +20,7 @@ const UNSEEN: Colour = [255, 0, 0];
 const TAG: Colour = [255, 0, 255];
 const GROOVE: Colour = [255, 200, 0];
 
-/// A colour picture of twice the size, so that sub-pixel places can be told apart.
+/// A colour picture of twice the size, which resolves half pixels.
 struct Canvas {
     width: usize,
     height: usize,

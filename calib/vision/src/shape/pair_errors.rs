@@ -8,7 +8,7 @@
 //! groove:  ds = u' B (dg - dp(s)),   d(position) = dp(s) + u ds,   B = I - C_t W A (groove.rs),   u: the wire's tangent
 //! ```
 //! With the base held, the pairs are independent of each other: `x` is one error of all of them, of covariance `(I_tags + sum M_i)^-1`.
-//! So is the turn of a rig that only shifts: the cameras turn it by what all its pictures together say, not by one pair's share.
+//! So is the turn of a rig that only shifts: an error of the cameras turns it by the mean over all its pictures, not by one pair's share.
 //! Sources: JCGM 102:2011, 6.2; Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6.
 
 use crate::rig::RigGroove;
@@ -27,11 +27,11 @@ use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 
 /// Distance of the stations on the centre line, in points of it: 3 mm.
 const STATION_POINTS: usize = 6;
-/// What the list of own errors may leave out, sd, mm: far below what any picture shows.
+/// Errors of one pair below this sd are left out, mm: far below the noise of any picture.
 const LEFT_OUT_MM: f64 = 3e-4;
-/// How well the side of a board's squares is known, as a share of it: what etched and printed boards state (2 to 10 um in 60 mm).
+/// Relative standard deviation of the side of a board's squares: stated for etched and printed boards (2 to 10 um in 60 mm).
 const BOARD_SCALE_SD: f64 = 1e-4;
-/// Errors of setup beside the cameras: board, base, rig tag's place and turn, light, end.
+/// Errors of the setup other than the cameras': board, base, rig tag's place and turn, light, end.
 const SETUP: usize = 15;
 
 /// Places of the shared parameters in every list.
@@ -67,7 +67,7 @@ impl Layout {
     }
 }
 
-/// What all pairs of a folder share: the parameters, their covariance, and how the cameras move the rig tag.
+/// Errors that all pairs of a folder share: the parameters, their covariance, and the derivatives of the rig tags by the cameras.
 pub(crate) struct Shared {
     layout: Layout,
     pub(crate) parameters: Vec<SharedParameter>,
@@ -117,12 +117,12 @@ impl Shared {
         Self { layout, parameters: parameters(stereo), covariance, pulls, turn }
     }
 
-    /// Covariance of what a pair's own and shared columns displace.
+    /// Covariance of a pair's quantities by their own and shared columns.
     fn covariance_of(&self, own: &DMatrix<f64>, shared: &DMatrix<f64>) -> DMatrix<f64> {
         own * own.transpose() + shared * &self.covariance * shared.transpose()
     }
 
-    /// Adds to the columns of the cameras what a board of another size does: it scales the cameras' distance.
+    /// Writes the columns of the cameras and of the board's size, which scales the baseline.
     fn put_cameras(&self, stereo: &StereoCameras, to: &mut DMatrix<f64>, by_cameras: &DMatrix<f64>) {
         to.columns_mut(0, self.layout.cameras).copy_from(by_cameras);
         let baseline = &stereo.right_from_left.translation.vector;
@@ -191,7 +191,7 @@ impl VertexErrors {
         let lever = -hat(&groove.position_in_tag_mm);
         let mut columns = DMatrix::zeros(3, layout.count());
         let (own, by_cameras) = match &shared.turn {
-            // The shift that goes with a turn: t = I_tt^-1 (g_t - I_tw w).
+            // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
                 let by_turn = to_base * (lever - b.shift * b.cross.transpose());
@@ -218,7 +218,7 @@ impl VertexErrors {
         if u.base_shared {
             columns.columns_mut(layout.base(), 6).copy_from(&by_base);
         }
-        // A tag that sits elsewhere on its body takes the vertex that it states with it.
+        // A displaced tag displaces the vertex that it states by the same vector.
         columns.columns_mut(layout.tag_place(), 3).copy_from(&to_base);
         let mut covariance = shared.covariance_of(&own, &columns);
         if !u.base_shared {
@@ -233,7 +233,7 @@ fn dense(m: Matrix3xX<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(3, m.ncols(), m.as_slice())
 }
 
-/// Errors of a pair, and the covariances of groove position and contact arc length that they add up to.
+/// Errors of a pair, and the covariances of groove position and contact arc length from their sum.
 pub(crate) struct Errors {
     pub(crate) document: PairErrors,
     pub(crate) groove_mm2: Matrix3<f64>,
@@ -367,7 +367,7 @@ fn observations(columns: &DMatrix<f64>, m: usize, groove: Option<&GrooveFound>) 
     out
 }
 
-/// The same covariance by as few independent columns as leave out less than [`LEFT_OUT_MM`] anywhere, and what they leave out.
+/// The same covariance by the fewest independent columns that leave out less than [`LEFT_OUT_MM`] anywhere, and the part left out.
 fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let parts = (&columns * columns.transpose()).symmetric_eigen();
     let mut order: Vec<usize> = (0..columns.nrows()).collect();
@@ -376,9 +376,9 @@ fn principal(columns: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let mut left = columns.row_iter().map(|r| r.norm_squared()).collect::<Vec<f64>>();
     let mut kept = Vec::new();
     for k in order {
-        let most = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
-        if most <= LEFT_OUT_MM {
-            return (from_columns(columns.nrows(), &kept), most);
+        let largest = left.iter().fold(0.0f64, |a, b| a.max(*b)).sqrt();
+        if largest <= LEFT_OUT_MM {
+            return (from_columns(columns.nrows(), &kept), largest);
         }
         let column = scaled(k);
         left.iter_mut().zip(column.iter()).for_each(|(l, c)| *l -= c * c);

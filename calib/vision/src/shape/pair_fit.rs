@@ -25,7 +25,7 @@ pub struct PairFit {
     pub state: CurveState,
     /// Base pose used.
     pub left_from_base: Isometry3<f64>,
-    /// What tags say about a correction of that pose.
+    /// Information of the tags on a correction of that pose.
     pub base_information: Matrix6<f64>,
     /// Measured places that count.
     pub observations: Vec<LineObservation>,
@@ -45,7 +45,7 @@ pub struct PairFit {
     pub smoothing: f64,
     /// +1 dark wire.
     pub polarity: f64,
-    /// How the wire looks, left and right.
+    /// Blur and width of the wire, left and right.
     pub appearances: [Appearance; 2],
     /// Nominal diameter of the wire, mm.
     pub diameter_mm: f64,
@@ -55,17 +55,17 @@ pub struct PairFit {
     pub warnings: Vec<String>,
 }
 
-/// How far the curve model goes beyond the nominal length.
+/// Length of the curve model, in nominal lengths.
 const REACH: f64 = 1.12;
-/// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start where the tags say.
+/// Sd of the root's offsets (mm) and tilts (rad) where the wire does not start at the tags' estimate.
 pub const ROOT_FREE: [f64; 2] = [1.0, 0.05];
 /// Share of the nominal length by which a wire's end may lie elsewhere.
 const LENGTH_SHARE: f64 = 0.1;
-/// Least pieces a mm of the wire's last third against those of the rest, in the picture that shows more of it. Drawn wires of the tests
+/// Smallest ratio of the pieces a mm in the wire's last third to those of the rest, in the picture that shows more of it. Drawn wires of the tests
 /// show 46-60 pieces there, one that was lost toward the cameras 13.
 const TAIL_SHARE: f64 = 0.35;
 /// Share of the wire's length that one picture alone must not show, and the share of its millimetres at which a picture shows a
-/// stretch; the other one has twice that. A groove hides less, and one view does not tell the depth.
+/// stretch; the other one has twice that. A groove hides less, and one view does not determine the depth.
 const STRETCH_SHARE: f64 = 0.25;
 const STRETCH_SEEN: f64 = 0.25;
 /// Scatter of the pieces against their own noise that is remarked on, and that no single wire shows: drawn single wires have
@@ -97,14 +97,14 @@ pub struct Scene<'a> {
 /// Finds and fits the wire of one pair; `start` takes up an earlier fit of the same pictures where it ended.
 ///
 /// # Errors
-/// A sentence that says why the pair cannot be used.
+/// A sentence with the reason why the pair cannot be used.
 pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>, times: &StageClock) -> Result<PairFit, String> {
     let fitted = |begun| times.time(Stage::Fit, || refine(scene, begun, start.is_some()));
     if let Some(fit) = start {
         return fitted(fit.clone());
     }
     let search = |wide| times.time(Stage::Search, || begin(scene, wide)).and_then(fitted);
-    // What is lost in a gap or beside the wire is searched for once more; the first reason stands where that does not help.
+    // A wire lost in a gap or at another line is searched for again with wider beams; if that fails, too, the first reason is reported.
     search(false).or_else(|why| search(true).map_err(|_| why))
 }
 
@@ -122,7 +122,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     let PairFit { mut model, mut state, mut appearances, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
-    // A wire that starts elsewhere is followed from there; whether the base stands elsewhere too is for the folder to tell.
+    // A wire that starts elsewhere is fitted with a free root; whether the base moved as well is decided over the folder.
     if begun.root_aside_mm > 0.0 {
         prior.root_sd = ROOT_FREE;
     }
@@ -130,7 +130,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     let mut all: Vec<LineObservation> = Vec::new();
     let mut warnings = Vec::new();
     let mut end_seen = false;
-    // The window narrows as the curve settles; the look is fitted once the line is roughly right.
+    // The window narrows as the curve converges; blur and width are fitted once the line is approximately right.
     let windows = [4.0, 2.0, 1.2, 1.0, 1.0];
     let mut round = if again { 3 } else { 0 };
     while let Some(&search_px) = windows.get(round) {
@@ -158,7 +158,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
         }
         if round == 0 {
-            // Far off, the pieces' weights are no guide yet, and the smoothing cannot be told: the convex programme needs neither.
+            // Far from the solution robust weights and evidence for the smoothing are unreliable: the convex programme needs neither.
             let found = socp_initial_curve(stereo, left_from_base, &model, &state, &all, &prior);
             state = found.ok_or("no curve of the wire's length passes through the pieces")?;
             round += 1;
@@ -202,7 +202,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         end_seen = !ends.is_empty();
         if ends.is_empty() {
             let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
-            // Seen up to where it was looked for, and no end there: the search lost it, and it goes on.
+            // Seen up to the end of the searched length, and no wire end there: the wire is longer.
             if last > length - 1.0 && length + GROWTH_MM < REACH * rig.whisker.length_mm {
                 length += GROWTH_MM;
                 continue;
@@ -222,7 +222,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         round += 1;
     }
     let expected = rig.whisker.length_mm;
-    // The wire's length is known: what ends far from it is something else that the search strayed to.
+    // The wire's length is known: a line that ends far from it is another object.
     if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
         return Err(format!(
             "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
@@ -243,12 +243,12 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     }
     if noise > SCATTER_REJECT {
         return Err(format!(
-            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire beside the first, or something before it"
+            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire next to the first, or an object in front of it"
         ));
     }
     if noise > SCATTER_WARN {
         warnings.push(format!(
-            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture beside it?"
+            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture next to it?"
         ));
     }
     if (length - expected).abs() > 0.02 * expected {
@@ -312,7 +312,7 @@ fn begin(scene: &Scene<'_>, wide: bool) -> Result<PairFit, String> {
     })
 }
 
-/// Factor on the stated sd from the residuals' scatter (weighted) and from how far neighbours share their errors.
+/// Factor on the stated sd from the residuals' weighted scatter and the correlation of neighbours.
 fn consistent_noise(system: &PairSystem, noise: f64, observations: &[LineObservation]) -> f64 {
     let (mut sum, mut weight) = (0.0f64, 0.0f64);
     let (mut lag, mut here) = (0.0, 0.0);

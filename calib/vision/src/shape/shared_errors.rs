@@ -16,7 +16,7 @@ use crate::stereo::StereoCameras;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector3};
 use wcal_core::shapes_document::SharedError;
 
-/// Share of the wires' variance that may be left out, and most parts that are kept.
+/// Share of the wires' variance that may be left out, and largest number of parts.
 const LEFT_OUT: f64 = 0.01;
 const MAX_PARTS: usize = 3;
 
@@ -37,8 +37,8 @@ pub(crate) fn camera_errors(
     let mut moved = DMatrix::zeros(stereo.parameters(), stereo.parameters());
     for (fit, u) in fits.iter().zip(uncertain) {
         if let (Ok(fit), Some(u)) = (fit, u) {
-            let way = nodes_by_calibration(fit, u) * &factor;
-            moved += way.transpose() * way;
+            let shifts = nodes_by_calibration(fit, u) * &factor;
+            moved += shifts.transpose() * shifts;
         }
     }
     let axes = moved.symmetric_eigen();

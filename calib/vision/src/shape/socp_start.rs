@@ -1,6 +1,6 @@
 //! The convex start of the shape's fit: the curve as a chain of nodes through the pieces of both pictures, its links no longer than
-//! the wire between them. A second-order cone programme: whatever the search strayed by, it has one answer, and where no piece shows
-//! the wire (a groove before it, a part along epipolar lines) the curve goes on as evenly bent as the rest shape lets it.
+//! the wire between them. A second-order cone programme: convex, so that its solution does not depend on the search's error, and where no piece shows
+//! the wire (a groove before it, a part along epipolar lines) the curve is as smooth as the rest shape allows.
 //!
 //! ```text
 //! minimise  sum Huber(r_i - a_i . x) + sum |D^3 x - rest|^2 / rough^2 - tension . links    subject to  |x_n+1 - x_n| <= link
@@ -15,13 +15,13 @@ use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
 use nalgebra::{DMatrix, Isometry3, Point3, Vector3};
 
-/// Intervals of the curve model a link.
+/// Intervals of the curve model per link.
 const STRIDE: usize = 8;
-/// Change of the wire's curvature a mm, 1/mm^2: a force of 0.06 N on a 0.3 mm NiTi wire.
+/// Change of the wire's curvature per mm, 1/mm^2: a force of 0.06 N on a 0.3 mm NiTi wire.
 const CURVATURE_CHANGE: f64 = 0.002;
 /// Huber's bound, sd: 95 % efficient on Gaussian errors.
 const HUBER: f64 = 1.345;
-/// Pull along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap below 12 mm.
+/// Tension along the wire, 1/mm: enough to keep the links stretched, too little to straighten a gap below 12 mm.
 const TENSION: f64 = 10.0;
 /// Accuracy of a node that the smooth curve has to follow, mm.
 const NODE_MM: f64 = 0.01;
@@ -42,7 +42,7 @@ impl Triplets {
     }
 }
 
-/// A piece's say: residual in sd, and what each mm of the link's two nodes takes off it.
+/// Equation of a piece: residual in sd, and its derivative by the positions of the link's two nodes, 1/mm.
 struct Pull {
     camera: usize,
     link: usize,
@@ -77,7 +77,7 @@ pub fn socp_initial_curve(
             Some(Pull { camera: s.camera, link, residual, by_nodes: [along * (1.0 - g), along * g] })
         })
         .collect();
-    // The middle one of a camera's pieces on a link stands for all of them: a fifth of the time.
+    // The median of a camera's residuals on a link represents all of them: a fifth of the time, and robust.
     pulls.sort_by(|a, b| (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual)));
     let pulls: Vec<&Pull> =
         pulls.chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link)).map(|c| &c[c.len() / 2]).collect();
@@ -141,7 +141,7 @@ fn solve(
             quadratic.add(i, j, square[(i, j)]);
         }
     }
-    // Huber's loss of a residual r: least u^2 / 2 + bound * v with |r - u| <= v.
+    // Huber's loss of a residual r: minimum of u^2 / 2 + bound * v with |r - u| <= v.
     let mut rows = Triplets::default();
     let mut bounds = Vec::with_capacity(2 * count + 4 * nodes);
     for (p, pull) in pulls.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! A safe face for the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of the project with `unsafe` code.
+//! A safe interface to the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of the project with `unsafe` code.
 #![allow(unsafe_code)]
 
 use crate::error::VisionError;
@@ -117,7 +117,7 @@ impl Region {
     }
 }
 
-/// Contrast of a border below which the library does not look, DN: its own value.
+/// Contrast of a border below which the library ignores a candidate, DN: its own value.
 pub const MIN_CONTRAST: u8 = 5;
 
 /// Detects the tags of one family in regions of a picture, with borders of at least this contrast (DN). The corners are those of the quad.

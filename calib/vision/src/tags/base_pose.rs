@@ -28,7 +28,7 @@ pub struct FolderBase {
     pub pose: BodyPose,
     /// The averaged observations.
     pub observations: Vec<TagObservation>,
-    /// Pairs in which the base stands elsewhere.
+    /// Pairs in which the base is at another place.
     pub moved: Vec<usize>,
 }
 
@@ -180,7 +180,7 @@ fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
     };
     let chi2: f64 = turns.iter().map(|(m, w)| ((w - mean).transpose() * m * (w - mean))[0]).sum();
     let degrees = 3.0 * (turns.len() as f64 - 1.0);
-    // Twice the noise stated is still noise; a rig that turns differs by far more.
+    // Up to twice the stated noise counts as noise; a rig that turns differs by far more.
     if turns.len() < 2 || chi2 > 4.0 * degrees + 12.0 {
         return RigPoses { poses, shared_turn: None };
     }
@@ -188,7 +188,7 @@ fn share_orientation(mut poses: Vec<Option<RigPose>>) -> RigPoses {
     for p in poses.iter_mut().flatten() {
         let Some(TurnBlocks { cross, shift, .. }) = p.blocks() else { continue };
         let turn = (p.left_from_tag.rotation.inverse() * shared).scaled_axis();
-        // The position that goes with the shared orientation.
+        // The position that minimises chi2 at the shared orientation.
         let by = -(shift * cross.transpose() * turn);
         let moved = p.left_from_tag.translation.vector + p.left_from_tag.rotation * by;
         p.left_from_tag = Isometry3::from_parts(moved.into(), shared);

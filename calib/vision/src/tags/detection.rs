@@ -38,7 +38,7 @@ fn cells_along_side(family: &str) -> f64 {
     }
 }
 
-/// Where tags are looked for.
+/// Where tags are searched for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Search {
     /// Where the picture shows dark pieces of strong contrast, like a tag's border: a third of the time. A tag in the shade may be missed.
@@ -112,8 +112,8 @@ struct Edge {
 fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
     let start = raw.corners_px.map(|p| undistorted_px(camera, &Vector2::new(p[0], p[1])));
     let cells = cells_along_side(&raw.family);
-    // The outline alone takes a tone curve's shift of all edges for a larger tag; where the cells are large enough they tell
-    // the two apart. Small tags have their outline only.
+    // By the outline alone a tone curve's shift of all edges is the same as a larger tag; inner edges of cells that are large enough
+    // distinguish the two. Small tags have their outline only.
     let by_cells = |from: &[Vector2<f64>; 4]| {
         refine_by_cells(picture, camera, from, cells as usize).map(|f| (f.corners, f.covariances))
     };
@@ -146,7 +146,7 @@ fn refine_outline(
     let mut corners = *start;
     let mut covariances = [Matrix2::zeros(); 4];
     let mut edges: Vec<Edge> = Vec::new();
-    // Two rounds: the second takes its pixels about the lines of the first.
+    // Two rounds: the second fits the pixels about the lines of the first.
     for _ in 0..2 {
         edges = (0..4)
             .map(|k| {
@@ -186,7 +186,7 @@ fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
 }
 
 /// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
-/// (u across, t along), by Levenberg-Marquardt from an earlier edge; without one only says where to look, see [`balanced`]. None where the
+/// (u across, t along), by Levenberg-Marquardt from an earlier edge; without one only the place to search, see [`balanced`]. None where the
 /// pixels are too few or the fit fails.
 fn fit_edge(
     picture: &Picture,
@@ -212,7 +212,7 @@ fn fit_edge(
     if !picture.contains(lo.x - pad, lo.y - pad, 0.0) || !picture.contains(hi.x + pad, hi.y + pad, 0.0) {
         return None;
     }
-    // Row by row within the strip beside the edge. Every second pixel shows a long edge well enough to know where to look more closely.
+    // Row by row within the strip along the edge. Every second pixel of a long edge is enough for the first fit.
     let middle = 0.5 * (bent_a + bent_b);
     let sparse = earlier.is_none() && 2.0 * reach * (length - 2.0 * clear) > SPARSE_FROM_PX2;
     let stride = if sparse { 2 } else { 1 };

@@ -1,6 +1,6 @@
 //! Corners of a tag from every edge between a dark and a bright cell, not from its outline alone: ink, a camera's tone curve
-//! and half-saturated paper move all edges toward one colour by the same amount. Inner edges face both ways, so that this
-//! spread is solved for beside the corners instead of being taken for a larger or smaller tag.
+//! and half-saturated paper move all edges toward one colour by the same amount. Inner edges have both polarities, so that
+//! this spread is solved for together with the corners instead of biasing the tag's size.
 //!
 //! ```text
 //! n_i . (observed_i - H(c) m_i) = polarity_i s + noise      unknowns: four corners c (homography H), spread s of the dark cells
@@ -16,13 +16,13 @@ use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 /// Movement at which a fit ends, px.
 pub(crate) const FINE_PX: f64 = 0.01;
-/// Cells smaller than this show too little of the levels beside an edge, px.
+/// Cells smaller than this do not resolve the grey levels on both sides of an edge, px.
 const MIN_CELL_PX: f64 = 5.0;
 /// Edges needed: 9 unknowns, and enough beyond them to judge the scatter.
 const MIN_EDGES: usize = 32;
 /// Share of a cell's side that an edge is fitted over; the rest is kept clear of the crossing edges.
 const ALONG: f64 = 0.66;
-/// Scatter that pixels do not show, px: the raster of the print.
+/// Floor of an edge's standard deviation, px: the raster of the print, which the pixels' noise does not include.
 const SCATTER_FLOOR_PX: f64 = 0.005;
 
 /// Refined corners.
@@ -43,7 +43,7 @@ struct CellEdge {
     variance: f64,
 }
 
-/// Corners by all cell edges, starting from `start` (straightened px). None where the tag is too small or too little of it is seen.
+/// Corners by all cell edges, starting from `start` (straightened px). None where the tag is too small or mostly hidden.
 pub(crate) fn refine_by_cells(
     picture: &Picture,
     camera: Option<&Camera>,
@@ -55,7 +55,7 @@ pub(crate) fn refine_by_cells(
         return None;
     }
     let mut found = Corners { corners: *start, covariances: [Matrix2::zeros(); 4] };
-    // The second round takes its pixels about the edges of the first, which only balances bright against dark.
+    // The first round balances bright against dark only; the second fits the profile to the pixels about its edges.
     for method in [balance as Method, fit] {
         let edges = cell_edges(picture, camera, &found.corners, cells, method)?;
         found = solve(&found.corners, &edges)?;
@@ -109,7 +109,7 @@ fn cell_edges(
     let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);
     let colour = |i: usize, j: usize| {
         let x = (grey[j * count + i] - dark) / (bright - dark).max(1.0);
-        // In between: a shadow, a smear or the wire lies there.
+        // In between: a shadow, a smear or the wire covers the cell.
         ((x - 0.5).abs() > 0.15).then_some(x > 0.5)
     };
     let mut edges = Vec::new();
@@ -142,7 +142,7 @@ pub(crate) struct Profile {
     pub step: f64,
 }
 
-/// Measures an edge from (place across it in px, grey value) of its pixels, which reach so far to both sides.
+/// Measures an edge from (place across it in px, grey value) of its pixels, which extend this far to both sides.
 type Method = fn(&[(f64, f64)], f64) -> Option<Profile>;
 
 /// Levels far from the edge on its two sides.

@@ -5,7 +5,7 @@
 //! d pi / d x = (d pi / d X) R [-hat(p_k)  I],     information = sum J^T (C_k + s0^2 I)^-1 J
 //! ```
 //! Starting points: the pose of the square's homography (columns h1, h2, h1 x h2), and the one whose normal is mirrored in the line of
-//! sight, which a single view of a small square hardly tells apart. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar
+//! sight, which a single view of a small square hardly distinguishes. Source: Schweighofer and Pinz, "Robust Pose Estimation from a Planar
 //! Target", IEEE PAMI 28(12), 2006.
 
 use crate::camera::Camera;
@@ -15,7 +15,7 @@ use crate::tags::detection::{Tag, tag_corners};
 use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 
-/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not show.
+/// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not include.
 pub const CORNER_FLOOR_PX: f64 = 0.01;
 
 /// The pose of a body that carries tags, in the left camera's frame.

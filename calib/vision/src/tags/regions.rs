@@ -1,4 +1,4 @@
-//! Where tags may lie: dark pieces, about as high as wide, that stand out from what is around them, as a tag's black border does. AprilTag
+//! Candidate regions of tags: dark components, about as high as wide, with contrast to their surroundings like a tag's black border. AprilTag
 //! spends most of its time on the rest of a picture.
 
 use crate::picture::Picture;
@@ -6,14 +6,14 @@ use crate::tags::apriltag_ffi::{MIN_CONTRAST, Region};
 
 /// Side of the tiles whose darkest and brightest pixels give the local threshold, px; AprilTag's own.
 const TILE: usize = 4;
-/// Contrast asked for, a share of what the picture spans.
+/// Smallest contrast, as a share of the picture's range.
 const CONTRAST: f64 = 0.35;
 /// Least side of a tag's border, px: AprilTag reads no cell of less than a pixel.
 const MIN_SIDE: usize = 8;
 /// A tag seen under 75 degrees is four times as long as wide.
 const SLANT: usize = 4;
 /// Least share of its box that a border fills: a ring one cell of eight wide, turned by 45 degrees and drawn thin by the light. Of a large
-/// tag only the rim is looked at, a tile deep at the most.
+/// tag only the rim is examined, at most one tile deep.
 const FILL: f64 = 0.12;
 /// Sides from which a tag is found at half and at a quarter of the size as well, px: its cells are 4 px wide there and more.
 const COARSE_SIDES: [usize; 2] = [64, 128];
@@ -75,7 +75,7 @@ fn tiles(picture: &Picture) -> (usize, Vec<[u8; 2]>) {
     (columns, tiles)
 }
 
-/// Thresholds of the tiles, the middle of what the 3x3 tiles about each hold; 0 where they differ by less than `contrast`.
+/// Thresholds of the tiles, the middle of the range of the 3x3 tiles about each; 0 where they differ by less than `contrast`.
 fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
     let widest = |a: [u8; 2], b: [u8; 2]| [a[0].min(b[0]), a[1].max(b[1])];
     let mut across = tiles.to_vec();
@@ -86,15 +86,19 @@ fn thresholds(columns: usize, tiles: &[[u8; 2]], contrast: u8) -> Vec<u8> {
     }
     (0..tiles.len())
         .map(|k| {
-            let beside = [k.checked_sub(columns), Some(k), Some(k + columns)];
-            let [low, high] =
-                beside.into_iter().flatten().filter_map(|i| across.get(i)).copied().fold(across[k], widest);
+            let neighbours = [k.checked_sub(columns), Some(k), Some(k + columns)];
+            let [low, high] = neighbours
+                .into_iter()
+                .flatten()
+                .filter_map(|i| across.get(i))
+                .copied()
+                .fold(across[k], widest);
             if high - low < contrast { 0 } else { low + (high - low) / 2 }
         })
         .collect()
 }
 
-/// What the tiles span from the darkest hundredth to the brightest, DN; one tile in seven says it.
+/// Range of the tiles from the 1 % to the 99 % quantile, DN, from one tile in seven.
 fn span(tiles: &[[u8; 2]]) -> f64 {
     let hundredth = |mut values: Vec<u8>, brightest: bool| {
         let k = if brightest { values.len() - 1 - values.len() / 100 } else { values.len() / 100 };
@@ -194,7 +198,7 @@ pub(crate) fn tag_regions(picture: &Picture) -> (Vec<Region>, u8) {
         let [width, height] = p.sides();
         let margin = (MARGIN.0 * width.max(height) as f64) as usize + MARGIN.1;
         let low = p.low.map(|v| v.saturating_sub(margin) / TILE * TILE);
-        // What is small within a large piece is a piece of its own.
+        // A small component within a large one is a candidate by itself.
         let decimate = COARSE_SIDES.iter().filter(|&&s| width.min(height) >= s).fold(1.0, |d, _| 2.0 * d);
         Region { low, high: [0, 1].map(|k| (p.high[k] + margin + 1).min(size[k])), decimate }
     };

@@ -1,4 +1,4 @@
-//! How the wire looks in one picture: blur and width, from the pieces that show it best.
+//! Appearance of the wire in one picture: blur and width, from the pieces that show it best.
 //!
 //! ```text
 //! minimise over (ln blur, ln width)  sum over pieces of min over (centre, levels) |pixels - bar|^2
@@ -15,7 +15,7 @@ use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
 /// Bounds of blur (px) and of width over the expected width.
 const BLUR: [f64; 2] = [0.35, 3.0];
 const WIDTH: [f64; 2] = [0.6, 1.5];
-/// Pieces used; of these the worst quarter does not count.
+/// Pieces used; of these the worst quarter is left out.
 const PIECES: usize = 32;
 
 /// A piece's pixels and where its centre is now.
@@ -46,7 +46,7 @@ impl Linearised for Pooled {
 }
 
 impl Appearance {
-    /// After a step in (ln blur, ln width): no step goes far at once, and none out of what wires look like.
+    /// After a step in (ln blur, ln width), limited in size and to the range of real wires.
     fn changed(self, step: &Vector2<f64>) -> Self {
         Self {
             blur_px: (self.blur_px * step[0].clamp(-0.3, 0.3).exp()).clamp(BLUR[0], BLUR[1]),
@@ -91,8 +91,8 @@ pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) ->
     found.place.0
 }
 
-/// Centres move along: held where a wrong width put them, they would confirm that width. The worst quarter, and what cannot be
-/// fitted, does not count; none where that is more than a quarter.
+/// Centres are fitted again at every step: fixed where a wrong width put them, they would confirm that width. The worst quarter and pieces
+/// that cannot be fitted are left out; none where that is more than a quarter.
 fn pooled(patches: &[Patch], starts: &[(f64, Levels)], appearance: Appearance) -> Option<Pooled> {
     let fit = |(p, s): (&Patch, &(f64, Levels))| fit_patch(p, *s, appearance);
     let fits: Vec<Option<PatchFit>> = patches.iter().zip(starts).map(fit).collect();
@@ -126,7 +126,7 @@ fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearan
     type Nuisance = SVector<f64, 5>;
     let bar = Bar::new(patch.width_px * appearance.width_scale, appearance.blur_px);
     let fit = bar.settle(&patch.pixels, centre, level, 6, false)?;
-    // A bar that jumps to something else beside the wire says nothing about the wire.
+    // A bar that jumps to a neighbouring line has no information about the wire.
     if (fit.centre - centre).abs() > 1.0 {
         return None;
     }
@@ -134,7 +134,7 @@ fn fit_patch(patch: &Patch, (centre, level): (f64, Levels), appearance: Appearan
     // Rows: blur, width; nuisances: centre and levels.
     let (mut normal, mut gradient) = (Matrix2::zeros(), Vector2::zeros());
     let (mut own, mut pull) = (SMatrix::<f64, 5, 5>::identity() * 1e-9 * n, Nuisance::zeros());
-    // The light across the bar is held back here as it was in `settle`.
+    // The light across the bar has the same ridge as in `settle`.
     own[(4, 4)] += FIRST_RIDGE;
     let mut cross = SMatrix::<f64, 2, 5>::zeros();
     for &(u, value) in &patch.pixels {

@@ -26,16 +26,16 @@ pub(crate) struct Bar {
     inverse: f64,
 }
 
-/// Light across the bar over its depth, sd: free, it would be traded for a shift of narrow wires.
+/// Light across the bar over its depth, sd: without this prior it would be confounded with a shift of narrow wires.
 const TILT_SHARE: f64 = 0.03;
-/// Noise below which pixels are not believed, DN: quantisation and what the model lacks.
+/// Floor of the noise of a pixel, DN: quantisation and errors of the model.
 pub(crate) const MIN_NOISE: f64 = 0.5;
-/// What blur and width that are not quite right leave, as a share of the depth: a shifted bar with tilted light must not pay for it.
+/// Residual from errors of blur and width, as a share of the depth: it must not favour a shifted bar with tilted light.
 const MODEL_SHARE: f64 = 0.03;
 /// Weight of the light across the bar while neither noise nor depth is known, and while blur and width are not: nearly none is let
 /// in, so that a symmetric line has one best centre.
 pub(crate) const FIRST_RIDGE: f64 = 4.0;
-/// A step of the centre after which another one would change nothing that pixels can tell, px.
+/// Step of the centre at convergence, px: far below the noise of any pixel.
 const SMALL_STEP_PX: f64 = 1e-3;
 
 /// Weight of the light across the bar, noise^2 / (its prior sd)^2.
@@ -209,7 +209,7 @@ pub(crate) fn coarse_centre(
     let middle = (reach / CELL_PX).round() as usize;
     let steps = (search_px / (STRIDE as f64 * CELL_PX)).ceil() as usize;
     let mut best = None;
-    let mut most = f64::NEG_INFINITY;
+    let mut largest = f64::NEG_INFINITY;
     for k in 0..=2 * steps {
         let at = (middle + STRIDE * k).checked_sub(STRIDE * steps)?;
         let (from, to) = (at.checked_sub(half)?, at + half);
@@ -219,8 +219,8 @@ pub(crate) fn coarse_centre(
         let [(n0, l), (n1, b), (n2, r)] = [sums.mean(0, from), sums.mean(from, to), sums.mean(to, last)];
         // Empty parts have no mean: comparisons with it fail.
         let explained = n0 * l * l + n1 * b * b + n2 * r * r;
-        if (l - b) * (r - b) > 0.0 && explained > most {
-            most = explained;
+        if (l - b) * (r - b) > 0.0 && explained > largest {
+            largest = explained;
             best = Some((at as f64 * CELL_PX - reach, Levels::new(l, r, b, 0.0)));
         }
     }
@@ -259,16 +259,16 @@ pub(crate) fn without_wire(pixels: &[Pixel], bar: &Bar) -> f64 {
         .fold((f64::NEG_INFINITY, 1), |best, next| if next.0 > best.0 { next } else { best });
     let edge = |place: f64| two(&|u| bar.step(u - place).0);
     let mut place = sharp.1 as f64 * CELL_PX - reach;
-    let mut least = edge(place);
+    let mut smallest = edge(place);
     let mut step = 0.5;
     while step > 0.05 {
         step *= 0.5;
         for at in [place - step, place + step] {
             let there = edge(at);
-            if there < least {
-                (place, least) = (at, there);
+            if there < smallest {
+                (place, smallest) = (at, there);
             }
         }
     }
-    least.min(two(&|u| u))
+    smallest.min(two(&|u| u))
 }

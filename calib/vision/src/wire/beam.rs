@@ -21,31 +21,31 @@ const STEP_MM: f64 = 1.0;
 const PLACES: usize = 3;
 /// Curves kept.
 pub const BEAM: usize = 160;
-/// Curves kept besides as long as they lie hidden from the root on: they cost no look, and nothing tells them apart yet.
+/// Curves kept in addition while they are hidden from the root on: they cost no evaluation, and no evidence separates them yet.
 const HIDDEN_BEAM: usize = 600;
 /// Curves kept where the first search found too little.
 pub const WIDE_BEAM: usize = 4 * BEAM;
-/// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how many blocks after it: by then both
-/// pictures have told which of them is the wire.
+/// Factor of the curves that a wide search keeps while the likeliest crosses a gap, and for how many blocks after it: by then the
+/// evidence of both pictures has separated them.
 const GAP_BEAM: usize = 4;
 const GAP_AFTER: usize = 2;
-/// Evidence that the likeliest curve gains a block, below which it is in a gap: a fifth of what a wire in sight gives.
+/// Evidence that the likeliest curve gains a block, below which it is in a gap: a fifth of the gain along a visible wire.
 const GAP_GAIN: f64 = 15.0;
-/// Share of the length after which none of them is kept: what shares more of its way with a first wire is none of its own.
+/// Share of the length beyond which no hidden curve is kept: one that follows the first wire farther is no second wire.
 const HIDDEN_SHARE: f64 = 0.4;
-/// Distance of the roots tried beside the stated one, mm.
+/// Spacing of the roots tried around the stated one, mm.
 const ASIDE_STEP_MM: f64 = 0.25;
-/// Steps from one branching to the next: before that the branches lie within a tenth of a pixel of one another, so that one look
-/// serves them all.
+/// Steps from one branching to the next: up to there the branches lie within a tenth of a pixel of one another, so that one
+/// evaluation serves them all.
 const BRANCH_STEPS: usize = 3;
 /// Change of curvature a branching, 1/mm: 0.002 a mm, as a force of 0.06 N bends a 0.3 mm NiTi wire.
 const CURVATURE_STEP: f64 = 0.006;
-/// Log likelihood that a change costs.
+/// Log prior of one change.
 const CHANGE_COST: f64 = 1.0;
 /// Blocks between branchings that are not branched, from the root.
 const UNBRANCHED: usize = 1;
-/// Deviation from the nominal curvature that costs half a unit a block, 1/mm: where a wire runs along the epipolar lines every curve in
-/// depth looks alike, and the one with the least strain energy is the likeliest.
+/// Deviation from the nominal curvature that costs half a unit a block, 1/mm: where a wire runs along the epipolar lines all curves in
+/// depth have the same image, and the one with the smallest strain energy is the likeliest.
 const BEND_SD: f64 = 0.01;
 /// Cells of place (mm) and direction (rad) in both pictures of which one curve is kept: of those that are seen, of those that cross a
 /// gap, and of those that lie hidden from the root on.
@@ -53,14 +53,14 @@ const SEEN_CELL: (f64, f64) = (0.06, 0.01);
 const GAP_CELL: (f64, f64) = (0.2, 0.04);
 const HIDDEN_CELL: (f64, f64) = (0.1, 0.02);
 
-/// How a search goes about.
+/// Settings of a search.
 #[derive(Debug, Clone, Copy)]
 pub struct BeamSettings {
     /// Curves kept.
     pub beam: usize,
-    /// How far beside the stated root the wire may start, mm.
+    /// Largest distance of the root from the stated one, mm.
     pub aside_mm: f64,
-    /// The wire may be bent anyhow: a second one need not be near this one's rest shape.
+    /// Any curvature is allowed: a second wire need not be near this one's rest shape.
     pub any_bend: bool,
 }
 
@@ -90,13 +90,13 @@ struct Hypothesis {
     best: f64,
     best_step: usize,
     parent: usize,
-    /// No place has shown anything so far: all of them lay covered up.
+    /// All places so far are covered and have no evidence.
     hidden: bool,
 }
 
 impl Hypothesis {
-    /// The same curve, had its curvature changed by this at the last branching: so little that the places looked at were the same.
-    fn bent(&self, parent: usize, by: [f64; 2]) -> Self {
+    /// The same curve with its curvature changed at the last branching, by so little that the places evaluated since are the same.
+    fn with_curvature_change(&self, parent: usize, by: [f64; 2]) -> Self {
         let long = BRANCH_STEPS as f64 * STEP_MM;
         let aside = Vector3::new(0.0, by[0], by[1]) * (0.5 * long * long);
         let turn = small_turn(&(Vector3::new(0.0, -by[1], by[0]) * long));
@@ -111,7 +111,7 @@ impl Hypothesis {
 }
 
 /// The curves that are started. The bending moment at the root is unknown: every curvature up to 0.048 / mm is started; from roots
-/// up to `aside_mm` beside the stated one only a few are.
+/// up to `aside_mm` from the stated one only a few are.
 fn starts(aside_mm: f64) -> Vec<Hypothesis> {
     let grid = |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
     let (bends, bend_step) = if aside_mm > 0.0 { (1, 3.0 * CURVATURE_STEP) } else { (8, CURVATURE_STEP) };
@@ -162,13 +162,13 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
                 }
             }
         }
-        // While the started curves still lie side by side there is nothing to branch.
+        // The starting curves cover all curvatures at first: branching begins where they diverge.
         if block >= UNBRANCHED {
             let leader = now.iter().max_by(|a, b| a.score.total_cmp(&b.score));
             let (score, hidden) = leader.map_or((0.0, true), |c| (c.score, c.hidden));
             since_gap = if !hidden && score - leading < GAP_GAIN { 0 } else { since_gap + 1 };
             leading = score;
-            // Nothing tells curves in a gap apart: more of them, farther apart, cross it.
+            // No evidence separates curves in a gap: more of them, with a wider spacing, cross it.
             let seen = if beam >= WIDE_BEAM && since_gap <= GAP_AFTER {
                 (GAP_BEAM * beam, GAP_CELL)
             } else {
@@ -191,17 +191,17 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
         index = parent;
     }
     curvatures.reverse();
-    // Beyond the end the curve goes on as it was.
+    // Beyond the end the curvature is constant.
     let end = curvatures[best_step - 1];
     curvatures[best_step..].fill(end);
     let start = &started[index];
-    let (path, strength) = walked(scene, whisker, start, &curvatures[..best_step]);
+    let (path, strength) = traced(scene, whisker, start, &curvatures[..best_step]);
     let root_mm = [start.position.y, start.position.z];
     Some(BeamResult { curvatures, length_mm: best_step as f64 * STEP_MM, score, strength, root_mm, path })
 }
 
 /// Places one a step along a curve, and the typical response of those that show a wire, left and right.
-fn walked(
+fn traced(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
     start: &Hypothesis,
@@ -221,7 +221,7 @@ fn walked(
     (path, responses.map(|r| crate::calibrate::initial::median(&r)))
 }
 
-/// Moves a curve on by a step; `visit` is told every place scored and the tangent there.
+/// Extends a curve by a step; `visit` is called with every place scored and the tangent there.
 fn advance(
     whisker: &RigWhisker,
     c: &mut Hypothesis,
@@ -282,7 +282,7 @@ fn branched(
         if kept.len() >= beam || branch.0 < floor {
             break;
         }
-        let child = grown(now, branch, first);
+        let child = extended(now, branch, first);
         if cells.insert(cell_of(scene, &child, cell)) {
             kept.push(child);
         }
@@ -292,16 +292,17 @@ fn branched(
     }
     cells.clear();
     hidden.sort_unstable_by(best_first);
-    let children = hidden.into_iter().map(|b| grown(now, b, first));
+    let children = hidden.into_iter().map(|b| extended(now, b, first));
     let hidden: Vec<_> = children.filter(|c| cells.insert(cell_of(scene, c, HIDDEN_CELL))).collect();
-    // Spread evenly over what lies hidden: the first of them would all bend to one side.
+    // Every n-th of the hidden curves: the first ones would all bend to one side.
     let every = hidden.len().div_ceil(hidden_beam).max(1);
     kept.extend(hidden.into_iter().step_by(every));
     kept
 }
 
-fn grown(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothesis {
-    let mut child = now[k].bent(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
+fn extended(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothesis {
+    let mut child =
+        now[k].with_curvature_change(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
     if child.best_step > first {
         child.best += score - child.score;
     }
@@ -309,8 +310,8 @@ fn grown(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothes
     child
 }
 
-/// Cell of a curve's end as both pictures see it, place (mm) and direction (rad) in steps of these sizes: what looks alike in both needs
-/// to be kept once, and depth is as coarse as they see it.
+/// Cell of a curve's end in both pictures, place (mm) and direction (rad) in steps of these sizes: curves with the same images need to be
+/// kept once, and depth is resolved as coarsely as the pictures resolve it.
 fn cell_of(scene: &Scene<'_>, c: &Hypothesis, (place, turn): (f64, f64)) -> [i32; 6] {
     let mut cell = [0; 6];
     let step = |v: f64, size: f64| (v / size).round() as i32;

@@ -1,5 +1,12 @@
 //! The wire's centre in a picture: short pieces of the wire, each fitted by a blurred bar between two backgrounds that need not be
 //! equal, with light that may change across the bar. That is Steger's bias for unequal sides, solved rather than corrected.
+//!
+//! ```text
+//! evidence = n / 2 ln((RSS_edge + n s0^2) / (RSS_bar + n s0^2)) - 2 / 2 ln n          log likelihood ratio less BIC of two parameters
+//! sd^2 = RSS_bar / (n - 5) / |P dI/d(centre)|^2                                       P: projection off the levels
+//! ```
+//!
+//! n: pixels, s0: floor of their noise. Source: G. Schwarz, "Estimating the Dimension of a Model", Annals of Statistics 6 (1978) 461 (BIC).
 
 use crate::picture::Picture;
 use crate::wire::bar::{Bar, MIN_NOISE, Pixel, coarse_centre, near_px, without_wire};
@@ -31,7 +38,7 @@ impl Station {
     }
 }
 
-/// How the wire looks: shared by all pieces of a picture.
+/// Appearance of the wire, shared by all pieces of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance {
     /// Blur, sd of the Gaussian, px.
@@ -43,7 +50,7 @@ pub struct Appearance {
 /// A measured piece.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Piece {
-    /// Where it was looked for.
+    /// Predicted place.
     pub station: Station,
     /// Offset of the centre along the normal, px.
     pub offset_px: f64,
@@ -104,7 +111,7 @@ pub fn fit_piece(picture: &Picture, at: &Station, appearance: Appearance, search
         return None;
     }
     let (coarse, levels) = coarse_centre(&pixels, width, reach, search_px)?;
-    // Fine: a window about the coarse centre, so that what lies beyond the wire's own surroundings does not count.
+    // Fine: a window about the coarse centre, which excludes neighbouring objects.
     pixels.retain(|p| (p.0 - coarse).abs() <= near);
     let n = pixels.len();
     let fit = bar.settle(&pixels, coarse, levels, 12, true)?;

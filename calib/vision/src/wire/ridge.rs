@@ -13,11 +13,11 @@ use std::cell::OnceCell;
 
 /// Side of a tile, px.
 const TILE: usize = 64;
-/// Tiles, of which one tells the background.
+/// One tile in this many samples the background.
 const SAMPLED: usize = 9;
 /// Values a row of a tile: one more than its side, so that interpolation stays within it.
 const ROW: usize = TILE + 1;
-/// Second derivatives of a smoothed picture, computed tile by tile where they are asked for: a search along a wire visits a
+/// Second derivatives of a smoothed picture, computed tile by tile on demand: a search along a wire visits a
 /// small part of the picture.
 pub struct RidgeMap<'a> {
     picture: &'a Picture,
@@ -122,8 +122,8 @@ impl<'a> RidgeMap<'a> {
         Some(f64::from(nx * nx * mix(0) + 2.0 * nx * ny * mix(1) + ny * ny * mix(2)))
     }
 
-    /// Responses at places and in directions spread evenly over the picture (an R2 sequence): what it shows where nobody
-    /// says there is a wire. One tile in [`SAMPLED`] is looked at, on a lattice that leaves out no row or column of tiles.
+    /// Responses at places and in directions spread evenly over the picture (an R2 sequence): its responses without a
+    /// wire. One tile in [`SAMPLED`] is evaluated, on a lattice that leaves out no row or column of tiles.
     #[must_use]
     pub fn background(&self, count: usize) -> Vec<f64> {
         (0..count)
@@ -153,7 +153,7 @@ pub struct Evidence {
 
 /// Relative spread of the wire's response: uneven background and light along the wire.
 const SPREAD: f64 = 0.35;
-/// Score of a place where the wire may be hidden: neither for nor against, less the odds of being hidden (1 in 2).
+/// Score of a place where the wire may be hidden: no evidence, less the log odds of being hidden (1 in 2).
 pub const HIDDEN: f64 = -0.69;
 
 impl Evidence {

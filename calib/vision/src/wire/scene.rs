@@ -1,4 +1,4 @@
-//! What both pictures say about a place in space: the wire's evidence there, and what a wire that was found covers up.
+//! Evidence of both pictures for the wire at a place in space, and the region that a wire already found covers.
 
 use crate::rig::RigWhisker;
 use crate::stereo::StereoCameras;
@@ -138,7 +138,7 @@ fn cell(px: &Vector2<f64>) -> [i64; 2] {
 }
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected
-/// line, as far beside it as a root `aside_mm` off and a bend at the root take the wire.
+/// line, within the distance that a root `aside_mm` off and the curvature at the root allow.
 #[must_use]
 pub fn expected_strength(
     stereo: &StereoCameras,
@@ -157,7 +157,7 @@ pub fn expected_strength(
             .filter_map(|k| {
                 let s = 1.5 + (end - 1.5) * f64::from(k) / 39.0;
                 let (px, normal) = scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
-                // As far aside as half of the greatest curvature that is started takes it.
+                // Distance that half of the largest starting curvature gives.
                 let reach = 3.0 + (aside_mm + 0.012 * s * s) * px_per_mm;
                 let count = (2.0 * reach) as i64;
                 (-count..=count)

@@ -1,5 +1,4 @@
-//! The search for the wire of one pair: dark or bright, from the root that the tags tell or from beside it, and whether there is a
-//! second one.
+//! The search for the wire of one pair: dark or bright, from the tags' root or one near it, and the test for a second wire.
 
 use crate::picture::Picture;
 use crate::rig::Rig;
@@ -9,17 +8,17 @@ use crate::wire::ridge::{Evidence, RidgeMap};
 use crate::wire::scene::{Scene, expected_strength};
 use nalgebra::Isometry3;
 
-/// Evidence per millimetre and picture below which there is no wire: a tenth of what a place can score at most, thrice a mm.
+/// Evidence per millimetre and picture below which there is no wire: a tenth of the largest score of a place, at three places a mm.
 const MIN_EVIDENCE: f64 = 1.2;
-/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well: where it
-/// is covered up by the first one it has none.
+/// A second line from the root with this share of the first one's length and of its evidence a millimetre is a wire as well; where the
+/// first one covers it, it has no evidence.
 const RIVAL_LENGTH_SHARE: f64 = 0.4;
 const RIVAL_SHARE: f64 = 0.15;
-/// Share of the evidence a millimetre that makes a line worth a second look.
+/// Share of the evidence a millimetre above which a line is searched again with a wider beam.
 const SUSPECT_SHARE: f64 = 0.05;
-/// Curves kept in the search for it: it need only be found, not followed well.
+/// Curves kept in the search for a second wire: it needs to be found only, not measured.
 const RIVAL_BEAM: usize = 120;
-/// Distance from the first wire, in its widths, within which nothing counts.
+/// Distance from the first wire, in its widths, within which evidence is ignored.
 const COVERED_WIDTHS: f64 = 3.0;
 /// Share of the nominal length at which a line is the whole wire.
 const LONG_SHARE: f64 = 0.9;
@@ -27,14 +26,14 @@ const LONG_SHARE: f64 = 0.9;
 const MAX_EVIDENCE: f64 = 24.0;
 /// Share of the evidence along the nominal length at which a line is the wire: one of the other polarity does not beat it.
 const CONVINCING_SHARE: f64 = 0.4;
-/// Share below which the beam was too narrow, or the wire starts elsewhere than the tags say.
+/// Share below which the beam was too narrow, or the wire starts away from the tags' root.
 const SOUND_SHARE: f64 = 0.6;
-/// How far aside it is looked for then, mm.
+/// Radius of the search for another root, mm.
 const ASIDE_MM: f64 = 2.0;
-/// Factor of the evidence by which a line from there must beat the one from the stated root.
+/// Factor by which the evidence of a line from another root must exceed that from the stated one.
 const BETTER: f64 = 1.2;
 
-/// A line that was found, its polarity (+1 dark), and how strongly the wire answers in both pictures.
+/// A line that was found, its polarity (+1 dark), and the wire's response in both pictures.
 struct FoundWire {
     result: BeamResult,
     polarity: f64,
@@ -56,7 +55,7 @@ impl Search<'_> {
         Scene::new(self.stereo, self.left_from_base, self.maps, evidence)
     }
 
-    /// The likelier of the best dark and the best bright line from a root up to `aside_mm` beside the stated one.
+    /// The likelier of the best dark and the best bright line from a root up to `aside_mm` from the stated one.
     fn best(&self, aside_mm: f64) -> Option<FoundWire> {
         let whisker = &self.rig.whisker;
         let strengths = [1.0, -1.0].map(|polarity| {
@@ -92,7 +91,7 @@ impl Search<'_> {
                 break;
             }
         }
-        // A groove's edges can crowd the wire out of the beam: where what is found is too short or too faint, a wider one looks again.
+        // A groove's edges can displace the wire from the beam: a result that is too short or too faint is searched again with a wider one.
         let poor = |t: &BeamResult| {
             t.length_mm < LONG_SHARE * whisker.length_mm || t.score < SOUND_SHARE * self.max_score()
         };
@@ -118,7 +117,7 @@ impl Search<'_> {
 }
 
 /// Searches for a dark and for a bright wire; the likelier one with its polarity, +1 dark. `root_free`: the wire is known to start
-/// elsewhere than the tags say. `wide`: with wider beams from the start, which cross gaps.
+/// away from the tags' root. `wide`: with wider beams from the start, which cross gaps.
 pub(crate) fn find_wire(
     stereo: &StereoCameras,
     rig: &Rig,
@@ -129,7 +128,7 @@ pub(crate) fn find_wire(
 ) -> Result<(BeamResult, f64), String> {
     let depth = left_from_base.translation.z;
     let width = rig.whisker.diameter_mm * stereo.cameras[0].focal_px[0] / depth;
-    // A bar answers most at a scale of its width over 2 sqrt 3 (Steger 1998, eq. 11); below 1.2 px noise would rule.
+    // The response to a bar is largest at the scale width / (2 sqrt 3) (Steger 1998, eq. 11); below 1.2 px noise would dominate.
     let scale = (width / 12f64.sqrt()).max(1.2);
     let maps = [RidgeMap::new(&pictures[0], scale), RidgeMap::new(&pictures[1], scale)];
     let background = [maps[0].background(60_000), maps[1].background(60_000)];

@@ -20,10 +20,10 @@ pub struct Tip {
 
 /// Half length of the window along the line, px.
 const WINDOW_PX: f64 = 18.0;
-/// What an end's unknown form (flat, round) and the blur's form leave open, px.
+/// Standard deviation from the unknown form of the end (flat, round) and of the blur, px.
 const FLOOR_PX: f64 = 0.15;
 
-/// Fits the end of a bar near `around_mm`. `line`: stations that go on beyond the end. None where the picture does not show it.
+/// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None where the picture does not show it.
 #[must_use]
 pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, around_mm: f64) -> Option<Tip> {
     let at =
@@ -37,7 +37,7 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
         return None;
     }
     // Depth of the bar at every pixel along the line: both sides minus the middle.
-    let beside = 0.5 * width + 2.0 * appearance.blur_px + 1.5;
+    let side_px = 0.5 * width + 2.0 * appearance.blur_px + 1.5;
     let samples: Vec<(f64, f64)> = (-(WINDOW_PX as i64)..=WINDOW_PX as i64)
         .map(|k| {
             let t = k as f64;
@@ -47,20 +47,20 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
                 picture.sample(p.x, p.y)
             };
             let middle = [-0.25, 0.0, 0.25].iter().map(|f| at_offset(f * width)).sum::<f64>() / 3.0;
-            (t, 0.5 * (at_offset(beside) + at_offset(-beside)) - middle)
+            (t, 0.5 * (at_offset(side_px) + at_offset(-side_px)) - middle)
         })
         .collect();
     // Coarse: the best split into two levels; then Gauss-Newton on place and levels of a blurred step.
     let mut place = 0.0;
-    let mut least = f64::INFINITY;
+    let mut smallest = f64::INFINITY;
     for k in 4..samples.len() - 4 {
         let level = |part: &[(f64, f64)]| {
             let mean = part.iter().map(|s| s.1).sum::<f64>() / part.len() as f64;
             part.iter().map(|s| (s.1 - mean).powi(2)).sum::<f64>()
         };
         let cost = level(&samples[..k]) + level(&samples[k..]);
-        if cost < least {
-            (least, place) = (cost, samples[k].0 - 0.5);
+        if cost < smallest {
+            (smallest, place) = (cost, samples[k].0 - 0.5);
         }
     }
     let mean = |f: &dyn Fn(f64) -> bool| {
@@ -89,7 +89,7 @@ pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, aro
             break;
         }
     }
-    // The step has to stand out of the samples' scatter and leave nothing of the bar beyond it.
+    // The step must be significant against the samples' scatter, and the bar must vanish beyond it.
     let contrast = (p[1] - p[2]).abs();
     if p[0].abs() > WINDOW_PX - 3.0 || contrast < 4.0 * variance.sqrt() || p[2].abs() > 0.35 * p[1].abs() {
         return None;

@@ -8,9 +8,9 @@ const MAX_PACKET: usize = 80;
 /// One command line, checked and split.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
-    /// Device address; 0 speaks to all.
+    /// Device address; 0 addresses all.
     pub device: u8,
-    /// Axis; 0 speaks to the whole device.
+    /// Axis; 0 addresses the whole device.
     pub axis: u8,
     /// Message id, echoed in the reply.
     pub id: Option<u8>,
@@ -38,7 +38,7 @@ pub fn parse(line: &[u8]) -> Option<Command> {
     let mut words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
     let mut header = [None::<u8>; 3];
     for slot in &mut header {
-        // `--` asks for no id.
+        // `--` requests a reply without id.
         let Some(number) = words.first().and_then(|w| if w == "--" { Some(0) } else { w.parse().ok() })
         else {
             break;
@@ -59,7 +59,7 @@ pub fn parse(line: &[u8]) -> Option<Command> {
     })
 }
 
-/// What a unit answers.
+/// Reply of a unit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
     /// Whether the command was accepted.
@@ -82,12 +82,12 @@ impl Answer {
     }
 }
 
-/// Who answers, and how.
+/// Sender and format of a reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header<'a> {
     /// Own address.
     pub device: u8,
-    /// Axis spoken to.
+    /// Axis addressed.
     pub axis: u8,
     /// Message id to echo.
     pub id: Option<u8>,
@@ -115,7 +115,7 @@ impl Header<'_> {
         }
     }
 
-    /// The reply and its info lines; data that do not fit one packet go on in `cont` packets.
+    /// The reply and its info lines; data that do not fit one packet continue in `cont` packets.
     #[must_use]
     pub fn reply(&self, answer: &Answer) -> Vec<String> {
         let state = if self.busy { "BUSY" } else { "IDLE" };
@@ -139,7 +139,7 @@ impl Header<'_> {
         packets
     }
 
-    /// An alert: sent without being asked.
+    /// An alert: sent without a request.
     #[must_use]
     pub fn alert(&self) -> String {
         let state = if self.busy { "BUSY" } else { "IDLE" };

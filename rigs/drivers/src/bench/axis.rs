@@ -1,10 +1,10 @@
-//! One stepper axis of the virtual bench: motion, reference, flags. Knows nothing of protocols.
+//! One stepper axis of the virtual bench: motion, reference, flags. Independent of protocols.
 
 use super::motion::Motion;
 use crate::zaber::units::Microsteps;
 use std::collections::BTreeSet;
 
-/// Flags in the order in which a unit shows them: faults before warnings before notices.
+/// Flags in the order in which a unit reports them: faults before warnings before notices.
 const PRIORITY: [&str; 17] =
     ["FF", "FN", "FZ", "FO", "FD", "FQ", "FS", "FE", "WR", "WH", "WL", "WV", "WT", "WM", "WS", "NC", "NI"];
 /// Flags that only a reference search takes away.
@@ -187,7 +187,7 @@ impl Axis {
         self.stall_armed = true;
     }
 
-    /// Stops without a ramp and shows `flag`.
+    /// Stops without a ramp and sets `flag`.
     pub fn stop_dead(&mut self, t_s: f64, flag: &'static str) {
         self.homing_until_s = None;
         self.motion.freeze(t_s);

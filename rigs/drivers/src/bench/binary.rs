@@ -12,7 +12,7 @@ const SPEED_STEPS: f64 = 9.375;
 /// One message of either direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Message {
-    /// Unit number; 0 speaks to all.
+    /// Unit number; 0 addresses all.
     pub unit: u8,
     /// Command number.
     pub command: u8,

@@ -60,10 +60,10 @@ pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<(
     Ok(())
 }
 
-/// Carries out what the client asks: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
+/// Executes the client's commands: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
 fn obey(shared: &Shared, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
     let mut bytes = [0_u8; COMMAND_LIMIT];
-    // Commands are taken up as they come; nobody waits for them.
+    // Commands are executed as they arrive, without a reply.
     link.set_nonblocking(true)?;
     let found = link.read(&mut bytes);
     link.set_nonblocking(false)?;

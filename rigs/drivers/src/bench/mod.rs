@@ -1,6 +1,6 @@
-//! The virtual bench: stage, interrogators and cameras that speak the devices' own protocols, driven by one plant.
+//! The virtual bench: stage, interrogators and cameras with the devices' own protocols, driven by one plant.
 //!
-//! The program under test meets it only through sockets and a pseudo-terminal.
+//! The program under test is connected to it only through sockets and a pseudo-terminal.
 
 pub mod ascii;
 pub mod axis;
@@ -87,7 +87,7 @@ impl VirtualBench {
             let serve = move |s: &Shared, link| camera_server::serve(s, link, index);
             cameras.push(listen(&shared, &mut threads, Cord::None, serve)?);
         }
-        // Units answer with a scan from the first question on.
+        // Units reply with a scan from the first request on.
         shared.scan();
         threads.push(scanner(&shared));
         let hyperion = HyperionAddresses { commands, peaks };
@@ -132,7 +132,7 @@ impl Drop for VirtualBench {
     fn drop(&mut self) {
         self.shared.shut_down();
         for thread in self.threads.drain(..) {
-            // A server that panicked has already said so.
+            // A server that panicked has already reported it.
             let _ = thread.join();
         }
     }
@@ -173,7 +173,7 @@ where
         let mut clients: Vec<JoinHandle<()>> = Vec::new();
         while !shared.stopping() {
             match listener.accept() {
-                // A pulled cable accepts nobody.
+                // With the cable pulled no connection is accepted.
                 Ok((link, _)) if !cord.is_out(&shared) => {
                     let (shared, serve) = (Arc::clone(&shared), serve.clone());
                     clients.push(std::thread::spawn(move || {

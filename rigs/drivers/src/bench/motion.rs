@@ -1,4 +1,9 @@
-//! Exact motion of a stepper axis: constant-acceleration pieces, kept so that late readers can ask for the recent past.
+//! Exact motion of a stepper axis: constant-acceleration pieces, kept so that late readers can evaluate the recent past.
+//!
+//! ```text
+//! x(t) = x_0 + v_0 dt + a dt^2 / 2                                             within a piece
+//! v_top = min(v_max, sqrt((v_0^2 + 2 a d) / 2))                                over a distance d to rest: trapezoid, or triangle if short
+//! ```
 
 use std::collections::VecDeque;
 
@@ -41,7 +46,7 @@ impl Motion {
         Self { pieces: VecDeque::from([Piece { t_s: -1.0, ..rest }]), acceleration_mm_s2 }
     }
 
-    /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, where the past begins.
+    /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, those at its start.
     #[must_use]
     pub fn at(&self, t_s: f64) -> (f64, f64) {
         let piece = self.pieces.iter().rev().find(|p| p.t_s <= t_s).or(self.pieces.front());

@@ -1,4 +1,14 @@
-//! What the sensor does when the stage presses it. Shares no code with the program that fits it.
+//! The simulated sensor: response of the gratings to the stage. Shares no code with the program that fits it.
+//!
+//! ```text
+//! play         x_c = clamp(x_c, x - b / 2, x + b / 2)                          x: screw with its errors, b: backlash
+//! delay        d += (1 - exp(-dt / t_lag)) (x_c - d)
+//! wire         m = arm F,   F = d / C (1 + CUBIC (d / reach)^2),   C = integral of |m_b|^2 / E I + m_t^2 / G J along s under a unit force
+//! creep        c += (1 - exp(-dt / t_creep)) (m - c),   M = m + f c            one Prony term
+//! wavelength   l_g = l_g0 + (K_g . M) (1 + q |M|) + zero_g + kappa_g (T - 21) + drift + noise
+//! ```
+//!
+//! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics of Materials").
 
 use super::scenario::{Scenario, WhiskerScenario};
 use super::scene::Scene;
@@ -10,7 +20,7 @@ use std::sync::Arc;
 
 /// Lead of the LSM100A's screw, mm.
 const SCREW_LEAD_MM: f64 = 0.6096;
-/// Temperature at which the nominal wavelengths hold, deg C.
+/// Temperature of the nominal wavelengths, deg C.
 const NOMINAL_DEGC: f64 = 21.0;
 /// Pieces of the wire in the compliance integral.
 const PIECES: usize = 600;
@@ -19,7 +29,7 @@ const PIECES: usize = 600;
 pub trait Plant: Send {
     /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact (negative: none).
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2];
-    /// What cameras see of it; `None`: an even grey.
+    /// Its appearance to the cameras; `None`: uniform grey.
     fn scene(&self) -> Option<Arc<dyn Scene>> {
         None
     }
@@ -148,7 +158,7 @@ impl Physics {
         }
     }
 
-    /// The room warms at once, K.
+    /// Steps the temperature, K.
     pub fn step_temperature(&mut self, degc: f64) {
         self.temperature_step_degc += degc;
     }
@@ -203,7 +213,7 @@ impl Physics {
         self.plant.scene()
     }
 
-    /// Carriage past the position of first contact, mm: screw errors and play, as the play was left by the last step.
+    /// Carriage past the position of first contact, mm: screw errors and play, from the play's state after the last step.
     fn carriage_mm(&self, stage_mm: f64) -> f64 {
         let e = &self.scenario.effects;
         let screw = (stage_mm - self.scenario.stage.contact_mm()) * (1.0 + e.stage_scale)
@@ -219,7 +229,7 @@ impl Physics {
         self.carriage_mm(stage_mm) + 5e-4 * self.scenario.effects.backlash_um
     }
 
-    /// Depth of the groove as the signal follows it: screw errors, play, delay.
+    /// Depth of the groove in the signal: screw errors, play, delay.
     fn depth_mm(&mut self, stage_mm: f64, dt: f64) -> f64 {
         let carriage = self.carriage_mm(stage_mm);
         self.carriage_mm = Some(carriage);

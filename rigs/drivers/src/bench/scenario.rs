@@ -47,13 +47,13 @@ pub struct Scenario {
     /// Temperature of the room.
     #[serde(default)]
     pub temperature: TemperatureScenario,
-    /// What the declared model does not know.
+    /// Effects outside the declared model.
     #[serde(default)]
     pub effects: EffectsScenario,
     /// Cameras.
     #[serde(default)]
     pub cameras: CameraScenario,
-    /// What goes wrong, and when.
+    /// Faults and their times.
     #[serde(default)]
     pub fault: Vec<ScheduledFault>,
 }
@@ -126,7 +126,7 @@ pub enum PlantKind {
     Cantilever,
 }
 
-/// Protocol that the stage speaks.
+/// Protocol of the stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StageProtocol {
@@ -313,7 +313,7 @@ fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TemperatureScenario {
-    /// At the start, deg C; the gratings' nominal wavelengths hold at 21.
+    /// At the start, deg C; the gratings' nominal wavelengths are those at 21.
     pub start_degc: f64,
     /// Linear drift, K/h.
     pub drift_degc_per_h: f64,
@@ -349,7 +349,7 @@ pub struct EffectsScenario {
     pub creep_s: f64,
     /// Quadratic share of the response at 1 N mm.
     pub quadratic_fraction: f64,
-    /// Shift of the groove that the paths do not tell, base frame, mm (`plant = "rod"`).
+    /// Shift of the groove from its stated paths, base frame, mm (`plant = "rod"`).
     pub groove_offset_mm: [f64; 3],
     /// Turn of the wire's root per base moment, rad/(N mm) (`plant = "rod"`).
     pub root_turn_rad_per_nmm: f64,

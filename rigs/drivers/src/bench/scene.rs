@@ -1,4 +1,4 @@
-//! What the cameras of the virtual bench see; the bench has no pictures of its own.
+//! The scene of the virtual bench's cameras; the bench has no pictures of its own.
 
 /// The bench before the cameras at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,4 +1,4 @@
-//! An sm130 on TCP, written after the tables of docs/src/devices.md (firmware-notes/sm130.md) and apart from the client.
+//! An sm130 on TCP, written after the tables of docs/src/devices.md (firmware-notes/sm130.md) and independent of the client.
 
 use super::link::Wire;
 use super::scenario::TokenPlace;

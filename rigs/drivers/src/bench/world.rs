@@ -187,7 +187,7 @@ impl Shared {
         self.stop.load(Ordering::SeqCst)
     }
 
-    /// Tells every thread to end.
+    /// Signals every thread to end.
     pub fn shut_down(&self) {
         self.stop.store(true, Ordering::SeqCst);
         self.fresh.notify_all();
@@ -210,7 +210,7 @@ impl Shared {
         self.world().behind_s
     }
 
-    /// What the interrogator's clock shows at bench time `t_s`, s since 1970.
+    /// Time of the interrogator's clock at bench time `t_s`, s since 1970.
     #[must_use]
     pub fn device_s(&self, t_s: f64) -> f64 {
         let spec = &self.scenario.interrogator;

@@ -10,7 +10,7 @@ use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKin
 /// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
 const HEADER: usize = 40;
 const MAGIC: &[u8; 4] = b"WCAM";
-/// Larger pictures are not believed, px.
+/// Largest accepted side of a picture, px.
 const MAX_SIDE: u32 = 16_384;
 
 /// A connected camera.

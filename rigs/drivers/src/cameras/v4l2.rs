@@ -228,7 +228,7 @@ impl Camera for V4l2Camera {
                     format!("{} bytes", used.len()),
                 ));
             };
-            // Stamps of the machine's monotonic clock are the same for all cameras of one machine; others say nothing.
+            // Stamps of the machine's monotonic clock are common to all cameras of one machine; others cannot be compared.
             let monotonic = about.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
             let stamp_s = about.timestamp.sec as f64 + about.timestamp.usec as f64 * 1e-6;
             return Ok(CameraFrame {

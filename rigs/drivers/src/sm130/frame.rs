@@ -6,7 +6,7 @@ use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
 pub const HEADER: usize = 88;
 /// Optical channels of the x30 core.
 pub const CHANNELS: usize = 4;
-/// Most peaks a frame may hold; what claims more is not a frame.
+/// Largest number of peaks of a frame; data with a larger count is not a frame.
 pub const MAX_PEAKS: usize = 1024;
 /// Wavelengths outside belong to no unit of this family, nm.
 const BAND_NM: std::ops::RangeInclusive<f64> = 1200.0..=1800.0;

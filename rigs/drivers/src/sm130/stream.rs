@@ -33,8 +33,8 @@ pub struct StreamDecoder {
     streaming: bool,
 }
 
-/// Outcome of one look at the buffer.
-enum Look {
+/// Outcome of one parse of the buffer.
+enum Parsed {
     Found(usize, Item),
     Token(usize),
     NeedMore,
@@ -65,14 +65,14 @@ impl StreamDecoder {
     /// The next item; `None` until more bytes come.
     pub fn next_item(&mut self) -> Option<Item> {
         loop {
-            match look(&self.buffer[self.at..], self.streaming) {
-                Look::Found(length, item) => {
+            match parse_next(&self.buffer[self.at..], self.streaming) {
+                Parsed::Found(length, item) => {
                     self.at += length;
                     return Some(item);
                 }
-                Look::Token(length) => self.at += length,
-                Look::NeedMore => return None,
-                Look::Garbage => {
+                Parsed::Token(length) => self.at += length,
+                Parsed::NeedMore => return None,
+                Parsed::Garbage => {
                     self.at += 1;
                     self.skipped += 1;
                 }
@@ -81,54 +81,54 @@ impl StreamDecoder {
     }
 }
 
-fn look(rest: &[u8], streaming: bool) -> Look {
+fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
     for token in [TOKEN, STOP_TOKEN] {
         let known = rest.len().min(token.len());
         if known > 0 && rest[..known] == token[..known] {
             return match (known == token.len(), token == STOP_TOKEN) {
-                (false, _) => Look::NeedMore,
-                (true, false) => Look::Token(known),
-                (true, true) => Look::Found(known, Item::Stopped),
+                (false, _) => Parsed::NeedMore,
+                (true, false) => Parsed::Token(known),
+                (true, true) => Parsed::Found(known, Item::Stopped),
             };
         }
     }
     if rest.len() < PREFIX {
         let possible = rest.iter().all(|b| b.is_ascii_digit() || *b == b' ');
-        return if possible { Look::NeedMore } else { Look::Garbage };
+        return if possible { Parsed::NeedMore } else { Parsed::Garbage };
     }
-    let Some(stated) = prefix_length(&rest[..PREFIX]) else { return Look::Garbage };
+    let Some(stated) = prefix_length(&rest[..PREFIX]) else { return Parsed::Garbage };
     let body = &rest[PREFIX..];
     if stated >= HEADER {
         if body.len() < HEADER {
             // Text of this length would show itself by its first bytes; a frame starts with a binary header.
-            return Look::NeedMore;
+            return Parsed::NeedMore;
         }
         if let Ok(length) = frame::frame_length(body)
             && (stated == length || stated == length + TOKEN.len())
         {
             if body.len() < stated {
-                return Look::NeedMore;
+                return Parsed::NeedMore;
             }
             return match frame::decode(body) {
-                Ok(frame) => Look::Found(PREFIX + stated, Item::Frame(frame)),
-                Err(_) => Look::Garbage,
+                Ok(frame) => Parsed::Found(PREFIX + stated, Item::Frame(frame)),
+                Err(_) => Parsed::Garbage,
             };
         }
     }
     if stated == 0 || stated > MAX_TEXT || !body.iter().take(stated).all(|b| is_text(*b)) {
-        return Look::Garbage;
+        return Parsed::Garbage;
     }
     let known = body.len().min(STREAM_TEXT.len());
     if streaming && (stated < STREAM_TEXT.len() || body[..known] != STREAM_TEXT[..known]) {
-        return Look::Garbage;
+        return Parsed::Garbage;
     }
     if body.len() < stated {
-        return Look::NeedMore;
+        return Parsed::NeedMore;
     }
     let text = &body[..stated];
-    // Where the stop token counts as part of the reply, leave it for the next look.
+    // Where the stop token counts as part of the reply, leave it for the next parse.
     let text = text.strip_suffix(STOP_TOKEN).unwrap_or(text);
-    Look::Found(PREFIX + text.len(), Item::Text(String::from_utf8_lossy(text).into_owned()))
+    Parsed::Found(PREFIX + text.len(), Item::Text(String::from_utf8_lossy(text).into_owned()))
 }
 
 fn is_text(b: u8) -> bool {
@@ -138,7 +138,7 @@ fn is_text(b: u8) -> bool {
 /// The decimal length, padded with zeros or spaces on either side.
 fn prefix_length(prefix: &[u8]) -> Option<usize> {
     let digits = std::str::from_utf8(prefix).ok()?.trim_matches(' ');
-    // `parse` takes a sign, which a look at the first bytes alone calls garbage.
+    // `parse` accepts a sign, which the test of the first bytes alone rejects.
     digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok()).flatten()
 }
 

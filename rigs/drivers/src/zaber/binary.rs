@@ -66,7 +66,7 @@ impl ZaberBinary {
             .map_err(|e| io_error(&self.name, &format!("command {command}"), &e))
     }
 
-    /// Asks until the reply with command number `answer` comes; late answers of motions are taken on the way.
+    /// Repeats the request until the reply with command number `answer` arrives; late replies of motions are accepted meanwhile.
     fn ask(&mut self, command: u8, data: i32, answer: u8) -> Result<i32, DeviceError> {
         let action = format!("command {command}");
         for _ in 0..ATTEMPTS {
@@ -145,7 +145,7 @@ impl Stage for ZaberBinary {
             return Err(self.fail(DeviceErrorKind::OutOfRange, &action, &expected, &steps.to_string()));
         }
         if !self.homed {
-            // The protocol does not tell; a unit that was not homed in this run counts as unreferenced.
+            // The protocol does not report it; a unit that was not homed in this run counts as unreferenced.
             return Err(self.fail(DeviceErrorKind::NotHomed, &action, "a homed axis", "not homed"));
         }
         let speed = (speed_mm_s * 1000.0 / self.unit.size_um / SPEED_STEPS).round().max(1.0) as i32;

@@ -11,7 +11,7 @@ use zproto::error::AsciiError;
 const REPLY: Duration = Duration::from_millis(400);
 /// Quiet time after which a disturbed line is clean.
 const QUIET: Duration = Duration::from_millis(30);
-/// How often a question is asked before its failure counts.
+/// Attempts of a request before its failure counts.
 const ATTEMPTS: u32 = 4;
 /// Speeds that units are found at: the factory's, then that of older and rig-configured ones.
 pub const SPEEDS: [u32; 2] = [115_200, 9600];
@@ -51,7 +51,7 @@ impl Chain {
         Ok(Self { port, name, repeats: 0 })
     }
 
-    /// Opens a serial port at the first speed that gets an answer.
+    /// Opens a serial port at the first speed at which a unit replies.
     ///
     /// # Errors
     /// `Timeout` when no speed does.
@@ -67,7 +67,7 @@ impl Chain {
         Err(DeviceError::new(kind, format!("stage {path}"), "probe", expected, "silence"))
     }
 
-    /// Questions that had to be asked again.
+    /// Requests that had to be repeated.
     #[must_use]
     pub fn repeats(&self) -> u64 {
         self.repeats

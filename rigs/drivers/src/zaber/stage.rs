@@ -31,7 +31,7 @@ pub struct ZaberStage {
 }
 
 impl ZaberStage {
-    /// An axis of an open chain with its microstep size (the protocol does not tell it; rig.toml does).
+    /// An axis of an open chain with its microstep size (from rig.toml: the protocol does not report it).
     ///
     /// # Errors
     /// When the unit does not answer or its limit is no number.

@@ -71,7 +71,7 @@ impl Wire {
         if self.set_read_timeout(Some(quiet)).is_ok() {
             let mut scrap = [0_u8; 256];
             while matches!(self.read(&mut scrap), Ok(n) if n > 0) {}
-            // The link is about to be used, and will say if it cannot be.
+            // Not an error here: the use that follows reports a broken link.
             let _ = self.set_read_timeout(before);
         }
     }

@@ -47,8 +47,8 @@ impl TransitionModel<'_> {
         self.settings.constraint_sd_mm.powi(2) + (self.settings.constraint_sd_share * travel_mm).powi(2)
     }
 
-    /// D, mm: slip over the object across the wire times its share of the whole slip. By D times the force's part along the surface that
-    /// force, and not the surface's normal, finds the touched point to move.
+    /// D, mm: slip over the object across the wire times its share of the whole slip. The force has the tangential part f against the slip,
+    /// so that along the force, unlike along the normal, the touched point moves by f D.
     fn friction_shift_mm(
         &self,
         from: &ContactState<'_>,
@@ -59,13 +59,13 @@ impl TransitionModel<'_> {
         let slope = self.now.point_slopes[j];
         let Some(along) = (slope - normal * normal.dot(&slope)).try_normalize(1e-9) else { return 0.0 };
         let across = path.dot(&along.cross(normal));
-        // What the wire itself went along with is no slip.
+        // The displacement of the contact along the wire itself is no slip.
         let nodes = &self.inverse.nodes;
         let last = self.first_tip - 1;
-        let gone = nodes[j.min(last)].arclength_mm
+        let along_wire_mm = nodes[j.min(last)].arclength_mm
             - nodes[from.node.min(last)].arclength_mm
             - from.cell.offset * self.node_mm();
-        let slip = root_sum_square(across, path.dot(&along) - gone);
+        let slip = root_sum_square(across, path.dot(&along) - along_wire_mm);
         if slip > 1e-9 { across * across / slip } else { 0.0 }
     }
 
@@ -78,18 +78,18 @@ impl TransitionModel<'_> {
     ) -> ConstraintResidual {
         let (s, to, travel_mm) = (self.settings, &self.now.solutions[j], step.travel_mm);
         let (point_slope, normal_slope) = (self.now.point_slopes[j], self.now.normal_slopes[j]);
-        // Path of the contact on the object, which goes back as the base goes on.
+        // Path of the contact on the object, which in the base frame moves by -z.
         let path = to.point_mm - from.point_mm + Vector3::z() * travel_mm;
         let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
         let shift = if step.drag > 0.0 { self.friction_shift_mm(from, j, &path, &normal) } else { 0.0 };
         let out = normal.dot(&path);
         let off = out + step.drag * shift;
-        // Derivatives by the offsets: of the point, and of the mean normal, half of whose turn counts.
+        // Derivatives by the offsets: of the point, and of the mean normal, which turns half as much.
         let by_now = normal.dot(&point_slope) + 0.5 * normal_slope.dot(&path);
         let by_before = -normal.dot(&from.point_slope) + 0.5 * from.normal_slope.dot(&path);
         let compliances = from.compliance_mm_per_nmm.powi(2) + to.compliance_mm_per_nmm.powi(2);
         let slip_mm = path - normal * out;
-        // On a bent surface the path before the middle and that behind it count half the turn, one for and one against.
+        // On a curved surface the mean normal is exact only where the curvature is constant: an error in proportion to turn and slip.
         let bent =
             (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
         let noise = self.constraint_variance(travel_mm)

@@ -1,4 +1,4 @@
-//! What an event was and when it happened: from the blocks around what a test saw.
+//! Kind and time of an event, from the blocks around a test's detection.
 
 use super::super::change_point::{EventTime, Ring, hinge, level, ramp_part, ring, step};
 use super::super::event::{ContactEvent, EventKind};
@@ -8,15 +8,15 @@ use super::super::noise::{
 use super::{BACK_HOLD, EventDetector, LOOK_BACK, MAX_BLOCKS, Pending, RING_WAIT};
 use nalgebra::Vector2;
 
-/// Blocks after an abrupt change at which the ring is looked for: the change itself is over.
+/// Blocks between an abrupt change and the fit of its ring: the change itself is over.
 const RING_SKIP: usize = 2;
-/// Chance that noise is called a ring, a change.
+/// Probability, for each change, that noise is called a ring.
 const RING_CHANCE: f64 = 1e-4;
 /// A slip's own vibration, of the wire held at both ends, is up to this many times the first mode (clamped and pinned: 4.4).
 const MAX_MODE_RATIO: f64 = 6.0;
 
 impl EventDetector {
-    /// The wire is back at the baseline: where did the ramp end?
+    /// The wire is back at the baseline: time of the ramp's end.
     pub(super) fn release(
         &mut self,
         noise: &Noise,
@@ -40,7 +40,7 @@ impl EventDetector {
         (self.contact, self.back) = (false, 0);
         (self.baseline, self.baseline_blocks) = (level, (BACK_HOLD / 2) as f64);
         (self.quiet_until_s, self.frozen_s) = (now, now);
-        // A wire that was touched may sit differently.
+        // A contact may shift the wire in its clamp: the drift is estimated from here on only.
         self.anchors.clear();
     }
 
@@ -55,7 +55,7 @@ impl EventDetector {
         Some(self.event(EventKind::Onset, when, now, moments, (pending.statistic, pending.limit), None))
     }
 
-    /// Where the state was new already when the stream came back: some time in the gap.
+    /// Where the state had changed already when the stream resumed: uniform over the gap.
     fn in_the_gap(&self, noise: &Noise, contact: bool) -> Option<EventTime> {
         let first = self.kept.front().filter(|_| self.gap_s > 0.0 && self.kept.len() < MAX_BLOCKS)?;
         let head =
@@ -66,24 +66,25 @@ impl EventDetector {
         new.then(|| EventTime { t_s: first.t_s - self.gap_s / 2.0, sd_s: self.gap_s / 12.0_f64.sqrt() })
     }
 
-    /// Beginning or end of a ramp along the way that the moment took; looks back farther until it lies inside.
-    fn ramp(&self, noise: &Noise, rising: bool, way: impl Fn(usize) -> Vector2<f64>) -> Option<EventTime> {
+    /// Beginning or end of a ramp along the direction of the moment's change; the window is doubled until it lies inside.
+    fn ramp(&self, noise: &Noise, rising: bool, change: impl Fn(usize) -> Vector2<f64>) -> Option<EventTime> {
         // A release is known only when the wire has been still for a while.
-        let mut look = if rising { LOOK_BACK } else { LOOK_BACK + BACK_HOLD };
+        let mut window = if rising { LOOK_BACK } else { LOOK_BACK + BACK_HOLD };
         loop {
-            let blocks = self.newest(look);
-            let way = way(look).try_normalize(1e-12)?;
-            let projected: Vec<(f64, f64)> = blocks.iter().map(|b| (b.t_s, way.dot(&b.moment))).collect();
-            let variance = (way.transpose() * noise.block * way)[0];
+            let blocks = self.newest(window);
+            let direction = change(window).try_normalize(1e-12)?;
+            let projected: Vec<(f64, f64)> =
+                blocks.iter().map(|b| (b.t_s, direction.dot(&b.moment))).collect();
+            let variance = (direction.transpose() * noise.block * direction)[0];
             let found = hinge(ramp_part(&projected, rising), rising, variance);
             let span_s = blocks.last()?.t_s - blocks[0].t_s;
             let early = found.is_none_or(|w| w.t_s - 2.0 * w.sd_s < blocks[0].t_s + 0.15 * span_s);
-            if early && look < MAX_BLOCKS && self.kept.len() > look {
-                look *= 2;
+            if early && window < MAX_BLOCKS && self.kept.len() > window {
+                window *= 2;
                 continue;
             }
             if early {
-                // Only an interval is known: what is kept.
+                // Only an interval is known: that of the blocks kept.
                 return Some(EventTime {
                     t_s: blocks.last()?.t_s - span_s / 2.0,
                     sd_s: span_s / 12.0_f64.sqrt(),

@@ -1,4 +1,4 @@
-//! `[cameras]` of a scenario: how they see, and what is wrong with them.
+//! `[cameras]` of a scenario: optics and faults.
 
 use serde::Deserialize;
 

@@ -6,7 +6,7 @@
 //!
 //! MIX: `null`, `single`, `pair`, `unknown`, `paper`, `confounded`, `adversarial` (white normal noise, layouts of the practice
 //! sessions); `noise-null`, `noise-single` (every kind of noise, every layout, two wires); `scalar-null`, `scalar-single`
-//! (transducers and axes); `pictures`, `without-pictures`, `nominals` (27 approach-only poses that cameras look at, the same without,
+//! (transducers and axes); `pictures`, `pictures-null`, `without-pictures`, `nominals` (27 approach-only poses that cameras look at, the same without,
 //! and with a wire that is not as declared); `all`.
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! The table of goals has the rows for which there are data; below it stands one row a kind of noise.

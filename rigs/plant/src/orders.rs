@@ -76,7 +76,7 @@ impl Drawn {
 }
 
 /// Mixes that [`orders`] knows.
-pub const MIXES: [&str; 15] = [
+pub const MIXES: [&str; 16] = [
     "null",
     "single",
     "pair",
@@ -89,6 +89,7 @@ pub const MIXES: [&str; 15] = [
     "scalar-null",
     "scalar-single",
     "pictures",
+    "pictures-null",
     "without-pictures",
     "nominals",
     "all",
@@ -96,8 +97,8 @@ pub const MIXES: [&str; 15] = [
 
 /// A varied order book. `mix` is one of [`MIXES`]: `confounded` are pairs on approach-only sessions, `noise-*` go through
 /// all kinds of noise, layouts and both wires, `scalar-*` through transducers and axes. `pictures` are nulls, singles, pairs and faults of
-/// the cameras on approach-only sessions that cameras look at, `without-pictures` the same ones without their pictures, `nominals` such
-/// sessions with pictures whose wire is not as long straight as declared.
+/// the cameras on approach-only sessions that cameras look at, `pictures-null` nulls alone, `without-pictures` the same ones without
+/// their pictures, `nominals` such sessions with pictures whose wire is not as long straight as declared.
 ///
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
 pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Order> {
@@ -111,7 +112,7 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
     let targets = [8.0, 12.0, 20.0, 40.0];
     let (mut noisy, mut scalars) = (0, 0);
     let (mut walked, offset) = (0, rng.random_range(0..50_usize));
-    if ["pictures", "without-pictures", "nominals"].contains(&mix) {
+    if ["pictures", "pictures-null", "without-pictures", "nominals"].contains(&mix) {
         let of: Vec<Kind> =
             catalogue.into_iter().filter(|k| k.observable(false) && *k != Kind::SlipOutliers).collect();
         return (0..draws).map(|i| looked_order(mix, i, &of, seed_of(seed, i))).collect();
@@ -184,7 +185,11 @@ const LOOKED_PARTS: [&str; 8] = ["single", "camera", "single", "null", "single",
 /// One approach-only session. Its content hangs on its place and seed alone, so that it is the same with and without pictures.
 fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x100c);
-    let part = if mix == "nominals" { "nominal" } else { LOOKED_PARTS[place % LOOKED_PARTS.len()] };
+    let part = match mix {
+        "nominals" => "nominal",
+        "pictures-null" => "null",
+        _ => LOOKED_PARTS[place % LOOKED_PARTS.len()],
+    };
     let mut looked = Looked { pictures: mix != "without-pictures", fault: Fault::None, straight_off_mm: 0.0 };
     let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
     let mut direction = |size: f64| {

@@ -22,7 +22,7 @@ use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, 
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
-use wcal_trace::method::search::Options;
+use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};

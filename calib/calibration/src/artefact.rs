@@ -2,7 +2,7 @@
 
 use crate::apply::{Calibration, WhiskerCalibration};
 use crate::error::CalibrationError;
-use crate::trust::TrustIssue;
+use crate::trust_issue::TrustIssue;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;

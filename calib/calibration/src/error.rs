@@ -1,6 +1,6 @@
 //! Why a calibration cannot be read or applied.
 
-use crate::trust::TrustIssue;
+use crate::trust_issue::TrustIssue;
 use std::path::{Path, PathBuf};
 use wcal_session::{InputError, SessionError};
 

@@ -13,6 +13,7 @@ mod map;
 mod physical;
 mod scalar;
 mod trust;
+mod trust_issue;
 
 pub use apply::{
     AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
@@ -21,4 +22,5 @@ pub use apply::{
 pub use artefact::{CalibrationModel, of_whisker, provenance, read_calibration, read_unsealed, seal};
 pub use error::CalibrationError;
 pub use given::GivenCalibration;
-pub use trust::{TrustIssue, standing};
+pub use trust::standing;
+pub use trust_issue::TrustIssue;

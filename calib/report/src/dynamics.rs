@@ -1,8 +1,8 @@
 //! The page of a fit of damping and contact: every trial, the trade between the demands, and the choice. The trials are simulated.
 
-use crate::document::or_nan;
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, paragraph};
+use crate::nullable::or_nan;
 use crate::number::number;
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Marker, Plot};

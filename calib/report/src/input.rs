@@ -2,7 +2,7 @@
 //!
 //! Everything is public and serialisable; an empty list means "not part of this run" and the section says so.
 
-use crate::document::or_nan;
+use crate::nullable::or_nan;
 use serde::{Deserialize, Serialize};
 use wcal_core::verify_document::{EffectParameter, HeldOutError, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord};

@@ -33,6 +33,7 @@ mod dynamics;
 mod input;
 mod map;
 mod markup;
+mod nullable;
 mod number;
 mod page;
 mod plot;

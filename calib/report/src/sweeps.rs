@@ -1,8 +1,8 @@
 //! The page of a sweep dataset: counts by verdict and event, objects, and some sweeps drawn. All of it is simulated.
 
-use crate::document::or_nan;
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, escape, list, paragraph};
+use crate::nullable::or_nan;
 use crate::number::{number, percent};
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};

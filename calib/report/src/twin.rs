@@ -1,8 +1,8 @@
 //! The page of a twin's labels: its own error, and what the groove's tip does to the moments. All of it is simulated.
 
-use crate::document::or_nan;
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, list, paragraph};
+use crate::nullable::or_nan;
 use crate::number::significant;
 use crate::page::simulated;
 use serde::{Deserialize, Serialize};

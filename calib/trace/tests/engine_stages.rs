@@ -15,8 +15,9 @@ use wcal_trace::method::inference::parameters;
 use wcal_trace::method::linear::{Basis, stack};
 use wcal_trace::method::min_p::{MinPDistribution, f_test};
 use wcal_trace::method::omnibus::omnibus_test;
+use wcal_trace::method::options::Options;
 use wcal_trace::method::outliers::clean;
-use wcal_trace::method::search::{Options, search};
+use wcal_trace::method::search::search;
 use wcal_trace::method::signature::{nuisance, signatures_of_effect};
 
 const HEIGHT: f64 = 0.03;

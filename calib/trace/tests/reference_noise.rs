@@ -11,7 +11,7 @@ use wcal_core::SessionData;
 use wcal_core::observation::WhiskerData;
 use wcal_trace::method::fit::{Weights, fit};
 use wcal_trace::method::omnibus::{OmnibusTest, omnibus_test};
-use wcal_trace::method::search::Options;
+use wcal_trace::method::options::Options;
 use wcal_trace::whisker::WhiskerSystem;
 
 /// Noise of every grating, pm: that of 2,000 samples of a good interrogator.

@@ -8,7 +8,7 @@ use statrs::distribution::{Beta, ContinuousCDF};
 use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
-use wcal_trace::method::search::Options;
+use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
 

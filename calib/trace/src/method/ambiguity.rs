@@ -4,15 +4,12 @@
 //! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw
 //! costs a few dozen products instead of a refit.
 
-use super::hypothesis::Hypothesis;
+use super::hypothesis::{AMBIGUITY_LEVEL, Hypothesis};
 use super::linear::Basis;
 use super::signature::nuisance;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
-
-/// Level at which a rival is rejected. The chance that the true explanation is left out is at most this for each rival that beats it.
-pub const AMBIGUITY_LEVEL: f64 = 0.01;
 
 /// Tangent space of an explanation; a flagged reading is free in every channel.
 fn space(h: &Hypothesis) -> Basis {

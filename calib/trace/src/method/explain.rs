@@ -16,7 +16,8 @@ use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
 use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
-use super::search::{Options, declared, search};
+use super::options::Options;
+use super::search::{declared, search};
 use crate::measurement_model::MeasurementModel;
 
 /// What the search found and the noise under which it holds.

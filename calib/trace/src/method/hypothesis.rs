@@ -6,12 +6,14 @@
 //!
 //! H. Akaike, IEEE Trans. Automat. Contr. 19 (1974), 716-723; a flagged reading is a free shift in every channel, chosen among n.
 
-use super::ambiguity::AMBIGUITY_LEVEL;
 use super::fit::{Fit, Status, Weights};
 use super::omnibus::OmnibusTest;
 use super::range_check::range_check;
 use crate::effect::Role;
 use crate::measurement_model::MeasurementModel;
+
+/// Level at which a rival is rejected. The chance that the true explanation is left out is at most this for each rival that beats it.
+pub const AMBIGUITY_LEVEL: f64 = 0.01;
 
 /// An explanation: effects with fitted parameters.
 #[derive(Debug, Clone)]

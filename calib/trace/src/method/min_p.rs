@@ -1,7 +1,7 @@
 //! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in their joint span.
 
 use super::linear::Basis;
-use super::search::Options;
+use super::options::Options;
 use super::signature::Signature;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;

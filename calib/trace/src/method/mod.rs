@@ -12,6 +12,7 @@ pub mod linear;
 pub mod min_p;
 pub mod noise;
 pub mod omnibus;
+pub mod options;
 pub mod outliers;
 pub mod progress;
 pub mod range_check;

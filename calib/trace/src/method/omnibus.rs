@@ -7,7 +7,7 @@
 use super::covariates::{CovariateSignature, signatures_of_covariates};
 use super::fit::{Fit, Weights};
 use super::min_p::{MinPDistribution, signature_p};
-use super::search::Options;
+use super::options::Options;
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DVector;

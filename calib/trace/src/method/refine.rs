@@ -1,11 +1,35 @@
 //! An accepted effect by a richer law of its own, where the plain one leaves something: two time constants, a stack of plays.
 
+use super::fit::fit;
 use super::hypothesis::Hypothesis;
 use super::min_p::f_test;
 use super::omnibus::CATALOGUE_LEVEL;
-use super::search::refit;
 use crate::effect::{EffectModel, EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
+
+/// Refits `terms` from each start and keeps the best physical one (else the best).
+pub(super) fn refit(
+    system: &dyn MeasurementModel,
+    starts: &[Vec<EffectTerm>],
+    from: &Hypothesis,
+) -> Option<Hypothesis> {
+    let mut best: Option<Hypothesis> = None;
+    for terms in starts {
+        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
+        let next = Hypothesis { fit, ..from.clone() };
+        let better = best.as_ref().is_none_or(|b| {
+            let (was, is) = (b.physical(system), next.physical(system));
+            // A law with more parameters must earn them.
+            let price = 2.0 * next.fit.variance();
+            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
+            (is && !was) || (is == was && cost(&next) < cost(b))
+        });
+        if better {
+            best = Some(next);
+        }
+    }
+    best
+}
 
 /// Explanations of a size that are refined: the best and its nearest rivals, so that none is judged by a law that is too plain.
 const REFINED: usize = 3;

@@ -1,67 +1,25 @@
 //! From a rejected omnibus test to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the omnibus test first.
 
-use super::ambiguity::{AMBIGUITY_LEVEL, cox_test};
+use super::ambiguity::cox_test;
 use super::fit::{Fit, Weights, fit};
-use super::hypothesis::{Evidence, Hypothesis, SearchResult};
+use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, SearchResult};
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
+use super::options::Options;
 use super::outliers::{clean, gross};
 use super::progress::progress;
-use super::refine::refine_level;
+use super::refine::{refine_level, refit};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 
-/// Settings of the loop.
-#[derive(Debug, Clone, Copy)]
-pub struct Options {
-    /// Seed of every draw.
-    pub seed: u64,
-    /// Null draws a family.
-    pub draws: usize,
-    /// Largest number of effects in one explanation.
-    pub largest: usize,
-    /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a Gaussian's.
-    pub tails_dof: Option<f64>,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None }
-    }
-}
-
 /// Refits tried at each size.
 const REFITS: usize = 7;
 
 fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
     system.outliers().filter(|&e| system.not_observable(e).is_none())
-}
-
-/// Refits `terms` from each start and keeps the best physical one (else the best).
-pub(super) fn refit(
-    system: &dyn MeasurementModel,
-    starts: &[Vec<EffectTerm>],
-    from: &Hypothesis,
-) -> Option<Hypothesis> {
-    let mut best: Option<Hypothesis> = None;
-    for terms in starts {
-        let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
-        let next = Hypothesis { fit, ..from.clone() };
-        let better = best.as_ref().is_none_or(|b| {
-            let (was, is) = (b.physical(system), next.physical(system));
-            // A law with more parameters must earn them.
-            let price = 2.0 * next.fit.variance();
-            let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
-            (is && !was) || (is == was && cost(&next) < cost(b))
-        });
-        if better {
-            best = Some(next);
-        }
-    }
-    best
 }
 
 /// Explanations with one effect more than `from`: the best laws of each effect refitted, and outliers removed.

@@ -1,6 +1,6 @@
 //! Settings of `verify`.
 
-use crate::method::search::Options;
+use crate::method::options::Options;
 use wcal_core::Seal;
 
 /// Settings of `verify`.

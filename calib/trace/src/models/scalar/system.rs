@@ -4,6 +4,7 @@ use super::admission::number;
 use super::effects;
 use super::frame::{Declared, Frame, ScalarRow};
 use super::parameters::Names;
+use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
 use crate::method::noise::NoiseInputs;
@@ -11,26 +12,6 @@ use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use std::collections::BTreeSet;
 use std::sync::Arc;
-
-/// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
-pub trait ScalarEffect: Effect {
-    /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
-    fn not_observable(&self, _frame: &Frame) -> Option<String> {
-        None
-    }
-    /// The power of the stimulus that it adds to a polynomial of one degree less.
-    fn degree(&self) -> Option<usize> {
-        None
-    }
-    /// Changes the effective stimulus of every reading, in half ranges.
-    fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
-        true
-    }
-    /// Appends columns (one value a reading) with free coefficients.
-    fn columns(&self, _values: &Values, _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
-        true
-    }
-}
 
 /// Why a session does not give what a law needs; none where it does.
 fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {

@@ -3,8 +3,8 @@
 use super::memory::play;
 use super::{amplitude, law};
 use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::{Declared, Frame};
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct Backlash {

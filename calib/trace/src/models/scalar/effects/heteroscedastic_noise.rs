@@ -3,8 +3,8 @@
 use super::{HETEROSCEDASTIC_NOISE, law};
 use crate::effect::{Effect, EffectModel};
 use crate::method::noise::spread::MIN_READINGS;
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct HeteroscedasticNoise;

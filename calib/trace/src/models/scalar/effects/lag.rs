@@ -3,8 +3,8 @@
 use super::memory::{delayed, relaxed};
 use super::{amplitude, law};
 use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct Lag;

@@ -22,7 +22,7 @@ mod step;
 mod temperature;
 
 use super::frame::Frame;
-use super::system::ScalarEffect;
+use super::scalar_effect::ScalarEffect;
 use crate::effect::{EffectModel, Parameter, Role};
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 
 use super::law;
 use crate::effect::{Effect, EffectModel};
-use crate::scalar::system::ScalarEffect;
+use crate::scalar::ScalarEffect;
 
 /// See the module.
 pub struct Outliers;

@@ -2,8 +2,8 @@
 
 use super::{PERIODIC, law, shape};
 use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::{Frame, correlation};
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct Periodic;

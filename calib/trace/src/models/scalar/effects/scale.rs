@@ -2,8 +2,8 @@
 
 use super::{amplitude, law};
 use crate::effect::{Effect, EffectModel, Values};
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct Scale {

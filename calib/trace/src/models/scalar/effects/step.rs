@@ -2,8 +2,8 @@
 
 use super::{law, shape};
 use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
-use crate::scalar::system::ScalarEffect;
 
 /// See the module.
 pub struct Step;

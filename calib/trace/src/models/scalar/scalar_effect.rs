@@ -1,0 +1,24 @@
+//! Where an effect of a scalar session acts: on the stimulus, or as columns of the response.
+
+use super::frame::Frame;
+use crate::effect::{Effect, Values};
+
+/// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
+pub trait ScalarEffect: Effect {
+    /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
+    fn not_observable(&self, _frame: &Frame) -> Option<String> {
+        None
+    }
+    /// The power of the stimulus that it adds to a polynomial of one degree less.
+    fn degree(&self) -> Option<usize> {
+        None
+    }
+    /// Changes the effective stimulus of every reading, in half ranges.
+    fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
+        true
+    }
+    /// Appends columns (one value a reading) with free coefficients.
+    fn columns(&self, _values: &Values, _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
+        true
+    }
+}

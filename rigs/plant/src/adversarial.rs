@@ -2,7 +2,7 @@
 
 use rand::{Rng, RngExt};
 
-use crate::session::Case;
+use crate::case::Case;
 
 /// One kind of tampering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

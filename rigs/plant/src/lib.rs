@@ -8,6 +8,7 @@
 pub mod adversarial;
 pub mod bench;
 pub mod cameras;
+pub mod case;
 pub mod effects;
 pub mod exam;
 pub mod layout;
@@ -22,12 +23,13 @@ pub mod shapes;
 pub mod simulate;
 pub mod table;
 
+pub use case::{Case, Make, Request, Truth, Want};
 pub use effects::{Effect, Kind};
 pub use layout::Design;
 pub use noise::Noise;
 pub use orders::{Order, orders};
 pub use scalar::{ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
-pub use session::{Case, Make, Request, Truth, Want, draw, draw_under};
+pub use session::{draw, draw_under};
 
 /// What can go wrong while drawing or writing a session.
 #[derive(Debug, thiserror::Error)]

@@ -8,11 +8,12 @@ use rand_distr::StandardNormal;
 
 use crate::PlantError;
 use crate::adversarial::Trick;
+use crate::case::{Case, Looked, Make, Request, Want};
 use crate::effects::Kind;
 use crate::layout::Design;
 use crate::noise::Noise;
 use crate::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
-use crate::session::{Case, Looked, Make, Request, Want, draw_looked, draw_under};
+use crate::session::{draw_looked, draw_under};
 use crate::shapes::Fault;
 
 /// One order of an exam.

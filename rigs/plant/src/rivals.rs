@@ -5,9 +5,9 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 
 use crate::PlantError;
+use crate::case::Reading;
 use crate::effects::{Effect, Kind};
 use crate::noise::Gross;
-use crate::session::Reading;
 use crate::simulate::{Clean, Plant, moments};
 
 /// The effect of the catalogue that comes nearest to a session's readings.

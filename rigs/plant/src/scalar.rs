@@ -11,7 +11,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use serde::Serialize;
 
 use crate::PlantError;
-use crate::session::put;
+use crate::case::put;
 
 /// How the noise of a scalar session is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use super::score::{FollowUp, Kind, Outcome, crash, score, score_scalar};
 use crate::PlantError;
+use crate::case::Case;
 use crate::layout::Asked;
 use crate::orders::{Drawn, Order};
-use crate::session::{Case, later};
+use crate::session::later;
 
 /// A drawn case with its name.
 #[derive(Debug, Clone)]

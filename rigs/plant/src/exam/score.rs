@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::case::{Case, Flag, Make, Truth};
 use crate::noise::Noise;
 use crate::orders::Drawn;
 use crate::scalar::ScalarCase;
-use crate::session::{Case, Flag, Make, Truth};
 
 /// How an answer counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]

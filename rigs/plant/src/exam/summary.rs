@@ -6,9 +6,9 @@ use statrs::distribution::{Beta, ContinuousCDF};
 use super::pictures::picture_goals;
 use super::score::{FollowUp, Kind, Outcome, Part};
 use crate::Design;
+use crate::case::Make;
 use crate::noise::Noise;
 use crate::scalar::ScalarNoise;
-use crate::session::Make;
 
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -238,7 +238,7 @@ mod tests {
     fn a_bound_holds_one_unknown_and_lets_the_others_go_down() {
         // r = (x + y - 3, x - y - 1): the bottom is (2, 1); with x <= 1.5 it is (1.5, 1), by hand.
         let top = 1.5;
-        let at = |p: &DVector<f64>| {
+        let bounded_at = |top: f64, p: &DVector<f64>| {
             let r = Vector2::new(p[0] + p[1] - 3.0, p[0] - p[1] - 1.0);
             let j = Matrix2::new(1.0, 1.0, 1.0, -1.0);
             let (matrix, descent) = (j.tr_mul(&j), -j.tr_mul(&r));
@@ -249,16 +249,23 @@ mod tests {
             };
             Some(BoundedNormalEquations { free, may: vec![[true, p[0] < top], [true, true]] })
         };
+        let at = |p: &DVector<f64>| bounded_at(top, p);
         let cut =
             |p: &DVector<f64>, d: &DVector<f64>| DVector::from_vec(vec![(p[0] + d[0]).min(top), p[1] + d[1]]);
         let start = DVector::from_vec(vec![0.0, 0.0]);
         let first = (start.clone(), at(&start).unwrap());
-        let found =
-            minimise(first.clone(), &Damping::default(), at, |p, _, d| cut(p, d), |d, _| d.norm() < 1e-12);
+        let found = minimise(first, &Damping::default(), at, |p, _, d| cut(p, d), |d, _| d.norm() < 1e-12);
         assert!((found.place - DVector::from_vec(vec![1.5, 1.0])).norm() < 1e-6);
         // Control: without the bound the bottom lies beyond it.
-        let found = minimise(first, &Damping::default(), at, |p, _, d| p + d, |d, _| d.norm() < 1e-12);
-        assert!(found.place[0] <= top + 1.0 && found.place[0] > top);
+        let free = |p: &DVector<f64>| bounded_at(f64::INFINITY, p);
+        let found = minimise(
+            (start.clone(), free(&start).unwrap()),
+            &Damping::default(),
+            free,
+            |p, _, d| p + d,
+            |d, _| d.norm() < 1e-12,
+        );
+        assert!((found.place - DVector::from_vec(vec![2.0, 1.0])).norm() < 1e-6);
     }
 
     #[test]

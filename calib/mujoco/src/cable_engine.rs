@@ -28,7 +28,7 @@ const ONE_CONTACT_MM: f64 = 1.0;
 const BASE_KG: f64 = 1000.0;
 /// Steps in which the free wire comes to hang in its medium before the base moves.
 const SETTLE_STEPS: u64 = 500;
-/// A node that moves by more than this (mm) beyond three times the base's step has sprung.
+/// A node that moves by more than this (mm) beyond three times the base's step has snapped.
 const SPRING_MM: f64 = 1.5;
 
 /// A whisker in MuJoCo on which sweeps are run, one after the other.
@@ -196,12 +196,12 @@ impl CableEngine {
             let before = std::mem::replace(&mut nodes, nodes_mm(&frame, travel_mm));
             let step_mm = speed_mm_s / plan.rate_hz;
             let moved = nodes.iter().zip(&before).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-            let sprung = moved > SPRING_MM + 3.0 * step_mm;
+            let snapped = moved > SPRING_MM + 3.0 * step_mm;
             let contacts =
                 contacts(&frame, &nodes, &Passing::new(mesh, sweep, travel_mm), travel_mm, radius_mm);
             let moment = Vector3::from(frame.base_moment_nm.unwrap_or([f64::NAN; 3])) * 1e3;
             let earlier = run.samples.last().map_or(&[][..], |s: &Sample| &s.contacts);
-            let event = event(earlier, &contacts, sprung, step_mm);
+            let event = event(earlier, &contacts, snapped, step_mm);
             let chatters = toggles as f64 > CHATTER * taken as f64;
             chatter += f64::from(u8::from(chatters));
             run.samples.push(Sample {

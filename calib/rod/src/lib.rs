@@ -31,7 +31,9 @@ pub use fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
 pub use kirchhoff::broyden::Anchor;
 pub use kirchhoff::continuation::{BranchTracker, Line, Outcome, Touch};
 pub use kirchhoff::integrate;
-pub use kirchhoff::solve::{Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM};
+pub use kirchhoff::solve::{
+    Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM, interpolated_point,
+};
 pub use kirchhoff::stability::{Hold, Loss, LossKind, StabilityScan};
 pub use material::{Section, Softening};
 pub use shape::Shape;

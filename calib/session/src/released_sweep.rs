@@ -157,8 +157,8 @@ mod tests {
         let mut text = "fbg_1,fbg_2,fbg_4,fbg_6\n".to_owned();
         for i in 0..samples {
             let warm = 1e-5 * i as f64;
-            let felt = 1e-6 * (i as f64 - 2000.0).max(0.0);
-            let w = [1540.0, 1545.0 + warm + felt, 1542.0 + warm, 1543.0 + warm].map(|w| w * scale);
+            let bending = 1e-6 * (i as f64 - 2000.0).max(0.0);
+            let w = [1540.0, 1545.0 + warm + bending, 1542.0 + warm, 1543.0 + warm].map(|w| w * scale);
             text += &format!("{},{},{},{}\n", w[0], w[1], w[2], w[3]);
         }
         table(&text)

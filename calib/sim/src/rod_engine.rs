@@ -31,7 +31,7 @@ const MORE_ROUNDS: usize = 5;
 /// with which a sweep is kept.
 const UNSETTLED_MM: f64 = 0.05;
 const MAX_UNSETTLED: f64 = 0.2;
-/// A node that moves by more than this (mm) beyond three times the base's step has sprung.
+/// A node that moves by more than this (mm) beyond three times the base's step has snapped.
 const SPRING_MM: f64 = 1.5;
 /// A contact that runs faster than this many times the base's speed slips.
 const SLIP_RATIO: f64 = 4.0;
@@ -110,7 +110,7 @@ impl RodEngine {
             contact: self.free(),
             solves: 0,
             iterations: 0,
-            sprung: false,
+            snapped: false,
             settled: true,
         };
         let mut run = Run { samples: Vec::new(), verdict: Verdict::Kept, solves: 0, iterations: 0 };
@@ -132,7 +132,7 @@ impl RodEngine {
             let contacts = state.contact.contacts.clone();
             let moment_nmm = state.rod.base_moment_nmm(&state.contact);
             let step_mm = speed_mm_s / plan.rate_hz;
-            let event = event(&before, &contacts, state.sprung, step_mm);
+            let event = event(&before, &contacts, state.snapped, step_mm);
             run.samples.push(Sample {
                 t_s,
                 travel_mm,
@@ -213,7 +213,7 @@ struct SweepState<'a> {
     solves: usize,
     iterations: usize,
     /// Since the last sample: whether the wire sprang, and whether it came to rest everywhere.
-    sprung: bool,
+    snapped: bool,
     settled: bool,
 }
 
@@ -270,7 +270,7 @@ impl SweepState<'_> {
 
     /// Follows the equilibrium; false where it is lost for good.
     fn advance_to(&mut self, travel_mm: f64) -> bool {
-        (self.sprung, self.settled) = (false, true);
+        (self.snapped, self.settled) = (false, true);
         let longest_mm = self.longest_mm;
         let mut halvings = 0_u32;
         while travel_mm - self.travel_mm > 1e-12 {
@@ -306,7 +306,7 @@ impl SweepState<'_> {
                 }
                 continue;
             }
-            self.sprung |= springs;
+            self.snapped |= springs;
             self.settled &= next.converged;
             let lost = !next.converged && !(next.overlap_mm < UNSETTLED_MM);
             // A spring is over in milliseconds: no velocity of the quasi-static way.
@@ -329,13 +329,13 @@ impl SweepState<'_> {
     }
 }
 
-/// What happened between two samples; `sprung`: whether the wire jumped, `step_mm`: way of the base.
+/// What happened between two samples; `snapped`: whether the wire jumped, `step_mm`: way of the base.
 #[must_use]
-pub fn event(before: &[Contact], after: &[Contact], sprung: bool, step_mm: f64) -> Event {
+pub fn event(before: &[Contact], after: &[Contact], snapped: bool, step_mm: f64) -> Event {
     match (before.first(), after.first()) {
         (None, Some(_)) => Event::Onset,
         (Some(_), None) => Event::Release,
-        _ if sprung => Event::Jump,
+        _ if snapped => Event::Jump,
         (Some(a), Some(b)) if (a.arclength_mm - b.arclength_mm).abs() > SLIP_RATIO * step_mm => Event::Slip,
         _ => Event::None,
     }

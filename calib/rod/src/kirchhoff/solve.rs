@@ -18,6 +18,30 @@ use wcal_core::observation::WhiskerSpec;
 /// Default mesh interval, mm: base moments are right to about 1e-7 of their size there (tests/acceptance/).
 pub const WORKING_STEP_MM: f64 = 2.0;
 
+/// Point of the loaded wire at arc length `s_mm` (mm) between its nodes (arc length, position, frame; two at least), whose tangents are
+/// known.
+///
+/// Between nodes j and j + 1 with x = (s - s_j) / h, positions p and unit tangents t (cubic Hermite interpolation):
+///
+/// ```text
+/// p(s) = p_j (2x^3 - 3x^2 + 1) + h t_j (x^3 - 2x^2 + x) + p_j+1 (3x^2 - 2x^3) + h t_j+1 (x^3 - x^2)
+/// ```
+#[must_use]
+pub fn interpolated_point(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> Vector3<f64> {
+    let j = nodes.partition_point(|n| n.0 <= s_mm).clamp(1, nodes.len() - 1);
+    let (a, b) = (&nodes[j - 1], &nodes[j]);
+    let h = b.0 - a.0;
+    if h <= 0.0 {
+        return b.1;
+    }
+    let x = (s_mm - a.0) / h;
+    let (x2, x3) = (x * x, x * x * x);
+    a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
+        + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
+        + b.1 * (3.0 * x2 - 2.0 * x3)
+        + b.2.column(0) * (h * (x3 - x2))
+}
+
 /// The wire, its clamp and its surroundings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rod {
@@ -352,20 +376,7 @@ impl Rod {
         let nodes = self.nodes(point, held, previous);
         let count = (self.shape.length_mm / GRID_MM).ceil() as usize;
         let step_mm = self.shape.length_mm / count as f64;
-        let position = |s: f64| {
-            let j = nodes.partition_point(|n| n.0 <= s).clamp(1, nodes.len() - 1);
-            let (a, b) = (&nodes[j - 1], &nodes[j]);
-            let h = b.0 - a.0;
-            if h <= 0.0 {
-                return b.1;
-            }
-            let x = (s - a.0) / h;
-            let (x2, x3) = (x * x, x * x * x);
-            a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
-                + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
-                + b.1 * (3.0 * x2 - 2.0 * x3)
-                + b.2.column(0) * (h * (x3 - x2))
-        };
+        let position = |s: f64| interpolated_point(&nodes, s);
         // M(s) = (integral of r beyond s - r(s) (L - s)) x w, trapezoid on the grid.
         let mut moments_nmm = vec![Vector3::zeros(); count + 1];
         let mut integral = Vector3::zeros();

@@ -1,36 +1,11 @@
-//! What the pairs of pictures would show under given effects, and how much they weigh beside the readings.
-//!
-//! Between nodes j and j + 1 of the loaded wire, with x = (s - s_j) / h, positions p and unit tangents t (cubic Hermite interpolation):
-//!
-//! ```text
-//! p(s) = p_j (2x^3 - 3x^2 + 1) + h t_j (x^3 - 2x^2 + x) + p_j+1 (3x^2 - 2x^3) + h t_j+1 (x^3 - x^2)
-//! ```
+//! What the pairs of pictures would show under given effects, and how much they weigh against the readings.
 
 use super::pictures::{Pictures, Seen};
 use super::system::WhiskerSystem;
 use super::whisker_effect::Observers;
 use crate::effect::EffectTerm;
-use nalgebra::{Matrix3, Vector3};
 use std::sync::Arc;
-
-/// Points of the loaded wire at arc lengths, mm: cubic in between its nodes, whose tangents are known.
-fn points_at(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], arclengths_mm: &[f64]) -> Vec<Vector3<f64>> {
-    let at = |s: &f64| {
-        let j = nodes.partition_point(|n| n.0 <= *s).clamp(1, nodes.len() - 1);
-        let (a, b) = (&nodes[j - 1], &nodes[j]);
-        let h = b.0 - a.0;
-        if h <= 0.0 {
-            return b.1;
-        }
-        let x = (s - a.0) / h;
-        let (x2, x3) = (x * x, x * x * x);
-        a.1 * (2.0 * x3 - 3.0 * x2 + 1.0)
-            + a.2.column(0) * (h * (x3 - 2.0 * x2 + x))
-            + b.1 * (3.0 * x2 - 2.0 * x3)
-            + b.2.column(0) * (h * (x3 - x2))
-    };
-    arclengths_mm.iter().map(at).collect()
-}
+use wcal_rod::interpolated_point;
 
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no solution.
@@ -51,7 +26,10 @@ impl WhiskerSystem {
                     groove_mm,
                     arclength_mm: e.arclength_mm,
                     tangent: e.tangent,
-                    stations_mm: points_at(&rod.loaded_shape(&e), stations_mm),
+                    stations_mm: {
+                        let nodes = rod.loaded_shape(&e);
+                        stations_mm.iter().map(|s| interpolated_point(&nodes, *s)).collect()
+                    },
                     ..shown.clone()
                 },
                 // Before first touch the wire is where it rests.
@@ -69,20 +47,20 @@ impl WhiskerSystem {
         Some(seen)
     }
 
-    /// The pairs that count beside the wavelengths.
+    /// The pairs that count together with the wavelengths.
     #[must_use]
     pub fn pictures(&self) -> Option<&Pictures> {
         self.pictures.as_deref()
     }
 
-    /// The same readings beside pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
+    /// The same readings with pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
     #[must_use]
     pub fn with_picture_scale(mut self, sd: f64) -> Self {
         self.picture_scale = sd;
         self
     }
 
-    /// The same readings beside pictures of which `share` of the stated own errors counts.
+    /// The same readings with pictures of which `share` of the stated own errors counts.
     #[must_use]
     pub fn with_own_share(mut self, share: f64) -> Self {
         self.pictures = self.pictures.map(|p| Arc::new(p.with_own_share(share)));

@@ -24,6 +24,7 @@ pub mod sd_factors;
 pub mod segments;
 pub mod stream;
 pub mod surface;
+pub mod sweep_bound;
 pub mod sweep_series;
 mod tare;
 pub mod tracker;

@@ -9,6 +9,7 @@ mod motion;
 mod motion_log;
 mod motion_table;
 mod output;
+mod sliding;
 mod surface;
 mod table;
 mod trust;

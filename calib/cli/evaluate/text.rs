@@ -1,5 +1,6 @@
 //! What a person reads of an evaluation in the terminal.
 
+use super::bounds::over_bound_text;
 use super::document::{mean, method, stated};
 use super::tables::slope_s;
 use serde_json::Value;
@@ -56,6 +57,8 @@ pub(super) fn print_tables(document: &Value) {
         real["verdict"],
         real["accepted"]
     );
+    let bounds = ["seen", "unseen"].map(|set| over_bound_text(&real["bound"][set]));
+    println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
     let covers = &real["coverage90"];
     println!(
         "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
@@ -74,11 +77,17 @@ pub(super) fn print_tables(document: &Value) {
         );
     }
     let faces = &document["faces"];
-    for (name, of) in [("speed known", faces), ("speed not known", &faces["speed_not_known"])] {
+    for (name, of) in [("moments only", &faces["speed_not_known"]), ("speed known", faces)] {
         let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));
         println!(
             "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
         );
+        let bounds = ["seen", "unseen"].map(|set| over_bound_text(&of["bound"][set]));
+        println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
+    }
+    for r in faces["methods"].as_array().into_iter().flatten() {
+        let [set, name] = ["set", "method"].map(|k| r[k].as_str().unwrap_or(""));
+        println!("  {set:7} {name:21} {:>19}   {}", stated(r, "rmse_mm"), over_bound_text(&r["bound"]));
     }
     let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
     for r in rows("ablations") {
@@ -133,5 +142,6 @@ pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
             "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
             mean(r, |o| o.detection.f1)
         );
+        println!("{:29} surface / contact: {}", "", over_bound_text(&row["bound"]));
     }
 }

@@ -41,14 +41,7 @@ pub fn track(
         })?;
         let (s, sd_nmm) = (&row.sensed, row.sd_nmm());
         let touches = s.moment_nmm[0].hypot(s.moment_nmm[1]) > LOADED_SDS * sd_nmm[0].hypot(sd_nmm[1]);
-        let unknown = Prediction {
-            contact: 1.0,
-            several: 0.0,
-            point_mm: [0.0; 3],
-            covariance_mm2: [[0.0; 3]; 3],
-            weights: Vec::new(),
-            normal: [0.0; 3],
-        };
+        let unknown = Prediction::unknown();
         let answer = touches.then(|| moments_alone(&inverse, s.moment_nmm, sd_nmm, &unknown));
         let flags = if touches { Flags::MOTION_LOST } else { Flags::default() };
         if let (Some(groove), Some(answer)) = (&mut groove, &answer) {

@@ -4,6 +4,7 @@ use super::groove::known_places;
 use super::known_motion::answer;
 use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::output::{FORMAT, TrackFiles, TrackRow};
+use super::sliding::sliding_contacts;
 use super::trust::{TrustIssues, calibration_issues};
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
 use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
@@ -35,6 +36,16 @@ struct MovedRow<'a> {
     row: &'a SensedRow,
     t_s: f64,
     motion: Result<Motion, Lost>,
+}
+
+/// What a row is tracked by.
+struct TrackedRow<'a> {
+    /// Number of the contact.
+    contact: usize,
+    place: &'a Place,
+    regions: &'a [Region],
+    /// Moments and motion disagree.
+    disagrees: bool,
 }
 
 /// Tracks the readings of a table along the motion of `--motion`, or of its own columns; by the moments alone where there is neither.
@@ -105,28 +116,40 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
         Ok(locate(&field, &episode, &settings)?)
     });
     let found = found.collect::<Result<Vec<Located>>>()?;
-    let mut places: BTreeMap<usize, (&Place, &Located, usize)> = BTreeMap::new();
-    for (n, ([from, _], located)) in ranges.iter().zip(&found).enumerate() {
-        places.extend(located.places.iter().enumerate().map(|(k, p)| (index[from + k], (p, located, n))));
-    }
-
+    let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
+    let sliding = sliding_contacts(whisker, rows, &known, &with_range)?;
     let regions: Vec<Vec<Region>> =
         found.iter().map(|f| f.posterior.as_ref().map_or_else(Vec::new, Posterior::regions)).collect();
+    let mut tracked: BTreeMap<usize, TrackedRow<'_>> = BTreeMap::new();
+    for (n, ([from, to], located)) in with_range.iter().enumerate() {
+        let at = |k: usize| match &sliding[n] {
+            Some(s) => {
+                TrackedRow { contact: n, place: &s.places[k], regions: &s.regions[k], disagrees: false }
+            }
+            None => TrackedRow {
+                contact: n,
+                place: &located.places[k],
+                regions: &regions[n],
+                disagrees: located.disagreement.is_some(),
+            },
+        };
+        tracked.extend((0..to - from).map(|k| (index[from + k], at(k))));
+    }
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut groove = KnownGroove::new(known_places(table)?, whisker);
     let codes = issues.codes();
     let (mut outside, mut flagged) = (0_u64, 0_u64);
     let mut lost: BTreeMap<&'static str, u64> = BTreeMap::new();
     for (k, m) in moved.iter().enumerate() {
-        let (here, mut flags) = (places.get(&k), Flags::default());
+        let (here, mut flags) = (tracked.get(&k), Flags::default());
         if let Err(why) = &m.motion {
             *lost.entry(why.name()).or_default() += 1;
             flags = flags.with(Flags::MOTION_LOST);
         }
-        if here.is_some_and(|(_, located, _)| located.disagreement.is_some()) {
+        if here.is_some_and(|row| row.disagrees) {
             flags = flags.with(Flags::MOTION_DISAGREES);
         }
-        let answer = here.and_then(|(place, ..)| answer(place));
+        let answer = here.and_then(|row| answer(row.place));
         if let (Some(groove), Some(answer)) = (&mut groove, &answer) {
             groove.push(m.t_s, answer);
         }
@@ -145,8 +168,8 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             base_mm_s: m.motion.as_ref().ok().map(|m| -m.velocity_mm_s.z),
             base,
             touching: None,
-            segment: here.map(|(.., n)| *n as u64),
-            regions: here.map_or(&[], |(.., n)| regions[*n].as_slice()),
+            segment: here.map(|row| row.contact as u64),
+            regions: here.map_or(&[], |row| row.regions),
         })?;
     }
     let simulated = is_simulated(table) || file.provenance.simulated;
@@ -156,13 +179,20 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let disagreements: Vec<String> = found
         .iter()
         .enumerate()
+        .filter(|(n, _)| sliding[*n].is_none())
         .filter_map(|(n, f)| Some(format!("contact {n}: {}", disagreement_sentence(f)?)))
         .collect();
-    let contacts: Vec<_> = ranges
+    let contacts: Vec<_> = with_range
         .iter()
-        .zip(&found)
-        .map(|([from, to], f)| {
+        .zip(&sliding)
+        .map(|(([from, to], f), slides)| {
             let mut summary = found_summary(f);
+            summary["contact"] = if slides.is_some() { "sliding" } else { "fixed" }.into();
+            if let Some(slides) = slides {
+                summary["disagreement"] = serde_json::Value::Null;
+                summary["regions"] = serde_json::Value::Null;
+                summary["sliding_support"] = slides.support.into();
+            }
             summary["from_s"] = known[*from].t_s.into();
             summary["to_s"] = known[to - 1].t_s.into();
             summary["readings"] = (to - from).into();
@@ -191,6 +221,13 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             "the motion of {lost_rows} of {} readings is not known ({}); marked motion-lost in status",
             rows.len(),
             why.join(", ")
+        );
+    }
+    for (n, slides) in sliding.iter().enumerate().filter_map(|(n, s)| Some((n, s.as_ref()?))) {
+        eprintln!(
+            "contact {n}: no fixed point of the object explains the moments; it slides, and the motion predicts them (log Bayes factor {:.0} \
+             against a random walk)",
+            slides.support
         );
     }
     for said in &disagreements {

@@ -65,6 +65,7 @@ mod tests {
             all: Scores::default(),
             followed: Scores::default(),
             detection: Detection::default(),
+            bound: None,
             sweeps: vec![SweepSums { surface: sum, ..SweepSums::default() }],
         }
     }

@@ -4,6 +4,7 @@ use crate::error::TrackError;
 use crate::filter::{BayesFilter, BayesSettings, FilterBank};
 use crate::inverse::StaticInverse;
 use crate::score::{Detection, EstimateError, Scores, SweepSums, detection, scores};
+use crate::sweep_bound::ContactBound;
 use crate::sweep_series::SweepSeries;
 use crate::tracker::{Sample, Tracker};
 use nalgebra::{Matrix3, Vector3};
@@ -42,6 +43,12 @@ const CONTACT_PROBABILITY: f32 = 0.5;
 const CONTACT_NMM: f64 = 0.01;
 
 impl Method<'_> {
+    /// Whether the base's speed is known to it.
+    #[must_use]
+    pub fn speed_known(&self) -> bool {
+        matches!(self, Self::Network(_, true) | Self::Bayes(_, true, _))
+    }
+
     /// Estimates at all instants of a series, made from what came before each.
     #[must_use]
     pub fn run(&self, series: &SweepSeries) -> Vec<Estimate> {
@@ -126,10 +133,61 @@ pub struct ObjectScores {
     pub followed: Scores,
     /// Contact or not.
     pub detection: Detection,
+    /// Errors where there is a bound, with that bound; none where no bound was computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bound: Option<ErrorAndBound>,
     /// Errors sweep by sweep, for intervals.
     #[serde(skip)]
     pub sweeps: Vec<SweepSums>,
 }
+
+/// RMS errors over an object where there is a bound, and RMS bounds there, mm.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct ErrorAndBound {
+    /// Samples with a bound.
+    pub samples: usize,
+    /// Distance from the surface.
+    pub surface_mm: f64,
+    /// Bound of it: across the surface.
+    pub surface_bound_mm: f64,
+    /// Distance from the true contact.
+    pub contact_mm: f64,
+    /// Bound of it.
+    pub contact_bound_mm: f64,
+    /// Medians of the two, which a few lost contacts do not make.
+    pub contact_median_mm: f64,
+    /// See `contact_median_mm`.
+    pub contact_bound_median_mm: f64,
+}
+
+impl ErrorAndBound {
+    /// Of estimates; none without a bound.
+    fn of(compared: &[ComparedEstimate]) -> Option<Self> {
+        let both: Vec<(EstimateError, ContactBound)> =
+            compared.iter().filter_map(|c| Some((c.error, c.bound?))).collect();
+        let n = both.len();
+        let rms = |of: fn(&(EstimateError, ContactBound)) -> f64| {
+            (both.iter().map(|b| of(b).powi(2)).sum::<f64>() / n as f64).sqrt()
+        };
+        let median = |of: fn(&(EstimateError, ContactBound)) -> f64| {
+            let mut each: Vec<f64> = both.iter().map(of).collect();
+            each.sort_by(f64::total_cmp);
+            each[n / 2]
+        };
+        (n > 0).then(|| Self {
+            samples: n,
+            surface_mm: rms(|b| b.0.surface_mm),
+            surface_bound_mm: rms(|b| b.1.surface_mm()),
+            contact_mm: rms(|b| b.0.error_mm.norm()),
+            contact_bound_mm: rms(|b| b.1.contact_mm()),
+            contact_median_mm: median(|b| b.0.error_mm.norm()),
+            contact_bound_median_mm: median(|b| b.1.contact_mm()),
+        })
+    }
+}
+
+/// Bounds of the series over each object: one a sample, none without a single contact.
+pub type BoundsByObject = BTreeMap<String, Vec<Vec<Option<ContactBound>>>>;
 
 /// Travel of the base after which the motion can have determined a new contact, mm.
 pub const SETTLING_MM: f64 = 2.0;
@@ -137,16 +195,28 @@ pub const SETTLING_MM: f64 = 2.0;
 /// Contact or not, at every sample: called and true.
 pub type Calls = Vec<(bool, bool)>;
 
-/// Errors of a series' estimates where there is contact, and whether the contact has been tracked for a while.
+/// An estimate compared with the true contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ComparedEstimate {
+    /// Its error.
+    pub error: EstimateError,
+    /// Whether the contact has been tracked for a while.
+    pub followed: bool,
+    /// The bound there, where one is known.
+    pub bound: Option<ContactBound>,
+}
+
+/// Errors of a series' estimates where there is contact; `bounds` are empty or one a sample.
 #[must_use]
 pub fn compare_with_truth(
     series: &SweepSeries,
     mesh: &Mesh,
     estimates: &[Estimate],
-) -> (Vec<(EstimateError, bool)>, Calls) {
-    let (mut pairs, mut calls) = (Vec::new(), Vec::new());
+    bounds: &[Option<ContactBound>],
+) -> (Vec<ComparedEstimate>, Calls) {
+    let (mut compared, mut calls) = (Vec::new(), Vec::new());
     let (mut since_mm, mut before): (f64, Option<Vector3<f64>>) = (0.0, None);
-    for (now, estimate) in series.samples.iter().zip(estimates) {
+    for (k, (now, estimate)) in series.samples.iter().zip(estimates).enumerate() {
         calls.push((estimate.contact, now.contact.is_some()));
         if ["onset", "jump", "slip"].contains(&now.event.as_str()) {
             since_mm = now.travel_mm;
@@ -159,10 +229,11 @@ pub fn compare_with_truth(
         before = Some(truth.point_mm);
         let surface_mm = series.surface_distance_mm(mesh, now.travel_mm, &estimate.point_mm);
         let off = estimate.point_mm - truth.point_mm;
-        let one = EstimateError::new(surface_mm, off, &path, estimate.covariance_mm2.as_ref());
-        pairs.push((one, now.travel_mm - since_mm >= SETTLING_MM));
+        let error = EstimateError::new(surface_mm, off, &path, estimate.covariance_mm2.as_ref());
+        let followed = now.travel_mm - since_mm >= SETTLING_MM;
+        compared.push(ComparedEstimate { error, followed, bound: bounds.get(k).copied().flatten() });
     }
-    (pairs, calls)
+    (compared, calls)
 }
 
 /// Errors of the network's places with their stated spreads where there is contact, with the object's name.
@@ -195,7 +266,7 @@ pub fn regions(
         .collect()
 }
 
-/// Who estimates over objects, from a series to its estimates.
+/// Who estimates over objects, from a series to its estimates; their errors are set against the bounds, where there are any.
 ///
 /// # Errors
 /// Where an object's mesh is missing.
@@ -203,6 +274,7 @@ pub fn score_objects(
     run: &(dyn Fn(&SweepSeries) -> Vec<Estimate> + Sync),
     all_series: &BTreeMap<String, Vec<SweepSeries>>,
     meshes: &BTreeMap<String, Mesh>,
+    bounds: Option<&BoundsByObject>,
 ) -> Result<Vec<ObjectScores>, TrackError> {
     all_series
         .iter()
@@ -210,18 +282,27 @@ pub fn score_objects(
             let mesh = meshes
                 .get(name)
                 .ok_or_else(|| TrackError::value("meshes", name.clone(), "no such object"))?;
-            let parts: Vec<_> =
-                all_series.par_iter().map(|series| compare_with_truth(series, mesh, &run(series))).collect();
-            let pairs: Vec<(EstimateError, bool)> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
+            let bounds = bounds.and_then(|b| b.get(name)).map_or(&[][..], Vec::as_slice);
+            let one = |(k, series): (usize, &SweepSeries)| {
+                let bounds = bounds.get(k).map_or(&[][..], Vec::as_slice);
+                compare_with_truth(series, mesh, &run(series), bounds)
+            };
+            let parts: Vec<_> = all_series.par_iter().enumerate().map(one).collect();
+            let compared: Vec<ComparedEstimate> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
             let calls: Vec<(bool, bool)> = parts.iter().flat_map(|p| p.1.iter().copied()).collect();
-            let all: Vec<EstimateError> = pairs.iter().map(|p| p.0).collect();
-            let followed: Vec<EstimateError> = pairs.iter().filter(|p| p.1).map(|p| p.0).collect();
+            let all: Vec<EstimateError> = compared.iter().map(|c| c.error).collect();
+            let followed: Vec<EstimateError> =
+                compared.iter().filter(|c| c.followed).map(|c| c.error).collect();
+            let sums = |p: &(Vec<ComparedEstimate>, Calls)| {
+                SweepSums::of(&p.0.iter().map(|c| (c.error, c.followed)).collect::<Vec<_>>())
+            };
             Ok(ObjectScores {
                 name: name.clone(),
                 all: scores(&all),
                 followed: scores(&followed),
                 detection: detection(&calls),
-                sweeps: parts.iter().map(|p| SweepSums::of(&p.0)).filter(|s| s.surface.count > 0.0).collect(),
+                bound: ErrorAndBound::of(&compared),
+                sweeps: parts.iter().map(sums).filter(|s| s.surface.count > 0.0).collect(),
             })
         })
         .collect()

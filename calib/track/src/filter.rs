@@ -2,7 +2,8 @@
 //!
 //! State at sample t: node k of the inverse's curve (arc length `s_k`, at the tip the tilt of the force), offset x in [-1/2, 1/2] within the
 //! node, velocity `v = ds/dz` (path along the curve by travel of the base), and where they are not known the coefficient of friction mu and
-//! the speed u of the base:
+//! the speed u of the base. Below for a base that travels along its +z; where the object's motion is known in three dimensions (any direction,
+//! rotations, holds and reversals: [`BayesFilter::step_along`]) its displacement stands for -z u dt:
 //!
 //! ```text
 //! predict and update   w_t(k, mu, u)  ~  sum_j  w_{t-1}(j, mu, u)  p(k | j, mu, u)  p(m_t | k, j, mu, u)
@@ -22,6 +23,7 @@
 //! Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic Control 17 (1972) 439.
 
 mod grid_cell;
+mod object_step;
 mod sample_geometry;
 mod settings;
 mod transition;
@@ -29,8 +31,9 @@ mod transition;
 use crate::inverse::{InverseSolution, StaticInverse};
 use grid_cell::GridCell;
 use nalgebra::{Matrix3, Vector3};
+pub use object_step::ObjectStep;
 pub use settings::{BayesSettings, FilterBank};
-use transition::TransitionModel;
+use transition::{KnownStep, TransitionModel};
 
 /// Posterior of the contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +57,11 @@ pub struct BayesFilter<'a> {
     now: Vec<InverseSolution>,
     /// Logarithm of the predictive density of the last sample, 1/(N mm)^2; 0 where there was no prediction.
     log_evidence: f64,
+    /// Direction of the last known displacement, and the belief after it.
+    direction: Option<Vector3<f64>>,
+    last: Option<Belief>,
+    /// Displacement since the last sample that was used.
+    pending: Option<ObjectStep>,
 }
 
 impl<'a> BayesFilter<'a> {
@@ -67,6 +75,9 @@ impl<'a> BayesFilter<'a> {
             before: Vec::new(),
             now: Vec::new(),
             log_evidence: 0.0,
+            direction: None,
+            last: None,
+            pending: None,
         }
     }
 
@@ -139,8 +150,45 @@ impl<'a> BayesFilter<'a> {
 
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
+        let (inverse, steps) = (self.inverse, self.sweep_steps(dt_s, base_mm_s));
+        self.step_on(dt_s, moment_nmm, &steps, |moment_nmm, now| inverse.solutions(moment_nmm, now))
+    }
+
+    /// Takes a sample to which the object has moved by a known step, in any direction. Samples during a hold say nothing new: the answer is
+    /// that of before, until the object has moved on by `HOLD_MM`.
+    pub fn step_along(&mut self, dt_s: f64, moment_nmm: [f64; 2], object: &ObjectStep) -> Option<Belief> {
         let inverse = self.inverse;
-        self.step_on(dt_s, moment_nmm, base_mm_s, |moment_nmm, now| inverse.solutions(moment_nmm, now))
+        let middle = self.last.map_or_else(|| self.middle_mm(), |b| b.point_mm);
+        let since = self.pending.take().map_or(*object, |p| p.followed_by(object));
+        let moved = since.displacement_mm(&middle);
+        let loaded = moment_nmm[0].hypot(moment_nmm[1]) >= self.settings.onset_nmm;
+        if loaded && !self.weights.is_empty() && moved.norm() < HOLD_MM {
+            self.pending = Some(since);
+            return self.last;
+        }
+        let onward_mm = self.direction.map_or(moved.norm(), |d| d.dot(&moved));
+        self.direction = moved.try_normalize(HOLD_MM).or(self.direction);
+        let travel_mm = moved.norm();
+        let known = KnownStep { object: since, travel_mm, travel_sd_mm: 0.0, onward_mm, sweep: false };
+        self.last =
+            self.step_on(dt_s, moment_nmm, &[known], |moment_nmm, now| inverse.solutions(moment_nmm, now));
+        self.last
+    }
+
+    /// Two thirds out on the free wire: the middle of what objects touch, mm.
+    fn middle_mm(&self) -> Vector3<f64> {
+        let mut rest = Vec::new();
+        self.inverse.solutions(FREE_NMM, &mut rest);
+        rest.get(self.inverse.first_tip() * 2 / 3).map_or_else(Vector3::zeros, |s| s.point_mm)
+    }
+
+    /// Travel of the base at its known speed, or at each of the grid, which stands for an interval: the standard deviation of a uniform
+    /// distribution is its width / sqrt(12).
+    fn sweep_steps(&self, dt_s: f64, base_mm_s: Option<f64>) -> Vec<KnownStep> {
+        let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
+        let travel_sd_mm =
+            if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
+        speeds.iter().map(|v| KnownStep::of_sweep(v * dt_s, travel_sd_mm)).collect()
     }
 
     /// The same with the inverse solutions of a filter of the same onset that has taken the sample already.
@@ -151,14 +199,15 @@ impl<'a> BayesFilter<'a> {
         base_mm_s: Option<f64>,
         other: &Self,
     ) -> Option<Belief> {
-        self.step_on(dt_s, moment_nmm, base_mm_s, |_, now| now.clone_from(&other.now))
+        let steps = self.sweep_steps(dt_s, base_mm_s);
+        self.step_on(dt_s, moment_nmm, &steps, |_, now| now.clone_from(&other.now))
     }
 
     fn step_on(
         &mut self,
         dt_s: f64,
         moment_nmm: [f64; 2],
-        base_mm_s: Option<f64>,
+        steps: &[KnownStep],
         solutions: impl FnOnce([f64; 2], &mut Vec<InverseSolution>),
     ) -> Option<Belief> {
         std::mem::swap(&mut self.before, &mut self.now);
@@ -171,14 +220,9 @@ impl<'a> BayesFilter<'a> {
             return None;
         }
         solutions(moment_nmm, &mut self.now);
-        let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         self.log_evidence = 0.0;
-        // Each speed of the grid stands for an interval: the standard deviation of a uniform distribution is its width / sqrt(12).
-        let travel_sd_mm =
-            if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
         let frictions = self.settings.frictions().len();
-        let predicted =
-            self.weights.len() == frictions * speeds.len() && self.predict(dt_s, &speeds, travel_sd_mm);
+        let predicted = self.weights.len() == frictions * steps.len() && self.predict(dt_s, steps);
         if !predicted {
             // First contact, or no transition explains the sample: the posterior is reset to the prior.
             let loaded_before = !self.weights.is_empty() || self.before.is_empty();
@@ -187,9 +231,8 @@ impl<'a> BayesFilter<'a> {
                 self.inverse.solutions(moment_nmm.map(|m| m / size * REST_NMM), &mut self.before);
             }
             let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
-            let prior =
-                |v: &f64| model.first_contact_prior((!loaded_before).then_some(v * dt_s), travel_sd_mm);
-            let rows: Vec<Vec<GridCell>> = speeds.iter().map(prior).collect();
+            let prior = |step: &KnownStep| model.first_contact_prior((!loaded_before).then_some(step));
+            let rows: Vec<Vec<GridCell>> = steps.iter().map(prior).collect();
             self.weights = std::iter::repeat_n(rows, frictions).flatten().collect();
             self.normalise();
         }
@@ -202,17 +245,17 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Prediction and update of all rows; false where no transition explains the sample.
-    fn predict(&mut self, dt_s: f64, speeds: &[f64], travel_sd_mm: f64) -> bool {
+    fn predict(&mut self, dt_s: f64, steps: &[KnownStep]) -> bool {
         let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
         let total = self.total();
-        let rows = self.settings.frictions().iter().flat_map(|f| speeds.iter().map(move |v| (*f, *v)));
+        let rows = self.settings.frictions().iter().flat_map(|f| steps.iter().map(move |s| (*f, s)));
         let mut next: Vec<Vec<GridCell>> = rows
             .zip(&self.weights)
-            .map(|((friction, speed), row)| model.predict(row, total, [speed * dt_s, travel_sd_mm], friction))
+            .map(|((friction, step), row)| model.predict(row, total, step, friction))
             .collect();
         // Random walk of the speed; a quarter to each neighbour at most, so that a row keeps half.
         let share = (self.settings.speed_change_per_s * dt_s).min(0.25);
-        next.chunks_mut(speeds.len()).for_each(|rows| diffuse_speeds(rows, share));
+        next.chunks_mut(steps.len()).for_each(|rows| diffuse_speeds(rows, share));
         self.weights = next;
         let total = self.total();
         self.log_evidence = total.max(f64::MIN_POSITIVE).ln();
@@ -253,6 +296,8 @@ impl<'a> BayesFilter<'a> {
     }
 }
 
+/// Displacement below which an object counts as held, mm.
+const HOLD_MM: f64 = 0.02;
 /// Moment of a wire practically at rest, N mm.
 const REST_NMM: f64 = 1e-5;
 /// Moments (y, z) that stand for none: those of a push against the base's travel.

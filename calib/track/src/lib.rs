@@ -22,6 +22,7 @@ pub mod row_tracker;
 pub mod score;
 pub mod sd_factors;
 pub mod segments;
+pub mod sliding;
 pub mod stream;
 pub mod surface;
 pub mod sweep_bound;

@@ -99,7 +99,8 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             sd_factors: [1.0; 2].map(SdFactors::constant),
             device: device.clone(),
         };
-        let rows = score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes);
+        let rows =
+            score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes, None);
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64
     };

@@ -9,6 +9,7 @@
 //! (central differences; one-sided at the end of the wire, where the curve bends).
 
 use super::grid_cell::GridCell;
+use super::object_step::ObjectStep;
 use crate::inverse::InverseSolution;
 use nalgebra::Vector3;
 
@@ -33,6 +34,20 @@ pub(super) struct ContactState<'c> {
     pub node: usize,
     pub compliance_mm_per_nmm: f64,
     pub turn_rad_per_nmm: f64,
+}
+
+impl ContactState<'_> {
+    /// The same point of the object after its motion; the direction of the force is one of the object's, too.
+    pub fn carried(self, step: &ObjectStep) -> Self {
+        let turned = |v: Vector3<f64>| step.turn * v;
+        Self {
+            point_mm: self.point_mm + step.displacement_mm(&self.point_mm),
+            normal: turned(self.normal),
+            point_slope: turned(self.point_slope),
+            normal_slope: turned(self.normal_slope),
+            ..self
+        }
+    }
 }
 
 /// Half the difference between a node's neighbours; not over the end of the wire, where the curve bends.

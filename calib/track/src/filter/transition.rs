@@ -1,16 +1,17 @@
 //! Transition: how a contact gets from one node to another between two samples; `likelihood` says how well that explains the moments.
 //!
-//! Between samples the base travels by `z = u dt`. From a contact (p_j, n_j) to node k, with `d = p_k - p_j + z e_z` the path on the object
-//! and n the mean direction of the force:
+//! Between samples the object moves by Q, w (`ObjectStep`; past a base that travels by `z = u dt` along its +z, Q = 1 and w = -z e_z) and z is
+//! the length of that displacement. From a contact (p_j, n_j), which goes to (Q p_j + w, Q n_j), to node k, with `d = p_k - Q p_j - w` the
+//! path on the object and n the mean direction of the force:
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
-//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
-//! path           e_2 = (s_k - s_j) - v_i z,   r_2 = var_i      i: constant velocity, perturbed, reset
+//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_d^2 + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
+//! path           e_2 = (s_k - s_j) - v_i a z,  r_2 = var_i     i: constant velocity, perturbed, reset; a: cosine to the motion before
 //! turn           about the wire: Laplace mixture of smooth and sharp objects
 //! likelihood     p(m) = p(e_1, e_2) p(turn) c_k b_k            c_k = |dg/dm|, b_k = |dturn/dm| (change of variables to the moments)
 //! jump           rate per mm of travel; against the force, exponential along the wire or uniform
-//! first contact  p(k) ~ length_k  (l + exp(-((s_k / L - a) / sd)^2 / 2))  c_k  Phi(-n . (p_k - p_k^rest + z e_z) / sd_g)
+//! first contact  p(k) ~ length_k  (l + exp(-((s_k / L - a) / sd)^2 / 2))  c_k  Phi(n . (w - p_k + p_k^rest) / sd_g)
 //! ```
 //!
 //! `s_m`: noise of the moments, `c`: compliance of the point along the force by the moments. Source of the scheme: see `filter`; the mixture
@@ -19,6 +20,7 @@
 mod likelihood;
 
 use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MomentSums};
+use super::object_step::ObjectStep;
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
@@ -53,11 +55,38 @@ pub(super) struct TransitionModel<'a> {
     first_tip: usize,
 }
 
+/// A step of the object with what is known of it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct KnownStep {
+    /// Motion of the object.
+    pub object: ObjectStep,
+    /// Length of the displacement, mm, and its standard deviation where the base's speed is one of several.
+    pub travel_mm: f64,
+    /// See `travel_mm`.
+    pub travel_sd_mm: f64,
+    /// Part of the displacement along the motion before, mm: less than all of it after a turn, negative after a reversal.
+    pub onward_mm: f64,
+    /// Whether the object only ever comes along the base's -z: contacts then move outward as it loads the wire.
+    pub sweep: bool,
+}
+
+impl KnownStep {
+    /// Of a base that travels along its +z.
+    pub fn of_sweep(travel_mm: f64, travel_sd_mm: f64) -> Self {
+        let object = ObjectStep::past_base(travel_mm);
+        Self { object, travel_mm, travel_sd_mm, onward_mm: travel_mm.abs(), sweep: true }
+    }
+}
+
 /// What one step of the base allows.
 struct BaseStep {
-    /// Travel of the base along +z, mm, and its variance where the speed is one of several.
+    /// Motion of the object.
+    object: ObjectStep,
+    sweep: bool,
+    /// Length of the displacement, mm, its variance where the speed is one of several, and its part along the motion before.
     travel_mm: f64,
     travel_variance_mm2: f64,
+    onward_mm: f64,
     /// Part of the force along the surface against a slip, f = mu / sqrt(1 + mu^2), and its variance.
     drag: f64,
     drag_variance: f64,
@@ -82,8 +111,8 @@ impl<'a> TransitionModel<'a> {
     }
 
     /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than the base's travel since the wire was at
-    /// rest (mm; `None`: unknown).
-    pub(super) fn first_contact_prior(&self, travel_mm: Option<f64>, travel_sd_mm: f64) -> Vec<GridCell> {
+    /// rest (`None`: unknown).
+    pub(super) fn first_contact_prior(&self, step: Option<&KnownStep>) -> Vec<GridCell> {
         let now = &self.now;
         let tip_turn: f64 = now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
         let pitch_mm = self.node_mm();
@@ -102,13 +131,13 @@ impl<'a> TransitionModel<'a> {
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
             let along = MIN_FIRST_CONTACT + (-0.5 * off * off).exp();
             // Probability that the deflection is at most the base's travel: Phi of the distance over its standard deviation.
-            let depth = travel_mm.map_or(1.0, |travel_mm| {
-                let off = c
-                    .normal
-                    .dot(&(c.point_mm - self.before.solutions[j].point_mm + Vector3::z() * travel_mm));
-                let variance = self.constraint_variance(travel_mm)
+            let depth = step.map_or(1.0, |step| {
+                let rest = self.before.solutions[j].point_mm;
+                let off = c.normal.dot(&(c.point_mm - rest - step.object.displacement_mm(&rest)));
+                let variance = self.constraint_variance(step.travel_mm)
+                    + step.object.sd_mm.powi(2)
                     + (self.settings.noise_nmm * c.compliance_mm_per_nmm).powi(2)
-                    + (c.normal.z * travel_sd_mm).powi(2);
+                    + (c.normal.z * step.travel_sd_mm).powi(2);
                 0.5 * erfc(off / (SQRT_2 * variance.sqrt()))
             });
             GridCell::uniform(length_mm * along * c.compliance_mm_per_nmm * depth)
@@ -124,25 +153,27 @@ impl<'a> TransitionModel<'a> {
         }
     }
 
-    /// Weights after a travel of the base, mm, with its standard deviation, under a coefficient of friction, from those before, which are
-    /// part of all that sum to `total`.
+    /// Weights after a step of the object under a coefficient of friction, from those before, which are part of all that sum to `total`.
     pub(super) fn predict(
         &self,
         row: &[GridCell],
         total: f64,
-        travel: [f64; 2],
+        known: &KnownStep,
         friction: f64,
     ) -> Vec<GridCell> {
         let s = self.settings;
-        let [travel_mm, travel_sd_mm] = travel;
+        let (travel_mm, travel_sd_mm) = (known.travel_mm, known.travel_sd_mm);
         // Of a force at the edge of the friction cone the part along the surface: sin(atan(mu)).
         let along = |mu: f64| mu / (1.0 + mu * mu).sqrt();
         let travel = travel_mm.abs().max(1e-3);
         let variance = |sd: [f64; 2]| (sd[0] + sd[1] * travel).powi(2);
         let path_variances = [s.constant_velocity, s.perturbed, s.reset].map(variance);
         let step = BaseStep {
+            object: known.object,
+            sweep: known.sweep,
             travel_mm,
             travel_variance_mm2: travel_sd_mm * travel_sd_mm,
+            onward_mm: known.onward_mm,
             drag: along(friction),
             drag_variance: if friction > 0.0 { s.friction_sd * s.friction_sd } else { 0.0 },
             path_variances,
@@ -154,7 +185,7 @@ impl<'a> TransitionModel<'a> {
         let mut new = vec![MomentSums::default(); self.now.solutions.len()];
         let jump_share = (s.jump_per_mm * travel).min(0.5);
         for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
-            let from = self.before.contact(k, cell);
+            let from = self.before.contact(k, cell).carried(&step.object);
             self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             if cell.weight > MIN_JUMP_WEIGHT * total {
@@ -171,7 +202,7 @@ impl<'a> TransitionModel<'a> {
         k: usize,
         weight: f64,
         from: &ContactState<'_>,
-        step: &BaseStep,
+        _step: &BaseStep,
         new: &mut [MomentSums],
     ) {
         let s = self.settings;
@@ -198,7 +229,7 @@ impl<'a> TransitionModel<'a> {
             };
             // Off the surface: the wire springs back against the force, mixture of a short and a long scale; rarely in its direction.
             let normal = (from.normal + c.normal).try_normalize(0.1).unwrap_or(c.normal);
-            let off = normal.dot(&(c.point_mm - from.point_mm + Vector3::z() * step.travel_mm));
+            let off = normal.dot(&(c.point_mm - from.point_mm));
             let off_density = if off < 0.0 {
                 let one = |mm: f64| (off / mm).exp() / mm;
                 0.5 * (1.0 - s.jump_back_fraction) * (one(s.jump_off_mm[0]) + one(s.jump_off_mm[1]))
@@ -229,7 +260,8 @@ impl<'a> TransitionModel<'a> {
         let mut weight = weight;
         let at_tip = k >= self.first_tip;
         if at_tip {
-            let tilt = (from.normal - self.before.solutions[self.first_tip - 1].normal).norm();
+            let across = step.object.turn * self.before.solutions[self.first_tip - 1].normal;
+            let tilt = (from.normal - across).norm();
             weight *= TIP_TO_WIRE * (-tilt / (TIP_TO_WIRE_TILT + step.tip_variances[2].sqrt())).exp();
             if weight < 1e-12 {
                 return;
@@ -241,7 +273,10 @@ impl<'a> TransitionModel<'a> {
         let from_mm =
             self.inverse.nodes[nearest].arclength_mm + if at_tip { 0.0 } else { from.cell.offset * node_mm };
         let nodes = (step.reach_mm / node_mm).ceil() as usize;
-        let modes = self.velocity_modes(&step.path_variances, from.cell, step, self.settings.reset_mean);
+        // Contacts move outward as an object loads the wire, inward as it retracts.
+        let loading = if step.sweep { 1.0 } else { from.normal.dot(&step.object.moved_mm).signum() };
+        let modes =
+            self.velocity_modes(&step.path_variances, from.cell, step, loading * self.settings.reset_mean);
         for (j, new) in new
             .iter_mut()
             .enumerate()
@@ -269,7 +304,7 @@ impl<'a> TransitionModel<'a> {
     ) -> [(f64, f64); 3] {
         let travel = step.travel_mm.abs();
         let carried = cell.velocity_variance * travel * travel;
-        let mean = cell.velocity * travel;
+        let mean = cell.velocity * step.onward_mm;
         [(mean, variances[0] + carried), (mean, variances[1] + carried), (reset_mean * travel, variances[2])]
     }
 

@@ -52,6 +52,21 @@ pub struct Prediction {
     pub normal: [f32; 3],
 }
 
+impl Prediction {
+    /// Of a contact of which nothing but that it is there is known.
+    #[must_use]
+    pub fn unknown() -> Self {
+        Self {
+            contact: 1.0,
+            several: 0.0,
+            point_mm: [0.0; 3],
+            covariance_mm2: [[0.0; 3]; 3],
+            weights: Vec::new(),
+            normal: [0.0; 3],
+        }
+    }
+}
+
 impl WhiskerNet {
     /// With weights drawn from the device's seed.
     ///

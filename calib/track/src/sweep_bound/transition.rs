@@ -107,8 +107,8 @@ struct Innovations {
 impl TransitionDensities {
     /// Of the true contacts of sweeps; none where they slide too little.
     #[must_use]
-    pub fn of_sweeps(sweeps: &[SweepContacts<'_>]) -> Option<Self> {
-        let parts: Vec<Innovations> = sweeps.iter().map(Innovations::of).collect();
+    pub fn of_sweeps<'a, 's: 'a>(sweeps: impl IntoIterator<Item = &'a SweepContacts<'s>>) -> Option<Self> {
+        let parts: Vec<Innovations> = sweeps.into_iter().map(Innovations::of).collect();
         let pooled = |of: fn(&Innovations) -> &Vec<f64>| -> Vec<f64> {
             parts.iter().flat_map(|p| of(p).iter().copied()).collect()
         };

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
-//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
+//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_d^2 + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
 //! turn           about the wire: p(turn) = (1 - w) Laplace(b_smooth) + w Laplace(b_sharp)
 //! slip           exp(-(|slip| - 1.2 z) / sd) where it is longer than the base's travel z allows
 //! ```
@@ -76,10 +76,10 @@ impl TransitionModel<'_> {
         j: usize,
         step: &BaseStep,
     ) -> ConstraintResidual {
-        let (s, to, travel_mm) = (self.settings, &self.now.solutions[j], step.travel_mm);
+        let (s, to) = (self.settings, &self.now.solutions[j]);
         let (point_slope, normal_slope) = (self.now.point_slopes[j], self.now.normal_slopes[j]);
-        // Path of the contact on the object, which in the base frame moves by -z.
-        let path = to.point_mm - from.point_mm + Vector3::z() * travel_mm;
+        // Path of the contact on the object, which carried the contact before along.
+        let path = to.point_mm - from.point_mm;
         let normal = (from.normal + to.normal).try_normalize(0.1).unwrap_or(to.normal);
         let shift = if step.drag > 0.0 { self.friction_shift_mm(from, j, &path, &normal) } else { 0.0 };
         let out = normal.dot(&path);
@@ -92,7 +92,8 @@ impl TransitionModel<'_> {
         // On a curved surface the mean normal is exact only where the curvature is constant: an error in proportion to turn and slip.
         let bent =
             (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
-        let noise = self.constraint_variance(travel_mm)
+        let noise = self.constraint_variance(step.travel_mm)
+            + step.object.sd_mm.powi(2)
             + s.noise_nmm.powi(2) * compliances
             + normal.z * normal.z * step.travel_variance_mm2
             + step.drag_variance * shift * shift

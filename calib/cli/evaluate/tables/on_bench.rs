@@ -1,0 +1,207 @@
+//! The tracker on the virtual real bench, and what each part of it buys there.
+
+use super::super::bounds::{TableBounds, over_bound, unknown_speed};
+use super::super::document::{both_bounds, both_means, intervals, mean, object};
+use super::super::virtual_bench::{Measured, VirtualBench};
+use super::super::work::ABLATION;
+use super::{Maker, Meshes, SeriesByObject};
+use crate::track::filters_for;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use wcal_calibration::CalibrationModel;
+use wcal_sim::physics::Medium;
+use wcal_track::bootstrap::worst_interval95;
+use wcal_track::evaluate::{BoundsByObject, Estimate, Method, ObjectScores, score_objects};
+use wcal_track::filter::BayesSettings;
+use wcal_track::generate_sweeps::SweepRequest;
+use wcal_track::sweep_bound::SweepKnowledge;
+use wcal_track::{SweepSeries, Tracker};
+
+/// Time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
+const DAMPING_S: f64 = 0.24;
+
+/// Errors that the samples of each sweep share, by object: `Measured::shared_nmm`.
+type SharedByObject = BTreeMap<String, Vec<Vec<Vec<[f64; 2]>>>>;
+
+/// Sweeps as a calibration sees them, with what it knows of its own errors.
+struct MeasuredSweeps {
+    series: SeriesByObject,
+    shared_nmm: SharedByObject,
+}
+
+impl Maker<'_> {
+    pub(super) fn sweeps_on_bench(
+        &self,
+        bench: &VirtualBench,
+        meshes: &Meshes,
+        medium: Medium,
+    ) -> anyhow::Result<SeriesByObject> {
+        let plan = VirtualBench::plan(medium);
+        let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
+        self.all_series(meshes, &SweepRequest { whisker: &bench.whisker, plan: &plan, seed, sweeps })
+    }
+
+    /// The network with the base's speed known, on true sweeps as a calibration measures them.
+    pub(super) fn score_measured(
+        &self,
+        bench: &VirtualBench,
+        by: &CalibrationModel,
+        true_series: &SeriesByObject,
+        meshes: &Meshes,
+    ) -> anyhow::Result<Vec<ObjectScores>> {
+        let tracker = self.on_stream(by);
+        let measured = self.measured(bench, by, true_series)?;
+        let table = TableBounds::new(self.curve, [true_series]);
+        let bounds = bench_bounds(bench, by, &table, &[&measured.shared_nmm], true);
+        let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
+        Ok(score_objects(&run, &measured.series, meshes, bounds.as_ref())?)
+    }
+
+    fn through(
+        &self,
+        bench: &VirtualBench,
+        by: &CalibrationModel,
+        all_series: &SeriesByObject,
+    ) -> anyhow::Result<SeriesByObject> {
+        Ok(self.measured(bench, by, all_series)?.series)
+    }
+
+    fn measured(
+        &self,
+        bench: &VirtualBench,
+        by: &CalibrationModel,
+        all_series: &SeriesByObject,
+    ) -> anyhow::Result<MeasuredSweeps> {
+        let (mut series, mut shared_nmm) = (SeriesByObject::new(), SharedByObject::new());
+        for (name, all) in all_series {
+            let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, self.folder);
+            let each = all.iter().map(one).collect::<anyhow::Result<Vec<Measured>>>()?;
+            let (own, shared) = each.into_iter().map(|m| (m.series, m.shared_nmm)).unzip();
+            series.insert(name.clone(), own);
+            shared_nmm.insert(name.clone(), shared);
+        }
+        Ok(MeasuredSweeps { series, shared_nmm })
+    }
+
+    /// The tracker with the measurement noise of a calibration and the standard deviations of a stream, as `wcal track` has it.
+    fn on_stream(&self, by: &CalibrationModel) -> Tracker {
+        Tracker {
+            filters: filters_for(self.tracker.filters, by),
+            sd_factors: self.card.sd_factors_of_stream(),
+            ..self.tracker.clone()
+        }
+    }
+
+    pub(super) fn virtual_real(
+        &self,
+        bench: &VirtualBench,
+        seen: &Meshes,
+        unseen: &Meshes,
+        ablations: f64,
+    ) -> anyhow::Result<(Value, Value)> {
+        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+        let multi_mu = filters_for(BayesSettings::multi_mu().into(), by).frictional;
+        let tracker = self.on_stream(by);
+        let [true_seen, true_unseen] = [
+            self.sweeps_on_bench(bench, seen, Medium::Air)?,
+            self.sweeps_on_bench(bench, unseen, Medium::Air)?,
+        ];
+        let (measured_seen, measured) =
+            (self.measured(bench, by, &true_seen)?, self.measured(bench, by, &true_unseen)?);
+        let table = TableBounds::new(self.curve, [&true_seen, &true_unseen]);
+        let shared = [&measured_seen.shared_nmm, &measured.shared_nmm];
+        let bounds = [false, true].map(|known| bench_bounds(bench, by, &table, &shared, known));
+        let of = |method: &Method<'_>, meshes: &Meshes, all_series: &SeriesByObject| {
+            let bounds = bounds[usize::from(method.speed_known())].as_ref();
+            score_objects(&|c: &SweepSeries| method.run(c), all_series, meshes, bounds)
+        };
+        let score = |meshes: &Meshes, all_series: &SeriesByObject, known: bool| {
+            of(&Method::Network(&tracker, known), meshes, all_series)
+        };
+        let rows_seen = score(seen, &measured_seen.series, true)?;
+        let measured = measured.series;
+        let rows_unseen = score(unseen, &measured, true)?;
+        let every: Vec<&ObjectScores> = rows_seen.iter().chain(&rows_unseen).collect();
+        let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
+        let mut interval95 = both_means(&rows_seen, &rows_unseen);
+        interval95["worst_mm"] = json!(worst_interval95(&every, |s| s.surface));
+        let with_set = |set: &'static str| move |o: &ObjectScores| object(o, set);
+        let objects: Vec<Value> = rows_seen
+            .iter()
+            .map(with_set("seen"))
+            .chain(rows_unseen.iter().map(with_set("unseen")))
+            .collect();
+        let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
+        let covers = |rows: &[ObjectScores]| mean(rows, |o| o.all.coverage90.unwrap_or(f64::NAN));
+        let real = json!({
+            "coverage90": {"seen": covers(&rows_seen), "unseen": covers(&rows_unseen)},
+            "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
+            "bound": both_bounds(&rows_seen, &rows_unseen), "transition": table.densities(),
+            "interval95": interval95, "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
+            "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
+            "objects": objects,
+        });
+        let later = |c: &SweepSeries| {
+            // The estimate of the reading before; the first one has none.
+            let estimates: Vec<Estimate> = Method::Network(&tracker, true).run(c);
+            estimates.first().into_iter().chain(&estimates).take(c.samples.len()).copied().collect()
+        };
+        self.work.next("ablations", ABLATION * ablations);
+        let damped = |all_series: &SeriesByObject| -> SeriesByObject {
+            all_series.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
+        };
+        let row = |name: &str, rows: Vec<ObjectScores>| {
+            json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
+                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm),
+                "bound": over_bound(&rows), "interval95": intervals(&rows)})
+        };
+        // Moments of another calibration or another wire have other bounds, exact ones that of the engine's accuracy.
+        let network = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
+        let other = |all_series: &SeriesByObject| score_objects(&network, all_series, unseen, None);
+        let exact = table.simulated(&VirtualBench::plan(Medium::Air), true);
+        let filter = Method::Bayes(&tracker.inverse, true, &multi_mu);
+        let mut ablations = vec![
+            row("effects-accepted", rows_unseen),
+            row("effects-not-accepted", other(&self.through(bench, &bench.map, &true_unseen)?)?),
+            row("moments-without-error", score_objects(&network, &true_unseen, unseen, exact.as_ref())?),
+            row("speed-not-known", score(unseen, &measured, false)?),
+            row("horizon-1", score_objects(&later, &measured, unseen, bounds[1].as_ref())?),
+            row("damping-bias", other(&damped(&measured))?),
+            row("bayes-filter", of(&filter, unseen, &measured)?),
+        ];
+        for (name, map) in &bench.maps {
+            let rows = other(&self.through(bench, map, &true_unseen)?)?;
+            ablations.push(row(&format!("map-{name}"), rows));
+        }
+        Ok((real, Value::Array(ablations)))
+    }
+}
+
+/// Bounds of sweeps on the bench: its noise, its zero that wanders, and what the calibration's readings share.
+fn bench_bounds(
+    bench: &VirtualBench,
+    by: &CalibrationModel,
+    table: &TableBounds<'_>,
+    shared_nmm: &[&SharedByObject],
+    speed_known: bool,
+) -> Option<BoundsByObject> {
+    let speed = unknown_speed(&VirtualBench::plan(Medium::Air), speed_known);
+    let noise = bench.knowledge(by, speed);
+    table.by(&|name, k| {
+        let shared = shared_nmm.iter().find_map(|s| s.get(name)?.get(k));
+        SweepKnowledge { shared_nmm: shared.cloned().unwrap_or_default(), ..noise.clone() }
+    })
+}
+
+/// The moments that a cable with damped joints would have: damping and stiffness of all its joints have one ratio.
+fn damped(series: &SweepSeries) -> SweepSeries {
+    let mut with = series.clone();
+    for (k, pair) in series.samples.windows(2).enumerate() {
+        let dt = pair[1].t_s - pair[0].t_s;
+        for axis in 0..2 {
+            let rate = (pair[1].moment_nmm[axis] - pair[0].moment_nmm[axis]) / dt;
+            with.samples[k + 1].moment_nmm[axis] += DAMPING_S * rate;
+        }
+    }
+    with
+}

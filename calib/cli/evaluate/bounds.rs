@@ -74,20 +74,21 @@ pub fn over_bound(rows: &[ObjectScores]) -> Value {
         "surface_mm": surface, "surface_bound_mm": surface_bound, "surface_error_over_bound": surface / surface_bound,
         "contact_mm": contact, "contact_bound_mm": contact_bound, "contact_error_over_bound": contact / contact_bound,
         "contact_median_mm": median, "contact_bound_median_mm": bound_median,
+        "regular_share": of(|b| b.regular_share),
         "samples": bounded.iter().filter_map(|o| o.bound).map(|b| b.samples).sum::<usize>(),
     })
 }
 
-/// `bound 0.21 / 1.40 mm, error / bound 1.6 / 1.2`: surface and true contact; `-` without a bound.
+/// `bound 0.21 / 1.40 mm, error / bound 1.6 / 1.2; medians 0.41 of 0.20 mm`: surface and true contact; `-` without a bound.
 pub fn over_bound_text(of: &Value) -> String {
     let number = |key: &str| of[key].as_f64();
-    let all =
-        ["surface_bound_mm", "contact_bound_mm", "surface_error_over_bound", "contact_error_over_bound"]
-            .map(number);
-    match all {
-        [Some(surface), Some(contact), Some(a), Some(b)] => {
-            format!("bound {surface:.2} / {contact:.2} mm, error / bound {a:.2} / {b:.2}")
-        }
+    let bounds = ["surface_bound_mm", "contact_bound_mm"].map(number);
+    let ratios = ["surface_error_over_bound", "contact_error_over_bound"].map(number);
+    let medians = ["contact_median_mm", "contact_bound_median_mm"].map(number);
+    match (bounds, ratios, medians) {
+        ([Some(surface), Some(contact)], [Some(a), Some(b)], [Some(median), Some(least)]) => format!(
+            "bound {surface:.2} / {contact:.2} mm, error / bound {a:.1} / {b:.1}; medians {median:.2} of {least:.2} mm"
+        ),
         _ => "-".to_owned(),
     }
 }

@@ -141,11 +141,13 @@ pub struct ObjectScores {
     pub sweeps: Vec<SweepSums>,
 }
 
-/// RMS errors over an object where there is a bound, and RMS bounds there, mm.
+/// RMS errors over an object where there is a regular bound (`ContactBound::is_regular`), and RMS bounds there, mm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct ErrorAndBound {
-    /// Samples with a bound.
+    /// Samples whose bound is regular, and the share of all samples with a bound.
     pub samples: usize,
+    /// See `samples`.
+    pub regular_share: f64,
     /// Distance from the surface.
     pub surface_mm: f64,
     /// Bound of it: across the surface.
@@ -161,10 +163,11 @@ pub struct ErrorAndBound {
 }
 
 impl ErrorAndBound {
-    /// Of estimates; none without a bound.
+    /// Of estimates; none without a regular bound.
     fn of(compared: &[ComparedEstimate]) -> Option<Self> {
+        let bounded = || compared.iter().filter_map(|c| Some((c.error, c.bound?)));
         let both: Vec<(EstimateError, ContactBound)> =
-            compared.iter().filter_map(|c| Some((c.error, c.bound?))).collect();
+            bounded().filter(|(_, bound)| bound.is_regular()).collect();
         let n = both.len();
         let rms = |of: fn(&(EstimateError, ContactBound)) -> f64| {
             (both.iter().map(|b| of(b).powi(2)).sum::<f64>() / n as f64).sqrt()
@@ -176,6 +179,7 @@ impl ErrorAndBound {
         };
         (n > 0).then(|| Self {
             samples: n,
+            regular_share: n as f64 / bounded().count() as f64,
             surface_mm: rms(|b| b.0.surface_mm),
             surface_bound_mm: rms(|b| b.1.surface_mm()),
             contact_mm: rms(|b| b.0.error_mm.norm()),

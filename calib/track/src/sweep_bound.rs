@@ -23,8 +23,8 @@
 //! those of the sweeps in question ([`transition`]); independent errors add by Stam's inequality, 1 / I(x + y) >= 1 / I(x) + 1 / I(y) (A. J. Stam,
 //! Inform. Control 2 (1959) 101), so that the bound stays one. The bound takes as known what a tracker is not told: when the wire touches,
 //! jumps or slips, the densities themselves, and that friction is what it is. At first touch q has the variance that it has in the sweeps, and
-//! the deflection is uniform up to the base's travel z (information 12 / z^2 of its variance). It is a bound for small errors: where several places explain
-//! the moments, errors are larger.
+//! the deflection is uniform up to the base's travel z (information 12 / z^2 of its variance). It is evaluated at the true contacts
+//! and holds for small errors: at first touches and jumps, where it is millimetres wide ([`ContactBound::is_regular`]), it bounds nothing.
 
 mod curve_state;
 mod information;
@@ -85,6 +85,14 @@ impl ContactBound {
         self.covariance_mm2.trace().max(0.0).sqrt()
     }
 
+    /// Whether the true contact's neighbourhood is all that the bound is about: the curve of inverse solutions is straight over some
+    /// millimetres. A wider one says that the motion has not determined the contact yet; what an estimate then makes of the prior is no
+    /// matter of derivatives at the truth.
+    #[must_use]
+    pub fn is_regular(&self) -> bool {
+        self.contact_mm() <= MAX_REGULAR_MM
+    }
+
     /// Smallest RMS distance from the surface, mm.
     #[must_use]
     pub fn surface_mm(&self) -> f64 {
@@ -96,6 +104,8 @@ impl ContactBound {
 const CERTAIN: f64 = 1e10;
 /// Information that keeps the velocity to the path: a standard deviation of 1e-3 nodes/mm.
 const SAME: f64 = 1e6;
+/// Largest bound that counts as regular, mm.
+const MAX_REGULAR_MM: f64 = 2.0;
 /// Smallest travel between two samples, mm.
 const MIN_TRAVEL_MM: f64 = 1e-3;
 

@@ -77,6 +77,12 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &[surface, followed, true_contact, over_surface, over_contact],
         ),
         table(
+            &document["noise"],
+            "VIRTUAL real bench, unseen objects, by the noise of its stream",
+            &["noise"],
+            &[surface, true_contact, ("/coverage90", "coverage of 90 % regions")],
+        ),
+        table(
             &document["speed"],
             "Speed",
             &["mm_s"],

@@ -5,7 +5,7 @@ mod upright;
 
 use super::bounds::{SeriesByObject, TableBounds, over_bound};
 use super::document::mean;
-use super::virtual_bench::VirtualBench;
+use super::virtual_bench::{STREAM_NOISES, VirtualBench};
 use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
 use super::{EvaluateArgs, meshes};
 use anyhow::Context;
@@ -59,6 +59,7 @@ struct Sweeps {
     ablations: f64,
     speeds: f64,
     media: f64,
+    noises: f64,
 }
 
 impl Sweeps {
@@ -73,6 +74,7 @@ impl Sweeps {
             ablations: ABLATIONS * unseen * each,
             speeds: if args.quick { 0.0 } else { 2.0 * SPEEDS_MM_S.len() as f64 * unseen * each },
             media: if args.quick { 0.0 } else { 3.0 * SIM_TO_REAL.len() as f64 * each },
+            noises: if args.quick { 0.0 } else { STREAM_NOISES.len() as f64 * unseen * each },
         }
     }
 }
@@ -83,7 +85,7 @@ pub fn cost(card: &Card, args: &EvaluateArgs) -> f64 {
         return 0.0;
     }
     let s = Sweeps::of(card, args);
-    BENCH + SWEEP * (s.faces + s.speeds) + ON_BENCH * (s.real + s.media) + ABLATION * s.ablations
+    BENCH + SWEEP * (s.faces + s.speeds) + ON_BENCH * (s.real + s.media + s.noises) + ABLATION * s.ablations
 }
 
 /// Known motion: the tracker on the groove of the bench's session by `verify`'s own calibration, beside the posterior Cramer-Rao bound.
@@ -123,6 +125,8 @@ impl Maker<'_> {
         if !self.args.quick {
             all.insert("speed", self.speeds(&unseen, &sweeps)?);
             all.insert("sim2real", self.sim_to_real(&bench, &sweeps)?);
+            self.work.next("noise of the stream", ON_BENCH * sweeps.noises);
+            all.insert("noise", self.noises(&bench, &unseen)?);
         }
         Ok(all)
     }

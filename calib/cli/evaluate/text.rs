@@ -98,6 +98,14 @@ pub(super) fn print_tables(document: &Value) {
             stated(&r, "followed_rmse_mm")
         );
     }
+    for r in rows("noise") {
+        println!(
+            "  noise {:12} {:>20} mm from the surface; 90 % regions hold {:.3}",
+            r["noise"].as_str().unwrap_or(""),
+            stated(&r, "rmse_mm"),
+            number(&r["coverage90"])
+        );
+    }
     let speeds = rows("speed");
     if speeds.is_empty() {
         return;

@@ -8,9 +8,9 @@ use crate::labels::{LabelSource, moment_labels};
 use crate::output::OutputFolder;
 use crate::verify::{self, VerifyOrder, verify_session};
 use anyhow::{Context, bail};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
+use rand_distr::{Distribution, StandardNormal, StudentT};
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_calibration::{CalibrationModel, WhiskerCalibration, read_calibration};
@@ -20,6 +20,7 @@ use wcal_core::{SessionData, verify_document::Verdict};
 use wcal_map::{FitOptions, MapKind, fit_map};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
+use wcal_plant::noise::Noise;
 use wcal_plant::session::draw_on;
 use wcal_plant::{Design, Kind, Request, Want};
 use wcal_sim::SweepPlan;
@@ -70,6 +71,23 @@ const SIZE_SIGMA: f64 = 20.0;
 const AVERAGED: f64 = 200.0;
 /// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
 const SLOW_S: f64 = 60.0;
+/// Degrees of freedom of heavy tails, drift over that of the plain bench, step of a rounding read-out (pm), and a gross reading (pm).
+const TAILS_DOF: f64 = 3.0;
+const DRIFT_RATIO: f64 = 3.0;
+const STEP_PM: f64 = 1.0;
+const GROSS_PM: f64 = 60.0;
+
+/// Noise of a sensor's stream; those of the plant that concern rest readings, poses or depth are none of a sweep.
+pub const STREAM_NOISES: [Noise; 7] = [
+    Noise::Gaussian,
+    Noise::StudentT,
+    Noise::Rounding,
+    Noise::OneGross,
+    Noise::Drift,
+    Noise::RoundedT,
+    Noise::DriftT,
+];
+
 /// Time at the start of a series that sets its zero, without contact (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
 
@@ -158,10 +176,12 @@ impl VirtualBench {
         series: &SweepSeries,
         by: &CalibrationModel,
         seed: u64,
+        noise: Noise,
         folder: &Path,
     ) -> anyhow::Result<Measured> {
         let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
-        std::fs::write(&path, self.readings(series, seed)).with_context(|| path.display().to_string())?;
+        std::fs::write(&path, self.readings(series, seed, noise))
+            .with_context(|| path.display().to_string())?;
         let by = by.whisker().context("virtual bench: expected a whisker's calibration")?;
         let rows = by.sensed(&path, &self.whisker)?.rows;
         let mut tare = Tare::new(TARE_S);
@@ -187,12 +207,29 @@ impl VirtualBench {
         }
     }
 
-    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.
-    fn readings(&self, series: &SweepSeries, seed: u64) -> String {
+    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session, each as its kind has it.
+    fn readings(&self, series: &SweepSeries, seed: u64, noise: Noise) -> String {
         let b = &self.bench;
+        // Student's t with the variance of the normal noise that it replaces.
+        let tails = matches!(noise, Noise::StudentT | Noise::RoundedT | Noise::DriftT)
+            .then(|| StudentT::new(TAILS_DOF).ok())
+            .flatten();
+        let tails_sd = (TAILS_DOF / (TAILS_DOF - 2.0)).sqrt();
+        let slow_pm = match noise {
+            Noise::Drift | Noise::DriftT => DRIFT_RATIO * b.noise_pm,
+            _ => b.noise_pm,
+        };
+        let rounded = |nm: f64| match noise {
+            Noise::Rounding | Noise::RoundedT => (nm / (1e-3 * STEP_PM)).round() * 1e-3 * STEP_PM,
+            _ => nm,
+        };
+        let mut own = ChaCha8Rng::seed_from_u64(!seed ^ series.sweep.wrapping_mul(0x9e37_79b9));
+        let gross = (noise == Noise::OneGross && !series.samples.is_empty())
+            .then(|| own.random_range(0..series.samples.len()));
+        let mut heavy = || tails.map(|t| t.sample(&mut own) / tails_sd);
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ series.sweep.wrapping_mul(0x9e37_79b9));
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        let mut slow = [0, 1].map(|_| b.noise_pm * normal());
+        let mut slow = [0, 1].map(|_| slow_pm * normal());
         let mut out = String::from("point,t_s,fbg_ref_nm,fbg_1_nm,fbg_2_nm,temperature_degc\n");
         let mut last_s = 0.0;
         for (point, i) in series.samples.iter().enumerate() {
@@ -205,10 +242,12 @@ impl VirtualBench {
             let shift = b.shift_pm(i.moment_nmm);
             let white = b.sample_sd_pm / AVERAGED.sqrt();
             let nm: [f64; 2] = std::array::from_fn(|c| {
-                slow[c] = kept * slow[c] + (1.0 - kept * kept).sqrt() * b.noise_pm * normal();
-                let pm =
-                    b.zero_pm[c] + shift[c] + square[c] + PM_PER_DEGC * warm + slow[c] + white * normal();
-                b.nominal_nm[c] + 1e-3 * pm
+                slow[c] = kept * slow[c] + (1.0 - kept * kept).sqrt() * slow_pm * normal();
+                let own = white * normal();
+                let own = heavy().map_or(own, |t| white * t);
+                let off = if gross == Some(point) { GROSS_PM } else { 0.0 };
+                let pm = b.zero_pm[c] + shift[c] + square[c] + PM_PER_DEGC * warm + slow[c] + own + off;
+                rounded(b.nominal_nm[c] + 1e-3 * pm)
             });
             let reference = b.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + white * normal());
             let _ = writeln!(

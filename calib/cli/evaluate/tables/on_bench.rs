@@ -2,13 +2,14 @@
 
 use super::super::bounds::{TableBounds, over_bound, unknown_speed};
 use super::super::document::{both_bounds, both_means, intervals, mean, object};
-use super::super::virtual_bench::{Measured, VirtualBench};
+use super::super::virtual_bench::{Measured, STREAM_NOISES, VirtualBench};
 use super::super::work::ABLATION;
 use super::{Maker, Meshes, SeriesByObject};
 use crate::track::filters_for;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_calibration::CalibrationModel;
+use wcal_plant::noise::Noise;
 use wcal_sim::physics::Medium;
 use wcal_track::bootstrap::worst_interval95;
 use wcal_track::evaluate::{BoundsByObject, Estimate, Method, ObjectScores, score_objects};
@@ -50,7 +51,7 @@ impl Maker<'_> {
         meshes: &Meshes,
     ) -> anyhow::Result<Vec<ObjectScores>> {
         let tracker = self.on_stream(by);
-        let measured = self.measured(bench, by, true_series)?;
+        let measured = self.measured(bench, by, true_series, Noise::Gaussian)?;
         let table = TableBounds::new(self.curve, [true_series]);
         let bounds = bench_bounds(bench, by, &table, &[&measured.shared_nmm], true);
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
@@ -63,7 +64,7 @@ impl Maker<'_> {
         by: &CalibrationModel,
         all_series: &SeriesByObject,
     ) -> anyhow::Result<SeriesByObject> {
-        Ok(self.measured(bench, by, all_series)?.series)
+        Ok(self.measured(bench, by, all_series, Noise::Gaussian)?.series)
     }
 
     fn measured(
@@ -71,10 +72,11 @@ impl Maker<'_> {
         bench: &VirtualBench,
         by: &CalibrationModel,
         all_series: &SeriesByObject,
+        noise: Noise,
     ) -> anyhow::Result<MeasuredSweeps> {
         let (mut series, mut shared_nmm) = (SeriesByObject::new(), SharedByObject::new());
         for (name, all) in all_series {
-            let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, self.folder);
+            let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, noise, self.folder);
             let each = all.iter().map(one).collect::<anyhow::Result<Vec<Measured>>>()?;
             let (own, shared) = each.into_iter().map(|m| (m.series, m.shared_nmm)).unzip();
             series.insert(name.clone(), own);
@@ -92,6 +94,22 @@ impl Maker<'_> {
         }
     }
 
+    /// The network on the bench under each kind of a stream's noise: error and coverage over the unseen objects.
+    pub(super) fn noises(&self, bench: &VirtualBench, unseen: &Meshes) -> anyhow::Result<Value> {
+        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+        let tracker = self.on_stream(by);
+        let truth = self.sweeps_on_bench(bench, unseen, Medium::Air)?;
+        let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
+        let row = |noise: Noise| {
+            let measured = self.measured(bench, by, &truth, noise)?.series;
+            let rows = score_objects(&run, &measured, unseen, None)?;
+            Ok(json!({"noise": noise.name(), "rmse_mm": mean(&rows, |o| o.all.rmse_mm),
+                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm),
+                "coverage90": mean(&rows, |o| o.all.coverage90.unwrap_or(f64::NAN)), "interval95": intervals(&rows)}))
+        };
+        Ok(Value::Array(STREAM_NOISES.into_iter().map(row).collect::<anyhow::Result<_>>()?))
+    }
+
     pub(super) fn virtual_real(
         &self,
         bench: &VirtualBench,
@@ -106,8 +124,8 @@ impl Maker<'_> {
             self.sweeps_on_bench(bench, seen, Medium::Air)?,
             self.sweeps_on_bench(bench, unseen, Medium::Air)?,
         ];
-        let (measured_seen, measured) =
-            (self.measured(bench, by, &true_seen)?, self.measured(bench, by, &true_unseen)?);
+        let measured_of = |t: &SeriesByObject| self.measured(bench, by, t, Noise::Gaussian);
+        let (measured_seen, measured) = (measured_of(&true_seen)?, measured_of(&true_unseen)?);
         let table = TableBounds::new(self.curve, [&true_seen, &true_unseen]);
         let shared = [&measured_seen.shared_nmm, &measured.shared_nmm];
         let bounds = [false, true].map(|known| bench_bounds(bench, by, &table, &shared, known));

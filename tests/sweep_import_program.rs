@@ -114,6 +114,7 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     let at_start = &series[0].base_from_object;
     let (t, q) = (at_start.translation.vector, at_start.rotation.coords);
     let pose = format!("{},{},{},{},{},{},{}", t.x, t.y, t.z - 107.0, q.w, q.x, q.y, q.z);
+    let by_motion = std::cell::RefCell::new(Vec::new());
     let score = |name: &str, sign: f64, placed: bool| -> serde_json::Value {
         let (optic, action) = record(&series[0], sign);
         let files = ["optic", "action"].map(|f| path(&format!("{name}-{f}.csv")));
@@ -153,6 +154,14 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         println!("{name}: {}", text(&run.stderr));
         let summary: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
         assert_eq!(summary["simulated"], true);
+        // Without a network: physics, along the arm's log.
+        let physics = path(&format!("{name}-physics.csv"));
+        let run =
+            wcal(&["track", &session, "--calibration", &calibration, "--force", "--out", &physics, "--json"]);
+        assert!(run.status.code().is_some_and(|c| c != 1), "{}", text(&run.stderr));
+        println!("{name}, without a network: {}", text(&run.stderr));
+        let by_physics: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        by_motion.borrow_mut().push(by_physics);
         summary["object"].clone()
     };
     let right = score("right", 1.0, true);
@@ -163,6 +172,15 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     // Control: moments of the other sign are no sweep over this object.
     let wrong = score("wrong", -1.0, true);
     assert!(wrong.is_null() || of(&wrong, "rmse_mm") > 3.0 * of(&right, "rmse_mm"), "{right} {wrong}");
+    {
+        // Without a network: the contact slides over the can, and the motion predicts its moments; with the other sign it does not.
+        let of = by_motion.borrow();
+        let slides = |d: &serde_json::Value| {
+            d["contacts"].as_array().unwrap().iter().any(|c| c["contact"] == "sliding")
+        };
+        assert!(slides(&of[0]) && !slides(&of[1]), "{} {}", of[0]["contacts"], of[1]["contacts"]);
+        assert!(of[0]["object"]["rmse_mm"].as_f64().unwrap() < 1.5, "{}", of[0]["object"]);
+    }
     // Without its place the mesh is placed by the contacts, which is said.
     let free = score("free", 1.0, false);
     assert!(free["placed_by_points"] == true && of(&free, "rmse_mm") < 1.5, "{free}");

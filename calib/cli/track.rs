@@ -8,6 +8,7 @@ mod moments_alone;
 mod motion;
 mod motion_log;
 mod motion_table;
+mod object;
 mod output;
 mod sliding;
 mod surface;

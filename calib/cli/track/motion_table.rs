@@ -3,6 +3,7 @@
 use super::groove::known_places;
 use super::known_motion::answer;
 use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
+use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::sliding::sliding_contacts;
 use super::trust::{TrustIssues, calibration_issues};
@@ -118,11 +119,12 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let found = found.collect::<Result<Vec<Located>>>()?;
     let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
     let sliding = sliding_contacts(whisker, rows, &known, &with_range)?;
+    let slides = |n: usize| sliding[n].as_ref().filter(|s| s.supported());
     let regions: Vec<Vec<Region>> =
         found.iter().map(|f| f.posterior.as_ref().map_or_else(Vec::new, Posterior::regions)).collect();
     let mut tracked: BTreeMap<usize, TrackedRow<'_>> = BTreeMap::new();
     for (n, ([from, to], located)) in with_range.iter().enumerate() {
-        let at = |k: usize| match &sliding[n] {
+        let at = |k: usize| match slides(n) {
             Some(s) => {
                 TrackedRow { contact: n, place: &s.places[k], regions: &s.regions[k], disagrees: false }
             }
@@ -138,7 +140,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let mut files = TrackFiles::create(&args.out, false)?;
     let mut groove = KnownGroove::new(known_places(table)?, whisker);
     let codes = issues.codes();
-    let (mut outside, mut flagged) = (0_u64, 0_u64);
+    let (mut outside, mut flagged, mut contacts_mm) = (0_u64, 0_u64, Vec::new());
     let mut lost: BTreeMap<&'static str, u64> = BTreeMap::new();
     for (k, m) in moved.iter().enumerate() {
         let (here, mut flags) = (tracked.get(&k), Flags::default());
@@ -157,6 +159,12 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
         outside += u64::from(!s.valid);
         flagged += u64::from(!flags.none());
         let base = m.motion.as_ref().ok().filter(|_| posed).map(base_pose);
+        // The wire's axis at the contact, a radius from the object.
+        if let (Some(base), Some(at)) =
+            (&base, here.filter(|row| !row.disagrees).and_then(|r| r.place.place_mm))
+        {
+            contacts_mm.push(base.world_from_base.transform_point(&at.into()).coords);
+        }
         files.row(&TrackRow {
             point: m.row.point,
             t_s: m.t_s,
@@ -179,20 +187,22 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let disagreements: Vec<String> = found
         .iter()
         .enumerate()
-        .filter(|(n, _)| sliding[*n].is_none())
+        .filter(|(n, _)| slides(*n).is_none())
         .filter_map(|(n, f)| Some(format!("contact {n}: {}", disagreement_sentence(f)?)))
         .collect();
     let contacts: Vec<_> = with_range
         .iter()
-        .zip(&sliding)
-        .map(|(([from, to], f), slides)| {
+        .enumerate()
+        .map(|(n, ([from, to], f))| {
             let mut summary = found_summary(f);
-            summary["contact"] = if slides.is_some() { "sliding" } else { "fixed" }.into();
-            if let Some(slides) = slides {
+            summary["contact"] = if slides(n).is_some() { "sliding" } else { "fixed" }.into();
+            if slides(n).is_some() {
                 summary["disagreement"] = serde_json::Value::Null;
                 summary["regions"] = serde_json::Value::Null;
-                summary["sliding_support"] = slides.support.into();
             }
+            summary["sliding"] = sliding[n].as_ref().map_or(serde_json::Value::Null, |s| {
+                json!({"log_evidence": s.evidence, "reversed_log_evidence": s.reversed_evidence, "predicted": s.predicted})
+            });
             summary["from_s"] = known[*from].t_s.into();
             summary["to_s"] = known[to - 1].t_s.into();
             summary["readings"] = (to - from).into();
@@ -200,13 +210,14 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
         })
         .collect();
     let lost_rows: u64 = lost.values().sum();
+    let on_object = object_score(table, &contacts_mm)?;
     let summary = json!({
         "format": FORMAT, "source": table, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged,
         "unusable_rows": lost_rows, "outside_valid_region": outside, "doubts": issues.messages(), "method": "known-motion",
         "calibration_sha256": file.content_sha256, "place": "axis of the wire at the contact, base frame",
         "motion": {"file": motion_file, "span_s": log.span_s(), "offset_s": args.motion_offset_s, "lost_rows": lost,
             "jump_lines": log.jumps().collect::<Vec<_>>()},
-        "contacts": contacts, "known_groove": groove.as_ref().and_then(KnownGroove::summary),
+        "contacts": contacts, "object": on_object, "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });
     files.finish(&summary, args.json)?;
     if outside > 0 {
@@ -223,16 +234,17 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             why.join(", ")
         );
     }
-    for (n, slides) in sliding.iter().enumerate().filter_map(|(n, s)| Some((n, s.as_ref()?))) {
+    for (n, s) in (0..sliding.len()).filter_map(|n| Some((n, slides(n)?))) {
         eprintln!(
-            "contact {n}: no fixed point of the object explains the moments; it slides, and the motion predicts them (log Bayes factor {:.0} \
-             against a random walk)",
-            slides.support
+            "contact {n}: no fixed point of the object explains the moments; it slides, and the motion predicts them (log likelihood ratio {:.0} \
+             to the reversed motion)",
+            s.evidence - s.reversed_evidence
         );
     }
     for said in &disagreements {
         eprintln!("{said}; marked motion-disagrees in status");
     }
+    say_object_score(on_object.as_ref());
     if ranges.is_empty() {
         eprintln!("no contact: no reading is loaded beyond its noise where the motion is known");
     }

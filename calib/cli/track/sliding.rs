@@ -7,7 +7,7 @@ use wcal_track::known_motion::{Disagreement, Located, MotionRow};
 use wcal_track::sliding::{SlidingContact, locate_sliding};
 use wcal_track::{InverseGrid, StaticInverse};
 
-/// By episode the sliding contact that its motion supports; none where a fixed point explains the moments, or neither does.
+/// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it.
 ///
 /// # Errors
 /// Where the wire cannot be bent.
@@ -26,7 +26,7 @@ pub fn sliding_contacts(
     let one = |([from, to], found): &([usize; 2], &Located)| {
         let slides =
             |all: &[MotionRow]| locate_sliding(&inverse, all, variance.sqrt(), whisker.diameter_mm / 2.0);
-        unexplained(found).then(|| slides(&known[*from..*to])).filter(SlidingContact::supported)
+        unexplained(found).then(|| slides(&known[*from..*to]))
     };
     Ok(episodes.iter().map(one).collect())
 }

@@ -3,11 +3,11 @@
 use super::groove::known_places;
 use super::motion;
 use super::motion_log::is_motion_column;
+use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::surface::write_surface;
 use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
-use crate::import::SweepFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -19,10 +19,7 @@ use wcal_calibration::{MomentRow, MomentTable};
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
-use wcal_sim::Mesh;
-use wcal_track::contact_history::ContactHistory;
 use wcal_track::known_groove::{KnownGroove, velocities};
-use wcal_track::mesh_score::{MeshScore, mesh_score};
 use wcal_track::row_tracker::{RowInput, RowTracker};
 use wcal_track::stream::BasePose;
 
@@ -48,12 +45,6 @@ pub fn median_step_s(path: &Path) -> Result<Option<f64>> {
 fn median(mut steps: Vec<f64>) -> Option<f64> {
     steps.sort_by(f64::total_cmp);
     steps.get(steps.len() / 2).copied()
-}
-
-/// How far the contacts lie from the object of an imported sweep; none for another table or without contacts.
-fn beside_mesh(table: &Path, found: &ContactHistory) -> Result<Option<MeshScore>> {
-    let Some(sweep) = table.parent().and_then(SweepFolder::of) else { return Ok(None) };
-    Ok(mesh_score(&found.contacts_mm(), &Mesh::read(&sweep.object)?, sweep.world_from_object))
 }
 
 /// Tracks the readings of a table.
@@ -137,8 +128,8 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         "trained_on_simulation": loaded.card.trained_on_simulation,
         "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });
-    let on_mesh = beside_mesh(path, &found)?;
-    summary["object"] = json!(on_mesh);
+    let on_object = object_score(path, &found.contacts_mm())?;
+    summary["object"] = json!(on_object);
     if args.surface {
         summary["surface"] = write_surface(&args.out, &[&found])?;
     }
@@ -152,20 +143,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     if flagged > 0 {
         eprintln!("{flagged} of {} rows are flagged in status", rows.len());
     }
-    if let Some(s) = &on_mesh {
-        eprintln!(
-            "{} contacts lie {:.2} mm RMS from the object's mesh (median {:.2}, 95 % below {:.2}){}",
-            s.points,
-            s.rmse_mm,
-            s.median_mm,
-            s.p95_mm,
-            if s.placed_by_points {
-                "; its place was fitted to them (six numbers: --object-pose of wcal import takes it where it is known)"
-            } else {
-                ""
-            }
-        );
-    }
+    say_object_score(on_object.as_ref());
     motion::say(&motions, "", rows.len() as u64);
     if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
         eprintln!("{said}");

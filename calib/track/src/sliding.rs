@@ -7,14 +7,16 @@
 //! p(x | m) = sum_h P(h | m) p(x | m - e_h, h),     P(h | m_1 .. m_k) ~ P(h) prod_k p(m_k - e_h | m_1 .. m_{k-1}, h)
 //! ```
 //!
-//! The motion has to predict the moments better than their own random walk does, else it is not this object's: with predicted readings k,
+//! The motion has to be this object's: it has to predict the moments far better than its reverse does, and no worse than in sweeps, with
+//! predicted readings k,
 //!
 //! ```text
-//! support = sum_k log p(m_k | m_1 .. m_{k-1}, motion) - sum_k log N(m_k - m_{k-1}; 0, S),    S = mean_k (m_k - m_{k-1})(m_k - m_{k-1})'
+//! E = sum_k log p(m_k | m_1 .. m_{k-1}, motion) > E_reversed + 10,     E / n >= 0     (densities by (N mm)^2)
 //! ```
 //!
-//! (a log Bayes factor that favours the random walk, whose S is fitted to the same readings). Answers are places of the wire's axis: the point
-//! of the object and the wire's radius along the force.
+//! The filter loses contacts, and is sure of them: with probability l its answer is of another place (`LOST`), and the stated regions are those of
+//! `(1 - l) p + l` times the arc of the moments alone. Answers are places of the wire's axis: the point of the object and the wire's radius along
+//! the force.
 
 use crate::arc::{arclength_regions, moments_alone};
 use crate::filter::{BayesFilter, BayesSettings, ObjectStep};
@@ -23,8 +25,12 @@ use crate::known_motion::{MotionRow, Place, Region};
 use crate::network::Prediction;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-/// Support from which on the motion counts as the object's: a likelihood ratio of e^10.
-const MIN_SUPPORT: f64 = 10.0;
+/// Log likelihood ratio of the motion to its reverse from which on it counts as the object's.
+const MIN_RATIO: f64 = 10.0;
+/// Mean log predictive density below which readings are predicted worse than in any sweep (as for networks, `untrained_motion`).
+const LOW_EVIDENCE: f64 = 0.0;
+/// Fewer predicted readings support nothing.
+const MIN_PREDICTED: usize = 10;
 /// Share of the noise from pose to pose that changes from reading to reading. An assumption, as for sweeps.
 const WHITE: f64 = 0.2;
 
@@ -41,19 +47,21 @@ pub struct SlidingContact {
     pub places: Vec<Place>,
     /// 95 % regions along the wire, one list a reading.
     pub regions: Vec<Vec<Region>>,
-    /// Log Bayes factor for the motion against a random walk of the moments.
-    pub support: f64,
+    /// Log likelihood of the predicted readings.
+    pub evidence: f64,
     /// The same of the motion with its sign reversed.
-    pub reversed_support: f64,
+    pub reversed_evidence: f64,
     /// Readings that were predicted.
     pub predicted: usize,
 }
 
 impl SlidingContact {
-    /// Whether the motion predicts the moments, and better than the reversed one does.
+    /// Whether the motion is the object's.
     #[must_use]
     pub fn supported(&self) -> bool {
-        self.support > MIN_SUPPORT && self.support > self.reversed_support + MIN_SUPPORT
+        self.predicted >= MIN_PREDICTED
+            && self.evidence > self.reversed_evidence + MIN_RATIO
+            && self.evidence >= LOW_EVIDENCE * self.predicted as f64
     }
 }
 
@@ -108,7 +116,7 @@ pub fn locate_sliding(
     }
     let of = |rows: &[MotionRow]| followed(inverse, rows, noise_nmm, radius_mm);
     let (found, control) = rayon::join(|| of(rows), || of(&reversed));
-    SlidingContact { reversed_support: control.support, ..found }
+    SlidingContact { reversed_evidence: control.evidence, ..found }
 }
 
 /// The same without the control.
@@ -116,7 +124,7 @@ fn followed(inverse: &StaticInverse, rows: &[MotionRow], noise_nmm: f64, radius_
     let mut all = hypotheses(inverse, rows, noise_nmm);
     let priors: Vec<f64> = all.iter().map(|h| h.ln_weight).collect();
     let (mut places, mut regions) = (Vec::new(), Vec::new());
-    let (mut evidence, mut changes) = (Vec::new(), Vec::new());
+    let (mut evidence, mut predicted) = (0.0, 0);
     for (k, row) in rows.iter().enumerate() {
         let (dt_s, step) = match k.checked_sub(1).map(|k| &rows[k]) {
             Some(before) => (row.t_s - before.t_s, step_between(before, row)),
@@ -144,21 +152,14 @@ fn followed(inverse: &StaticInverse, rows: &[MotionRow], noise_nmm: f64, radius_
         if all.iter().all(|h| h.filter.log_evidence() != 0.0) {
             let before = ln_sum(&all);
             all.iter_mut().for_each(|h| h.ln_weight += h.filter.log_evidence());
-            evidence.push(ln_sum(&all) - before);
-            changes.push(measured - Vector2::from(rows[k - 1].moment_nmm));
+            evidence += ln_sum(&all) - before;
+            predicted += 1;
         }
         let (place, weights) = unless_lost(inverse, row, mixture(&all, radius_mm));
         places.push(place);
         regions.push(arclength_regions(&inverse.nodes, &weights));
     }
-    let support = evidence.iter().sum::<f64>() - random_walk_evidence(&changes);
-    SlidingContact {
-        places,
-        regions,
-        support,
-        reversed_support: f64::NEG_INFINITY,
-        predicted: evidence.len(),
-    }
+    SlidingContact { places, regions, evidence, reversed_evidence: f64::NEG_INFINITY, predicted }
 }
 
 /// The object's step from one reading to another.
@@ -222,15 +223,4 @@ fn mixture(all: &[Hypothesis<'_>], radius_mm: f64) -> (Place, Vec<f32>) {
     let place = Place { place_mm: Some(mean), covariance_mm2, contact: 1.0, gross: false };
     let all: f64 = nodes.iter().sum();
     (place, nodes.iter().map(|w| (w / all) as f32).collect())
-}
-
-/// Largest log likelihood of changes as independent draws of one normal distribution about zero.
-fn random_walk_evidence(changes: &[Vector2<f64>]) -> f64 {
-    let n = changes.len() as f64;
-    if changes.len() < 3 {
-        return f64::INFINITY;
-    }
-    let covariance: Matrix2<f64> = changes.iter().map(|c| c * c.transpose()).sum::<Matrix2<f64>>() / n;
-    // At the fitted covariance the squares sum to 2 n.
-    -0.5 * n * (covariance.determinant().max(1e-300).ln() + 2.0 * (1.0 + std::f64::consts::TAU.ln()))
 }

@@ -98,8 +98,8 @@ fn a_sliding_contact_is_followed_in_any_direction() {
         for (found, track) in found {
             // Control: who is given the motion with its sign reversed.
             let control = SlidingContact {
-                support: found.reversed_support,
-                reversed_support: found.support,
+                evidence: found.reversed_evidence,
+                reversed_evidence: found.evidence,
                 ..found.clone()
             };
             all += 1;

@@ -1,0 +1,34 @@
+//! How far contacts lie from the object of an imported sweep.
+
+use crate::import::SweepFolder;
+use anyhow::Result;
+use nalgebra::Vector3;
+use std::path::Path;
+use wcal_sim::Mesh;
+use wcal_track::mesh_score::{MeshScore, mesh_score};
+
+/// Score of contact points in the frame of the base's poses, mm; none for a table of another kind, or with too few.
+///
+/// # Errors
+/// Where the mesh cannot be read.
+pub fn object_score(table: &Path, contacts_mm: &[Vector3<f64>]) -> Result<Option<MeshScore>> {
+    let Some(sweep) = table.parent().and_then(SweepFolder::of) else { return Ok(None) };
+    Ok(mesh_score(contacts_mm, &Mesh::read(&sweep.object)?, sweep.world_from_object))
+}
+
+/// The same for people.
+pub fn say_object_score(score: Option<&MeshScore>) {
+    let Some(s) = score else { return };
+    eprintln!(
+        "{} contacts lie {:.2} mm RMS from the object's mesh (median {:.2}, 95 % below {:.2}){}",
+        s.points,
+        s.rmse_mm,
+        s.median_mm,
+        s.p95_mm,
+        if s.placed_by_points {
+            "; its place was fitted to them (six numbers: --object-pose of wcal import takes it where it is known)"
+        } else {
+            ""
+        }
+    );
+}

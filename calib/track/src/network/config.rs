@@ -71,6 +71,20 @@ impl NetworkConfig {
         }
     }
 
+    /// As `small`, of a third of its parameters (101 thousand on 33 knots with two filters): two layers in place of three, each of half the
+    /// size. Heads are as wide as a vector of the kernels (16), and so is every width a multiple of it.
+    #[must_use]
+    pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> Self {
+        Self {
+            encoder: 80,
+            layers: 2,
+            heads: 4,
+            width: 64,
+            feed_forward: 144,
+            ..Self::small(inputs, nodes, two_filters)
+        }
+    }
+
     /// A transformer of 40 thousand parameters with moments, their rates, time step and the base's speed as inputs, and no rod.
     #[must_use]
     pub fn baseline() -> Self {

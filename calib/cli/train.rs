@@ -33,7 +33,7 @@ curves) and checkpoint/, from which the same command goes on where it stopped. E
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`; without it the sweeps are made, too
     pub sweeps: Option<PathBuf>,
-    /// Sweeps over each object of each of the three kinds that are made where no folder is given
+    /// Sweeps over each object, clean ones and as many with friction, and a quarter as many upright, where no folder is given
     #[arg(long, default_value_t = SWEEPS_EACH, conflicts_with = "sweeps")]
     pub sweeps_each: u64,
     /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: added to the training, never held out or scored (may be repeated)

@@ -58,9 +58,10 @@ impl Sweeps {
         let mut simulate = arguments(args);
         let mut order = Order::new(&simulate, SweepPlan::default(), [0, 1])?;
         let (mut folders, mut cpu_s) = (Vec::new(), 0.0);
-        for kind in sweep_kinds(args.seed) {
+        for kind in sweep_kinds(args.sweeps_each, args.seed) {
             simulate.out = args.out.join("sweeps").join(kind.name);
-            (order.dataset.plan, order.dataset.seed) = (kind.plan, kind.seed);
+            (order.dataset.plan, order.dataset.seed, order.dataset.sweeps) =
+                (kind.plan, kind.seed, kind.sweeps);
             let totals = order.make(&simulate.out, &progress, &format!("{} sweeps", kind.name))?;
             order.write_document(&simulate, &totals, Vec::new())?;
             made += totals.values().map(|t| t.made).sum::<u64>();
@@ -83,7 +84,6 @@ fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
     let earlier_s: Option<f64> = earlier.and_then(|text| serde_json::from_str(&text).ok());
     let Some(more_s) = more_s else { return Ok(earlier_s) };
     let wall_s = earlier_s.unwrap_or(0.0) + more_s;
-    std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
     write(&folder, name, wall_s.to_string().as_bytes())?;
     Ok(Some(wall_s))
 }

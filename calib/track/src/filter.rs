@@ -205,11 +205,11 @@ impl<'a> BayesFilter<'a> {
     /// Prediction and update of all rows; false where no transition explains the sample.
     fn predict(&mut self, dt_s: f64, speeds: &[f64], travel_sd_mm: f64) -> bool {
         let model = TransitionModel::new(&self.settings, self.inverse, &self.before, &self.now);
-        let (total, count) = (self.total(), self.weights.len() as f64);
+        let total = self.total();
         let rows = self.settings.frictions().iter().flat_map(|f| speeds.iter().map(move |v| (*f, *v)));
         let mut next: Vec<Vec<GridCell>> = rows
             .zip(&self.weights)
-            .map(|((friction, speed), row)| model.predict(row, [total, count], [speed * dt_s, travel_sd_mm], friction))
+            .map(|((friction, speed), row)| model.predict(row, total, [speed * dt_s, travel_sd_mm], friction))
             .collect();
         // Random walk of the speed; a quarter to each neighbour at most, so that a row keeps half.
         let share = (self.settings.speed_change_per_s * dt_s).min(0.25);

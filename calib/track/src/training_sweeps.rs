@@ -2,7 +2,7 @@
 //!
 //! - `clean`: turned at random, without friction, weight or medium; the only kind that objects are held out of and scored on
 //! - `friction`: turned at random, friction 0 to 0.3, the wire's weight, and the drag of air
-//! - `upright`: as `clean`, upright in four faces a quarter turn apart
+//! - `upright`: as `clean`, upright in four faces a quarter turn apart; a quarter as many, since only plane and gap are left to draw
 
 use wcal_sim::physics::{Medium, PhysicsPlan};
 use wcal_sim::{SweepPlan, Turn};
@@ -21,6 +21,8 @@ pub struct SweepKind {
     pub name: &'static str,
     /// How its sweeps are drawn.
     pub plan: SweepPlan,
+    /// Sweeps over an object.
+    pub sweeps: u64,
     /// Seed of its draws.
     pub seed: u64,
 }
@@ -37,15 +39,17 @@ fn clean_plan() -> SweepPlan {
     SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() }
 }
 
-/// The three kinds, `clean` first.
+/// The three kinds, `clean` first, with so many sweeps over an object in each of the first two.
 #[must_use]
-pub fn sweep_kinds(seed: u64) -> [SweepKind; 3] {
+pub fn sweep_kinds(sweeps: u64, seed: u64) -> [SweepKind; 3] {
     let upright = SweepPlan { turn: Turn::Faces, ..clean_plan() };
-    let plans = [("clean", clean_plan()), ("friction", friction_plan()), ("upright", upright)];
-    let mut number = 0;
-    plans.map(|(name, plan)| {
+    let kind = |name, plan, sweeps, number: u64| {
         let seed = seed.wrapping_add(SEED_STEP * number);
-        number += 1;
-        SweepKind { name, plan, seed }
-    })
+        SweepKind { name, plan, sweeps, seed }
+    };
+    [
+        kind("clean", clean_plan(), sweeps, 0),
+        kind("friction", friction_plan(), sweeps, 1),
+        kind("upright", upright, sweeps.div_ceil(4), 2),
+    ]
 }

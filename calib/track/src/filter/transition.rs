@@ -39,9 +39,8 @@ const TIP_TO_WIRE_TILT: f64 = 0.05;
 const MIN_FIRST_CONTACT: f64 = 0.02;
 /// Length of wire that the tip stands for at a first contact, mm.
 const TIP_MM: f64 = 1.0;
-/// Weights below this share of all are dropped; where there are few rows, and so few weights, those below this part of the mean one.
+/// Weights below this share of all are dropped: a larger share loses contacts that would have been found again.
 const MIN_WEIGHT: f64 = 5e-5;
-const MIN_WEIGHT_OF_MEAN: f64 = 0.05;
 /// Smallest share of the posterior, and of the row, for which jumps are computed: while next to nothing is known of the place, none are needed.
 const MIN_JUMP_WEIGHT: f64 = 1e-3;
 const MIN_JUMP_WEIGHT_OF_ROW: f64 = 0.01;
@@ -150,11 +149,11 @@ impl<'a> TransitionModel<'a> {
     }
 
     /// Weights after a travel of the base, mm, with its standard deviation, under a coefficient of friction, from those before, which are
-    /// part of all `rows` that sum to `total`.
+    /// part of all that sum to `total`.
     pub(super) fn predict(
         &self,
         row: &[GridCell],
-        [total, rows]: [f64; 2],
+        total: f64,
         travel: [f64; 2],
         friction: f64,
     ) -> Vec<GridCell> {
@@ -178,10 +177,9 @@ impl<'a> TransitionModel<'a> {
         // Negligible weights are dropped: they cost as much as the others.
         let mut new = vec![MomentSums::default(); self.now.solutions.len()];
         let jump_share = (s.jump_per_mm * travel).min(0.5);
-        let least = MIN_WEIGHT.max(MIN_WEIGHT_OF_MEAN / (rows * row.len() as f64)) * total;
         let of_row: f64 = row.iter().map(|c| c.weight).sum();
         let least_jump = (MIN_JUMP_WEIGHT * total).max(MIN_JUMP_WEIGHT_OF_ROW * of_row);
-        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > least) {
+        for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
             let from = self.before.contact(k, cell);
             self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);

@@ -31,8 +31,7 @@ impl Order {
     /// Where nothing can be simulated.
     pub fn new(args: &SimulateArgs, plan: SweepPlan, share: [usize; 2]) -> anyhow::Result<Self> {
         plan.check()?;
-        let (whisker, options) =
-            (whisker(args.whisker.as_deref())?, mjcf_options(args.whisker.as_deref())?);
+        let (whisker, options) = (whisker(args.whisker.as_deref())?, mjcf_options(args.whisker.as_deref())?);
         let (objects, left_out) = objects_of(args)?;
         let mut notes: Vec<String> = Vec::new();
         for mesh in &objects {
@@ -87,7 +86,8 @@ impl Order {
         for (name, total) in totals {
             notes.extend(total.notes.iter().map(|note| format!("{name}: {note}")));
             if let Some(died) = total.verdicts.get("engine-died") {
-                notes.push(format!("{name}: the engine died in {died} sweeps: a second run makes them again"));
+                notes
+                    .push(format!("{name}: the engine died in {died} sweeps: a second run makes them again"));
             }
             if total.kept() == 0 {
                 notes.push(format!("{name}: none of {} sweeps is kept", total.sweeps));

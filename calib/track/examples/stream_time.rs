@@ -35,7 +35,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for name in OBJECTS {
         all.extend(generate_sweeps(&objects::built_in(name)?, &order)?);
     }
-    println!("speed      rows/s  mean us  p50 us  p99 us | inverse us  filters us  network and answer us | p99 by the clock us");
+    println!(
+        "speed      rows/s  mean us  p50 us  p99 us | inverse us  filters us  network and answer us | p99 by the clock us"
+    );
     for known in [true, false] {
         let samples: Vec<Vec<Sample>> = all.iter().map(|s| samples(s, known)).collect();
         let [mut us, mut clock_us] = whole(&tracker, &samples, rows);

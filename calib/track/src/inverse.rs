@@ -234,11 +234,7 @@ impl StaticInverse {
     }
 
     /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none next to unreachable ones.
-    fn interpolate_together(
-        &self,
-        node: usize,
-        stencils: &[Stencil; 3],
-    ) -> Option<([[f64; 6]; 3], bool)> {
+    fn interpolate_together(&self, node: usize, stencils: &[Stencil; 3]) -> Option<([[f64; 6]; 3], bool)> {
         let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
         let mut sums = [[0.0; 6]; 3];
         let [a, b, c] = stencils;
@@ -324,4 +320,48 @@ fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGr
         }));
     }
     StaticInverse { nodes: fine, flat, grid, cells: fine_cells }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{InverseGrid, MOMENT_STEP_NMM, StaticInverse};
+    use wcal_core::observation::WhiskerSpec;
+
+    /// Three stencils of one cell give together what each gives alone, and nothing next to unreachable cells.
+    #[test]
+    fn stencils_of_one_cell_are_interpolated_together() {
+        let grid = InverseGrid {
+            step_mm: 8.0,
+            refine: 1,
+            tilts: 2,
+            directions: 8,
+            steps: 8,
+            ..InverseGrid::default()
+        };
+        let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
+        let (mut together, mut unreachable) = (0, 0);
+        for k in 0..200 {
+            let (size, angle) = (0.015 * f64::from(k) + 0.1, 2.4 * f64::from(k));
+            let [y, z] = [size * angle.cos(), size * angle.sin()];
+            let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
+            let stencils = at.map(|m| inverse.stencil(m));
+            if stencils.iter().any(|s| s.cells.map(|c| c.0) != stencils[0].cells.map(|c| c.0)) {
+                continue;
+            }
+            for node in 0..inverse.nodes.len() {
+                let each = stencils.each_ref().map(|s| inverse.interpolate(node, s));
+                match inverse.interpolate_together(node, &stencils) {
+                    Some((all, reachable)) => {
+                        together += 1;
+                        assert!(
+                            all == each.map(|e| e.0) && each.iter().all(|e| e.1 == reachable),
+                            "{each:?}"
+                        );
+                    }
+                    None => unreachable += 1,
+                }
+            }
+        }
+        assert!(together > 500 && unreachable > 10, "{together} {unreachable}");
+    }
 }

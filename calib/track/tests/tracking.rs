@@ -17,8 +17,8 @@ use wcal_track::network::attention_bias;
 use wcal_track::network::{NetworkConfig, WhiskerNet};
 use wcal_track::sd_factors::SdFactors;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
-use wcal_track::train_model::{Seconds, TrainingCost};
 use wcal_track::train::{TrainSettings, TrainingData, best, train};
+use wcal_track::train_model::{Seconds, TrainingCost};
 use wcal_track::untrained_motion::{MotionCheck, MotionSample, UntrainedMotion};
 use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 

@@ -120,11 +120,8 @@ impl<'a> TransitionModel<'a> {
                 return GridCell::default();
             }
             // Length of wire that the node stands for; the tip's nodes share its length in proportion to the turn of the force.
-            let length_mm = if j < self.first_tip {
-                pitch_mm
-            } else {
-                TIP_MM * now.turns[j] / now.tip_turn.max(1e-12)
-            };
+            let length_mm =
+                if j < self.first_tip { pitch_mm } else { TIP_MM * now.turns[j] / now.tip_turn.max(1e-12) };
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
             let along = MIN_FIRST_CONTACT + exp(-0.5 * off * off);

@@ -140,3 +140,27 @@ impl NetworkConfig {
         self.nodes + 3 + 2 + with_knots
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::NetworkConfig;
+    use crate::network::{FeatureExtractor, WhiskerNet, knots};
+    use burn::module::Module;
+    use burn::tensor::Device;
+
+    /// Nodes of the curve that networks are built on.
+    const NODES: usize = 129;
+
+    #[test]
+    fn compact_has_a_third_of_the_parameters_and_vectors_that_are_full() {
+        let (inputs, knots) = (FeatureExtractor::width(NODES, true), knots(NODES).len());
+        let sizes = [NetworkConfig::compact, NetworkConfig::small].map(|of| of(inputs, knots, true));
+        let [compact, small] =
+            sizes.map(|sizes| WhiskerNet::new(&sizes, &Device::flex()).unwrap().num_params());
+        println!("{compact} and {small} parameters");
+        assert!(3 * compact <= small && 4 * compact > small, "{compact} {small}");
+        let [sizes, _] = sizes;
+        let full = [sizes.encoder, sizes.width, sizes.feed_forward, sizes.width / sizes.heads * 16];
+        assert!(full.iter().all(|n| n.is_multiple_of(16)) && sizes.width / sizes.heads == 16, "{sizes:?}");
+    }
+}

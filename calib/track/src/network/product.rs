@@ -239,6 +239,25 @@ mod tests {
         }
     }
 
+    /// A row by itself goes another way than the same row among others.
+    #[test]
+    fn one_row_is_as_among_others() {
+        for (high, width) in [(276, 80), (7, 3), (4, 16), (1, 40)] {
+            let number = |k: usize| ((k * 7919) % 1013) as f32 / 1013.0 - 0.5;
+            let weight: Vec<f32> = (0..high * width).map(number).collect();
+            let bias: Vec<f32> = (0..width).map(|k| number(k + 5)).collect();
+            let rows: Vec<f32> = (0..2 * high).map(|k| number(k + 11)).collect();
+            let (one, two) = (linear(&rows[..high], &weight, &bias), linear(&rows, &weight, &bias));
+            let off = one.iter().zip(&two).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            // Sums of up to 276 products below a quarter, in another order.
+            assert!(one.len() == width && off < 1e-4, "{high} x {width}: {off}");
+            assert!(
+                two[width..].iter().zip(&one).any(|(a, b)| (a - b).abs() > 1e-3),
+                "the other row is another"
+            );
+        }
+    }
+
     #[test]
     #[should_panic(expected = "sizes of a matrix product")]
     fn sizes_that_do_not_fit_stop() {

@@ -53,5 +53,7 @@ impl Stopwatch {
 
 /// Time of the passes, all runs together.
 pub(super) fn of_passes(passes: &[Pass]) -> Seconds {
-    passes.last().map_or_else(Seconds::default, |p| Seconds { wall_s: p.seconds, cpu_s: p.cpu_s.unwrap_or(0.0) })
+    passes
+        .last()
+        .map_or_else(Seconds::default, |p| Seconds { wall_s: p.seconds, cpu_s: p.cpu_s.unwrap_or(0.0) })
 }

@@ -2,6 +2,7 @@
 
 mod document;
 mod inputs;
+mod order;
 mod report;
 mod slurm;
 
@@ -10,15 +11,14 @@ use crate::picture_output::write;
 use crate::progress::Progress;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
-use document::{Faults, Twin, document, print};
+use document::print;
 pub use inputs::whisker;
-use inputs::{mjcf_options, objects_of};
-use slurm::{Handed, SlurmArgs};
+pub use order::Order;
+use slurm::Handed;
+pub use slurm::SlurmArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use wcal_mujoco::MujocoSweeps;
-use wcal_sim::{Dataset, Missing, RodSweeps, SweepEngine, SweepPlan};
+use wcal_sim::SweepPlan;
 
 /// Arguments of `wcal simulate`.
 #[derive(Debug, Args)]
@@ -108,7 +108,6 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let share = share(&args.shard)?;
     RESULT.check(&args.out, args.overwrite.force)?;
     ensure!(args.sweeps > 0, "--sweeps: expected 1 or more, found 0");
-    let (whisker, options) = (whisker(args.whisker.as_deref())?, mjcf_options(args.whisker.as_deref())?);
     let plan = match &args.plan {
         Some(path) => {
             let text =
@@ -117,21 +116,8 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         }
         None => SweepPlan::default(),
     };
-    plan.check()?;
-    let (objects, left_out) = objects_of(args)?;
-    let mut notes: Vec<String> = Vec::new();
-    for mesh in &objects {
-        notes.extend(mesh.notes.iter().map(|note| format!("{}: {note}", mesh.name)));
-    }
-    for line in left_out.iter().chain(&notes) {
-        eprintln!("simulate: warning: {line}");
-    }
-    let mujoco = (args.engine == Engine::Mujoco).then_some(options);
-    let engine: Arc<dyn SweepEngine> = match &mujoco {
-        None => Arc::new(RodSweeps),
-        Some(options) => Arc::new(MujocoSweeps::new(options.clone())),
-    };
-    let dataset = Dataset { engine, whisker, plan, objects, sweeps: args.sweeps, seed: args.seed, share };
+    let order = Order::new(args, plan, share)?;
+    let dataset = &order.dataset;
     if let Some(jobs) = args.jobs {
         ensure!(jobs > 0, "--jobs: expected 1 or more, found 0");
         rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global().context("starting threads")?;
@@ -140,7 +126,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     dataset.check_folder(&args.out)?;
     let mut check = args.check;
     if args.slurm.slurm {
-        match slurm::submit(&args.slurm, &args.out, &dataset)? {
+        match slurm::submit(&args.slurm, &args.out, dataset)? {
             Handed::Printed => return Ok(ExitCode::SUCCESS),
             Handed::Submitted(submission) => {
                 if args.json {
@@ -161,55 +147,16 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         (survey.totals, survey.missing)
     } else {
         let progress = Progress::new("simulate");
-        let totals = dataset.make(&args.out, |done, all| {
-            progress.at(&format!("{done} of {all} sweeps"), done as f64 / all.max(1) as f64);
-        })?;
-        drop(progress);
-        let again: Vec<&String> = totals.values().flat_map(|t| &t.again).collect();
-        for line in again.iter().take(MAX_REPEATS_SHOWN) {
-            eprintln!("simulate: made again: {line}");
-        }
-        if again.len() > MAX_REPEATS_SHOWN {
-            eprintln!("simulate: made again: {} more", again.len() - MAX_REPEATS_SHOWN);
-        }
-        (totals, Vec::new())
+        (order.make(&args.out, &progress, "sweeps")?, Vec::new())
     };
-    let known = notes.len();
-    for (name, total) in &totals {
-        notes.extend(total.notes.iter().map(|note| format!("{name}: {note}")));
-        if let Some(died) = total.verdicts.get("engine-died") {
-            notes.push(format!("{name}: the engine died in {died} sweeps: a second run makes them again"));
-        }
-        if total.kept() == 0 {
-            notes.push(format!("{name}: none of {} sweeps is kept", total.sweeps));
-        }
-    }
-    for note in &notes[known..] {
-        eprintln!("simulate: warning: {note}");
-    }
-    let missing: Vec<String> =
-        missing.iter().map(|Missing { name, why, .. }| format!("{name} is missing: {why}")).collect();
-    for line in &missing {
-        eprintln!("simulate: {line}");
-    }
-    let twin = Twin::of(&dataset, mujoco.as_ref(), &args.out)?;
-    let document =
-        document(args, &dataset, mujoco.as_ref(), &totals, Faults { left_out, notes, missing }, twin);
-    let text = serde_json::to_string_pretty(&document)?;
-    let [share, shares] = dataset.share;
-    let name = if shares == 1 {
-        "dataset.json".to_owned()
-    } else {
-        format!("dataset-{}-of-{shares}.json", share + 1)
-    };
-    write(&args.out, &name, text.as_bytes())?;
+    let document = order.write_document(args, &totals, missing)?;
     if args.report {
         let page = report::page(&document, &args.out, &dataset.shards())?;
         write(&args.out, "report.json", page.to_json()?.as_bytes())?;
         write(&args.out, "report.html", page.render().as_bytes())?;
     }
     if args.json {
-        println!("{text}");
+        println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         print(&document, &totals);
     }
@@ -228,6 +175,3 @@ fn share(text: &str) -> anyhow::Result<[usize; 2]> {
         _ => bail!("--shard: expected i/n with 1 <= i <= n, found {text:?}"),
     }
 }
-
-/// Shards made again that are named one by one.
-const MAX_REPEATS_SHOWN: usize = 5;

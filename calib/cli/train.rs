@@ -1,18 +1,17 @@
 //! `wcal train`: the contact tracker, trained on simulated sweeps.
 
+mod sweeps;
+
 use crate::output::{Overwrite, ResultKind};
 use crate::progress::Progress;
 use crate::simulate::whisker;
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use clap::{Args, ValueEnum};
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use sweeps::Sweeps;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_session::TextTableLayout;
-use wcal_sim::read::manifests;
-use wcal_sim::recipe::check_one_dataset;
-use wcal_sim::{Mesh, objects};
 use wcal_track::classes::ObjectClasses;
 use wcal_track::model_file::{Card, SplitBy};
 use wcal_track::train::{Pass, TrainSettings, best};
@@ -21,17 +20,24 @@ use wcal_track::train_model::{TrainingRequest, train_model};
 /// Arguments of `wcal train`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
+  wcal train --meshes ycb/meshes --preset compact --out model
   wcal simulate --object all --sweeps 50 --out sweeps
   wcal train sweeps --epochs 8 --out model
+
+Without a folder of sweeps it makes its own in OUT/sweeps, over the objects of --meshes or the built-in ones: clean ones, ones with friction, weight
+and the drag of air, and upright ones; `wcal evaluate OUT/sweeps/clean --model OUT` scores the model.
 
 Objects are split: some are held out for the early stop and the stated spread, some are never looked at (`wcal evaluate` scores them as
 unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card), report.html (learning
 curves) and checkpoint/, from which the same command goes on where it stopped. Everything here is SIMULATED.")]
 pub struct TrainArgs {
-    /// Folder of shards from `wcal simulate`
-    pub sweeps: PathBuf,
+    /// Folder of shards from `wcal simulate`; without it the sweeps are made, too
+    pub sweeps: Option<PathBuf>,
+    /// Sweeps over each object, clean ones and as many with friction, and a quarter as many upright, where no folder is given
+    #[arg(long, default_value_t = SWEEPS_EACH, conflicts_with = "sweeps")]
+    pub sweeps_each: u64,
     /// Another folder, of sweeps with other physics (friction, weight, ...) or seed over the same objects: added to the training, never held out or scored (may be repeated)
-    #[arg(long, alias = "beside", value_name = "DIR")]
+    #[arg(long, alias = "beside", value_name = "DIR", requires = "sweeps")]
     pub additional: Vec<PathBuf>,
     /// Folder of the objects' STL files: the answer is trained to lie on their surfaces, too; built-in objects need none
     #[arg(long, value_name = "DIR")]
@@ -39,12 +45,15 @@ pub struct TrainArgs {
     /// Model with whose weights to begin; it must have been trained on the same split
     #[arg(long, value_name = "MODEL")]
     pub from: Option<PathBuf>,
-    /// Network: default (weights over the rod's inverse curve), paper, or baseline (40 thousand parameters, nothing of the rod)
+    /// Network: default (weights over the rod's inverse curve), compact (the same of a third of its size), paper, or baseline (40 thousand parameters, nothing of the rod)
     #[arg(long, default_value = "default")]
     pub preset: String,
     /// Passes over the sweeps at most
     #[arg(long, default_value_t = 12)]
     pub epochs: usize,
+    /// Passes over one draw of noise and windows: drawing takes as long as some passes, the filters run over every sweep
+    #[arg(long, value_name = "N", default_value_t = TrainSettings::default().passes_per_draw)]
+    pub passes_per_draw: usize,
     /// Largest learning rate
     #[arg(long, default_value_t = TrainSettings::default().rate)]
     pub rate: f64,
@@ -89,13 +98,16 @@ pub enum SplitKind {
     Sweeps,
 }
 
+/// Sweeps of each kind over an object where none are given.
+const SWEEPS_EACH: u64 = 40;
+
 /// A model, its small transformer (`evaluate --baseline`) and what a second run goes on from.
 const RESULT: ResultKind<'_> = ResultKind {
     command: "train",
     document: "model.json",
     says: "wcal-model/",
     files: &["model.safetensors", "report.html"],
-    kept: &["checkpoint", "baseline"],
+    kept: &["checkpoint", "baseline", "sweeps"],
     resumes: true,
 };
 
@@ -107,18 +119,27 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     RESULT.check(&args.out, args.overwrite.force)?;
     let device = wcal_track::device(&args.device)?;
     let whisker = whisker(args.whisker.as_deref())?;
-    for folder in std::iter::once(&args.sweeps).chain(&args.additional) {
-        same_whisker(folder, &format!("{whisker:?}"))?;
-        check_one_dataset(folder)?;
-    }
     ensure!(args.rate > 0.0 && args.rate < 1.0, "--rate: expected above 0 and below 1, found {}", args.rate);
-    let settings =
-        TrainSettings { epochs: args.epochs, rate: args.rate, seed: args.seed, ..TrainSettings::default() };
-    let meshes = surfaces(args)?;
+    ensure!(args.passes_per_draw > 0, "--passes-per-draw: expected 1 or more, found 0");
+    let settings = TrainSettings {
+        epochs: args.epochs,
+        passes_per_draw: args.passes_per_draw,
+        rate: args.rate,
+        seed: args.seed,
+        ..TrainSettings::default()
+    };
+    eprintln!("train: on SIMULATED sweeps");
+    let sweeps = match &args.sweeps {
+        Some(folder) => Sweeps::there(args, folder, &whisker)?,
+        None => Sweeps::make(args)?,
+    };
     let request = TrainingRequest {
-        meshes: &meshes,
-        sweeps: &args.sweeps,
-        additional: &args.additional,
+        meshes: &sweeps.meshes,
+        sweeps: &sweeps.folder,
+        additional: &sweeps.additional,
+        sweeps_cost: sweeps.cost,
+        // As typed, but for where the program lies.
+        command: std::iter::once("wcal".to_owned()).chain(std::env::args().skip(1)).collect(),
         from: args.from.as_deref(),
         whisker,
         preset: &args.preset,
@@ -132,7 +153,6 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         classes: args.classes.as_deref().map(object_classes).transpose()?.unwrap_or_default(),
         out: &args.out,
     };
-    eprintln!("train: on SIMULATED sweeps");
     let progress = Progress::new("train");
     let card = train_model(&request, &device, |pass| {
         on_pass(pass);
@@ -154,26 +174,6 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         );
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Meshes of the sweeps' objects; none where one of them is not there and no folder was named.
-fn surfaces(args: &TrainArgs) -> anyhow::Result<BTreeMap<String, Mesh>> {
-    let mut names = BTreeSet::new();
-    for folder in std::iter::once(&args.sweeps).chain(&args.additional) {
-        names.extend(manifests(folder)?.into_iter().map(|(_, manifest)| manifest.object));
-    }
-    let mut meshes = BTreeMap::new();
-    for name in names {
-        match objects::named(&name, args.meshes.as_deref()) {
-            Ok(mesh) => drop(meshes.insert(name, mesh)),
-            Err(_) if args.meshes.is_none() => {
-                eprintln!("train: {name}: surface not known (--meshes): trained on the true contacts alone");
-                return Ok(BTreeMap::new());
-            }
-            Err(e) => return Err(e).with_context(|| format!("object {name}: mesh in --meshes DIR")),
-        }
-    }
-    Ok(meshes)
 }
 
 /// Reads `object,class`.
@@ -253,21 +253,4 @@ pub fn page(card: &Card) -> String {
             rows: card.passes.iter().map(row).collect(),
         }],
     })
-}
-
-/// Whether the sweeps were made with this whisker, where the folder says so.
-fn same_whisker(sweeps: &Path, expected: &str) -> anyhow::Result<()> {
-    let path = sweeps.join("dataset.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!(
-            "train: warning: {}: not there; the sweeps are taken to be those of this whisker",
-            path.display()
-        );
-        return Ok(());
-    };
-    let document: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
-    let found = document["whisker"].as_str().unwrap_or("none");
-    ensure!(found == expected, "{}: whisker: expected {expected}, found {found}", path.display());
-    Ok(())
 }

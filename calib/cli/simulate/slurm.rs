@@ -17,7 +17,7 @@ const OWN: [(&str, bool); 5] =
     [("--slurm", false), ("--dry-run", false), ("--json", false), ("--shard", true), ("--jobs", true)];
 
 /// Options of `wcal simulate --slurm`.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Slurm")]
 pub struct SlurmArgs {
     /// Submit a job array for the missing shards, and a job that checks and sums up; --out is a folder that all nodes share

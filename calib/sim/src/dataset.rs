@@ -238,7 +238,17 @@ impl Dataset {
 /// Processor time of this thread, s: what a sweep costs, whoever else computes on the machine.
 #[must_use]
 pub fn thread_s() -> f64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    cpu_s(rustix::time::ClockId::ThreadCPUTime)
+}
+
+/// Processor time of all threads of this program, s.
+#[must_use]
+pub fn process_s() -> f64 {
+    cpu_s(rustix::time::ClockId::ProcessCPUTime)
+}
+
+fn cpu_s(clock: rustix::time::ClockId) -> f64 {
+    let now = rustix::time::clock_gettime(clock);
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }
 

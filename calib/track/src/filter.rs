@@ -22,6 +22,7 @@
 //! Sources: R. S. Bucy, K. D. Senne, "Digital synthesis of non-linear filters", Automatica 7 (1971) 287; D. Alspach, H. Sorenson, "Nonlinear
 //! Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic Control 17 (1972) 439.
 
+mod exp;
 mod grid_cell;
 mod object_step;
 mod sample_geometry;

@@ -172,15 +172,20 @@ impl StaticInverse {
     pub fn solutions(&self, moment_nmm: [f64; 2], out: &mut Vec<InverseSolution>) {
         let [y, z] = moment_nmm;
         // dp/dm and dn/dm by forward differences in each moment component.
-        let here = self.stencil(moment_nmm);
-        let displaced = [self.stencil([y + MOMENT_STEP_NMM, z]), self.stencil([y, z + MOMENT_STEP_NMM])];
+        let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
+        let stencils = at.map(|moment_nmm| self.stencil(moment_nmm));
+        // Mostly the step stays within the cell.
+        let one_cell = stencils.iter().all(|s| s.cells.map(|c| c.0) == stencils[0].cells.map(|c| c.0));
         out.clear();
         out.extend((0..self.nodes.len()).map(|node| {
-            let (values, reachable) = self.interpolate(node, &here);
-            let point_mm = Vector3::new(values[0], values[1], values[2]);
-            let normal = Vector3::new(values[3], values[4], values[5]);
-            let [by_y, by_z] = [0, 1].map(|k| {
-                let v = self.interpolate(node, &displaced[k]).0;
+            let together = if one_cell { self.interpolate_together(node, &stencils) } else { None };
+            let ([here, by_y, by_z], reachable) = together.unwrap_or_else(|| {
+                let each = stencils.each_ref().map(|s| self.interpolate(node, s));
+                (each.map(|v| v.0), each[0].1)
+            });
+            let point_mm = Vector3::new(here[0], here[1], here[2]);
+            let normal = Vector3::new(here[3], here[4], here[5]);
+            let [by_y, by_z] = [by_y, by_z].map(|v| {
                 let by = |at: usize, from: &Vector3<f64>| {
                     (Vector3::new(v[at], v[at + 1], v[at + 2]) - from) / MOMENT_STEP_NMM
                 };
@@ -226,6 +231,27 @@ impl StaticInverse {
             (at(d + 1, m + 1), u * v),
         ];
         Stencil { cells, inner }
+    }
+
+    /// As `interpolate` for three stencils of the same cells, each of which is loaded once; none next to unreachable ones.
+    fn interpolate_together(&self, node: usize, stencils: &[Stencil; 3]) -> Option<([[f64; 6]; 3], bool)> {
+        let cells = &self.cells[node * self.grid.directions * (self.grid.steps + 1)..];
+        let mut sums = [[0.0; 6]; 3];
+        let [a, b, c] = stencils;
+        for ((a, b), c) in a.cells.iter().zip(&b.cells).zip(&c.cells) {
+            let (values, reachable) = &cells[a.0];
+            let weights = [a.1, b.1, c.1];
+            if !reachable && weights != [0.0; 3] {
+                return None;
+            }
+            let values = values.map(f64::from);
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                for (sum, value) in sum.iter_mut().zip(values) {
+                    *sum += weight * value;
+                }
+            }
+        }
+        Some((sums, true))
     }
 
     fn interpolate(&self, node: usize, stencil: &Stencil) -> ([f64; 6], bool) {
@@ -294,4 +320,48 @@ fn refine(nodes: &[Node], cells: &[Vec<TableEntry>], flat: bool, grid: InverseGr
         }));
     }
     StaticInverse { nodes: fine, flat, grid, cells: fine_cells }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{InverseGrid, MOMENT_STEP_NMM, StaticInverse};
+    use wcal_core::observation::WhiskerSpec;
+
+    /// Three stencils of one cell give together what each gives alone, and nothing next to unreachable cells.
+    #[test]
+    fn stencils_of_one_cell_are_interpolated_together() {
+        let grid = InverseGrid {
+            step_mm: 8.0,
+            refine: 1,
+            tilts: 2,
+            directions: 8,
+            steps: 8,
+            ..InverseGrid::default()
+        };
+        let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
+        let (mut together, mut unreachable) = (0, 0);
+        for k in 0..200 {
+            let (size, angle) = (0.015 * f64::from(k) + 0.1, 2.4 * f64::from(k));
+            let [y, z] = [size * angle.cos(), size * angle.sin()];
+            let at = [[y, z], [y + MOMENT_STEP_NMM, z], [y, z + MOMENT_STEP_NMM]];
+            let stencils = at.map(|m| inverse.stencil(m));
+            if stencils.iter().any(|s| s.cells.map(|c| c.0) != stencils[0].cells.map(|c| c.0)) {
+                continue;
+            }
+            for node in 0..inverse.nodes.len() {
+                let each = stencils.each_ref().map(|s| inverse.interpolate(node, s));
+                match inverse.interpolate_together(node, &stencils) {
+                    Some((all, reachable)) => {
+                        together += 1;
+                        assert!(
+                            all == each.map(|e| e.0) && each.iter().all(|e| e.1 == reachable),
+                            "{each:?}"
+                        );
+                    }
+                    None => unreachable += 1,
+                }
+            }
+        }
+        assert!(together > 500 && unreachable > 10, "{together} {unreachable}");
+    }
 }

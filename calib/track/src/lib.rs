@@ -31,6 +31,7 @@ mod tare;
 pub mod tracker;
 pub mod train;
 pub mod train_model;
+pub mod training_sweeps;
 pub mod two_contacts;
 pub mod untrained_motion;
 

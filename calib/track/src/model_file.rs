@@ -7,6 +7,7 @@ use crate::network::{FeatureExtractor, NetworkConfig, WhiskerNet, knots};
 use crate::sd_factors::SdFactors;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings};
+use crate::train_model::TrainingCost;
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 use rand::SeedableRng;
@@ -68,6 +69,12 @@ pub struct Card {
     /// What was split.
     #[serde(default)]
     pub split: SplitBy,
+    /// The command that made it, as it was typed; models of before 2026-11-25 have neither this nor the cost.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub command: Vec<String>,
+    /// What it took to make.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<TrainingCost>,
 }
 
 /// What is split into training, early stop and test.
@@ -268,12 +275,14 @@ pub fn network_grid() -> InverseGrid {
 /// Names the presets.
 pub fn preset(name: &str, inverse: &StaticInverse, two_filters: bool) -> Result<NetworkConfig, TrackError> {
     let nodes = inverse.nodes.len();
-    let on_curve =
-        || NetworkConfig::small(FeatureExtractor::width(nodes, two_filters), knots(nodes).len(), two_filters);
+    let on_curve = |sizes: fn(usize, usize, bool) -> NetworkConfig| {
+        sizes(FeatureExtractor::width(nodes, two_filters), knots(nodes).len(), two_filters)
+    };
     match name {
-        "default" => Ok(on_curve()),
+        "default" => Ok(on_curve(NetworkConfig::small)),
+        "compact" => Ok(on_curve(NetworkConfig::compact)),
         "paper" => Ok(NetworkConfig::paper(FeatureExtractor::width(nodes, false))),
         "baseline" => Ok(NetworkConfig::baseline()),
-        _ => Err(TrackError::value("preset", "default, paper or baseline", name)),
+        _ => Err(TrackError::value("preset", "default, compact, paper or baseline", name)),
     }
 }

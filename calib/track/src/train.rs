@@ -17,6 +17,7 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::Mesh;
+use wcal_sim::dataset::process_s;
 use window::{Window, WindowMaker};
 
 mod checkpoint;
@@ -84,8 +85,8 @@ pub fn train(
         state = checkpoint::resume(folder, config, settings, state)?;
     }
     let batches = all_series.len().div_ceil(settings.batch);
-    let before_s = state.passes.last().map_or(0.0, |p| p.seconds);
-    let begin = std::time::Instant::now();
+    let before = state.passes.last().map_or([0.0; 2], |p| [p.seconds, p.cpu_s.unwrap_or(0.0)]);
+    let (begin, begin_cpu_s) = (std::time::Instant::now(), process_s());
     let maker = WindowMaker { config, inverse, meshes };
     let held_out = maker.make(held_out, &settings.without_disturbances(), settings.seed);
     let mut windows: (usize, Vec<Window<'_>>) = (0, Vec::new());
@@ -113,9 +114,10 @@ pub fn train(
         let valid = state.net.valid();
         let (held_out_loss, held_out_mm, held_out_surface_mm) =
             evaluate(&valid, config, settings.batch, &held_out, device);
-        let seconds = before_s + begin.elapsed().as_secs_f64();
+        let seconds = before[0] + begin.elapsed().as_secs_f64();
+        let cpu_s = Some(before[1] + process_s() - begin_cpu_s);
         let loss = sum / batches as f64;
-        let pass = Pass { epoch, loss, held_out_loss, held_out_mm, held_out_surface_mm, seconds };
+        let pass = Pass { epoch, loss, held_out_loss, held_out_mm, held_out_surface_mm, seconds, cpu_s };
         if best(&state.passes).is_none_or(|b| held_out_loss < b.held_out_loss) {
             state.best = valid;
         }

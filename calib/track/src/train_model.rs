@@ -21,8 +21,11 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_sim::Mesh;
 use wcal_sim::read::manifests;
 
+mod cost;
 mod shifted_sweeps;
 
+use cost::Stopwatch;
+pub use cost::{Seconds, TrainingCost};
 use shifted_sweeps::on_shifted_sensors;
 
 /// What is made of what.
@@ -38,7 +41,11 @@ pub struct TrainingRequest<'a> {
     pub from: Option<&'a Path>,
     /// Whisker of the sweeps.
     pub whisker: WhiskerSpec,
-    /// default, paper or baseline.
+    /// What making the sweeps took, where the same command made them.
+    pub sweeps_cost: Option<Seconds>,
+    /// The command as it was typed.
+    pub command: Vec<String>,
+    /// default, compact, paper or baseline.
     pub preset: &'a str,
     /// How it is trained.
     pub settings: TrainSettings,
@@ -66,6 +73,7 @@ pub fn train_model(
     device: &Device,
     on_pass: impl FnMut(&Pass),
 ) -> Result<Card, TrackError> {
+    let stopwatch = Stopwatch::start();
     let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
     let eighth = (all.len() / 8).max(1);
     let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
@@ -112,7 +120,9 @@ pub fn train_model(
         from: from_folder,
     };
     let checkpoint = request.out.join("checkpoint");
+    let reading = stopwatch.elapsed();
     let (net, passes) = train(&network, &request.settings, &material, Some(&checkpoint), device, on_pass)?;
+    let stopwatch = Stopwatch::start();
     let tracker = Tracker {
         config: network,
         net,
@@ -139,6 +149,13 @@ pub fn train_model(
     let made_from = |folder: &Path| -> Result<BTreeMap<String, String>, TrackError> {
         Ok(manifests(folder)?.into_iter().map(|(_, m)| (m.object, m.made_from)).collect())
     };
+    // A training that was finished before took what its card says.
+    let finished = read_card(request.out).ok().filter(|card| card.passes == passes);
+    let cost = finished.and_then(|card| card.cost).unwrap_or_else(|| TrainingCost {
+        sweeps: request.sweeps_cost,
+        training: reading + cost::of_passes(&passes) + stopwatch.elapsed(),
+        cores: rayon::current_num_threads(),
+    });
     let mut card = Card {
         format: FORMAT.to_owned(),
         trained_on_simulation: true,
@@ -158,6 +175,8 @@ pub fn train_model(
         began_with: from,
         sweeps_trained,
         split: request.split,
+        command: request.command.clone(),
+        cost: Some(cost),
     };
     save(request.out, &tracker.net, &mut card)?;
     Ok(card)

@@ -18,6 +18,7 @@ use wcal_track::network::{NetworkConfig, WhiskerNet};
 use wcal_track::sd_factors::SdFactors;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
 use wcal_track::train::{TrainSettings, TrainingData, best, train};
+use wcal_track::train_model::{Seconds, TrainingCost};
 use wcal_track::untrained_motion::{MotionCheck, MotionSample, UntrainedMotion};
 use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 
@@ -315,6 +316,8 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         began_with: None,
         sweeps_trained: 0,
         split: wcal_track::model_file::SplitBy::Objects,
+        command: vec!["wcal".into(), "train".into()],
+        cost: Some(TrainingCost { sweeps: None, training: Seconds { wall_s: 2.5, cpu_s: 4.0 }, cores: 2 }),
     };
     save(folder.path(), &before.net, &mut card).unwrap();
     let (after, read) = load(folder.path(), &Device::flex()).unwrap();

@@ -13,6 +13,7 @@
 //! y is cut to the node, [-1/2, 1/2] (moments of the truncated normal: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous Univariate
 //! Distributions" 1, 13.10), and all that arrives in a node is merged to one Gaussian of the same first two moments.
 
+use super::exp::exp;
 use std::f64::consts::TAU;
 
 /// Weight of a node, mean and variance of the offset within it, from -1/2 to 1/2 nodes, and of the velocity: the path along the curve (mm on
@@ -116,7 +117,7 @@ impl MomentSums {
         let Some((inside, offset, variance)) = truncated_normal(mean, 1.0 / precision.sqrt()) else {
             return Self::default();
         };
-        let weight = (-0.5 * unexplained).exp() * inside / (TAU * precision * det).sqrt();
+        let weight = exp(-0.5 * unexplained) * inside / (TAU * precision * det).sqrt();
         // Posterior of x given y: their joint moments give the path's mean and variance, and so the velocity's.
         let before_gain = solve(l.by_before);
         let slope = -l.variance * dot(before_gain, l.by_now);
@@ -134,7 +135,7 @@ impl MomentSums {
         let by = if l.by_now[0].abs() < 1e-12 { 1e-12 } else { l.by_now[0] };
         // A measurement that hardly depends on y leaves it uniform.
         if by.abs() < 0.1 * sd {
-            return Self::uniform((-0.5 * (l.residual[0] / sd).powi(2)).exp() / (TAU.sqrt() * sd));
+            return Self::uniform(exp(-0.5 * (l.residual[0] / sd).powi(2)) / (TAU.sqrt() * sd));
         }
         truncated_normal(-l.residual[0] / by, sd / by.abs()).map_or_else(
             Self::default,
@@ -144,6 +145,7 @@ impl MomentSums {
         )
     }
 
+    #[inline]
     pub fn add(&mut self, other: &Self, factor: f64) {
         self.weight += factor * other.weight;
         for k in 0..2 {
@@ -178,19 +180,22 @@ pub(super) const MAX_MAHALANOBIS2: f64 = 36.0;
 /// Standard deviations beyond which the normal density is taken for zero.
 const MAX_SDS: f64 = 7.5;
 
+/// A node farther than this from a density's mean holds nothing of it, standard deviations.
+pub(super) const MAX_TRUNCATED_SDS: f64 = 7.0;
+
 /// Share of a normal distribution within [-1/2, 1/2], with its mean and variance there; none where there is as good as nothing.
 fn truncated_normal(mean: f64, sd: f64) -> Option<(f64, f64, f64)> {
     let (a, b) = ((-0.5 - mean) / sd, (0.5 - mean) / sd);
-    if a > 7.0 || b < -7.0 {
+    if a > MAX_TRUNCATED_SDS || b < -MAX_TRUNCATED_SDS {
         return None;
     }
     // A density much wider than the node is constant in it.
     if b - a < 0.2 {
         let middle = 0.5 * (a + b);
-        return Some(((b - a) * (-0.5 * middle * middle).exp() / TAU.sqrt(), 0.0, UNIFORM_VARIANCE));
+        return Some(((b - a) * exp(-0.5 * middle * middle) / TAU.sqrt(), 0.0, UNIFORM_VARIANCE));
     }
     // Density at both ends, and the tails beyond them: the side on which no digits cancel.
-    let density = |x: f64| if x.abs() > MAX_SDS { 0.0 } else { (-0.5 * x * x).exp() / TAU.sqrt() };
+    let density = |x: f64| if x.abs() > MAX_SDS { 0.0 } else { exp(-0.5 * x * x) / TAU.sqrt() };
     let (at_a, at_b) = (density(a), density(b));
     let tail = |x: f64, density: f64| if density > 0.0 { density * mills_ratio(x.abs()) } else { 0.0 };
     let inside = match (a > 0.0, b > 0.0) {
@@ -223,7 +228,9 @@ fn mills_ratio(x: f64) -> f64 {
         0.097_500_307_74,
     ];
     let t = 1.0 / (1.0 + 0.29 * x);
-    C.iter().rev().fold(0.0, |sum, c| sum * t + c) * t
+    let pairs = [C[6] + t * C[7], C[4] + t * C[5], C[2] + t * C[3], C[0] + t * C[1]];
+    let t2 = t * t;
+    (pairs[3] + t2 * (pairs[2] + t2 * (pairs[1] + t2 * pairs[0]))) * t
 }
 
 #[cfg(test)]

@@ -20,6 +20,10 @@ pub(super) struct SampleGeometry<'a> {
     pub point_slopes: Vec<Vector3<f64>>,
     /// Derivative of the direction of the force by the node.
     pub normal_slopes: Vec<Vector3<f64>>,
+    /// Its size, rad, and the sum over the tip's nodes.
+    pub turns: Vec<f64>,
+    /// See `turns`.
+    pub tip_turn: f64,
     /// Axis about which a force at the node cannot turn without moments that turn: across the curve and the force.
     pub turn_axes: Vec<Option<Vector3<f64>>>,
 }
@@ -72,12 +76,14 @@ impl<'a> SampleGeometry<'a> {
             (0..solutions.len()).map(|k| central_difference(solutions, k, first_tip, of)).collect()
         };
         let (point_slopes, normal_slopes) = (slopes(|c| c.point_mm), slopes(|c| c.normal));
+        let turns: Vec<f64> = normal_slopes.iter().map(Vector3::norm).collect();
+        let tip_turn = turns[first_tip.min(turns.len())..].iter().sum();
         let turn_axis = |(k, c): (usize, &InverseSolution)| {
             let along = if k < first_tip { &point_slopes[k] } else { &c.point_mm };
             along.cross(&c.normal).try_normalize(1e-12)
         };
         let turn_axes = solutions.iter().enumerate().map(turn_axis).collect();
-        Self { solutions, point_slopes, normal_slopes, turn_axes }
+        Self { solutions, point_slopes, normal_slopes, turns, tip_turn, turn_axes }
     }
 
     /// The contact that a cell of node `k` means.

@@ -19,18 +19,18 @@
 
 mod likelihood;
 
-use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MomentSums};
+use super::exp::exp;
+use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MAX_TRUNCATED_SDS, MomentSums};
 use super::object_step::ObjectStep;
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
 use likelihood::{ConstraintResidual, laplace_pdf};
-use nalgebra::Vector3;
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
 
-/// Paths along the wire beyond this many standard deviations count as jumps.
-const MAX_PATH_SDS: f64 = 5.0;
+/// Paths along the wire beyond this many standard deviations count as jumps, whose density there is tens of times as large.
+const MAX_PATH_SDS: f64 = 4.0;
 /// Length of wire over which a jump to anywhere is uniform, mm.
 const WIRE_MM: f64 = 56.0;
 /// Probability that a contact of the tip under a perpendicular force moves on to the wire, and its decay with the tilt, rad.
@@ -40,10 +40,13 @@ const TIP_TO_WIRE_TILT: f64 = 0.05;
 const MIN_FIRST_CONTACT: f64 = 0.02;
 /// Length of wire that the tip stands for at a first contact, mm.
 const TIP_MM: f64 = 1.0;
-/// Weights below this share of all are dropped.
+/// Weights below this share of all are dropped: a larger share loses contacts that would have been found again.
 const MIN_WEIGHT: f64 = 5e-5;
-/// Smallest share of the posterior for which jumps are computed.
+/// Smallest share of the posterior, and of the row, for which jumps are computed: while next to nothing is known of the place, none are needed.
 const MIN_JUMP_WEIGHT: f64 = 1e-3;
+const MIN_JUMP_WEIGHT_OF_ROW: f64 = 0.01;
+/// Probability to pass the end of the wire below which nothing does.
+const MIN_PAST_END: f64 = 1e-4;
 
 /// Inverse solutions of two samples, with their derivatives.
 pub(super) struct TransitionModel<'a> {
@@ -53,6 +56,8 @@ pub(super) struct TransitionModel<'a> {
     now: SampleGeometry<'a>,
     /// Nodes from here on are the tip's.
     first_tip: usize,
+    /// Density of a jump's path along the wire over the length of a node, by the nodes that it passes, from `-first_tip`.
+    jump_paths: Vec<f64>,
 }
 
 /// A step of the object with what is known of it.
@@ -98,6 +103,27 @@ struct BaseStep {
     path_sd_mm: f64,
 }
 
+/// Distance of two nodes on the wire, mm.
+fn node_mm(inverse: &StaticInverse) -> f64 {
+    match inverse.nodes[..] {
+        [a, b, ..] => b.arclength_mm - a.arclength_mm,
+        _ => 1.0,
+    }
+}
+
+/// Along the wire: two-sided exponential about where it was, or uniform over the wire.
+fn jump_paths(s: &BayesSettings, node_mm: f64, first_tip: usize) -> Vec<f64> {
+    let [inward, outward] = s.jump_path_mm;
+    let density = |nodes: usize| {
+        let along = (nodes as f64 - first_tip as f64) * node_mm;
+        let scale = if along > 0.0 { outward } else { inward };
+        let near = exp(-along.abs() / scale) / (inward + outward);
+        let uniform = s.jump_anywhere_fraction;
+        node_mm * ((1.0 - uniform) * near + uniform / WIRE_MM)
+    };
+    (0..2 * first_tip).map(density).collect()
+}
+
 impl<'a> TransitionModel<'a> {
     pub(super) fn new(
         settings: &'a BayesSettings,
@@ -107,14 +133,14 @@ impl<'a> TransitionModel<'a> {
     ) -> Self {
         let first_tip = inverse.first_tip();
         let geometry = |all| SampleGeometry::new(all, first_tip);
-        Self { settings, inverse, before: geometry(before), now: geometry(now), first_tip }
+        let jump_paths = jump_paths(settings, node_mm(inverse), first_tip);
+        Self { settings, inverse, before: geometry(before), now: geometry(now), first_tip, jump_paths }
     }
 
     /// Prior of a first contact: its density along the wire, uniform round it, and no deeper than the base's travel since the wire was at
     /// rest (`None`: unknown).
     pub(super) fn first_contact_prior(&self, step: Option<&KnownStep>) -> Vec<GridCell> {
         let now = &self.now;
-        let tip_turn: f64 = now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
         let pitch_mm = self.node_mm();
         let end_mm = self.inverse.nodes.last().map_or(1.0, |n| n.arclength_mm);
         let one = |(j, c): (usize, &InverseSolution)| {
@@ -122,14 +148,11 @@ impl<'a> TransitionModel<'a> {
                 return GridCell::default();
             }
             // Length of wire that the node stands for; the tip's nodes share its length in proportion to the turn of the force.
-            let length_mm = if j < self.first_tip {
-                pitch_mm
-            } else {
-                TIP_MM * now.normal_slopes[j].norm() / tip_turn.max(1e-12)
-            };
+            let length_mm =
+                if j < self.first_tip { pitch_mm } else { TIP_MM * now.turns[j] / now.tip_turn.max(1e-12) };
             let [mean, sd] = self.settings.first_contact_at;
             let off = (self.inverse.nodes[j].arclength_mm / end_mm - mean) / sd;
-            let along = MIN_FIRST_CONTACT + (-0.5 * off * off).exp();
+            let along = MIN_FIRST_CONTACT + exp(-0.5 * off * off);
             // Probability that the deflection is at most the base's travel: Phi of the distance over its standard deviation.
             let depth = step.map_or(1.0, |step| {
                 let rest = self.before.solutions[j].point_mm;
@@ -147,10 +170,7 @@ impl<'a> TransitionModel<'a> {
 
     /// Distance of two nodes on the wire, mm.
     fn node_mm(&self) -> f64 {
-        match self.inverse.nodes[..] {
-            [a, b, ..] => b.arclength_mm - a.arclength_mm,
-            _ => 1.0,
-        }
+        node_mm(self.inverse)
     }
 
     /// Weights after a step of the object under a coefficient of friction, from those before, which are part of all that sum to `total`.
@@ -184,11 +204,13 @@ impl<'a> TransitionModel<'a> {
         // Negligible weights are dropped: they cost as much as the others.
         let mut new = vec![MomentSums::default(); self.now.solutions.len()];
         let jump_share = (s.jump_per_mm * travel).min(0.5);
+        let of_row: f64 = row.iter().map(|c| c.weight).sum();
+        let least_jump = (MIN_JUMP_WEIGHT * total).max(MIN_JUMP_WEIGHT_OF_ROW * of_row);
         for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
             let from = self.before.contact(k, cell).carried(&step.object);
             self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
-            if cell.weight > MIN_JUMP_WEIGHT * total {
+            if cell.weight > least_jump {
                 self.jump_density(k, jump_share * cell.weight, &from, &step, &mut new);
             }
         }
@@ -206,35 +228,27 @@ impl<'a> TransitionModel<'a> {
         new: &mut [MomentSums],
     ) {
         let s = self.settings;
-        let node_mm = self.node_mm();
         let at_tip = k >= self.first_tip;
+        let nearest = k.min(self.first_tip - 1);
         let to_tip = if at_tip { s.jump_at_tip_fraction } else { s.jump_to_tip_fraction };
-        let from_mm = self.inverse.nodes[k].arclength_mm;
-        let [inward, outward] = s.jump_path_mm;
-        let tip_turn: f64 = self.now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
         for (j, new) in new.iter_mut().enumerate() {
             let c = &self.now.solutions[j];
             if !c.reachable {
                 continue;
             }
-            // Along the wire: two-sided exponential about where it was, or uniform over the wire.
             let share = if j < self.first_tip {
-                let along = self.inverse.nodes[j].arclength_mm - from_mm;
-                let scale = if along > 0.0 { outward } else { inward };
-                let near = (-along.abs() / scale).exp() / (inward + outward);
-                let uniform = s.jump_anywhere_fraction;
-                (1.0 - to_tip) * node_mm * ((1.0 - uniform) * near + uniform / WIRE_MM)
+                (1.0 - to_tip) * self.jump_paths[j + self.first_tip - nearest]
             } else {
-                to_tip * self.now.normal_slopes[j].norm() / tip_turn.max(1e-9)
+                to_tip * self.now.turns[j] / self.now.tip_turn.max(1e-9)
             };
             // Off the surface: the wire springs back against the force, mixture of a short and a long scale; rarely in its direction.
             let normal = (from.normal + c.normal).try_normalize(0.1).unwrap_or(c.normal);
             let off = normal.dot(&(c.point_mm - from.point_mm));
             let off_density = if off < 0.0 {
-                let one = |mm: f64| (off / mm).exp() / mm;
+                let one = |mm: f64| exp(off / mm) / mm;
                 0.5 * (1.0 - s.jump_back_fraction) * (one(s.jump_off_mm[0]) + one(s.jump_off_mm[1]))
             } else {
-                s.jump_back_fraction * (-off / s.jump_off_mm[0]).exp() / s.jump_off_mm[0]
+                s.jump_back_fraction * exp(-off / s.jump_off_mm[0]) / s.jump_off_mm[0]
             };
             let turn = self.now.turn_axes[j]
                 .map_or(0.0, |axis| laplace_pdf(axis.dot(&(c.normal - from.normal)), s.jump_turn_rad));
@@ -262,7 +276,7 @@ impl<'a> TransitionModel<'a> {
         if at_tip {
             let across = step.object.turn * self.before.solutions[self.first_tip - 1].normal;
             let tilt = (from.normal - across).norm();
-            weight *= TIP_TO_WIRE * (-tilt / (TIP_TO_WIRE_TILT + step.tip_variances[2].sqrt())).exp();
+            weight *= TIP_TO_WIRE * exp(-tilt / (TIP_TO_WIRE_TILT + step.tip_variances[2].sqrt()));
             if weight < 1e-12 {
                 return;
             }
@@ -332,7 +346,15 @@ impl<'a> TransitionModel<'a> {
         let [perturbed, reset] = [s.perturbed_fraction, s.reset_fraction];
         let shares = [1.0 - perturbed - reset, perturbed, reset];
         let mut sums = MomentSums::default();
+        // The path by itself already rules out most nodes of a narrow mode, wherever in both nodes the contact is.
+        let path_variance = pair.variance * path[1] * path[1];
         let mut add = |share: f64, noise: f64, (mean, variance): (f64, f64)| {
+            let beyond = (path[0] - mean).abs() - 0.5 * path[2].abs();
+            if beyond > 0.0
+                && beyond * beyond > MAX_TRUNCATED_SDS * MAX_TRUNCATED_SDS * (path_variance + variance)
+            {
+                return;
+            }
             let joint = LinearGaussianPair {
                 residual: [pair.residual[0], path[0] - mean],
                 by_before: [pair.by_before[0], path[1]],
@@ -375,19 +397,18 @@ impl<'a> TransitionModel<'a> {
             1.0
         } else {
             let left_mm = nodes[self.first_tip].arclength_mm - nodes[k].arclength_mm;
-            0.5 * (-left_mm / step.path_sd_mm).exp()
+            0.5 * exp(-left_mm / step.path_sd_mm)
         };
-        if past < 1e-6 {
+        if past < MIN_PAST_END {
             return;
         }
-        let tip_turn: f64 = self.now.normal_slopes[self.first_tip..].iter().map(Vector3::norm).sum();
         let unknown = GridCell { weight: 0.0, ..GridCell::default() };
         let cell = if at_tip { from.cell } else { &unknown };
         let modes = self.velocity_modes(&step.tip_variances, cell, step, 0.0);
         let uniform = self.settings.tip_uniform_fraction;
         for (j, new) in new.iter_mut().enumerate().skip(self.first_tip) {
             let c = &self.now.solutions[j];
-            let pitch = self.now.normal_slopes[j].norm();
+            let pitch = self.now.turns[j];
             if !c.reachable || pitch < 1e-6 {
                 continue;
             }
@@ -405,7 +426,7 @@ impl<'a> TransitionModel<'a> {
             let anywhere = MomentSums::of_first(&residual.pair);
             if anywhere.weight > 0.0 {
                 let turn = self.turn_density(from, j, step) * self.excess_slip(&residual.slip_mm, step);
-                let share = uniform * pitch / tip_turn.max(1e-9);
+                let share = uniform * pitch / self.now.tip_turn.max(1e-9);
                 new.add(
                     &anywhere,
                     weight * past * share * turn * c.compliance_mm_per_nmm * c.turn_rad_per_nmm,

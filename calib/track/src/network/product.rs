@@ -8,7 +8,7 @@
 //! By the crate gemm, which is burn's own on a processor: called through burn, each answer is made of zeros, copied and only then written.
 //! One call here is not safe Rust; what it may touch is checked before it.
 
-use super::widest::{Kernel, Simd, widest};
+use super::widest::{Kernel, Simd, mul_add, widest};
 use rayon::prelude::*;
 
 /// Multiplications from which on a product is shared out among threads.
@@ -80,8 +80,43 @@ pub(super) fn linear(x: &[f32], weight: &[f32], bias: &[f32]) -> Vec<f32> {
     for _ in 0..x.rows {
         out.extend_from_slice(bias);
     }
+    if x.rows == 1 && !bias.is_empty() {
+        // A stream's token: gemm would first pack the weight, which takes longer than the product.
+        return widest(OneRow { x: x.values, weight: weight.values, out });
+    }
     product(&mut out, true, x, weight);
     out
+}
+
+/// One row by a matrix, added to `out`: sums of the matrix's rows, four at a time.
+struct OneRow<'a> {
+    x: &'a [f32],
+    weight: &'a [f32],
+    out: Vec<f32>,
+}
+
+impl Kernel for OneRow<'_> {
+    type Out = Vec<f32>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> Vec<f32> {
+        let Self { x, weight, mut out } = self;
+        let width = out.len();
+        let (fours, rest) = x.as_chunks::<4>();
+        let (in_fours, in_rest) = weight.split_at(4 * fours.len() * width);
+        for (x, rows) in fours.iter().zip(in_fours.chunks_exact(4 * width)) {
+            let (low, high) = rows.split_at(2 * width);
+            let ((a, b), (c, d)) = (low.split_at(width), high.split_at(width));
+            for ((((o, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                let sum = mul_add::<S>(*a, x[0], mul_add::<S>(*b, x[1], *o));
+                *o = mul_add::<S>(*c, x[2], mul_add::<S>(*d, x[3], sum));
+            }
+        }
+        for (x, row) in rest.iter().zip(in_rest.chunks_exact(width)) {
+            out.iter_mut().zip(row).for_each(|(o, w)| *o = mul_add::<S>(*w, *x, *o));
+        }
+        out
+    }
 }
 
 /// Gradients of `linear` by x, weight and bias.
@@ -201,6 +236,25 @@ mod tests {
                 product(&mut out, false, first, second);
                 assert!((0..8).all(|k| out[k] == plain(k / 4, k % 4)), "{out:?}");
             }
+        }
+    }
+
+    /// A row by itself goes another way than the same row among others.
+    #[test]
+    fn one_row_is_as_among_others() {
+        for (high, width) in [(276, 80), (7, 3), (4, 16), (1, 40)] {
+            let number = |k: usize| ((k * 7919) % 1013) as f32 / 1013.0 - 0.5;
+            let weight: Vec<f32> = (0..high * width).map(number).collect();
+            let bias: Vec<f32> = (0..width).map(|k| number(k + 5)).collect();
+            let rows: Vec<f32> = (0..2 * high).map(|k| number(k + 11)).collect();
+            let (one, two) = (linear(&rows[..high], &weight, &bias), linear(&rows, &weight, &bias));
+            let off = one.iter().zip(&two).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            // Sums of up to 276 products below a quarter, in another order.
+            assert!(one.len() == width && off < 1e-4, "{high} x {width}: {off}");
+            assert!(
+                two[width..].iter().zip(&one).any(|(a, b)| (a - b).abs() > 1e-3),
+                "the other row is another"
+            );
         }
     }
 

@@ -94,6 +94,9 @@ pub struct Pass {
     pub held_out_surface_mm: Option<f64>,
     /// Seconds since the beginning.
     pub seconds: f64,
+    /// Processor time since the beginning, all threads together, s; models of before 2026-11-25 do not have it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cpu_s: Option<f64>,
 }
 
 /// The pass with the least loss on the held-out objects.

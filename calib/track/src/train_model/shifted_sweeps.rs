@@ -7,12 +7,11 @@ use crate::generate_sweeps::{SweepRequest, generate_sweeps};
 use crate::sweep_series;
 use crate::sweep_series::SweepSeries;
 use crate::train::{SensorErrors, uniform};
+use crate::training_sweeps::friction_plan;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_sim::SweepPlan;
-use wcal_sim::physics::{Medium, PhysicsPlan};
 
 /// Wires, and sweeps over each held-out object with each: fewer where many objects are held out (a split by sweeps).
 const WIRES: u64 = 8;
@@ -23,10 +22,6 @@ const SWEEPS_OF_WIRE: usize = 60;
 const STRAIGHT_MM: f64 = 0.2;
 const RADIUS_MM: f64 = 0.3;
 const YOUNGS: f64 = 0.03;
-/// Coefficients of friction.
-const FRICTION: [f64; 2] = [0.0, 0.3];
-/// Rate of the sweeps that networks are trained on, Hz.
-const RATE_HZ: f64 = 10.0;
 
 /// Sweeps, each with filters that have the measurement noise of its bench.
 pub(super) type SweepsWithFilters = Vec<(SweepSeries, FilterBank)>;
@@ -59,9 +54,7 @@ pub(super) fn on_shifted_sensors(
     held_out: &[SweepSeries],
 ) -> Result<SweepsWithFilters, TrackError> {
     let mut rng = ChaCha8Rng::seed_from_u64(request.settings.seed ^ 0xbe_4c4);
-    let physics =
-        PhysicsPlan { friction: FRICTION, medium: Medium::Air, weight: true, ..PhysicsPlan::default() };
-    let plan = SweepPlan { rate_hz: RATE_HZ, physics, ..SweepPlan::default() };
+    let plan = friction_plan();
     let names: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
     let (known, unknown): (Vec<&String>, Vec<&String>) =
         names.into_iter().partition(|n| request.meshes.contains_key(*n));

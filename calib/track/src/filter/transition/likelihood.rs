@@ -9,6 +9,7 @@
 //!
 //! Symbols and sources: see `transition`.
 
+use super::super::exp::exp;
 use super::super::grid_cell::LinearGaussianPair;
 use super::super::sample_geometry::ContactState;
 use super::{BaseStep, TransitionModel};
@@ -39,7 +40,7 @@ impl TransitionModel<'_> {
     /// Factor against a slip on the surface that is longer than the base's travel.
     pub(super) fn excess_slip(&self, slip_mm: &Vector3<f64>, step: &BaseStep) -> f64 {
         let over = slip_mm.norm() - 1.2 * step.travel_mm.abs();
-        if over > 0.0 { (-over / step.path_sd_mm).exp() } else { 1.0 }
+        if over > 0.0 { exp(-over / step.path_sd_mm) } else { 1.0 }
     }
 
     /// Variance of the constraint by itself, s_c^2 + (q z)^2, mm^2.
@@ -118,5 +119,5 @@ fn root_sum_square(a: f64, b: f64) -> f64 {
 
 /// Laplace density.
 pub(super) fn laplace_pdf(x: f64, scale: f64) -> f64 {
-    (-x.abs() / scale).exp() / (2.0 * scale)
+    exp(-x.abs() / scale) / (2.0 * scale)
 }

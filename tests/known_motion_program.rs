@@ -196,6 +196,51 @@ fn the_uncertainty_of_the_map_becomes_that_of_the_contact() {
     assert!(report.contains("Map U to contact U"));
 }
 
+/// The table travels with the calibration: sealed, printed at the start of `track`; files from before it keep their hash.
+#[test]
+fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let read = |name: &str| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(verified().join(name)).unwrap()).unwrap()
+    };
+    let (calibration, document) = (read("calibration.json"), read("verify.json"));
+    assert_eq!(calibration["contact_uncertainty"]["rows"], document["groove_tracking"]["uncertainty"]);
+    let track = |calibration: &serde_json::Value| {
+        let (file, out) = (path("calibration.json"), path("track.csv"));
+        std::fs::write(&file, calibration.to_string()).unwrap();
+        let run = wcal(&["track", SESSION, "--calibration", &file, "--out", &out]);
+        (run.status.code(), text(&run.stderr))
+    };
+    let (code, said) = track(&calibration);
+    let first = calibration["contact_uncertainty"]["rows"][0].clone();
+    let line = format!(
+        "contact U (k = 2, motion known) {:.2} mm at {:.0} mm",
+        first["contact_u_mm"].as_f64().unwrap(),
+        first["arclength_mm"].as_f64().unwrap()
+    );
+    assert!(code == Some(0) && said.contains(&line), "{line}: {said}");
+
+    // As it was written before there was such a table: the six hashed fields.
+    let mut old = calibration.clone();
+    old.as_object_mut().unwrap().remove("contact_uncertainty");
+    let hashed = ["session", "verification", "expires", "model", "provenance", "whisker"];
+    let body = serde_json::to_vec(&hashed.map(|k| &calibration[k])).unwrap();
+    old["content_sha256"] = wcal_core::provenance::sha256_hex(&body).into();
+    let (code, said) = track(&old);
+    assert!(code == Some(0) && !said.contains("contact U"), "{said}");
+
+    // A row that was made smaller; the table taken away.
+    let mut changed = calibration.clone();
+    changed["contact_uncertainty"]["rows"][0]["contact_u_mm"] = 0.001.into();
+    let mut without = calibration.clone();
+    without.as_object_mut().unwrap().remove("contact_uncertainty");
+    for file in [changed, without] {
+        let (code, said) = track(&file);
+        assert!(code == Some(4) && said.contains("the file was changed"), "{said}");
+    }
+}
+
 /// The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
 #[test]
 fn a_table_is_tracked_along_a_motion_however_it_is_written() {

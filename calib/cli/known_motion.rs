@@ -1,6 +1,8 @@
 //! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
 
+// By its path, since examples/groove_noise.rs takes this file in from elsewhere.
 #[cfg(test)]
+#[path = "known_motion/tests.rs"]
 mod tests;
 
 use anyhow::{Result, bail};
@@ -9,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
-use wcal_core::verify_document::{ContactUncertainty, GrooveTracking};
+use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
@@ -269,9 +271,11 @@ fn largest_moment(episode: &Episode) -> [f64; 2] {
     })
 }
 
+/// k of expanded uncertainties.
+const COVERAGE_FACTOR: f64 = 2.0;
+
 /// Expanded uncertainties by arc length of first touch, to whole millimetres.
 fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
-    const COVERAGE_FACTOR: f64 = 2.0;
     let mut by_arclength: BTreeMap<i64, BTreeMap<u32, Compared>> = BTreeMap::new();
     for c in compared {
         by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
@@ -310,6 +314,25 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
         split: split.to_owned(),
         uncertainty: uncertainty(compared),
     })
+}
+
+/// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.
+pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
+    const METHOD: &str = "Bayesian Cramer-Rao bound of the contact on the session's trajectories, motion known: covariance of the calibration, \
+                          noise of the readings, place of the free wire; root mean square over the trajectories of an arc length";
+    (!t.uncertainty.is_empty()).then(|| CalibrationContact {
+        coverage_factor: COVERAGE_FACTOR,
+        method: METHOD.to_owned(),
+        split: t.split.clone(),
+        rows: t.uncertainty.clone(),
+    })
+}
+
+/// For people.
+pub fn contact_sentence(c: &CalibrationContact) -> String {
+    let at = |u: &ContactUncertainty| format!("{:.2} mm at {:.0} mm", u.contact_u_mm, u.arclength_mm);
+    let rows: Vec<String> = c.rows.iter().map(at).collect();
+    format!("this calibration: contact U (k = {}, motion known) {}", c.coverage_factor, rows.join(", "))
 }
 
 /// For people.

@@ -4,7 +4,7 @@ use super::groove::known_places;
 use super::known_motion::answer;
 use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::trust::{TrustIssues, calibration_issues};
+use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
 use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
 use crate::simulated::is_simulated;
@@ -61,6 +61,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     if !issues.none() && !args.force {
         return Ok(ExitCode::from(4));
     }
+    say_contact_uncertainty("", &file);
     let whisker = file.whisker.as_ref().ok_or_else(|| {
         anyhow!(
             "{}: expected a calibration that says of which whisker it is, found an older one",

@@ -19,8 +19,8 @@ use wcal_track::known_groove::at_most;
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Region, Settings,
-    bound_mm, locate,
+    CorrelatedShare, Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior,
+    Region, Settings, bound_mm, locate, share_correlated,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -56,6 +56,36 @@ pub struct TrackedTrajectory {
     /// What they tell.
     pub found: Located,
     episode: Episode,
+}
+
+impl TrackedTrajectory {
+    /// Common unknowns of the calibration: the columns before those of the readings' own correlated noise.
+    fn unknowns(&self) -> usize {
+        self.readings.first().map_or(0, |r| r.shared_nmm.len())
+    }
+
+    /// The episode as readings without noise of their own would have it.
+    fn noiseless(&self) -> Episode {
+        const SHARE: f64 = 1e-6;
+        let mut episode = self.episode.clone();
+        for row in &mut episode.rows {
+            row.noise_nmm2 *= SHARE;
+            row.shared_nmm.truncate(self.unknowns());
+            row.shared_way_mm.truncate(self.unknowns());
+        }
+        episode
+    }
+
+    /// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N mm.
+    fn largest_moment(&self) -> [f64; 2] {
+        let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
+        let largest = self.episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        largest.map_or([0.0; 2], |r| {
+            let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
+            let shared = &r.shared_nmm[..self.unknowns()];
+            [size(r), shared.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+        })
+    }
 }
 
 /// A located place beside the groove's.
@@ -105,7 +135,9 @@ pub fn track(
     motion: GrooveMotion,
     chosen: impl Fn(usize) -> bool,
 ) -> Result<TrackedSession> {
-    let GrooveMotion { wire, changed, readings } = motion;
+    let GrooveMotion { wire, changed, readings, correlated } = motion;
+    let correlated = correlated
+        .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
     let table = |wire: &AcceptedWire| moment_field(wire, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
     let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
@@ -115,7 +147,7 @@ pub fn track(
     let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory> {
         let trajectory = &system.data.trajectories[line];
         let direction = trajectory.direction;
-        let rows = readings
+        let mut rows: Vec<MotionRow> = readings
             .iter()
             .map(|r| MotionRow {
                 t_s: r.t_s,
@@ -131,6 +163,9 @@ pub fn track(
                 visit: r.visit,
             })
             .collect();
+        if let Some(noise) = &correlated {
+            share_correlated(&mut rows, noise);
+        }
         let episode = Episode { rows, push: Some(direction) };
         let found = locate(&field, &episode, &Settings::default())?;
         Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
@@ -174,7 +209,7 @@ impl TrackedSession {
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
                 if bound.is_none() {
                     let of = |episode| bound_mm(&self.field, episode, &settings, &state);
-                    bound = of(&t.episode)?.zip(of(&noiseless(&t.episode))?);
+                    bound = of(&t.episode)?.zip(of(&t.noiseless())?);
                 }
                 let Some((bound_mm, bound_by_map_mm)) = bound else { continue };
                 all.push(Compared {
@@ -183,7 +218,7 @@ impl TrackedSession {
                     error_mm: (at - truth).norm(),
                     bound_mm,
                     bound_by_map_mm,
-                    moment_nmm: largest_moment(&t.episode),
+                    moment_nmm: t.largest_moment(),
                     held: posterior.holds(&state),
                     doubted: t.found.disagreement.is_some(),
                 });
@@ -251,24 +286,6 @@ pub fn misstated(t: &GrooveTracking) -> bool {
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
     at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
-}
-
-/// The episode as readings without noise of their own would have it.
-fn noiseless(episode: &Episode) -> Episode {
-    const SHARE: f64 = 1e-6;
-    let mut episode = episode.clone();
-    episode.rows.iter_mut().for_each(|r| r.noise_nmm2 *= SHARE);
-    episode
-}
-
-/// Size of the largest moment of an episode, and its standard deviation by the common unknowns, N mm.
-fn largest_moment(episode: &Episode) -> [f64; 2] {
-    let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
-    let largest = episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
-    largest.map_or([0.0; 2], |r| {
-        let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
-        [size(r), r.shared_nmm.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
-    })
 }
 
 /// k of expanded uncertainties.

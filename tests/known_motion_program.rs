@@ -322,6 +322,41 @@ fn gaps_and_jumps_of_the_motion_are_marked_and_part_contacts() {
     assert!(contacts > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
 }
 
+/// A network asked for what it was not trained for: a base faster than any sweep, and poses that are no numbers.
+#[test]
+fn a_network_says_so_of_a_base_that_is_too_fast_and_of_poses_that_are_no_numbers() {
+    const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker_small");
+    let bench = Bench::new();
+    // The session's readings come slower than the network's: said in every row, and let pass here.
+    let by_network =
+        |more: &[&str]| bench.track("blind.csv", &[&["--model", MODEL, "--force"][..], more].concat());
+    let fast = by_network(&["--base-mm-s", "60"]);
+    let rows = fast.summary["untrained_motion"]["by_motion"]["fast"].as_u64().unwrap_or(0);
+    assert!(rows > 20 && fast.with_status("untrained-motion") as u64 >= rows, "{}", fast.said);
+    assert!(fast.said.contains("fast"), "{}", fast.said);
+    // Control: a speed of training.
+    let slow = by_network(&["--base-mm-s", "8"]);
+    assert!(slow.summary["untrained_motion"]["by_motion"].get("fast").is_none(), "{}", slow.said);
+
+    let table = std::fs::read_to_string(bench.path("blind.csv")).unwrap();
+    let posed = |bad: &str| -> String {
+        let line = |(k, line): (usize, &str)| match k {
+            0 => format!("{line},base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz\n"),
+            4 => format!("{line},{bad},0,0,1,0,0,0\n"),
+            _ => format!("{line},0,0,{},1,0,0,0\n", 0.1 * k as f64),
+        };
+        table.lines().enumerate().map(line).collect()
+    };
+    std::fs::write(bench.path("posed.csv"), posed("nan")).unwrap();
+    let run = bench.track("posed.csv", &["--model", MODEL, "--force"]);
+    assert_eq!(run.code, Some(1), "{}", run.said);
+    assert!(["base_x_mm", "a finite number", "line 5"].iter().all(|s| run.said.contains(s)), "{}", run.said);
+    assert!(!bench.path("track.csv").exists(), "nothing is half-written");
+    std::fs::write(bench.path("posed.csv"), posed("0")).unwrap();
+    let good = bench.track("posed.csv", &["--model", MODEL, "--force"]);
+    assert!(good.code != Some(1), "control: {}", good.said);
+}
+
 #[test]
 fn bad_logs_are_refused_by_name() {
     let bench = Bench::new();

@@ -2,7 +2,9 @@
 
 mod document;
 pub mod report;
+mod several;
 mod tables;
+mod test_objects;
 mod text;
 mod virtual_bench;
 mod work;
@@ -14,6 +16,7 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use document::document;
 use serde_json::{Value, json};
+use several::{print_several, several_probability};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -150,7 +153,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         &progress,
         count(0) + count(1),
         methods.iter().map(|m| cost(&m.1)).sum(),
-        tables::cost(&card, args),
+        tables::cost(&card, args) + test_objects::cost(args),
     );
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
     for (k, (set, all_series)) in sets.iter().enumerate() {
@@ -172,6 +175,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
+    let [seen, unseen] = [0, 1].map(|k| sets[k].1.values().flatten());
+    document["several_probability"] = several_probability(&tracker, &card, seen, unseen);
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
     if !card.sd_factors_by_class.is_empty() {
@@ -195,6 +200,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         for (name, table) in maker.tables()? {
             document[name] = table;
         }
+        let of = (&tracker, &fine, &card.whisker);
+        document["test_objects"] = test_objects::table(of, args, &work)?;
     }
     drop(progress);
     out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
@@ -209,7 +216,9 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
         print_told(&document);
+        print_several(&document);
         print_tables(&document);
+        test_objects::print(&document);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -235,6 +244,9 @@ fn meshes<'a>(
             let mesh = objects::named(name, args.meshes.as_deref()).with_context(|| {
                 format!("object {name}: expected it built in, or its mesh in --meshes DIR")
             })?;
+            for note in &mesh.notes {
+                eprintln!("warning: object {name}: {note}");
+            }
             Ok((name.clone(), mesh))
         })
         .collect()

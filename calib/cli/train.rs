@@ -165,7 +165,10 @@ fn surfaces(args: &TrainArgs) -> anyhow::Result<BTreeMap<String, Mesh>> {
     let mut meshes = BTreeMap::new();
     for name in names {
         match objects::named(&name, args.meshes.as_deref()) {
-            Ok(mesh) => drop(meshes.insert(name, mesh)),
+            Ok(mesh) => {
+                mesh.notes.iter().for_each(|note| eprintln!("warning: object {name}: {note}"));
+                meshes.insert(name, mesh);
+            }
             Err(_) if args.meshes.is_none() => {
                 eprintln!("train: {name}: surface not known (--meshes): trained on the true contacts alone");
                 return Ok(BTreeMap::new());

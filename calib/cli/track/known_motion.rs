@@ -77,6 +77,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
             touching: None,
             segment: None,
             regions: regions.get(&r.line).map_or(&[], Vec::as_slice),
+            several: None,
         })?;
     }
     // The groove's place enters here, after every answer.

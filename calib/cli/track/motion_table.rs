@@ -148,6 +148,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             touching: None,
             segment: here.map(|(.., n)| *n as u64),
             regions: here.map_or(&[], |(.., n)| regions[*n].as_slice()),
+            several: None,
         })?;
     }
     let simulated = is_simulated(table) || file.provenance.simulated;

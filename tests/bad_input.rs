@@ -8,6 +8,8 @@ mod broken;
 mod calibrations;
 #[path = "bad_input/imports.rs"]
 mod imports;
+#[path = "bad_input/tracking.rs"]
+mod tracking;
 
 use broken::{Base, TABLE};
 use std::fs;

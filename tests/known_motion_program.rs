@@ -196,6 +196,51 @@ fn the_uncertainty_of_the_map_becomes_that_of_the_contact() {
     assert!(report.contains("Map U to contact U"));
 }
 
+/// The table travels with the calibration: sealed, printed at the start of `track`; files from before it keep their hash.
+#[test]
+fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let read = |name: &str| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(verified().join(name)).unwrap()).unwrap()
+    };
+    let (calibration, document) = (read("calibration.json"), read("verify.json"));
+    assert_eq!(calibration["contact_uncertainty"]["rows"], document["groove_tracking"]["uncertainty"]);
+    let track = |calibration: &serde_json::Value| {
+        let (file, out) = (path("calibration.json"), path("track.csv"));
+        std::fs::write(&file, calibration.to_string()).unwrap();
+        let run = wcal(&["track", SESSION, "--calibration", &file, "--out", &out]);
+        (run.status.code(), text(&run.stderr))
+    };
+    let (code, said) = track(&calibration);
+    let first = calibration["contact_uncertainty"]["rows"][0].clone();
+    let line = format!(
+        "contact U (k = 2, motion known) {:.2} mm at {:.0} mm",
+        first["contact_u_mm"].as_f64().unwrap(),
+        first["arclength_mm"].as_f64().unwrap()
+    );
+    assert!(code == Some(0) && said.contains(&line), "{line}: {said}");
+
+    // As it was written before there was such a table: the six hashed fields.
+    let mut old = calibration.clone();
+    old.as_object_mut().unwrap().remove("contact_uncertainty");
+    let hashed = ["session", "verification", "expires", "model", "provenance", "whisker"];
+    let body = serde_json::to_vec(&hashed.map(|k| &calibration[k])).unwrap();
+    old["content_sha256"] = wcal_core::provenance::sha256_hex(&body).into();
+    let (code, said) = track(&old);
+    assert!(code == Some(0) && !said.contains("contact U"), "{said}");
+
+    // A row that was made smaller; the table taken away.
+    let mut changed = calibration.clone();
+    changed["contact_uncertainty"]["rows"][0]["contact_u_mm"] = 0.001.into();
+    let mut without = calibration.clone();
+    without.as_object_mut().unwrap().remove("contact_uncertainty");
+    for file in [changed, without] {
+        let (code, said) = track(&file);
+        assert!(code == Some(4) && said.contains("the file was changed"), "{said}");
+    }
+}
+
 /// The same motion in metres, as poses of a base in a turned world, by a clock that is ahead, and as columns of the table.
 #[test]
 fn a_table_is_tracked_along_a_motion_however_it_is_written() {
@@ -275,6 +320,41 @@ fn gaps_and_jumps_of_the_motion_are_marked_and_part_contacts() {
     let jumped = bench.along("blind.csv", &[]);
     let contacts = jumped.summary["contacts"].as_array().unwrap().len();
     assert!(contacts > 3 && jumped.said.contains("line 22: the motion jumps"), "{}", jumped.said);
+}
+
+/// A network asked for what it was not trained for: a base faster than any sweep, and poses that are no numbers.
+#[test]
+fn a_network_says_so_of_a_base_that_is_too_fast_and_of_poses_that_are_no_numbers() {
+    const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/tracker_small");
+    let bench = Bench::new();
+    // The session's readings come slower than the network's: said in every row, and let pass here.
+    let by_network =
+        |more: &[&str]| bench.track("blind.csv", &[&["--model", MODEL, "--force"][..], more].concat());
+    let fast = by_network(&["--base-mm-s", "60"]);
+    let rows = fast.summary["untrained_motion"]["by_motion"]["fast"].as_u64().unwrap_or(0);
+    assert!(rows > 20 && fast.with_status("untrained-motion") as u64 >= rows, "{}", fast.said);
+    assert!(fast.said.contains("fast"), "{}", fast.said);
+    // Control: a speed of training.
+    let slow = by_network(&["--base-mm-s", "8"]);
+    assert!(slow.summary["untrained_motion"]["by_motion"].get("fast").is_none(), "{}", slow.said);
+
+    let table = std::fs::read_to_string(bench.path("blind.csv")).unwrap();
+    let posed = |bad: &str| -> String {
+        let line = |(k, line): (usize, &str)| match k {
+            0 => format!("{line},base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz\n"),
+            4 => format!("{line},{bad},0,0,1,0,0,0\n"),
+            _ => format!("{line},0,0,{},1,0,0,0\n", 0.1 * k as f64),
+        };
+        table.lines().enumerate().map(line).collect()
+    };
+    std::fs::write(bench.path("posed.csv"), posed("nan")).unwrap();
+    let run = bench.track("posed.csv", &["--model", MODEL, "--force"]);
+    assert_eq!(run.code, Some(1), "{}", run.said);
+    assert!(["base_x_mm", "a finite number", "line 5"].iter().all(|s| run.said.contains(s)), "{}", run.said);
+    assert!(!bench.path("track.csv").exists(), "nothing is half-written");
+    std::fs::write(bench.path("posed.csv"), posed("0")).unwrap();
+    let good = bench.track("posed.csv", &["--model", MODEL, "--force"]);
+    assert!(good.code != Some(1), "control: {}", good.said);
 }
 
 #[test]

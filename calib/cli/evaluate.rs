@@ -3,7 +3,9 @@
 mod bounds;
 mod document;
 pub mod report;
+mod several;
 mod tables;
+mod test_objects;
 mod text;
 mod virtual_bench;
 mod work;
@@ -16,6 +18,7 @@ use bounds::TableBounds;
 use clap::Args;
 use document::document;
 use serde_json::{Value, json};
+use several::{print_several, several_probability};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -152,7 +155,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         &progress,
         count(0) + count(1),
         methods.iter().map(|m| cost(&m.1)).sum(),
-        tables::cost(&card, args),
+        tables::cost(&card, args) + test_objects::cost(args),
     );
     let table = TableBounds::new(&fine, [&sets[0].1, &sets[1].1]);
     let bounds = [false, true].map(|known| table.simulated(&SweepPlan::default(), known));
@@ -179,6 +182,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
+    let [seen, unseen] = [0, 1].map(|k| sets[k].1.values().flatten());
+    document["several_probability"] = several_probability(&tracker, &card, seen, unseen);
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
     if !card.sd_factors_by_class.is_empty() {
@@ -208,6 +213,8 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         for (name, table) in maker.tables()? {
             document[name] = table;
         }
+        let of = (&tracker, &fine, &card.whisker);
+        document["test_objects"] = test_objects::table(of, args, &work)?;
     }
     drop(progress);
     out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
@@ -222,7 +229,9 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
         print_told(&document);
+        print_several(&document);
         print_tables(&document);
+        test_objects::print(&document);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -248,6 +257,9 @@ fn meshes<'a>(
             let mesh = objects::named(name, args.meshes.as_deref()).with_context(|| {
                 format!("object {name}: expected it built in, or its mesh in --meshes DIR")
             })?;
+            for note in &mesh.notes {
+                eprintln!("warning: object {name}: {note}");
+            }
             Ok((name.clone(), mesh))
         })
         .collect()

@@ -129,6 +129,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         CalibrationModel::Map(fit.artefact),
         provenance(&session, args.seed),
         Some(&data.whisker),
+        None,
     )?;
 
     out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);

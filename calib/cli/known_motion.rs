@@ -1,6 +1,8 @@
 //! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
 
+// By its path, since examples/groove_noise.rs takes this file in from elsewhere.
 #[cfg(test)]
+#[path = "known_motion/tests.rs"]
 mod tests;
 
 use anyhow::{Result, bail};
@@ -9,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
-use wcal_core::verify_document::{ContactUncertainty, GrooveTracking};
+use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
@@ -17,8 +19,8 @@ use wcal_track::known_groove::at_most;
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior, Region, Settings,
-    bound_mm, locate,
+    CorrelatedShare, Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior,
+    Region, Settings, bound_mm, locate, share_correlated,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -54,6 +56,36 @@ pub struct TrackedTrajectory {
     /// What they tell.
     pub found: Located,
     episode: Episode,
+}
+
+impl TrackedTrajectory {
+    /// Common unknowns of the calibration: the columns before those of the readings' own correlated noise.
+    fn unknowns(&self) -> usize {
+        self.readings.first().map_or(0, |r| r.shared_nmm.len())
+    }
+
+    /// The episode as readings without noise of their own would have it.
+    fn noiseless(&self) -> Episode {
+        const SHARE: f64 = 1e-6;
+        let mut episode = self.episode.clone();
+        for row in &mut episode.rows {
+            row.noise_nmm2 *= SHARE;
+            row.shared_nmm.truncate(self.unknowns());
+            row.shared_way_mm.truncate(self.unknowns());
+        }
+        episode
+    }
+
+    /// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N mm.
+    fn largest_moment(&self) -> [f64; 2] {
+        let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
+        let largest = self.episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        largest.map_or([0.0; 2], |r| {
+            let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
+            let shared = &r.shared_nmm[..self.unknowns()];
+            [size(r), shared.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+        })
+    }
 }
 
 /// A located place beside the groove's.
@@ -103,7 +135,9 @@ pub fn track(
     motion: GrooveMotion,
     chosen: impl Fn(usize) -> bool,
 ) -> Result<TrackedSession> {
-    let GrooveMotion { wire, changed, readings } = motion;
+    let GrooveMotion { wire, changed, readings, correlated } = motion;
+    let correlated = correlated
+        .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
     let table = |wire: &AcceptedWire| moment_field(wire, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
     let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
@@ -113,7 +147,7 @@ pub fn track(
     let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory> {
         let trajectory = &system.data.trajectories[line];
         let direction = trajectory.direction;
-        let rows = readings
+        let mut rows: Vec<MotionRow> = readings
             .iter()
             .map(|r| MotionRow {
                 t_s: r.t_s,
@@ -129,6 +163,9 @@ pub fn track(
                 visit: r.visit,
             })
             .collect();
+        if let Some(noise) = &correlated {
+            share_correlated(&mut rows, noise);
+        }
         let episode = Episode { rows, push: Some(direction) };
         let found = locate(&field, &episode, &Settings::default())?;
         Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
@@ -172,7 +209,7 @@ impl TrackedSession {
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
                 if bound.is_none() {
                     let of = |episode| bound_mm(&self.field, episode, &settings, &state);
-                    bound = of(&t.episode)?.zip(of(&noiseless(&t.episode))?);
+                    bound = of(&t.episode)?.zip(of(&t.noiseless())?);
                 }
                 let Some((bound_mm, bound_by_map_mm)) = bound else { continue };
                 all.push(Compared {
@@ -181,7 +218,7 @@ impl TrackedSession {
                     error_mm: (at - truth).norm(),
                     bound_mm,
                     bound_by_map_mm,
-                    moment_nmm: largest_moment(&t.episode),
+                    moment_nmm: t.largest_moment(),
                     held: posterior.holds(&state),
                     doubted: t.found.disagreement.is_some(),
                 });
@@ -251,27 +288,11 @@ pub fn misstated(t: &GrooveTracking) -> bool {
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 
-/// The episode as readings without noise of their own would have it.
-fn noiseless(episode: &Episode) -> Episode {
-    const SHARE: f64 = 1e-6;
-    let mut episode = episode.clone();
-    episode.rows.iter_mut().for_each(|r| r.noise_nmm2 *= SHARE);
-    episode
-}
-
-/// Size of the largest moment of an episode, and its standard deviation by the common unknowns, N mm.
-fn largest_moment(episode: &Episode) -> [f64; 2] {
-    let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
-    let largest = episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
-    largest.map_or([0.0; 2], |r| {
-        let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
-        [size(r), r.shared_nmm.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
-    })
-}
+/// k of expanded uncertainties.
+const COVERAGE_FACTOR: f64 = 2.0;
 
 /// Expanded uncertainties by arc length of first touch, to whole millimetres.
 fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
-    const COVERAGE_FACTOR: f64 = 2.0;
     let mut by_arclength: BTreeMap<i64, BTreeMap<u32, Compared>> = BTreeMap::new();
     for c in compared {
         by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
@@ -310,6 +331,25 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
         split: split.to_owned(),
         uncertainty: uncertainty(compared),
     })
+}
+
+/// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.
+pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
+    const METHOD: &str = "Bayesian Cramer-Rao bound of the contact on the session's trajectories, motion known: covariance of the calibration, \
+                          noise of the readings, place of the free wire; root mean square over the trajectories of an arc length";
+    (!t.uncertainty.is_empty()).then(|| CalibrationContact {
+        coverage_factor: COVERAGE_FACTOR,
+        method: METHOD.to_owned(),
+        split: t.split.clone(),
+        rows: t.uncertainty.clone(),
+    })
+}
+
+/// For people.
+pub fn contact_sentence(c: &CalibrationContact) -> String {
+    let at = |u: &ContactUncertainty| format!("{:.2} mm at {:.0} mm", u.contact_u_mm, u.arclength_mm);
+    let rows: Vec<String> = c.rows.iter().map(at).collect();
+    format!("this calibration: contact U (k = {}, motion known) {}", c.coverage_factor, rows.join(", "))
 }
 
 /// For people.

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trust::{CheckedCalibration, WhiskerModel};
+use trust::{CheckedCalibration, WhiskerModel, say_contact_uncertainty};
 use wcal_acquisition::rig::Rig;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
@@ -202,6 +202,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     if judged.iter().any(|j| !j.doubts.none()) && !args.force {
         return Ok(ExitCode::from(4));
+    }
+    for one in &judged {
+        say_contact_uncertainty(one.name(), one.file());
     }
     let mut trackers: BTreeMap<&Path, Tracker> = BTreeMap::new();
     for folder in folders.values() {

@@ -225,7 +225,9 @@ pub fn verify_session(
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let file = seal(&session.id, status, valid_until(*valid_days)?, model, provenance, whisker)?;
+        let contact = report.verify.groove_tracking.as_ref().and_then(known_motion::calibration_contact);
+        let expires = valid_until(*valid_days)?;
+        let file = seal(&session.id, status, expires, model, provenance, whisker, contact)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {

@@ -12,6 +12,7 @@ fn calibration(model: serde_json::Value) -> serde_json::Value {
         model,
         provenance: wcal_core::Provenance::default(),
         whisker: None,
+        contact_uncertainty: None,
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash().unwrap();

@@ -6,6 +6,7 @@ use crate::trust_issue::TrustIssue;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::verify_document::CalibrationContact;
 use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
 use wcal_session::LoadedSession;
@@ -51,7 +52,7 @@ impl std::ops::Deref for CalibrationModel {
     }
 }
 
-/// A calibration with its content hash; `whisker` is the wire that it was made with.
+/// A calibration with its content hash; `whisker` is the wire that it was made with, `contact` what its uncertainty makes of a contact.
 ///
 /// # Errors
 /// Where the model cannot be written as JSON.
@@ -62,6 +63,7 @@ pub fn seal(
     model: CalibrationModel,
     provenance: Provenance,
     whisker: Option<&WhiskerSpec>,
+    contact: Option<CalibrationContact>,
 ) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
     let mut file = CalibrationFile {
         format: CALIBRATION_FORMAT.to_owned(),
@@ -72,6 +74,7 @@ pub fn seal(
         model: serde_json::from_str(&serde_json::to_string(&model)?)?,
         provenance,
         whisker: whisker.cloned(),
+        contact_uncertainty: serde_json::from_str(&serde_json::to_string(&contact)?)?,
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash()?;

@@ -83,6 +83,18 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &[surface, true_contact, ("/coverage90", "coverage of 90 % regions")],
         ),
         table(
+            &document["test_objects"]["rows"],
+            "Test objects, which chose no design (SIMULATED)",
+            &["turns", "method", "speed_known"],
+            &[surface, true_contact],
+        ),
+        table(
+            &document["several_probability"]["as_stated"]["bins"],
+            "Several contacts on unseen objects: stated probability against observed share",
+            &["from", "to", "samples"],
+            &[("stated", "stated"), ("observed", "observed")],
+        ),
+        table(
             &document["speed"],
             "Speed",
             &["mm_s"],

@@ -18,10 +18,15 @@ use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_w
 /// Chance below which too few regions that hold are no accident.
 const LEVEL: f64 = 0.01;
 
-/// The loop's result on a drawn session.
+/// The loop's result on a drawn session with white noise.
 fn verified(seed: u64, design: Design, want: Want) -> WhiskerVerification {
+    verified_under(seed, design, want, Noise::Gaussian)
+}
+
+/// The same with noise of a kind.
+fn verified_under(seed: u64, design: Design, want: Want, noise: Noise) -> WhiskerVerification {
     let request = Request { seed, design, want, target_sigma: 20.0, rivals: false };
-    let case = draw_under(&request, Noise::Gaussian, Make::Usual).unwrap();
+    let case = draw_under(&request, noise, Make::Usual).unwrap();
     let folder = tempfile::tempdir().unwrap();
     case.write(folder.path()).unwrap();
     let session = wcal_session::load(folder.path()).unwrap();
@@ -128,6 +133,27 @@ fn the_error_of_the_map_is_in_the_regions() {
             without.extend(tracked(&done, &model, exact));
         }
     }
+    assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
+    assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+}
+
+/// Drift that the session shows is in the regions; control: taken for white noise they hold too little. Readings that it displaces together
+/// move the state where the regions are narrow.
+#[test]
+fn noise_that_is_correlated_in_time_is_in_the_regions() {
+    let (mut with, mut without, mut sessions) = (Vec::new(), Vec::new(), 0);
+    for seed in 1_000_005..1_000_016 {
+        let done = verified_under(seed, Design::Paper, Want::Null, Noise::Drift);
+        let shown = done.model.correlated_noise.is_some();
+        if done.document.verdict != Verdict::Adequate || !shown {
+            continue;
+        }
+        sessions += 1;
+        let white = PhysicalModel { correlated_noise: None, ..done.model.clone() };
+        with.extend(tracked(&done, &done.model, |_| ()));
+        without.extend(tracked(&done, &white, |_| ()));
+    }
+    assert!(sessions >= 5, "{sessions} sessions show their drift");
     assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
     assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
 }

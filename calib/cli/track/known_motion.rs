@@ -1,7 +1,7 @@
 //! Tracks of a session whose groove moves in a known way: no network.
 
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::trust::{TrustIssues, calibration_issues};
+use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
 use super::{Outcome, TrackArgs, exit_code};
 use crate::known_motion::{groove_sentence, groove_tracking, misstated, track as locate, without_groove};
 use anyhow::{Result, anyhow, bail};
@@ -39,6 +39,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
     if !issues.none() && !args.force {
         return Ok(ExitCode::from(4));
     }
+    say_contact_uncertainty("", &file);
     // From here on nobody knows where the groove is.
     let blind = without_groove(data)?;
     let rows: Vec<&WhiskerRow> = blind.rows.iter().collect();
@@ -76,6 +77,7 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
             touching: None,
             segment: None,
             regions: regions.get(&r.line).map_or(&[], Vec::as_slice),
+            several: None,
         })?;
     }
     // The groove's place enters here, after every answer.

@@ -64,6 +64,7 @@ pub fn track(
             touching: None,
             segment: None,
             regions: &regions,
+            several: None,
         })?;
     }
     let simulated = is_simulated(table) || file.provenance.simulated;

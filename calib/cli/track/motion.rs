@@ -1,4 +1,4 @@
-//! What is said of rows whose motion the network was never trained on, or that is not known.
+//! What is said of rows whose motion the network was never trained on, or that is not known, and of rows with several contacts.
 
 use serde_json::{Value, json};
 use wcal_track::motion_judge::MotionJudge;
@@ -25,6 +25,21 @@ pub fn say(judge: &MotionJudge, whose: &str, rows: u64) {
             "warning: {whose}{} of {rows} rows are contact in a motion that is not known: their places assume one as in training (the base \
              along its +z past an object at rest), their regions hold for any; marked motion-assumed in status (--sweep vouches for the motion)",
             judge.assumed()
+        );
+    }
+}
+
+/// For track.json: rows with a probability of several contacts, and those at which several are more probable than one.
+pub fn several_summary([rows, probable]: [u64; 2]) -> Value {
+    json!({"rows": rows, "probable_rows": probable})
+}
+
+/// The same for people, where there is anything to say.
+pub fn say_several(whose: &str, [rows, probable]: [u64; 2]) {
+    if probable > 0 {
+        eprintln!(
+            "{whose}at {probable} of {rows} rows in contact several contacts are more probable than one (several_probability above 0.5): the \
+             places of the further ones are not estimated"
         );
     }
 }

@@ -6,7 +6,7 @@ use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::sliding::sliding_contacts;
-use super::trust::{TrustIssues, calibration_issues};
+use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
 use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
 use crate::simulated::is_simulated;
@@ -73,6 +73,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     if !issues.none() && !args.force {
         return Ok(ExitCode::from(4));
     }
+    say_contact_uncertainty("", &file);
     let whisker = file.whisker.as_ref().ok_or_else(|| {
         anyhow!(
             "{}: expected a calibration that says of which whisker it is, found an older one",
@@ -178,6 +179,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             touching: None,
             segment: here.map(|row| row.contact as u64),
             regions: here.map_or(&[], |row| row.regions),
+            several: None,
         })?;
     }
     let simulated = is_simulated(table) || file.provenance.simulated;

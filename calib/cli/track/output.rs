@@ -18,7 +18,8 @@ pub const FORMAT: &str = "wcal-track/2";
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
-     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95";
+     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95,\
+     several_probability";
 
 const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
      ring_hz,ring_q,ring_amplitude_nmm,doubts";
@@ -57,6 +58,8 @@ pub struct TrackRow<'a> {
     pub segment: Option<u64>,
     /// 95 % region of highest density over the arc length.
     pub regions: &'a [Region],
+    /// Probability of several contacts where there is contact.
+    pub several: Option<f64>,
 }
 
 /// Appends numbers, or as many empty cells.
@@ -101,7 +104,9 @@ impl TrackRow<'_> {
         let segment = self.segment.map_or_else(String::new, |n| n.to_string());
         let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
         let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
-        let _ = writeln!(out, ",{touching},{segment},{regions}");
+        let _ = write!(out, ",{touching},{segment},{regions}");
+        cells(&mut out, self.several.map(|p| [p]).as_ref().map(|v| &v[..]), 1, 4);
+        out.push('\n');
         out
     }
 

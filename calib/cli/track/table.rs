@@ -113,9 +113,10 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
             touching: None,
             segment: row.segment,
             regions: &row.regions,
+            several: row.several,
         })?;
     }
-    let RowTracker { motion: motions, history: found, groove, .. } = tracker;
+    let RowTracker { motion: motions, history: found, groove, several_rows, .. } = tracker;
     let simulated = is_simulated(path) || loaded.file.provenance.simulated;
     if simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
@@ -127,6 +128,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
         "trained_on_simulation": loaded.card.trained_on_simulation,
         "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
+        "several_contacts": motion::several_summary(several_rows),
     });
     let on_object = object_score(path, &found.contacts_mm())?;
     summary["object"] = json!(on_object);
@@ -145,6 +147,7 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     }
     say_object_score(on_object.as_ref());
     motion::say(&motions, "", rows.len() as u64);
+    motion::say_several("", several_rows);
     if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
         eprintln!("{said}");
     }

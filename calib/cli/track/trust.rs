@@ -1,5 +1,6 @@
 //! What speaks against tracking with a calibration and a model.
 
+use crate::known_motion::contact_sentence;
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
@@ -129,6 +130,14 @@ pub fn calibration_issues(place: &Path) -> Result<(CalibrationFile<CalibrationMo
     Ok((file, issues))
 }
 
+/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
+pub fn say_contact_uncertainty(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
+    let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
+    if let Some(contact) = &file.contact_uncertainty {
+        eprintln!("{whose}{}", contact_sentence(contact));
+    }
+}
+
 /// A whisker's calibration judged beside a model's card, before the model itself is loaded.
 pub struct CheckedCalibration {
     name: String,
@@ -143,6 +152,11 @@ impl CheckedCalibration {
     /// Name in the rig.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The calibration.
+    pub fn file(&self) -> &CalibrationFile<CalibrationModel> {
+        &self.file
     }
 
     /// With its model.

@@ -225,6 +225,7 @@ impl<'a> Whiskers<'a> {
             let whose =
                 if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
             motion::say(&w.tracker.motion, &whose, w.rows);
+            motion::say_several(&whose, w.tracker.several_rows);
             if let Some(said) = w.tracker.groove.as_ref().and_then(KnownGroove::message) {
                 eprintln!("{whose}{said}");
             }
@@ -306,6 +307,7 @@ impl Whisker<'_> {
             touching: row.touching,
             segment: tracked.segment,
             regions: &tracked.regions,
+            several: tracked.several,
         };
         files.row(&row)?;
         Ok(row.message())
@@ -324,6 +326,7 @@ impl Whisker<'_> {
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
             "unusable_scans": self.unusable, "events": self.events, "segments": self.tracker.history.segments(), "noise": noise, "doubts": l.doubts.messages(),
             "untrained_motion": motion::summary(&self.tracker.motion), "known_groove": self.tracker.groove.as_ref().and_then(KnownGroove::summary),
+            "several_contacts": motion::several_summary(self.tracker.several_rows),
             "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
             "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
         })

@@ -114,7 +114,10 @@ fn surfaces(names: BTreeSet<String>, folder: Option<&Path>) -> anyhow::Result<BT
     let mut meshes = BTreeMap::new();
     for name in names {
         match objects::named(&name, folder) {
-            Ok(mesh) => drop(meshes.insert(name, mesh)),
+            Ok(mesh) => {
+                mesh.notes.iter().for_each(|note| eprintln!("warning: object {name}: {note}"));
+                meshes.insert(name, mesh);
+            }
             Err(_) if folder.is_none() => {
                 eprintln!("train: {name}: surface not known (--meshes): trained on the true contacts alone");
                 return Ok(BTreeMap::new());

@@ -2,6 +2,7 @@
 
 use crate::observation::WhiskerSpec;
 use crate::provenance::Provenance;
+use crate::verify_document::CalibrationContact;
 use serde::{Deserialize, Serialize};
 
 /// Format tag of `calibration.json`.
@@ -37,8 +38,11 @@ pub struct CalibrationFile<M> {
     /// The wire that it was made with; absent in older files and where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub whisker: Option<WhiskerSpec>,
-    /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where it is there, `whisker`;
-    /// tampering changes it.
+    /// Map U to contact U, where `verify` tracked the groove; absent in older files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_uncertainty: Option<CalibrationContact>,
+    /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where they are there, `whisker` and
+    /// `contact_uncertainty` (then with `null` for a whisker that is not); tampering changes it.
     pub content_sha256: String,
 }
 
@@ -50,10 +54,13 @@ impl<M: Serialize> CalibrationFile<M> {
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
         let model = serde_json::to_value(&self.model)?;
         let old = (&self.session, &self.verification, &self.expires, model, &self.provenance);
-        // Files from before the whisker keep their hash.
-        let body = match &self.whisker {
-            None => serde_json::to_vec(&old)?,
-            Some(whisker) => serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?,
+        // Files from before the whisker, and from before the contact's uncertainty, keep their hash.
+        let body = match (&self.whisker, &self.contact_uncertainty) {
+            (None, None) => serde_json::to_vec(&old)?,
+            (Some(whisker), None) => serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?,
+            (whisker, Some(contact)) => {
+                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker, contact))?
+            }
         };
         Ok(crate::provenance::sha256_hex(&body))
     }
@@ -63,6 +70,7 @@ impl<M: Serialize> CalibrationFile<M> {
 mod tests {
     use super::*;
     use crate::observation::RestShape;
+    use crate::verify_document::ContactUncertainty;
 
     fn whisker() -> WhiskerSpec {
         let rest_shape = RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: 60.0 };
@@ -85,6 +93,7 @@ mod tests {
             model: 7,
             provenance: Provenance::default(),
             whisker,
+            contact_uncertainty: None,
             content_sha256: String::new(),
         }
     }
@@ -102,6 +111,47 @@ mod tests {
         let again: CalibrationFile<u8> =
             serde_json::from_str(&serde_json::to_string(&with).unwrap()).unwrap();
         assert_eq!(again.compute_hash().unwrap(), hashes[1]);
+    }
+
+    #[test]
+    fn the_hash_covers_the_uncertainty_of_the_contact_and_that_of_older_files_stays() {
+        let row = ContactUncertainty {
+            arclength_mm: 23.0,
+            trajectories: 4,
+            moment_nmm: 1.2,
+            moment_u_nmm: 0.01,
+            contact_u_by_map_mm: 0.02,
+            contact_u_mm: 0.22,
+        };
+        let contact = CalibrationContact {
+            coverage_factor: 2.0,
+            method: "m".to_owned(),
+            split: "fit".to_owned(),
+            rows: vec![row],
+        };
+        let old = file(Some(whisker()));
+        // What was hashed before the field was there.
+        let body =
+            serde_json::to_vec(&("s", "verified", None::<()>, 7, &old.provenance, &old.whisker)).unwrap();
+        assert_eq!(old.compute_hash().unwrap(), crate::provenance::sha256_hex(&body));
+        assert!(!serde_json::to_string(&old).unwrap().contains("contact_uncertainty"));
+        let with = |contact: &CalibrationContact| CalibrationFile {
+            contact_uncertainty: Some(contact.clone()),
+            ..old.clone()
+        };
+        let hash = with(&contact).compute_hash().unwrap();
+        let smaller = CalibrationContact {
+            rows: vec![ContactUncertainty { contact_u_mm: 0.21, ..row }],
+            ..contact.clone()
+        };
+        let other_factor = CalibrationContact { coverage_factor: 1.0, ..contact.clone() };
+        for changed in [&smaller, &other_factor] {
+            assert_ne!(with(changed).compute_hash().unwrap(), hash);
+        }
+        assert_ne!(hash, old.compute_hash().unwrap());
+        let text = serde_json::to_string(&with(&contact)).unwrap();
+        let again: CalibrationFile<u8> = serde_json::from_str(&text).unwrap();
+        assert_eq!(again.compute_hash().unwrap(), hash);
     }
 
     #[test]

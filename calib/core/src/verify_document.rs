@@ -8,7 +8,8 @@ use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
 
 pub use errors::{
-    CalibrationJudgement, ContactUncertainty, EffectLeftOut, GrooveTracking, HeldOutError, MapLeftOut,
+    CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectLeftOut, GrooveTracking,
+    HeldOutError, MapLeftOut,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, SecondWitness, TwinCheck, TwinFault,

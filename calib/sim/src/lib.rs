@@ -20,6 +20,7 @@ pub mod recipe;
 pub mod rod_engine;
 pub mod shard;
 pub mod sweep;
+mod test_objects;
 
 pub use dataset::{Dataset, Missing, Survey, Total};
 pub use engine::{RodSweeps, SweepEngine};

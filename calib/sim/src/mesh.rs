@@ -123,7 +123,11 @@ impl Mesh {
         }
         let mut mesh = Self::new(&name, &points, &triangles)?;
         if metres {
-            mesh.notes.push(format!("longest side {size:.4}: taken as metres"));
+            let note = format!(
+                "expected millimetres, found an object of {size:.4} mm: taken as metres, {:.1} mm",
+                1e3 * size
+            );
+            mesh.notes.push(note);
         }
         Ok(mesh)
     }

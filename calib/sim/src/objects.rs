@@ -9,7 +9,9 @@ use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// Names of the built-in objects.
+pub use crate::test_objects::TEST_NAMES;
+
+/// Names of the built-in objects, without those set aside for tests.
 pub const NAMES: [&str; 12] = [
     "ball",
     "block",
@@ -75,21 +77,24 @@ pub fn built_in(name: &str) -> Result<Mesh, SimError> {
             [28.0, 70.0],
         ])),
         "wedge" => prism(&[[-30.0, -20.0], [40.0, -20.0], [-30.0, 30.0]], 60.0),
-        _ => {
-            return Err(SimError::Value {
-                what: "built-in object",
-                expected: format!("one of {}", NAMES.join(", ")),
-                found: name.to_owned(),
-            });
-        }
+        _ => crate::test_objects::parts(name).ok_or_else(|| SimError::Value {
+            what: "built-in object",
+            expected: format!(
+                "one of {}, or of the test objects {}",
+                NAMES.join(", "),
+                TEST_NAMES.join(", ")
+            ),
+            found: name.to_owned(),
+        })?,
     };
     Mesh::new(name, &points, &triangles)
 }
 
-type Parts = (Vec<Vector3<f64>>, Vec<[u32; 3]>);
+/// Points and triangles.
+pub(crate) type Parts = (Vec<Vector3<f64>>, Vec<[u32; 3]>);
 
 /// Radii and heights turned about z; ends that are off the axis are closed flat.
-fn revolved(profile: &[[f64; 2]]) -> Parts {
+pub(crate) fn revolved(profile: &[[f64; 2]]) -> Parts {
     let mut profile = profile.to_vec();
     if profile[0][0] > 0.0 {
         profile.insert(0, [0.0, profile[0][1]]);
@@ -119,7 +124,7 @@ fn revolved(profile: &[[f64; 2]]) -> Parts {
 }
 
 /// A curve through points (Catmull-Rom).
-fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+pub(crate) fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let n = points.len();
     let mut curve = Vec::new();
     for k in 0..n - 1 {
@@ -138,7 +143,7 @@ fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     curve
 }
 
-fn half_circle(radius_mm: f64, steps: usize) -> Vec<[f64; 2]> {
+pub(crate) fn half_circle(radius_mm: f64, steps: usize) -> Vec<[f64; 2]> {
     (0..=steps)
         .map(|k| {
             let a = PI * k as f64 / steps as f64;
@@ -159,10 +164,16 @@ fn polygon(corners: usize, radius_mm: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
 
 /// A polygon that its centre sees whole, counter-clockwise, with a height about z.
 fn prism(polygon: &[[f64; 2]], height_mm: f64) -> Parts {
+    let n = polygon.len() as f64;
+    let centre = polygon.iter().fold([0.0, 0.0], |a, p| [a[0] + p[0] / n, a[1] + p[1] / n]);
+    prism_from(polygon, height_mm, centre)
+}
+
+/// The same with a place that sees the polygon whole.
+pub(crate) fn prism_from(polygon: &[[f64; 2]], height_mm: f64, centre: [f64; 2]) -> Parts {
     let n = polygon.len();
     let ring = |z: f64| polygon.iter().map(move |[x, y]| Vector3::new(*x, *y, z));
     let mut points: Vec<Vector3<f64>> = ring(-height_mm / 2.0).chain(ring(height_mm / 2.0)).collect();
-    let centre = polygon.iter().fold([0.0, 0.0], |a, p| [a[0] + p[0] / n as f64, a[1] + p[1] / n as f64]);
     points.push(Vector3::new(centre[0], centre[1], -height_mm / 2.0));
     points.push(Vector3::new(centre[0], centre[1], height_mm / 2.0));
     let (below, above) = ((2 * n) as u32, (2 * n + 1) as u32);

@@ -8,6 +8,7 @@ use crate::sd_factors::SdFactors;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings};
 use crate::train_model::TrainingCost;
+use crate::two_contacts::reliability::PlattMap;
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 use rand::SeedableRng;
@@ -44,6 +45,10 @@ pub struct Card {
     /// errors of the gains, by the network's own spread. A stream's regions are stated with them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sd_on_bench: Option<[SdFactors; 2]>,
+    /// Maps that calibrate the probability of several contacts, from held-out objects: base's speed not known, and known. Cards from before
+    /// them state the network's own probability.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub several_maps: Option<[PlattMap; 2]>,
     /// Factors by class of object.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sd_factors_by_class: BTreeMap<String, ClassSpread>,
@@ -212,6 +217,13 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     if card.format != FORMAT {
         return Err(TrackError::value(format!("{}: format", path.display()), FORMAT, card.format));
     }
+    let filters = card.training.filters();
+    if card.network.check_filters(&filters).is_err() {
+        let count = |two: bool| if two { "two" } else { "one" };
+        let what = format!("{}: training: filters below the network", path.display());
+        let (expected, found) = (count(card.network.two_filters), count(filters.frictionless.is_some()));
+        return Err(TrackError::value(what, format!("{expected}, as the network weighs"), found));
+    }
     let weights = folder.join("model.safetensors");
     let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
     let found = sha256_hex(&bytes);
@@ -237,6 +249,7 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         inverse,
         filters: card.training.filters(),
         sd_factors: card.sd_factors.map(SdFactors::constant),
+        several_maps: card.several_maps.unwrap_or_default(),
         device: device.clone(),
     };
     tracker.check()?;

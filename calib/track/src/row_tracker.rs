@@ -9,7 +9,7 @@ use crate::contact_history::ContactHistory;
 use crate::filter::FilterBank;
 use crate::known_groove::KnownGroove;
 use crate::known_motion::Region;
-use crate::motion_judge::{MotionJudge, UnjudgedRow};
+use crate::motion_judge::{JudgedRow, MotionJudge, UnjudgedRow};
 use crate::network::Prediction;
 use crate::stream::BasePose;
 use crate::tare::Tare;
@@ -44,6 +44,8 @@ pub struct TrackedRow {
     pub flags: Flags,
     /// 95 % regions along the wire.
     pub regions: Vec<Region>,
+    /// Probability of several contacts; none without contact, or in a motion of which the network knows nothing.
+    pub several: Option<f64>,
     /// Contact interval that the row belongs to.
     pub segment: Option<u64>,
 }
@@ -61,7 +63,12 @@ pub struct RowTracker<'a> {
     pub history: ContactHistory,
     /// The groove that the answers are compared with, where it is known.
     pub groove: Option<KnownGroove>,
+    /// Rows with a probability of several contacts, and those at which several are more probable than one.
+    pub several_rows: [u64; 2],
 }
+
+/// Probability from which on a contact, or a second one, is more probable than not.
+const PROBABLE: f32 = 0.5;
 
 impl<'a> RowTracker<'a> {
     /// Of a whisker's model with filters that know the noise of its moments; `vouched`: a motion that is not known is as in training;
@@ -82,6 +89,7 @@ impl<'a> RowTracker<'a> {
             motion: MotionJudge::new(training, vouched),
             history: ContactHistory::new(whisker),
             groove: None,
+            several_rows: [0; 2],
         }
     }
 
@@ -107,10 +115,19 @@ impl<'a> RowTracker<'a> {
         }
         let answer = judged.as_ref().map(|j| &j.answer);
         let segment = self.history.row(t_s, answer, base, base_mm_s);
+        let several = judged.as_ref().and_then(several);
+        self.several_rows[0] += u64::from(several.is_some());
+        self.several_rows[1] += u64::from(several.is_some_and(|p| p > f64::from(PROBABLE)));
         let (answer, flags, regions) = match judged {
             Some(j) => (Some(j.answer), j.flags, j.regions),
             None => (None, Flags::default(), Vec::new()),
         };
-        TrackedRow { moments, answer, flags, regions, segment }
+        TrackedRow { moments, answer, flags, regions, segment, several }
     }
+}
+
+/// The network's probability of several contacts where it sees contact in a motion that it may know.
+fn several(row: &JudgedRow) -> Option<f64> {
+    let knows = row.answer.contact >= PROBABLE && !row.flags.has(Flags::UNTRAINED_MOTION);
+    knows.then_some(f64::from(row.answer.several))
 }

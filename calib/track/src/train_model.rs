@@ -13,12 +13,14 @@ use crate::sweep_series;
 use crate::sweep_series::SweepSeries;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings, TrainingData, train};
+use crate::two_contacts::reliability::{PlattMap, several_calls};
 use burn::tensor::Device;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wcal_core::observation::WhiskerSpec;
 use wcal_sim::Mesh;
+use wcal_sim::objects::TEST_NAMES;
 use wcal_sim::read::manifests;
 
 mod cost;
@@ -74,6 +76,9 @@ pub fn train_model(
     on_pass: impl FnMut(&Pass),
 ) -> Result<Card, TrackError> {
     let stopwatch = Stopwatch::start();
+    for folder in std::iter::once(request.sweeps).chain(request.additional.iter().map(PathBuf::as_path)) {
+        refuse_test_objects(folder)?;
+    }
     let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
     let eighth = (all.len() / 8).max(1);
     let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
@@ -129,6 +134,7 @@ pub fn train_model(
         inverse,
         filters: settings.filters(),
         sd_factors: [1.0; 2].map(SdFactors::constant),
+        several_maps: [PlattMap::default(); 2],
         device: device.clone(),
     };
     // A network without knots states no spread.
@@ -165,6 +171,7 @@ pub fn train_model(
         whisker: request.whisker.clone(),
         sd_factors,
         sd_on_bench: (!shifted_sweeps.is_empty()).then_some(on_bench),
+        several_maps: several_maps(&tracker, &held_out),
         sd_factors_by_class: spread_by_class(&held_out_regions, sd_factors, &request.classes),
         object_classes: request.classes.clone(),
         training: request.settings,
@@ -180,6 +187,26 @@ pub fn train_model(
     };
     save(request.out, &tracker.net, &mut card)?;
     Ok(card)
+}
+
+/// Objects that are set aside for tests are not trained on: a number on them must stay one on objects that chose no design.
+fn refuse_test_objects(folder: &Path) -> Result<(), TrackError> {
+    let objects = manifests(folder)?.into_iter().map(|(_, m)| m.object);
+    let set_aside: BTreeSet<String> = objects.filter(|name| TEST_NAMES.contains(&name.as_str())).collect();
+    if set_aside.is_empty() {
+        return Ok(());
+    }
+    let found = set_aside.into_iter().collect::<Vec<_>>().join(", ");
+    let expected = "none of the test objects, which no training may see (fixtures/test_objects)";
+    Err(TrackError::value(format!("{}: objects", folder.display()), expected, found))
+}
+
+/// Maps of the probability of several contacts from sweeps over held-out objects, base's speed not known and known; none where they have too
+/// few samples of either kind.
+#[must_use]
+pub fn several_maps(tracker: &Tracker, held_out: &[SweepSeries]) -> Option<[PlattMap; 2]> {
+    let of = |known: bool| PlattMap::fitted(&several_calls(tracker, held_out.iter(), known));
+    Some([of(false)?, of(true)?])
 }
 
 /// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.

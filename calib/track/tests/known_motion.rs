@@ -141,6 +141,35 @@ fn contacts_are_found_at_the_bound_and_their_regions_hold() {
     }
 }
 
+/// One reading of an episode off by hundreds of standard deviations: it is named and tells nothing. Control: where no reading can be an outlier,
+/// the place is off by many times the bound.
+#[test]
+fn a_gross_reading_is_named_and_draws_nothing() {
+    let case = drawn(3, Design::Paper);
+    let (field, settings) = (field(&case), Settings::default());
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let (mut robust, mut plain, mut bound_mm2, mut named, mut episodes_count) = (0.0, 0.0, 0.0, 0, 0);
+    for (mut episode, place) in episodes(&case) {
+        let path = ContactPath::new(&field, &episode).unwrap();
+        let truth = path.state_of(&place, 0, None).unwrap();
+        bound_mm2 += bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap().powi(2);
+        let loaded: Vec<usize> = (0..episode.rows.len()).filter(|&k| !episode.rows[k].free).collect();
+        // The deepest readings locate the contact.
+        let k = loaded[rng.random_range(loaded.len() / 2..loaded.len())];
+        episode.rows[k].moment_nmm[rng.random_range(0..2_usize)] += rng.random_range(0.3..3.0);
+        let found = locate(&field, &episode, &settings).unwrap();
+        named += usize::from(found.places[k].gross && found.disagreement.is_none());
+        robust += (found.places[0].place_mm.unwrap() - place).norm_squared();
+        let without = Settings { gross_share: 0.0, ..settings };
+        let found = locate(&field, &episode, &without).unwrap();
+        plain += found.places[0].place_mm.map_or(1e3, |at| (at - place).norm_squared());
+        episodes_count += 1;
+    }
+    // With three loaded readings of a pose each, one less doubles the bound at most; the errors scatter about it.
+    assert!(robust < 9.0 * bound_mm2 && plain > 100.0 * bound_mm2, "{robust} {plain} {bound_mm2} mm^2");
+    assert!(named >= episodes_count - 1, "{named} of {episodes_count}");
+}
+
 /// A push, a hold, a retraction, a lateral motion and a rotation of the base, by the tracker's own rod: what the plant's stage cannot do.
 fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

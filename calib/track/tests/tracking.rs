@@ -19,6 +19,7 @@ use wcal_track::sd_factors::SdFactors;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings};
 use wcal_track::train::{TrainSettings, TrainingData, best, train};
 use wcal_track::train_model::{Seconds, TrainingCost};
+use wcal_track::two_contacts::reliability::PlattMap;
 use wcal_track::untrained_motion::{MotionCheck, MotionSample, UntrainedMotion};
 use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
 
@@ -81,6 +82,7 @@ fn tracker(config: NetworkConfig) -> Tracker {
         inverse: inverse().clone(),
         filters: TrainSettings::default().filters(),
         sd_factors: [1.0; 2].map(SdFactors::constant),
+        several_maps: [PlattMap::default(); 2],
         device,
     }
 }
@@ -306,6 +308,7 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         whisker: whisker(),
         sd_factors: [1.0; 2],
         sd_on_bench: Some([1.5; 2].map(SdFactors::constant)),
+        several_maps: Some([PlattMap { slope: 0.5, offset: -0.1 }; 2]),
         sd_factors_by_class: BTreeMap::new(),
         object_classes: BTreeMap::new(),
         training: TrainSettings { filter: filters.frictional, ..TrainSettings::default() },
@@ -327,6 +330,11 @@ fn a_model_comes_back_from_its_files_and_a_damaged_one_does_not() {
         assert_eq!(card, read, "the same weights have one hash");
     }
     let all = samples(&all_series()["ball"][2]);
+    // The card's map acts on what the network states of several contacts, and on nothing else.
+    assert!(
+        before.track_series(&all).iter().zip(after.track_series(&all)).any(|(b, a)| b.several != a.several)
+    );
+    let before = Tracker { several_maps: after.several_maps, ..before };
     assert_eq!(before.track_series(&all), after.track_series(&all));
     let weights = folder.path().join("model.safetensors");
     let bytes = std::fs::read(&weights).unwrap();

@@ -115,3 +115,16 @@ pub struct ContactUncertainty {
     /// The same with the noise of the readings, mm.
     pub contact_u_mm: f64,
 }
+
+/// What a calibration makes of a contact whose motion is known: `contact_uncertainty` of calibration.json.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationContact {
+    /// k: expanded uncertainties are k standard deviations.
+    pub coverage_factor: f64,
+    /// How the uncertainties were computed.
+    pub method: String,
+    /// The readings whose trajectories and noise stand behind them: `holdout` (sealed) or `fit`.
+    pub split: String,
+    /// By arc length of first touch.
+    pub rows: Vec<ContactUncertainty>,
+}

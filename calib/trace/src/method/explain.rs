@@ -44,6 +44,14 @@ const LAW_PRICE: f64 = 2.0;
 /// Lead past which the p-value is 0 to any precision, and an exponential would be infinite.
 const MAX_LEAD: f64 = 300.0;
 
+/// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
+/// only where a verdict could rest on it.
+#[must_use]
+pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
+    let judge = Judge { sought: Sought::SUSPECTED, ..Judge::new(system, seed) };
+    Some(judge.noise(h, &[])?.0)
+}
+
 /// Estimates the noise of an explanation's residuals.
 pub struct Judge<'a> {
     system: &'a dyn MeasurementModel,

@@ -114,7 +114,8 @@ pub(crate) fn disagreement(
     Some(explained.map_or(Disagreement::Unexplained, |m| m.1))
 }
 
-fn too_large(chi2: f64, dof: f64) -> bool {
+/// Whether a chi-squared is too large for its degrees of freedom.
+pub(super) fn too_large(chi2: f64, dof: f64) -> bool {
     let chance = ChiSquared::new(dof.max(1.0)).map_or(1.0, |c| c.sf(chi2));
     !chi2.is_finite() || chance < LEVEL && chi2 > RATIO * dof
 }

@@ -4,17 +4,29 @@
 //! `L^-1 U = Q diag(l) V'`, residuals are whitened by `S^-1/2 = (1 + Q (diag(1 / sqrt(1 + l^2)) - 1) Q') L^-1`, and
 //! `ln det S = sum ln det B_k + sum ln(1 + l^2)`: linear in the number of readings.
 //!
-//! Outliers: with the squared normalised residual e^2, `P(regular) = (1 - eps) exp(-e^2 / 2) / ((1 - eps) exp(-e^2 / 2) + eps / h^2
-//! exp(-e^2 / 2 h^2))`, h = 10; the reading counts with the expected inverse variance, `R_k / (P + (1 - P) / h^2)` (the E step of
-//! A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat. Soc. B 39 (1977) 1).
+//! Outliers, with the squared normalised residual e^2 of a reading:
+//!
+//! ```text
+//! regular     p0 = (1 - eps) exp(-e^2 / 2)
+//! noisy       p1 = eps / h^2 exp(-e^2 / 2 h^2)                 h = 10
+//! anything    p2 = eps 2 |R|^1/2 / M^2                         uniform over moments up to M = 3 N mm: no information
+//! R_k / w,    w = (p0 + p1 / h^2) / (p0 + p1 + p2)             expected inverse variance
+//! ```
+//!
+//! Sources: the E step of A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat. Soc. B 39 (1977) 1; the uniform part: D. W. Hogg, J. Bovy, D. Lang,
+//! arXiv:1008.4686, 3.
 
 use super::Settings;
 use super::contact_path::{ContactPath, State};
 use crate::TrackError;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
-/// Standard deviation of outliers in units of the noise.
+/// Standard deviation of noisy outliers in units of the noise.
 const GROSS: f64 = 10.0;
+/// Largest moment of a wire pressed near its root, N mm: outliers that are anything lie below.
+const MAX_NMM: f64 = 3.0;
+/// Weight of a reading that is certainly an outlier.
+const NO_WEIGHT: f64 = 1e-9;
 /// A column with a norm below this (in standard deviations) is zero: the square root of the rounding error of its square.
 const MIN_NORM: f64 = 1e-6;
 /// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
@@ -46,18 +58,43 @@ impl Likelihood {
         settings: &Settings,
         at: Option<(&State, &Self)>,
     ) -> Result<Self, TrackError> {
+        let plain = vec![Weight::REGULAR; path.rows.len()];
+        let weights = at.map_or(plain, |(state, _)| weights(path, settings, state));
+        Self::weighted(path, settings, at.map(|(state, _)| state), &weights)
+    }
+
+    /// The plain one without a reading.
+    ///
+    /// # Errors
+    /// Where the covariance is not positive definite.
+    pub(crate) fn without(
+        path: &ContactPath<'_>,
+        settings: &Settings,
+        reading: usize,
+    ) -> Result<Self, TrackError> {
+        let mut weights = vec![Weight::REGULAR; path.rows.len()];
+        weights[reading] = Weight::OUTLIER;
+        Self::weighted(path, settings, None, &weights)
+    }
+
+    fn weighted(
+        path: &ContactPath<'_>,
+        settings: &Settings,
+        at: Option<&State>,
+        weights: &[Weight],
+    ) -> Result<Self, TrackError> {
         let rows = path.rows;
         let n = rows.len();
-        let regular = at.map_or_else(|| vec![1.0; n], |(state, _)| regular(path, settings, state));
-        // E[1/variance] of the mixture.
-        let gross = |r: &f64| r + (1.0 - r) / (GROSS * GROSS);
         // The interpolation error belongs to the prediction, so that an outlier's weight does not scale it.
         let table = |row: &super::MotionRow| {
             let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
             Matrix2::identity() * TABLE_SHARE.powi(2) * size2
         };
-        let mut blocks: Vec<Matrix2<f64>> =
-            rows.iter().zip(&regular).map(|(row, r)| row.noise_nmm2 / gross(r) + table(row)).collect();
+        let mut blocks: Vec<Matrix2<f64>> = rows
+            .iter()
+            .zip(weights)
+            .map(|(row, w)| row.noise_nmm2 / w.inverse_variance + table(row))
+            .collect();
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
         // Columns U: one for each common unknown, the last for the clock's offset.
         let mut modes = DMatrix::zeros(2 * n, shared + 1);
@@ -66,7 +103,7 @@ impl Likelihood {
                 (0..2).for_each(|c| modes[(2 * k + c, j)] = by[c]);
             }
         }
-        if let Some((state, _)) = at {
+        if let Some(state) = at {
             add_rod_changes(path, state, &mut modes);
             for (k, row) in rows.iter().enumerate().filter(|(k, _)| path.held(state, *k)) {
                 let Some(rate) = rate_by_place(path, state, k) else { continue };
@@ -101,6 +138,7 @@ impl Likelihood {
             column.scale_mut(if *size > MIN_NORM { 1.0 / size } else { 0.0 });
         }
         let shrink = sizes.map(|l| 1.0 / (1.0 + l * l).sqrt() - 1.0);
+        let regular = weights.iter().map(|w| w.regular).collect();
         Ok(Self { own, shared: (span, shrink), regular, ln_determinant })
     }
 
@@ -204,21 +242,42 @@ pub(crate) fn rate_by_place(
     Some(rate)
 }
 
-/// Probability that each reading is no outlier, from its residual under its own noise and the shared errors.
-fn regular(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<f64> {
-    let Some(moments) = path.moments(state) else { return vec![1.0; path.rows.len()] };
+/// How much a reading counts.
+#[derive(Debug, Clone, Copy)]
+struct Weight {
+    /// Probability that it is no outlier.
+    regular: f64,
+    /// Expected inverse variance in units of that of its noise (w of the module's head).
+    inverse_variance: f64,
+}
+
+impl Weight {
+    const REGULAR: Self = Self { regular: 1.0, inverse_variance: 1.0 };
+    const OUTLIER: Self = Self { regular: 0.0, inverse_variance: NO_WEIGHT };
+}
+
+/// Each reading's weight from its residual under its own noise and the shared errors.
+fn weights(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Vec<Weight> {
+    let eps = settings.gross_share;
+    let Some(moments) = path.moments(state).filter(|_| eps > 0.0) else {
+        return vec![Weight::REGULAR; path.rows.len()];
+    };
     let one = |(row, m): (&super::MotionRow, &[f64; 2])| {
         let mut own = row.noise_nmm2;
         for h in &row.shared_nmm {
             own += Matrix2::new(h[0] * h[0], h[0] * h[1], h[0] * h[1], h[1] * h[1]);
         }
         let off = Vector2::new(row.moment_nmm[0] - m[0], row.moment_nmm[1] - m[1]);
-        let Some(inverse) = own.try_inverse() else { return 1.0 };
+        let Some(inverse) = own.try_inverse() else { return Weight::REGULAR };
         let squared = off.dot(&(inverse * off));
-        let plain = (1.0 - settings.gross_share) * (-0.5 * squared).exp();
-        let gross = settings.gross_share / (GROSS * GROSS) * (-0.5 * squared / (GROSS * GROSS)).exp();
-        // Both densities underflow far away: an outlier.
-        if plain + gross > 0.0 { plain / (plain + gross) } else { 0.0 }
+        let plain = (1.0 - eps) * (-0.5 * squared).exp();
+        let noisy = eps / (GROSS * GROSS) * (-0.5 * squared / (GROSS * GROSS)).exp();
+        let anything = eps * 2.0 * own.determinant().max(0.0).sqrt() / (MAX_NMM * MAX_NMM);
+        let total = plain + noisy + anything;
+        Weight {
+            regular: plain / total,
+            inverse_variance: ((plain + noisy / (GROSS * GROSS)) / total).max(NO_WEIGHT),
+        }
     };
     path.rows.iter().zip(&moments).map(one).collect()
 }

@@ -15,10 +15,11 @@
 //! Likelihood, with the rod's equilibrium m(P) ([`field`]), K the map's sensitivity and c what all readings of a calibration share:
 //!
 //! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
-//! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k)`;
+//! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k) + eps U` (outliers: larger noise, or anything: [`likelihood`]);
 //!
 //! one standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
 //! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
+//! where the noise is correlated in time, that part of R_k is in further columns H ([`correlated`]).
 //! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + (s_d^2 + s_p^2) D_k D_k' + s_q^2 |m_k|^2 1) + H H' + T T'`
 //! ([`likelihood`]); s_p (mm) and s_q (relative) are the error of the interpolated m(P), which dominates where the noise is negligible.
 //!
@@ -33,6 +34,7 @@
 pub mod bound;
 pub mod check;
 pub mod contact_path;
+pub mod correlated;
 pub mod episodes;
 pub mod field;
 pub mod likelihood;
@@ -41,6 +43,7 @@ pub mod posterior;
 
 pub use bound::bound_mm;
 pub use check::{Disagreement, Innovations};
+pub use correlated::{CorrelatedShare, share_correlated};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Lost, Motion, MotionLog};
@@ -167,8 +170,13 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
         return Ok(Located { disagreement, innovations, ..Located::nothing(all) });
     };
     let (plain, dof) = likelihood.innovation(&path, &first.state);
-    // The covariance depends on the state (clock, noise of the motion, outliers): linearised at the mode, iterated (reweighting).
     let mut best = first;
+    if check::too_large(plain, dof)
+        && let Some((without, mode)) = without_one(&path, settings)?
+    {
+        (likelihood, best) = (without, mode);
+    }
+    // The covariance depends on the state (clock, noise of the motion, outliers): linearised at the mode, iterated (reweighting).
     for _ in 0..3 {
         likelihood = Likelihood::new(&path, settings, Some((&best.state, &likelihood)))?;
         match posterior::climb(&path, &likelihood, settings, &best.state) {
@@ -188,6 +196,43 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
         disagreement,
         innovations,
     })
+}
+
+/// Readings of an episode that are left out in turn, and readings from which on one outlier has little weight.
+const MAX_LEFT_OUT: usize = 6;
+const MAX_SEARCHED: usize = 60;
+
+/// The loaded readings that stand out most from the mean of their neighbours, first the farthest: along a smooth motion moments are smooth.
+fn standing_out(rows: &[MotionRow]) -> Vec<usize> {
+    let loaded: Vec<usize> = (0..rows.len()).filter(|&k| !rows[k].free).collect();
+    let off = |n: usize| {
+        let at = |n: usize| nalgebra::Vector2::from(rows[loaded[n.min(loaded.len() - 1)]].moment_nmm);
+        (at(n) - 0.5 * (at(n.saturating_sub(1)) + at(n + 1))).norm()
+    };
+    let mut order: Vec<(f64, usize)> = (0..loaded.len()).map(|n| (off(n), loaded[n])).collect();
+    order.sort_by(|a, b| b.0.total_cmp(&a.0));
+    order.into_iter().map(|o| o.1).take(MAX_LEFT_OUT).collect()
+}
+
+/// The mode without the one reading whose absence makes the others consistent; none where there is no such reading. A gross reading draws the
+/// least-squares mode away, from where its residual need not stand out (masking).
+fn without_one(
+    path: &ContactPath<'_>,
+    settings: &Settings,
+) -> Result<Option<(Likelihood, posterior::Mode)>, TrackError> {
+    if path.rows.len() > MAX_SEARCHED || settings.gross_share <= 0.0 {
+        return Ok(None);
+    }
+    let mut best: Option<(f64, Likelihood, posterior::Mode)> = None;
+    for k in standing_out(path.rows) {
+        let likelihood = Likelihood::without(path, settings, k)?;
+        let Some(mode) = posterior::modes(path, &likelihood, settings).into_iter().next() else { continue };
+        let (chi2, dof) = likelihood.innovation(path, &mode.state);
+        if !check::too_large(chi2, dof - 2.0) && best.as_ref().is_none_or(|b| chi2 < b.0) {
+            best = Some((chi2, likelihood, mode));
+        }
+    }
+    Ok(best.map(|(_, likelihood, mode)| (likelihood, mode)))
 }
 
 impl Located {

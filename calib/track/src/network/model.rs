@@ -40,7 +40,7 @@ pub type Output = Tensor<3>;
 pub struct Prediction {
     /// Probability of contact.
     pub contact: f32,
-    /// Probability of several, where there is one.
+    /// Probability of several contacts, where there is contact.
     pub several: f32,
     /// Mean place, base frame, mm.
     pub point_mm: [f32; 3],

@@ -63,6 +63,9 @@ pub struct MovedReading {
     pub visit: u32,
 }
 
+/// Largest share of the noise that is taken to be correlated: a reading always has some of its own.
+const MAX_CORRELATED: f64 = 0.98;
+
 /// A session through a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GrooveMotion {
@@ -72,6 +75,8 @@ pub struct GrooveMotion {
     pub changed: Vec<AcceptedWire>,
     /// Readings on trajectories, in order of time.
     pub readings: Vec<MovedReading>,
+    /// Share of the variance of the readings' noise that is correlated in time, and its time constant, s; none where none was found.
+    pub correlated: Option<[f64; 2]>,
 }
 
 /// Moments of a reading through a calibration.
@@ -171,7 +176,15 @@ fn through(
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let (SensedReadings { wire, changed, readings: sensed }, xs_mm) =
         through(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
-    Some(GrooveMotion { wire, changed, readings: readings(system, &xs_mm, &sensed) })
+    let mut readings = readings(system, &xs_mm, &sensed);
+    let correlated = model.correlated_noise.map(|c| {
+        // Both parts as they were found together: their sum need not be the floor's.
+        let variance_pm2 = c.sd_pm.powi(2) + c.own_sd_pm.powi(2);
+        let scale = variance_pm2 / model.noise_sd_pm.powi(2).max(f64::MIN_POSITIVE);
+        readings.iter_mut().for_each(|r| r.noise_nmm2 *= scale);
+        [(c.sd_pm.powi(2) / variance_pm2).min(MAX_CORRELATED), c.time_constant_s]
+    });
+    Some(GrooveMotion { wire, changed, readings, correlated })
 }
 
 /// Readings of a path without a stage, of a wire in air; as [`of_model`].
@@ -209,7 +222,8 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion>
     let sensed = system.path.readings.iter().map(|r| sensed_by_map(&mut predictor, r.shift_pm));
     let sensed: Vec<Sensed> = sensed.collect();
     let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
-    Some(GrooveMotion { wire, changed: Vec::new(), readings: readings(system, &xs, &sensed) })
+    let readings = readings(system, &xs, &sensed);
+    Some(GrooveMotion { wire, changed: Vec::new(), readings, correlated: None })
 }
 
 /// Readings without a stage by their compensated shifts (pm); as [`of_map`].
@@ -327,6 +341,7 @@ mod tests {
             coefficients: vec![[0.0, 0.0], [70.0, 5.0], [-5.0, 70.0]],
             covariance: (0..size).map(|i| (0..size).map(|j| covariance(i, j)).collect()).collect(),
             noise_sd_pm: 0.5,
+            correlated_noise: None,
             effects,
             seatings: 1,
             fbg: FbgSpec::default(),

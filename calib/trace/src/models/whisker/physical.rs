@@ -9,6 +9,7 @@ use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
+use crate::method::noise::Noise;
 use crate::scalar::ModelError;
 use crate::scalar::model::square;
 use crate::whisker::path::WhiskerPath;
@@ -30,6 +31,17 @@ pub struct AcceptedEffect {
     pub parameters: Vec<EffectParameter>,
 }
 
+/// The part of the readings' noise that is correlated in time (first-order Gauss-Markov process).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CorrelatedReadings {
+    /// Standard deviation, pm.
+    pub sd_pm: f64,
+    /// Standard deviation of the rest of a typical loaded reading's noise, pm.
+    pub own_sd_pm: f64,
+    /// Time constant, s.
+    pub time_constant_s: f64,
+}
+
 /// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PhysicalModel {
@@ -39,6 +51,9 @@ pub struct PhysicalModel {
     pub covariance: Vec<Vec<f64>>,
     /// Standard deviation of a typical loaded reading at a pose set anew, pm.
     pub noise_sd_pm: f64,
+    /// The part of that noise that is correlated in time; absent where none was found, and in files from before it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlated_noise: Option<CorrelatedReadings>,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
     /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
@@ -101,11 +116,26 @@ impl PhysicalModel {
             coefficients: coefficients.row_iter().map(|r| [r[0], r[1]]).collect(),
             covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
             noise_sd_pm,
+            correlated_noise: None,
             effects,
             seatings: system.seatings(),
             fbg: system.data.fbg.clone(),
             largest_moment_nmm: largest,
         }
+    }
+
+    /// With the correlated part of the readings' noise, where there is a clock to which it belongs; `noise_factor` goes from the engine's
+    /// channels to pm.
+    #[must_use]
+    pub fn with_correlated(self, noise: &Noise, noise_factor: f64, clock: bool) -> Self {
+        let part = noise.correlated.as_ref().filter(|_| clock);
+        let pose = noise.pose.map_or(0.0, |p| p.value);
+        let correlated_noise = part.map(|(sd, tau)| CorrelatedReadings {
+            sd_pm: sd.value * noise_factor,
+            own_sd_pm: noise.repeat.value.hypot(pose) * noise_factor,
+            time_constant_s: *tau,
+        });
+        Self { correlated_noise, ..self }
     }
 
     /// Sensitivity K, pm/(N mm): rows are channels.
@@ -152,6 +182,15 @@ impl PhysicalModel {
         }
         if self.noise_sd_pm < 0.0 {
             return Err(ModelError::shape("noise_sd_pm", "0 or more", self.noise_sd_pm));
+        }
+        let sound = |c: &CorrelatedReadings| c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
+        if let Some(c) = self.correlated_noise.filter(|c| !sound(c)) {
+            let found = format!("{} and {} pm, {} s", c.sd_pm, c.own_sd_pm, c.time_constant_s);
+            return Err(ModelError::shape(
+                "correlated_noise",
+                "positive deviations and a positive time",
+                found,
+            ));
         }
         Ok(())
     }

@@ -170,6 +170,7 @@ mod tests {
             coefficients,
             covariance,
             noise_sd_pm: 0.05,
+            correlated_noise: None,
             effects,
             seatings: 1,
             fbg: FbgSpec { temperature_compensated: true, ..FbgSpec::default() },

@@ -5,6 +5,7 @@ use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolabili
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
+use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
 use crate::verify::{Verification, VerifyOptions, verify};
 use std::collections::BTreeMap;
@@ -128,7 +129,15 @@ pub fn verify_whisker(
         predictions: prediction_rows(&whole, &unsealed.before.readings, &unsealed.after.readings),
         residuals: v.residuals,
         labels: check_labels(data, &system.path, &system.rod_tables),
-        model: PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd),
+        model: {
+            let noise = noise_for_predictions(&system, &conclusion.accepted, options.search.seed);
+            let (factor, clock) = (system.noise_factor(), system.path.columns.time);
+            PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd).with_correlated(
+                noise.as_ref().unwrap_or(&unsealed.noise),
+                factor,
+                clock,
+            )
+        },
         further: v.errors.further,
         branches: branches(&system),
         isolability: isolability(&system, &explained.found),

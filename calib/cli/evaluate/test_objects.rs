@@ -1,0 +1,112 @@
+//! The objects that are set aside for tests: network and Bayes filter side by side on sweeps drawn on the spot. All of it is SIMULATED.
+//!
+//! No setting may be chosen by looking at this table (fixtures/test_objects/README.md).
+
+use super::EvaluateArgs;
+use super::bounds::{TableBounds, over_bound, over_bound_text};
+use super::document::{intervals, mean, object, stated};
+use super::work::{SWEEP, Work, cost as cost_of};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use wcal_core::WhiskerSpec;
+use wcal_sim::objects::{TEST_NAMES, built_in};
+use wcal_sim::{Mesh, SweepPlan, Turn};
+use wcal_track::evaluate::{Method, score_objects};
+use wcal_track::filter::BayesSettings;
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
+use wcal_track::{StaticInverse, SweepSeries, Tracker};
+
+/// Seeds of these sweeps are no training's.
+const SEED: u64 = 0x7465_7374_6f62_6a73;
+/// Readings a second, and steps of the base in which jumps are distinguished from slides, mm, as in the paper's table.
+const RATE_HZ: f64 = 10.0;
+const STEP_MM: f64 = 0.1;
+/// Faces of an upright object, in turn.
+const FACES: usize = 4;
+
+/// Upright on four faces without jumps, as in the paper's table I, and at random turns.
+fn draws(sweeps: usize) -> [(&'static str, SweepPlan, usize); 2] {
+    let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
+    let upright = SweepPlan { turn: Turn::Faces, keep_jumps: false, step_mm: STEP_MM, ..plan.clone() };
+    [("upright", upright, sweeps.next_multiple_of(FACES)), ("random", plan, sweeps)]
+}
+
+/// Cost of the table (see `work`).
+pub fn cost(args: &EvaluateArgs) -> f64 {
+    if args.simulation_only {
+        return 0.0;
+    }
+    let sweeps: usize = draws(args.sweeps_each).iter().map(|d| d.2 * TEST_NAMES.len()).sum();
+    // Beside the network at both speeds, that of `SWEEP`, the filter at both.
+    2.0 * (SWEEP + 2.0) * sweeps as f64
+}
+
+/// The table for evaluation.json.
+///
+/// # Errors
+/// Where whisker or network cannot be used.
+pub fn table(
+    (tracker, inverse, whisker): (&Tracker, &StaticInverse, &WhiskerSpec),
+    args: &EvaluateArgs,
+    work: &Work<'_>,
+) -> anyhow::Result<Value> {
+    let meshes: BTreeMap<String, Mesh> = TEST_NAMES
+        .iter()
+        .map(|name| Ok(((*name).to_owned(), built_in(name)?)))
+        .collect::<Result<_, wcal_sim::SimError>>()?;
+    let multi_mu = BayesSettings::multi_mu();
+    let methods = [
+        ("network", true, Method::Network(tracker, true)),
+        ("network", false, Method::Network(tracker, false)),
+        ("bayes", true, Method::Bayes(inverse, true, &multi_mu)),
+        ("bayes", false, Method::Bayes(inverse, false, &multi_mu)),
+    ];
+    let mut rows = Vec::new();
+    for (turns, plan, sweeps) in &draws(args.sweeps_each) {
+        work.next(&format!("test objects, {turns}"), SWEEP * (TEST_NAMES.len() * sweeps) as f64);
+        let order = SweepRequest { whisker, plan, seed: args.seed ^ SEED, sweeps: *sweeps };
+        let mut all = BTreeMap::new();
+        for (name, mesh) in &meshes {
+            let series = generate_sweeps(mesh, &order)?;
+            if !series.is_empty() {
+                all.insert(name.clone(), series);
+            }
+        }
+        let table = TableBounds::new(inverse, [&all]);
+        let bounds = [false, true].map(|known| table.simulated(plan, known));
+        for (name, known, method) in &methods {
+            work.next(
+                &format!("test objects, {turns}, {name}"),
+                cost_of(method) * (TEST_NAMES.len() * sweeps) as f64,
+            );
+            let bounds = bounds[usize::from(*known)].as_ref();
+            let scores = score_objects(&|c: &SweepSeries| method.run(c), &all, &meshes, bounds)?;
+            let covers = mean(&scores, |o| o.all.coverage90.unwrap_or(f64::NAN));
+            rows.push(json!({"turns": turns, "method": name, "speed_known": known, "rmse_mm": mean(&scores, |o| o.all.rmse_mm),
+                "true_contact_rmse_mm": mean(&scores, |o| o.all.true_contact_rmse_mm), "coverage90": covers,
+                "bound": over_bound(&scores), "interval95": intervals(&scores),
+                "objects": scores.iter().map(|o| object(o, "test")).collect::<Vec<Value>>()}));
+        }
+    }
+    Ok(json!({"set_aside": "2026-11-25", "names": TEST_NAMES, "rows": rows}))
+}
+
+/// The table in the terminal.
+pub fn print(document: &Value) {
+    let rows = document["test_objects"]["rows"].as_array();
+    if rows.is_some() {
+        println!("test objects, which chose no design (surface, true contact, mm; coverage of 90 % regions)");
+    }
+    for r in rows.into_iter().flatten() {
+        let speed = if r["speed_known"] == true { "speed known" } else { "speed not known" };
+        println!(
+            "  {:8} {:8} {speed:16} {:>20} {:>20} {:>7.3}",
+            r["turns"].as_str().unwrap_or(""),
+            r["method"].as_str().unwrap_or(""),
+            stated(r, "rmse_mm"),
+            stated(r, "true_contact_rmse_mm"),
+            r["coverage90"].as_f64().unwrap_or(f64::NAN)
+        );
+        println!("{:35} {}", "", over_bound_text(&r["bound"]));
+    }
+}

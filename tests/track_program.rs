@@ -53,7 +53,12 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
     let again = good(&train);
     assert_eq!(again["weights_sha256"], card["weights_sha256"], "the training was finished");
-    let scores = good(&["evaluate", &sweeps, "--model", &model, "--out", &path("evaluation"), "--json"]);
+    let evaluate = ["evaluate", &sweeps, "--model", &model, "--sweeps-each", "4"];
+    let scores = good(&[&evaluate[..], &["--out", &path("evaluation"), "--json"]].concat());
+    // The objects set aside: two draws, network and filter, with and without the base's speed.
+    assert_eq!(scores["test_objects"]["rows"].as_array().unwrap().len(), 8, "{scores}");
+    let several = &scores["several_probability"]["uncalibrated"];
+    assert!(several["samples"].as_u64().unwrap() > 20 && several["brier"].is_number(), "{several}");
     assert_eq!(scores["simulated"], true);
     // Six methods on the unseen object and on the sweep kept back.
     assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");

@@ -213,7 +213,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         for (name, table) in maker.tables()? {
             document[name] = table;
         }
-        let of = (&tracker, &fine, &card.whisker);
+        let of = (&tracker, &card.whisker);
         document["test_objects"] = test_objects::table(of, args, &work)?;
     }
     drop(progress);

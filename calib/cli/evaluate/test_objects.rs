@@ -14,7 +14,7 @@ use wcal_sim::{Mesh, SweepPlan, Turn};
 use wcal_track::evaluate::{Method, score_objects};
 use wcal_track::filter::BayesSettings;
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
-use wcal_track::{StaticInverse, SweepSeries, Tracker};
+use wcal_track::{SweepSeries, Tracker};
 
 /// Seeds of these sweeps are no training's.
 const SEED: u64 = 0x7465_7374_6f62_6a73;
@@ -46,7 +46,7 @@ pub fn cost(args: &EvaluateArgs) -> f64 {
 /// # Errors
 /// Where whisker or network cannot be used.
 pub fn table(
-    (tracker, inverse, whisker): (&Tracker, &StaticInverse, &WhiskerSpec),
+    (tracker, whisker): (&Tracker, &WhiskerSpec),
     args: &EvaluateArgs,
     work: &Work<'_>,
 ) -> anyhow::Result<Value> {
@@ -58,8 +58,8 @@ pub fn table(
     let methods = [
         ("network", true, Method::Network(tracker, true)),
         ("network", false, Method::Network(tracker, false)),
-        ("bayes", true, Method::Bayes(inverse, true, &multi_mu)),
-        ("bayes", false, Method::Bayes(inverse, false, &multi_mu)),
+        ("bayes", true, Method::Bayes(&tracker.inverse, true, &multi_mu)),
+        ("bayes", false, Method::Bayes(&tracker.inverse, false, &multi_mu)),
     ];
     let mut rows = Vec::new();
     for (turns, plan, sweeps) in &draws(args.sweeps_each) {

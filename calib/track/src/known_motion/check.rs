@@ -90,7 +90,7 @@ impl Innovations {
     }
 
     /// Whether the innovations are consistent, a few outliers allowed.
-    fn consistent(&self) -> bool {
+    pub(crate) fn consistent(&self) -> bool {
         !too_large(self.robust, self.dof) && self.gross <= (self.rows / MAX_GROSS).max(1)
     }
 }

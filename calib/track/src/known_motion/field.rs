@@ -6,7 +6,7 @@
 //! there; [`MomentField::held`] refuses `s_c` beyond the true length. Nodes are solved by continuation from the free wire, which keeps to
 //! the branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix2x3, Vector3};
 use std::collections::HashMap;
 use std::sync::{Arc, RwLock};
 use wcal_core::observation::MomentAxes;
@@ -81,8 +81,8 @@ pub struct MomentField {
     /// Samples of the free wire: arc length and place.
     wire: Vec<(f64, Vector3<f64>)>,
     nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
-    /// Values of the 64 nodes around a cell; none where one is missing.
-    cells: RwLock<HashMap<Key, Option<Arc<Vec<Values>>>>>,
+    /// Values of the 64 nodes around a cell, ratio by ratio; none where one is missing.
+    cells: RwLock<HashMap<Key, Option<Arc<[[f64; 3]]>>>>,
 }
 
 fn place(key: &Key) -> Vector3<f64> {
@@ -91,6 +91,16 @@ fn place(key: &Key) -> Vector3<f64> {
 
 fn key_of(place_mm: &Vector3<f64>) -> Key {
     [0, 1, 2].map(|k| (place_mm[k] / PITCH_MM).round() as i32)
+}
+
+/// Derivatives of [`cubic`] by its argument.
+fn cubic_rate(u: f64) -> [f64; 4] {
+    [
+        -(3.0 * u * u - 6.0 * u + 2.0) / 6.0,
+        (3.0 * u * u - 4.0 * u - 1.0) / 2.0,
+        -(3.0 * u * u - 2.0 * u - 2.0) / 2.0,
+        (3.0 * u * u - 1.0) / 6.0,
+    ]
 }
 
 /// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
@@ -162,18 +172,77 @@ impl MomentField {
     /// lies beyond the tip.
     #[must_use]
     pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<Held> {
-        let scaled = place_mm / PITCH_MM;
-        let low = [0, 1, 2].map(|k| scaled[k].floor());
-        let cell = self.cell(low.map(|v| v as i32))?;
-        let [wx, wy, wz] = [0, 1, 2].map(|k| cubic(scaled[k] - low[k]));
-        let by_ratio = self.ratio_weights(ratio);
+        let (cell, [x, y, z]) = self.around(place_mm)?;
+        let [wx, wy, wz] = [x, y, z].map(cubic);
+        let by_ratio = &self.ratio_weights(ratio)[..cell.len() / 64];
         let mut sum = [0.0; 3];
-        for (n, values) in cell.iter().enumerate() {
+        for (n, values) in cell.chunks_exact(by_ratio.len()).enumerate() {
             let weight = wx[n / 16] * wy[n / 4 % 4] * wz[n % 4];
             for (value, by) in values.iter().zip(by_ratio) {
                 sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * by * v);
             }
         }
+        self.of_sums(place_mm, &sum)
+    }
+
+    /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
+    #[must_use]
+    pub fn held_and_rate(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<(Held, Matrix2x3<f64>)> {
+        let (cell, [x, y, z]) = self.around(place_mm)?;
+        let [wx, wy, wz] = [x, y, z].map(cubic);
+        let [rx, ry, rz] = [x, y, z].map(cubic_rate);
+        let by_ratio = &self.ratio_weights(ratio)[..cell.len() / 64];
+        let (mut sum, mut rates) = ([0.0; 3], [[0.0; 2]; 3]);
+        for (n, values) in cell.chunks_exact(by_ratio.len()).enumerate() {
+            let [i, j, k] = [n / 16, n / 4 % 4, n % 4];
+            let mut value = [0.0; 3];
+            for (v, by) in values.iter().zip(by_ratio) {
+                value.iter_mut().zip(v).for_each(|(s, v)| *s += by * v);
+            }
+            let by_axis = [rx[i] * wy[j] * wz[k], wx[i] * ry[j] * wz[k], wx[i] * wy[j] * rz[k]];
+            let weight = wx[i] * wy[j] * wz[k];
+            sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+            for (rate, by) in rates.iter_mut().zip(by_axis) {
+                (0..2).for_each(|c| rate[c] += by / PITCH_MM * value[c]);
+            }
+        }
+        // m = q / |P|^2.
+        let squared = place_mm.norm_squared();
+        let rate = |c: usize, a: usize| (rates[a][c] - 2.0 * sum[c] * place_mm[a] / squared) / squared;
+        Some((self.of_sums(place_mm, &sum)?, Matrix2x3::from_fn(rate)))
+    }
+
+    /// Fills the table for places up to `reach_mm` from the free wire, so that no reading of a stream has to wait for the rod.
+    pub fn fill(&self, reach_mm: f64) {
+        let mut cells: Vec<Key> = Vec::new();
+        let steps = (reach_mm / PITCH_MM).ceil() as i32;
+        for (_, wire) in self.wire.iter().step_by((PITCH_MM / WIRE_MM) as usize) {
+            let at = key_of(wire);
+            for n in 0..(2 * steps + 1).pow(3) {
+                let side = 2 * steps + 1;
+                let by = [n / side / side - steps, n / side % side - steps, n % side - steps];
+                let key = [at[0] + by[0], at[1] + by[1], at[2] + by[2]];
+                if (place(&key) - wire).norm() <= reach_mm {
+                    cells.push(key);
+                }
+            }
+        }
+        cells.sort_unstable();
+        cells.dedup();
+        cells.into_iter().for_each(|key| {
+            let _ = self.cell(key);
+        });
+        self.changed.iter().for_each(|changed| changed.fill(reach_mm));
+    }
+
+    /// The cell of a place, and where in it the place is, in each coordinate from 0 to 1.
+    fn around(&self, place_mm: &Vector3<f64>) -> Option<(Arc<[[f64; 3]]>, [f64; 3])> {
+        let scaled = place_mm / PITCH_MM;
+        let low = [0, 1, 2].map(|k| scaled[k].floor());
+        Some((self.cell(low.map(|v| v as i32))?, [0, 1, 2].map(|k| scaled[k] - low[k])))
+    }
+
+    fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<Held> {
         let squared = place_mm.norm_squared();
         (sum[2] <= self.length_mm).then_some(Held {
             moment_nmm: [sum[0] / squared - self.at_rest_nmm[0], sum[1] / squared - self.at_rest_nmm[1]],
@@ -191,7 +260,7 @@ impl MomentField {
         [0.5 * v * (v - 1.0), 1.0 - v * v, 0.5 * v * (v + 1.0)]
     }
 
-    fn cell(&self, low: Key) -> Option<Arc<Vec<Values>>> {
+    fn cell(&self, low: Key) -> Option<Arc<[[f64; 3]]>> {
         if let Some(known) = self.cells.read().ok()?.get(&low) {
             return known.clone();
         }
@@ -199,7 +268,7 @@ impl MomentField {
             let key = [low[0] + n / 16 - 1, low[1] + n / 4 % 4 - 1, low[2] + n % 4 - 1];
             self.node(key).map(|node| node.values.clone())
         });
-        let cell = around.collect::<Option<Vec<Values>>>().map(Arc::new);
+        let cell: Option<Arc<[[f64; 3]]>> = around.collect::<Option<Vec<Values>>>().map(|all| all.concat().into());
         self.cells.write().ok()?.insert(low, cell.clone());
         cell
     }

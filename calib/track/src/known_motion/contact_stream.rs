@@ -13,7 +13,6 @@
 //! ([`super::episodes`]).
 
 use super::check::{self, Disagreement};
-use super::contact_path::loaded;
 use super::posterior::Region;
 use super::{
     Episode, Innovations, MomentField, MotionRow, Place, RecursivePosterior, RecursiveSettings, check_row,
@@ -137,7 +136,7 @@ impl ContactStream {
             self.interrupt();
             self.piece = piece;
         }
-        let is_loaded = self.is_loaded(row);
+        let is_loaded = self.settings.is_loaded(row);
         if self.running.is_none() {
             self.begin(row, is_loaded, push);
         } else {
@@ -168,12 +167,6 @@ impl ContactStream {
     pub fn finish(&mut self) -> &[FinishedEpisode] {
         self.end();
         &self.finished
-    }
-
-    /// Whether a reading is loaded beyond its noise, the pose's included.
-    fn is_loaded(&self, row: &MotionRow) -> bool {
-        let Some(pose) = self.settings.pose else { return loaded(row) };
-        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + pose.covariance_nmm2, ..row.clone() })
     }
 
     /// Outside of an episode: the reading is one of the lead, or begins an episode.

@@ -24,7 +24,7 @@
 
 mod node;
 
-use super::contact_path::{BEFORE_MM, ContactPath};
+use super::contact_path::{BEFORE_MM, ContactPath, loaded};
 use super::posterior::{self, MAX_STEP_LN, NO_MASS, SCAN_MM};
 use super::{Innovations, MomentField, MotionRow, Place, Posterior, Settings};
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -55,6 +55,15 @@ pub struct RecursiveSettings {
     pub common: Settings,
     /// Noise from pose to pose; none where every reading has noise of its own alone.
     pub pose: Option<PoseNoise>,
+}
+
+impl RecursiveSettings {
+    /// Whether a reading is loaded beyond its noise, the pose's included.
+    #[must_use]
+    pub fn is_loaded(&self, row: &MotionRow) -> bool {
+        let Some(pose) = self.pose else { return loaded(row) };
+        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + pose.covariance_nmm2, ..row.clone() })
+    }
 }
 
 /// Posterior of an episode so far.
@@ -106,19 +115,17 @@ impl RecursivePosterior {
             let Some(mut node) = NodeFilter::new(&at_first, s_mm, BEFORE_MM - lowest) else { continue };
             node.start(&at_first);
             // Backwards in time from first touch: the state is constant, and the pose's noise is reversible.
-            let (mut before, mut bounded) = (middle_mm, false);
+            let mut before = middle_mm;
             for row in lead.iter().rev() {
                 let here = middle(field, &motion_since(first, row));
                 let reading = own.reading(field, row, (here - before).norm());
-                if !bounded && node.depth_mm(&reading) <= 0.0 {
-                    node.bound_onset(&reading);
-                    bounded = true;
-                }
                 node.update(&reading);
                 before = here;
             }
             node.renew_pose(&settings);
-            nodes.push(node);
+            if node.ln.is_finite() {
+                nodes.push(node);
+            }
         }
         own.readings += lead.len();
         own.nodes = nodes;
@@ -138,7 +145,7 @@ impl RecursivePosterior {
         };
         let mut after: Vec<NodeFilter> = before.iter().map(|n| take(n)).collect();
         // The grid before the reading is smooth where the one after it is not yet: refined there, and the reading taken again.
-        let mut between: Vec<NodeFilter> = Vec::new();
+        let mut between: Vec<NodeFilter>;
         for _ in 0..MAX_HALVINGS {
             let best = best_ln(&after);
             let kept = |k: usize| {
@@ -245,12 +252,14 @@ impl RecursivePosterior {
             turn,
             displacement_mm,
             correlation,
+            loaded: self.settings.is_loaded(row),
         }
     }
 
     /// The best node's logarithm is zero; nodes without mass go, but for one on each side of those that have some.
     fn normalise(&mut self) {
         let best = best_ln(&self.nodes);
+        self.nodes.retain(|n| n.ln.is_finite());
         self.nodes.iter_mut().for_each(|n| n.ln -= best);
         let has: Vec<bool> = self.nodes.iter().map(|n| n.ln > -NO_MASS).collect();
         let near = |k: usize| has[k.saturating_sub(1)..(k + 2).min(has.len())].iter().any(|h| *h);

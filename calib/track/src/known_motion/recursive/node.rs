@@ -13,6 +13,11 @@ const SETTLED_MM: f64 = 0.01;
 /// Iterations of an update; more at the first reading, before which the onset is not known.
 const ITERATIONS: usize = 3;
 const FIRST_ITERATIONS: usize = 12;
+/// Halvings of a step that leads out of the wire's reach.
+const SHORTENED: i32 = 4;
+/// A reading so many standard deviations from first touch is on one side of it, and bounds so far from each other say something new, mm.
+const NEAR_SDS: f64 = 4.0;
+const BOUND_STEP_MM: f64 = 0.1;
 /// Trial depths at the first reading, mm, each twice the one before.
 const FIRST_DEPTH_MM: f64 = 0.05;
 const TRIALS: usize = 9;
@@ -32,6 +37,8 @@ pub(super) struct Reading<'a> {
     pub displacement_mm: Vector3<f64>,
     /// Correlation rho of the pose's noise with that of the reading before.
     pub correlation: f64,
+    /// Loaded beyond its noise: the wire is held.
+    pub loaded: bool,
 }
 
 /// Gaussian of (x, g, c, tau, b) given the arc length.
@@ -49,12 +56,15 @@ pub(super) struct NodeFilter {
     /// Readings that were outliers, by probability; and that of the last.
     pub gross: f64,
     pub last_gross: f64,
+    /// Displacement along the push at which a reading bounded the onset last, mm.
+    bounded_mm: Option<f64>,
     /// Contact's arc length and place at the reading before, where the wire was held: friction remembers them.
     contact: Option<(f64, Vector3<f64>)>,
 }
 
 /// The reading linearised at a state.
 struct Linearised {
+    state: DVector<f64>,
     /// m(P), N mm.
     moment_nmm: Vector2<f64>,
     /// dy/dz.
@@ -63,6 +73,12 @@ struct Linearised {
     own: Matrix2<f64>,
     pose: Matrix2<f64>,
     contact: Option<(f64, Vector3<f64>)>,
+}
+
+/// Variance along the push of what is not known of a reading's motion, mm^2.
+fn moved_mm2(reading: &Reading<'_>) -> f64 {
+    let clock_mm = reading.row.velocity_mm_s.dot(&reading.push) * reading.settings.common.clock_sd_s;
+    reading.row.moved_sd_mm.powi(2) + clock_mm * clock_mm
 }
 
 fn ln_normal(squared: f64, determinant: f64) -> f64 {
@@ -89,6 +105,7 @@ impl NodeFilter {
             chi2: [0.0; 2],
             gross: 0.0,
             last_gross: 0.0,
+            bounded_mm: None,
             contact: None,
         };
         node.put(reading.field, &reading.push, s_mm)?;
@@ -112,12 +129,48 @@ impl NodeFilter {
         });
         let best = trials.min_by(|a, b| a.1.total_cmp(&b.1));
         self.mean[ONSET] = -best.map_or(FIRST_DEPTH_MM, |b| b.0);
-        self.iterate(reading, FIRST_ITERATIONS);
+        self.iterate(reading, FIRST_ITERATIONS, true);
+        // A loaded wire is held: the onset lies before this reading.
+        let past = self.depth_mm(reading);
+        self.bound_onset(-1.0, past, moved_mm2(reading));
     }
 
-    /// A further reading.
+    /// A further reading. One that may or may not be past first touch is taken both ways, and the two Gaussians are joined.
     pub fn update(&mut self, reading: &Reading<'_>) {
-        self.iterate(reading, ITERATIONS);
+        let depth_mm = self.depth_mm(reading);
+        let blur_mm2 = moved_mm2(reading);
+        let near_mm = NEAR_SDS * (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
+        if reading.row.free || reading.loaded || depth_mm.abs() > near_mm {
+            return self.iterate(reading, ITERATIONS, !reading.row.free && (reading.loaded || depth_mm > 0.0));
+        }
+        // Readings of one pose bound the onset once.
+        if self.bounded_mm.is_some_and(|at| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM) {
+            return self.iterate(reading, ITERATIONS, depth_mm > 0.0);
+        }
+        let mut held = self.clone();
+        held.bound_onset(-1.0, depth_mm, blur_mm2);
+        held.iterate(reading, ITERATIONS, true);
+        self.bounded_mm = Some(depth_mm + self.mean[ONSET]);
+        self.bound_onset(1.0, -depth_mm, blur_mm2);
+        self.iterate(reading, ITERATIONS, false);
+        self.join(held);
+    }
+
+    /// The mixture of this Gaussian and another as one of the same mean and covariance.
+    fn join(&mut self, other: Self) {
+        let larger = self.ln.max(other.ln);
+        let ln = larger + ((self.ln - larger).exp() + (other.ln - larger).exp()).ln();
+        let [a, b] = [self.ln, other.ln].map(|l| (l - ln).exp());
+        let off = &other.mean - &self.mean;
+        self.covariance = &self.covariance * a + &other.covariance * b + &off * off.transpose() * (a * b);
+        self.mean += off * b;
+        self.ln = ln;
+        self.chi2 = [0, 1].map(|k| a * self.chi2[k] + b * other.chi2[k]);
+        self.gross = a * self.gross + b * other.gross;
+        self.last_gross = a * self.last_gross + b * other.last_gross;
+        if b > a {
+            self.contact = other.contact;
+        }
     }
 
     /// State of the contact with its covariance.
@@ -165,7 +218,8 @@ impl NodeFilter {
         Some((held?, rate))
     }
 
-    fn linearised(&self, reading: &Reading<'_>, z: &DVector<f64>) -> Option<Linearised> {
+    /// With the wire held, or free.
+    fn linearised(&self, reading: &Reading<'_>, z: &DVector<f64>, held: bool) -> Option<Linearised> {
         let Reading { field, settings, row, .. } = reading;
         let common = row.shared_nmm.len();
         let mut slope = Matrix2xX::zeros(z.len());
@@ -177,13 +231,14 @@ impl NodeFilter {
         }
         let (place, touch) = (self.place_mm(reading, z), self.touch_mm(z));
         let mut found = Linearised {
+            state: z.clone(),
             moment_nmm: Vector2::zeros(),
             slope,
             own: row.noise_nmm2,
             pose: settings.pose.map_or(Matrix2::zeros(), |p| p.covariance_nmm2),
             contact: None,
         };
-        if row.free || (place - touch).dot(&reading.push) <= 0.0 {
+        if !held {
             return Some(found);
         }
         let (held, rate) = self.held(reading, &place, &touch)?;
@@ -229,8 +284,8 @@ impl NodeFilter {
     }
 
     /// Iterated Kalman update with the mixture of regular readings and outliers.
-    fn iterate(&mut self, reading: &Reading<'_>, iterations: usize) {
-        let Some(mut at) = self.linearised(reading, &self.mean) else { return self.unexplained(reading) };
+    fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
+        let Some(mut at) = self.linearised(reading, &self.mean, held) else { return self.unexplained() };
         self.carry_pose(reading, &at.pose);
         let (before, y) = (self.mean.clone(), Vector2::from(reading.row.moment_nmm));
         let mut z = before.clone();
@@ -245,7 +300,7 @@ impl NodeFilter {
             let wide = (GROSS * GROSS - 1.0) * (at.own + if reading.settings.pose.is_some() { at.pose } else { Matrix2::zeros() });
             let (regular, outlier) = (known + at.own, known + at.own + wide);
             let (Some(inverse), Some(inverse_wide)) = (regular.try_inverse(), outlier.try_inverse()) else {
-                return self.unexplained(reading);
+                return self.unexplained();
             };
             let squared = innovation.dot(&(inverse * innovation));
             let ln_regular = (1.0 - share).ln() + ln_normal(squared, regular.determinant());
@@ -257,7 +312,7 @@ impl NodeFilter {
             // The expected inverse variance, as in the batch.
             let wider = 1.0 / (is_regular + (1.0 - is_regular) / (GROSS * GROSS)) - 1.0;
             let used = regular + wide * (wider / (GROSS * GROSS - 1.0));
-            let Some(inverse_used) = used.try_inverse() else { return self.unexplained(reading) };
+            let Some(inverse_used) = used.try_inverse() else { return self.unexplained() };
             let gain = to_state.transpose() * inverse_used;
             let next = &before + &gain * innovation;
             let step = (next.fixed_rows::<2>(0) - z.fixed_rows::<2>(0)).norm();
@@ -273,42 +328,30 @@ impl NodeFilter {
                 self.contact = at.contact;
                 return;
             }
-            match self.linearised(reading, &z) {
+            // A step out of the wire's reach is shortened.
+            let step = &z - &at.state;
+            let reached = (0..SHORTENED).find_map(|k| {
+                let z = &at.state + &step * 0.5_f64.powi(k);
+                self.linearised(reading, &z, held)
+            });
+            match reached {
                 Some(next) => at = next,
-                None => return self.unexplained(reading),
+                None => return self.unexplained(),
             }
+            z.copy_from(&at.state);
         }
     }
 
-    /// A reading at which this node's wire has no equilibrium: an outlier of the size of its moment.
-    fn unexplained(&mut self, reading: &Reading<'_>) {
-        let row = reading.row;
-        let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
-        let noise2 = (0.5 * row.noise_nmm2.trace()).max(1e-18)
-            + reading.settings.pose.map_or(0.0, |p| 0.5 * p.covariance_nmm2.trace());
-        let share = reading.settings.common.gross_share.max(1e-300);
-        self.ln += share.ln() + ln_normal(1.0, (size2 + GROSS * GROSS * noise2).powi(2));
-        let squared = 1.0 + size2 / noise2;
-        self.chi2 = self.chi2.map(|c| c + squared);
-        self.last_gross = 1.0;
-        self.gross += 1.0;
-        self.contact = None;
+    /// The wire has no equilibrium here, or the numbers have none: no state of this node.
+    fn unexplained(&mut self) {
+        self.ln = f64::NEG_INFINITY;
     }
 
-    /// The wire was free when the object stood at this reading: the onset lies beyond it, to within what the noise hides.
-    ///
-    /// `p(x) <- p(x) Phi((x - x_k) / w)`, moments matched (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning",
-    /// 2006, 3.9).
-    pub fn bound_onset(&mut self, reading: &Reading<'_>) {
-        let Some((_, rate)) = reading.field.held_and_rate(&(self.wire_mm + reading.push * FIRST_DEPTH_MM), 0.0)
-        else {
-            return;
-        };
-        let stiffness = (rate * reading.push).norm().max(1e-9);
-        let pose2 = reading.settings.pose.map_or(0.0, |p| p.covariance_nmm2.trace());
-        let hidden_mm2 = 0.5 * (reading.row.noise_nmm2.trace() + pose2) / stiffness.powi(2);
-        let scale = (self.covariance[(ONSET, ONSET)] + hidden_mm2).sqrt();
-        let past = -self.depth_mm(reading) / scale;
+    /// `p(x) <- p(x) Phi(past / w)`, `past = sign (x - x_k)`, moments matched (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for
+    /// Machine Learning", 2006, 3.9).
+    fn bound_onset(&mut self, sign: f64, past_mm: f64, blur_mm2: f64) {
+        let scale = (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
+        let past = past_mm / scale;
         let share = normal_share(past).max(1e-300);
         self.ln += share.ln();
         // Ratio of density to probability; far outside its asymptote.
@@ -317,7 +360,7 @@ impl NodeFilter {
         } else {
             (-0.5 * past * past).exp() / std::f64::consts::TAU.sqrt() / share
         };
-        let column = self.covariance.column(ONSET).clone_owned() / scale;
+        let column = self.covariance.column(ONSET).clone_owned() * (sign / scale);
         self.mean += &column * ratio;
         self.covariance -= &column * column.transpose() * (ratio * (ratio + past));
     }

@@ -4,11 +4,14 @@ mod feed;
 mod groove;
 mod known_motion;
 mod live;
+mod located;
 mod moments_alone;
 mod motion;
 mod motion_log;
 mod motion_table;
 mod output;
+mod recorded_motion;
+mod stream_motion;
 mod surface;
 mod table;
 mod trust;
@@ -172,9 +175,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             (None, Some(table)) if table.is_file() && table.extension().is_none_or(|e| e != "mcap") => {
                 motion_table::track(args, table)
             }
-            _ => {
-                bail!("--model: expected one for a stream, found none (tables and session folders need none)")
-            }
+            _ => along_stream(args),
         };
     }
     let (source, rig) = source(args)?;
@@ -195,8 +196,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         judged.push(one);
     }
     for (one, doubt) in judged.iter().flat_map(|j| j.doubts.messages().into_iter().map(move |d| (j, d))) {
-        let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
-        eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
+        say_doubt(args, one.name(), &doubt);
     }
     if judged.iter().any(|j| !j.doubts.none()) && !args.force {
         return Ok(ExitCode::from(4));
@@ -228,6 +228,34 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (Source::Interrogator, Some((place, rig))) => live::track(args, &place, &rig, &loaded),
         (_, None) => bail!("expected --rig RIG for a stream, found none"),
     }
+}
+
+/// Tracks a stream without a network, along its motion.
+fn along_stream(args: &TrackArgs) -> Result<ExitCode> {
+    motion_table::check_accuracy(args)?;
+    let (source, Some((place, rig))) = source(args)? else {
+        bail!("expected --rig RIG for a stream, found none");
+    };
+    let names: Vec<String> = rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect();
+    let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
+    let all = names.iter().map(|n| WhiskerModel::without_network(n, &calibrations[n]));
+    let loaded = all.collect::<Result<Vec<_>>>()?;
+    for (one, doubt) in loaded.iter().flat_map(|l| l.doubts.messages().into_iter().map(move |d| (l, d))) {
+        say_doubt(args, &one.name, &doubt);
+    }
+    if loaded.iter().any(|l| !l.doubts.none()) && !args.force {
+        return Ok(ExitCode::from(4));
+    }
+    match source {
+        Source::Recordings(parts) => live::replay(args, &parts, &place, &rig, &loaded),
+        _ => live::track(args, &place, &rig, &loaded),
+    }
+}
+
+/// Says what speaks against a whisker's calibration or model.
+fn say_doubt(args: &TrackArgs, name: &str, doubt: &str) {
+    let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+    eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
 }
 
 /// The points table of a session folder.

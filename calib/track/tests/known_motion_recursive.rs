@@ -6,6 +6,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
+use std::sync::Arc;
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
 use wcal_track::known_motion::contact_path::State;
@@ -250,10 +251,11 @@ fn streamed(stream: &mut ContactStream, press: &Press, factor: f64, push: Option
 
 #[test]
 fn a_stream_finds_its_episodes_and_doubts_a_reversed_motion() {
+    let wire = Arc::new(field(Friction::NONE));
     let (mut named, mut doubted, mut plain, mut all) = (0, 0, 0, 0);
     for seed in 0..12 {
-        let stream = || ContactStream::new(field(Friction::NONE), settings(None));
-        let Some(press) = press(&field(Friction::NONE), seed, ALL) else { continue };
+        let stream = || ContactStream::new(Arc::clone(&wire), settings(None));
+        let Some(press) = press(&wire, seed, ALL) else { continue };
         all += 1;
         let (episodes, off) = streamed(&mut stream(), &press, 1.0, None);
         assert_eq!(episodes.len(), 1, "{seed}: {episodes:?}");

@@ -20,6 +20,7 @@ use super::{
 use crate::TrackError;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// Free readings before a contact that belong to it, and their smallest distance, mm: readings of one pose say the same.
 const LEAD: usize = 12;
@@ -32,8 +33,6 @@ const MIN_LOADED: usize = 3;
 const BACK_MM: f64 = 0.3;
 /// Readings of an episode that are kept to name a disagreement; of more, every second, fourth, ...
 const KEPT: usize = 48;
-/// The moments' table is filled so far from the wire before the first reading, mm.
-const REACH_MM: f64 = 10.0;
 
 /// What is known after a reading.
 #[derive(Debug, Clone, Default)]
@@ -86,7 +85,7 @@ struct Running {
 
 /// Locates contacts reading by reading.
 pub struct ContactStream {
-    field: MomentField,
+    field: Arc<MomentField>,
     settings: RecursiveSettings,
     lead: VecDeque<MotionRow>,
     /// Loaded readings whose motion has no direction yet.
@@ -100,10 +99,9 @@ pub struct ContactStream {
 }
 
 impl ContactStream {
-    /// Past a wire; its table of moments is filled here.
+    /// Past a wire. Where readings must not wait for the rod, its table is filled before ([`MomentField::fill`]).
     #[must_use]
-    pub fn new(field: MomentField, settings: RecursiveSettings) -> Self {
-        field.fill(REACH_MM);
+    pub fn new(field: Arc<MomentField>, settings: RecursiveSettings) -> Self {
         Self {
             field,
             settings,

@@ -44,6 +44,8 @@ pub struct BaseMotion {
 
 /// Longest interval between positions over which they are interpolated, s.
 const MAX_GAP_S: f64 = 0.5;
+/// Time by which the last positions are continued, s: the filter's last weights fall on positions that are still to come.
+const AHEAD_S: f64 = 0.1;
 /// Positions that are kept, s.
 const KEPT_S: f64 = 10.0;
 
@@ -63,6 +65,28 @@ impl BaseMotion {
         while self.way.front().is_some_and(|first| first.0 < t_s - KEPT_S) {
             self.way.pop_front();
         }
+    }
+
+    /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over a filter's times and weights
+    /// ([`LowPass::kernel`](super::LowPass::kernel)); none where the base is not carried or its positions do not reach so far.
+    #[must_use]
+    pub fn averaged(&self, t_s: f64, kernel: &[(f64, f64)]) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let along = self.along?;
+        let (mut way_mm, mut speed_mm_s) = (0.0, 0.0);
+        for (offset_s, weight) in kernel {
+            let (way, speed) = self.way(t_s + offset_s)?;
+            way_mm += weight * way;
+            speed_mm_s += weight * speed;
+        }
+        Some((along * way_mm, along * speed_mm_s))
+    }
+
+    /// Position and speed of the stage at a time (mm, mm/s); the last positions are continued for [`AHEAD_S`].
+    fn way(&self, t_s: f64) -> Option<(f64, f64)> {
+        let after = self.way.partition_point(|p| p.0 <= t_s).min(self.way.len().checked_sub(1)?);
+        let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
+        let speed = (b.1 - a.1) / (b.0 - a.0);
+        (b.0 - a.0 <= MAX_GAP_S && t_s <= b.0 + AHEAD_S).then_some((a.1 + speed * (t_s - a.0), speed))
     }
 
     /// The pose at a time between two positions that are near enough; none where there are none.

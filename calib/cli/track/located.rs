@@ -176,7 +176,7 @@ impl<'a> RowLocator<'a> {
                 };
                 json!({
                     "method": "known-motion", "place": "axis of the wire at the contact, base frame",
-                    "lost_rows": own.tracker.lost(), "disagreeing_rows": own.tracker.disagreeing(),
+                    "end_rmse_mm": own.end_rmse_mm(), "lost_rows": own.tracker.lost(), "disagreeing_rows": own.tracker.disagreeing(),
                     "contacts": own.episodes.iter().map(contact).collect::<Vec<_>>(),
                 })
             }
@@ -185,6 +185,12 @@ impl<'a> RowLocator<'a> {
 }
 
 impl ByMotion {
+    /// RMS error on the known groove at the end of each contact, mm.
+    fn end_rmse_mm(&self) -> Option<f64> {
+        let spans: Vec<[f64; 2]> = self.episodes.iter().map(|e| e.span_s).collect();
+        self.tracker.groove.as_ref()?.end_rmse_mm(&spans)
+    }
+
     fn say(&self, whose: &str, rows: u64) {
         let lost: u64 = self.tracker.lost().values().sum();
         if lost > 0 {
@@ -202,6 +208,9 @@ impl ByMotion {
                 "warning: {whose}contact {number}: {said} (chi2 {:.0} for {:.0} degrees of freedom); marked motion-disagrees in status",
                 i.plain, i.dof
             );
+        }
+        if let Some(mm) = self.end_rmse_mm() {
+            eprintln!("{whose}known groove, last reading of each contact: off by {mm:.2} mm RMS");
         }
         if self.episodes.is_empty() {
             eprintln!("{whose}no contact: no row is loaded beyond its noise where the motion is known");

@@ -142,7 +142,7 @@ impl MotionRowTracker {
                 self.interrupt();
                 nothing
             }
-            (Some(m), Err(why)) => self.by_moments_alone(&m, *why, nothing)?,
+            (Some(m), Err(why)) => self.by_moments_alone(&m, row.noise_nmm2, *why, nothing)?,
             (Some(m), Ok(motion)) => self.along(row, &m, motion, nothing)?,
         };
         if let (Some(groove), Some(answer)) = (&mut self.groove, &tracked.answer) {
@@ -199,11 +199,15 @@ impl MotionRowTracker {
     fn by_moments_alone(
         &mut self,
         m: &StreamMoments,
+        noise_nmm2: Option<Matrix2<f64>>,
         why: Lost,
         nothing: TrackedRow,
     ) -> Result<TrackedRow, TrackError> {
         self.interrupt();
-        if m.moment_nmm[0].hypot(m.moment_nmm[1]) <= LOADED_SDS * m.sd_nmm[0].hypot(m.sd_nmm[1]) {
+        // The row's own noise may be larger than that from pose to pose, which is one of averages.
+        let own = noise_nmm2.map_or(0.0, |n| n.trace());
+        let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();
+        if m.moment_nmm[0].hypot(m.moment_nmm[1]) <= LOADED_SDS * sd_nmm {
             return Ok(nothing);
         }
         *self.lost.entry(why.name()).or_default() += 1;

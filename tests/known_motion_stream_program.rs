@@ -2,6 +2,7 @@
 //! (SIMULATED).
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
+#[allow(dead_code, reason = "this test moves no stage of its own")]
 mod live_bench;
 
 use live_bench::{Bench, repository, reseal, text, wcal};
@@ -35,9 +36,10 @@ impl Run {
         &self.summary["whiskers"][0]
     }
 
+    /// RMS error at the last reading of each contact: at the first depth the arc length is not known yet.
     #[track_caller]
-    fn rmse_mm(&self) -> f64 {
-        self.whisker()["known_groove"]["rmse_mm"].as_f64().unwrap_or_else(|| panic!("{}", self.said))
+    fn end_mm(&self) -> f64 {
+        self.whisker()["end_rmse_mm"].as_f64().unwrap_or_else(|| panic!("{}", self.said))
     }
 
     fn column(&self, name: &str) -> Vec<&str> {
@@ -160,9 +162,11 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
     assert!(matches!(run.code, Some(0 | 3)), "{:?}: {}", run.code, run.said);
     let (whisker, groove) = (run.whisker(), &run.whisker()["known_groove"]);
     assert_eq!((&whisker["method"], &run.summary["motion"]["source"]), (&"known-motion".into(), &"stage carries the groove".into()));
-    assert_eq!(whisker["contacts"].as_array().unwrap().len(), 9, "{whisker}");
+    // Nine trajectories, and the sync move before them.
+    assert_eq!(whisker["contacts"].as_array().unwrap().len(), 10, "{whisker}");
     assert!(groove["compared"].as_u64() >= Some(25), "{groove}");
-    assert!(run.rmse_mm() < 1.0 && groove["coverage90"].as_f64() > Some(0.8), "{groove}");
+    assert!(run.end_mm() < 0.5 && groove["median_mm"].as_f64() < Some(0.5), "{groove}");
+    assert!(groove["coverage90"].as_f64() > Some(0.8), "{groove}");
     assert!(run.with_status("motion-disagrees") * 20 <= run.cells.len(), "{}", run.said);
     // In contact each row has its regions.
     let (p, regions) = (run.column("contact_probability"), run.column("arclength_regions95"));
@@ -206,7 +210,7 @@ fn controls(swept: &Swept, good: &Run) {
     let run = swept.track("rig.toml", "other.json", &[]);
     println!("other calibration: {:?} {}", run.code, run.said);
     assert!(matches!(run.code, Some(3 | 4)), "{}", run.said);
-    assert!(run.rmse_mm() > 3.0 * good.rmse_mm(), "{}", run.said);
+    assert!(run.end_mm() > 5.0 * good.end_mm(), "{}", run.said);
 }
 
 /// The same motion as a log beside the recording, and logs that cannot be used.
@@ -222,11 +226,11 @@ fn logs(swept: &Swept, by_stage: &Run) {
     println!("log: {:?} {}", run.code, run.said);
     assert!(matches!(run.code, Some(0 | 3)) && run.said.contains("jumps"), "{}", run.said);
     assert_eq!(run.summary["motion"]["source"], "log");
-    assert!(run.rmse_mm() < 1.5 * by_stage.rmse_mm() + 0.2, "{} {}", run.rmse_mm(), by_stage.rmse_mm());
+    assert!(run.end_mm() < 2.0 * by_stage.end_mm() + 0.2, "{} {}", run.end_mm(), by_stage.end_mm());
     // A clock that is ahead, and told.
     write_log(&log, &rows, |_, t| (t + 7.0).to_string());
     let told = along(&["--motion-offset-s", "7"]);
-    assert!((told.rmse_mm() - run.rmse_mm()).abs() < 0.05, "{} {}", told.rmse_mm(), run.rmse_mm());
+    assert!((told.end_mm() - run.end_mm()).abs() < 0.02, "{} {}", told.end_mm(), run.end_mm());
 
     // Refused by name, and nothing is written.
     let refused = |what: &str, cell: &dyn Fn(usize, f64) -> String| {

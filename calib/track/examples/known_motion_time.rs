@@ -1,7 +1,8 @@
 //! Time of a reading in the recursive posterior of known motion, on one core: `cargo run --release -p wcal-track --example known_motion_time`.
 //!
 //! SIMULATED presses, a row every 2.5 ms at 4 mm/s, twelve unknowns that all readings share. Printed: rows a second, quantiles of single
-//! readings, the largest number of nodes.
+//! readings. On Linux readings during which the system gave the core to another process are left out and counted (`preempted`): on a busy
+//! machine they measure its scheduler.
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,
@@ -58,9 +59,15 @@ fn press(field: &MomentField, seed: u64, shared: usize) -> Vec<MotionRow> {
     ways.enumerate().map(row).collect()
 }
 
+/// How often the core was taken from this thread; 0 where the system does not say.
+fn preemptions() -> u64 {
+    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("nonvoluntary_ctxt_switches:"));
+    line.and_then(|n| n.trim().parse().ok()).unwrap_or(0)
+}
+
 fn main() {
     let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).expect("a wire");
-    let begun = Instant::now();
     let pose =
         Some(PoseNoise { covariance_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM, length_mm: 0.5 });
     let settings =
@@ -69,19 +76,24 @@ fn main() {
         [("none", Friction::NONE), ("0.2", Friction { coefficient: 0.2, moving_share: 1.0 })]
     {
         let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), friction));
+        let begun = Instant::now();
         field.fill(10.0);
         let fill_s = begun.elapsed().as_secs_f64();
         for shared in [4, 12] {
-            let (mut each_us, mut rows) = (Vec::new(), 0);
+            let (mut each_us, mut rows, mut preempted) = (Vec::new(), 0, 0);
             for seed in 0..6 {
                 let press = press(&field, seed, shared);
                 let mut stream = ContactStream::new(Arc::clone(&field), settings);
                 for row in &press {
+                    let before = preemptions();
                     let start = Instant::now();
                     let found = stream.push(row, 0, None).expect("a sound reading");
                     // Free readings before the contact cost nothing.
-                    if found.place.is_some() {
-                        each_us.push(start.elapsed().as_secs_f64() * 1e6);
+                    let us = start.elapsed().as_secs_f64() * 1e6;
+                    match (found.place.is_some(), preemptions() == before) {
+                        (true, true) => each_us.push(us),
+                        (true, false) => preempted += 1,
+                        _ => {}
                     }
                     rows += 1;
                 }
@@ -90,7 +102,7 @@ fn main() {
             each_us.sort_by(f64::total_cmp);
             let at = |q: f64| each_us[((each_us.len() - 1) as f64 * q) as usize];
             println!(
-                "{{\"example\":\"known_motion_time\",\"simulated\":true,\"friction\":\"{name}\",\"shared\":{shared},\"rows\":{rows},\"in_contact\":{},\
+                "{{\"example\":\"known_motion_time\",\"simulated\":true,\"friction\":\"{name}\",\"shared\":{shared},\"rows\":{rows},\"in_contact\":{},\"preempted\":{preempted},\
                  \"rows_per_s\":{:.0},\"p50_us\":{:.0},\"p99_us\":{:.0},\"p999_us\":{:.0},\"worst_us\":{:.0},\"fill_s\":{fill_s:.2}}}",
                 each_us.len(),
                 each_us.len() as f64 / total_s,

@@ -115,7 +115,7 @@ impl<'a> ContactPath<'a> {
     }
 
     /// Where a point that is at `place_mm` at the reference reading is at another, mm.
-    fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
+    pub(crate) fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
         let (turn, displacement) = &self.motions[row];
         turn * place_mm + displacement
     }
@@ -247,8 +247,8 @@ pub(crate) fn play(
     friction: f64,
     s_mm: &mut f64,
 ) -> Option<Held> {
-    let [low, free, high] =
-        [-friction, 0.0, friction].map(|r| field.held(at, r).map(|h| h.arclength_mm));
+    let here = field.at_place(at)?;
+    let [low, free, high] = [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
     let (low, free, high) = (low?, free?, high?);
     *s_mm = s_mm.clamp(low.min(high), low.max(high));
     // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.
@@ -268,7 +268,7 @@ pub(crate) fn play(
             break;
         }
         ratio = a.0 - a.1 * (b.0 - a.0) / (b.1 - a.1);
-        value = field.held(at, ratio)?.arclength_mm - *s_mm;
+        value = here.held(ratio)?.arclength_mm - *s_mm;
     }
-    field.held(at, ratio)
+    here.held(ratio)
 }

@@ -49,6 +49,22 @@ pub struct Held {
     pub arclength_mm: f64,
 }
 
+/// Interpolated values at a place: what is left is the parabola through the ratios.
+pub(crate) struct AtPlace<'a> {
+    field: &'a MomentField,
+    place_mm: Vector3<f64>,
+    sums: [[f64; 3]; 3],
+}
+
+impl AtPlace<'_> {
+    /// As [`MomentField::held`].
+    pub fn held(&self, ratio: f64) -> Option<Held> {
+        let by_ratio = self.field.ratio_weights(ratio);
+        let sum = [0, 1, 2].map(|k| self.sums.iter().zip(by_ratio).map(|(s, by)| by * s[k]).sum());
+        self.field.of_sums(&self.place_mm, &sum)
+    }
+}
+
 /// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
 type Values = Vec<[f64; 3]>;
 
@@ -172,17 +188,22 @@ impl MomentField {
     /// lies beyond the tip.
     #[must_use]
     pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<Held> {
+        self.at_place(place_mm)?.held(ratio)
+    }
+
+    /// The values at a place under every ratio.
+    pub(crate) fn at_place(&self, place_mm: &Vector3<f64>) -> Option<AtPlace<'_>> {
         let (cell, [x, y, z]) = self.around(place_mm)?;
         let [wx, wy, wz] = [x, y, z].map(cubic);
-        let by_ratio = &self.ratio_weights(ratio)[..cell.len() / 64];
-        let mut sum = [0.0; 3];
-        for (n, values) in cell.chunks_exact(by_ratio.len()).enumerate() {
+        let ratios = cell.len() / 64;
+        let mut sums = [[0.0; 3]; 3];
+        for (n, values) in cell.chunks_exact(ratios).enumerate() {
             let weight = wx[n / 16] * wy[n / 4 % 4] * wz[n % 4];
-            for (value, by) in values.iter().zip(by_ratio) {
-                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * by * v);
+            for (sum, value) in sums.iter_mut().zip(values) {
+                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
             }
         }
-        self.of_sums(place_mm, &sum)
+        Some(AtPlace { field: self, place_mm: *place_mm, sums })
     }
 
     /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.

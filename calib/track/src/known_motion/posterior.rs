@@ -20,9 +20,9 @@ const MAX_DAMPING: f64 = 1e4;
 /// Change of the state at which it has settled, mm.
 const SETTLED_MM: f64 = 1e-5;
 /// Modes and nodes whose logarithm lies this far below the best have no mass.
-pub(crate) const NO_MASS: f64 = 18.0;
+const NO_MASS: f64 = 18.0;
 /// Neighbouring nodes differ by no more than this in their logarithm where there is mass.
-pub(crate) const MAX_STEP_LN: f64 = 0.7;
+const MAX_STEP_LN: f64 = 0.7;
 /// Nodes of the grid.
 const MAX_NODES: usize = 400;
 /// Mass of the stated region.
@@ -347,15 +347,14 @@ impl Posterior {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let mut total = 0.0;
         for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
-            let (Some(at), Some((_, across))) = (path.place(&n.state, row), path.touch(&n.state)) else {
-                continue;
-            };
+            let Some((touch, across)) = path.touch(&n.state) else { continue };
+            let at = path.carried(&(touch - path.push * n.state.onset_mm), row);
             let axes = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
             let turn = path.turned(row).matrix() * axes;
             mean += at * n.mass;
             square += (turn * n.covariance_mm2 * turn.transpose() + at * at.transpose()) * n.mass;
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
-            let past = path.depth(&n.state, row).unwrap_or(0.0) / sd;
+            let past = (at - touch).dot(&path.push) / sd;
             contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
             total += n.mass;
         }
@@ -420,9 +419,12 @@ fn peak(n: &Node) -> f64 {
 
 /// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
-    let above = |t: f64| nodes.iter().map(|n| n.mass * (1.0 - t / peak(n)).max(0.0)).sum::<f64>();
-    let (mut low, mut high) = (0.0, nodes.iter().map(peak).fold(0.0, f64::max));
-    for _ in 0..100 {
+    let peaks: Vec<f64> = nodes.iter().map(peak).collect();
+    let above = |t: f64| {
+        nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>()
+    };
+    let (mut low, mut high) = (0.0, peaks.iter().copied().fold(0.0, f64::max));
+    for _ in 0..60 {
         let middle = 0.5 * (low + high);
         if above(middle) > REGION { low = middle } else { high = middle }
     }

@@ -25,19 +25,23 @@
 mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, loaded};
-use super::posterior::{self, MAX_STEP_LN, NO_MASS, SCAN_MM};
+use super::posterior::{self, SCAN_MM};
 use super::{Innovations, MomentField, MotionRow, Place, Posterior, Settings};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 
 /// Largest number of nodes: what bounds the time of a reading.
-pub const MAX_NODES: usize = 64;
+pub const MAX_NODES: usize = 56;
 /// Halvings of the grid at one reading.
 const MAX_HALVINGS: usize = 9;
 /// Smallest distance of nodes, mm.
 const MIN_STEP_MM: f64 = 1e-3;
 /// Nodes whose logarithm lies this far below the best are not refined.
-const REFINED_LN: f64 = 9.0;
+const REFINED_LN: f64 = 8.0;
+/// Nodes whose logarithm lies this far below the best go.
+const NO_MASS: f64 = 14.0;
+/// Neighbouring nodes differ by no more than this in their logarithm where there is mass.
+const MAX_STEP_LN: f64 = 1.0;
 
 /// Noise of which readings at poses near each other share one draw.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -17,8 +17,8 @@ use wcal_track::known_groove::at_most;
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place, Posterior, Region, Settings,
-    bound_mm, locate,
+    Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place, Posterior, Region,
+    Settings, bound_mm, locate,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.

@@ -3,12 +3,12 @@
 use super::feed::{Intake, Item};
 use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles};
+use super::recorded_motion::{recorded_motion, session_folder};
 use super::trust::WhiskerModel;
 use super::whiskers::{Whiskers, lost_text};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
-use super::recorded_motion::{recorded_motion, session_folder};
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -194,7 +194,10 @@ pub fn replay(
 pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_>]) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
     if let Some(log) = &args.motion {
-        bail!("--motion {}: expected a table or a recording to go with it, found a live stream", log.display());
+        bail!(
+            "--motion {}: expected a table or a recording to go with it, found a live stream",
+            log.display()
+        );
     }
     let mut whiskers = Whiskers::new(args, (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
@@ -348,6 +351,9 @@ fn conclude(
         for part in [more, whiskers.summary()] {
             all.extend(part.as_object().cloned().unwrap_or_default());
         }
+    }
+    if let Some(motion) = whiskers.motion_summary() {
+        summary["stream_motion"] = motion;
     }
     let (outside, lost, doubtful) = (whiskers.outside(), whiskers.lost(), whiskers.doubtful());
     if summary["simulated"] == true {

@@ -30,6 +30,8 @@ pub struct ByMotion {
     /// Middle of the free wire, and what the calibration adds to the declared place of the groove, mm.
     middle_mm: Vector3<f64>,
     offset_mm: Vector3<f64>,
+    /// Beginning of the stream without contact, s.
+    prefix_s: f64,
     episodes: Vec<FinishedEpisode>,
 }
 
@@ -59,8 +61,7 @@ impl<'a> RowLocator<'a> {
         // The prefix is long enough; a reading that comes sooner solves what it needs itself.
         let filled = Arc::clone(&field);
         std::thread::spawn(move || filled.fill(REACH_MM));
-        let accuracy =
-            MotionAccuracy { moved_sd_mm: args.motion_sd_mm, clock_sd_s: args.motion_clock_sd_s };
+        let accuracy = MotionAccuracy { moved_sd_mm: args.motion_sd_mm, clock_sd_s: args.motion_clock_sd_s };
         let middle_mm = field.free(0.5 * field.length_mm()).0;
         let tracker = MotionRowTracker::new(&loaded.name, field, &whisker, accuracy, args.tare_s);
         Ok(Self::Motion(Box::new(ByMotion {
@@ -68,6 +69,7 @@ impl<'a> RowLocator<'a> {
             whisker,
             middle_mm,
             offset_mm: wire.offset_mm,
+            prefix_s: args.prefix_s,
             episodes: Vec::new(),
         })))
     }
@@ -94,7 +96,9 @@ impl<'a> RowLocator<'a> {
             }
             Self::Motion(own) => {
                 let (motion, spread, noise_nmm2) = relative(&own.middle_mm);
-                let input = MotionInput { t_s, moments, spread, noise_nmm2, motion, base, base_mm_s };
+                let in_prefix = row.touching.is_none() && t_s < own.prefix_s;
+                let input =
+                    MotionInput { t_s, moments, spread, noise_nmm2, in_prefix, motion, base, base_mm_s };
                 Ok(own.tracker.push(&input)?)
             }
         }
@@ -202,7 +206,9 @@ impl ByMotion {
                 why.join(", ")
             );
         }
-        let named = |e: &FinishedEpisode| Some((e.number, e.disagreement.map(Disagreement::sentence)?, e.innovations));
+        let named = |e: &FinishedEpisode| {
+            Some((e.number, e.disagreement.map(Disagreement::sentence)?, e.innovations))
+        };
         for (number, said, i) in self.episodes.iter().filter_map(named) {
             eprintln!(
                 "warning: {whose}contact {number}: {said} (chi2 {:.0} for {:.0} degrees of freedom); marked motion-disagrees in status",

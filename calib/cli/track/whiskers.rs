@@ -240,15 +240,14 @@ impl<'a> Whiskers<'a> {
         write_surface(out, &self.all.iter().map(|w| w.locator.history()).collect::<Vec<_>>())
     }
 
-    /// Where the motion comes from; of a network nothing.
-    fn motion_summary(&self) -> Value {
-        if self.all.iter().any(|w| w.loaded.network.is_some()) {
-            return Value::Null;
-        }
+    /// Where the motion comes from, for track.json; none where networks locate the contacts.
+    pub fn motion_summary(&self) -> Option<Value> {
         let log = self.motion.log();
-        json!({
-            "source": self.motion.source(), "span_s": log.map(MotionLog::span_s),
-            "jump_lines": log.map(|l| l.jumps().collect::<Vec<_>>()),
+        self.all.iter().all(|w| w.loaded.network.is_none()).then(|| {
+            json!({
+                "source": self.motion.source(), "span_s": log.map(MotionLog::span_s),
+                "jump_lines": log.map(|l| l.jumps().collect::<Vec<_>>()),
+            })
         })
     }
 
@@ -266,7 +265,7 @@ impl<'a> Whiskers<'a> {
                 "kind": "linear-phase, Hann-windowed sinc", "gain_1_hz": f.gain(1.0), "gain_5_hz": f.gain(5.0), "gain_10_hz": f.gain(10.0),
                 "gain_34_hz": f.gain(34.0), "noise_gain": f.noise_gain(),
             })),
-            "origin_device_s": self.origin_s, "motion": self.motion_summary(),
+            "origin_device_s": self.origin_s,
             "time": {
                 "stream_s": self.stream_s, "wall_s": wall_s, "times_real_time": wall_s.map(|wall| self.stream_s / wall),
                 "chain_us_per_scan": per_scan_us(self.spent[0]), "network_s": seconds(self.spent[1]),

@@ -70,8 +70,7 @@ fn main() {
     let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).expect("a wire");
     let pose =
         Some(PoseNoise { covariance_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM, length_mm: 0.5 });
-    let settings =
-        RecursiveSettings { common: Settings { clock_sd_s: 0.01, ..Settings::default() }, pose };
+    let settings = RecursiveSettings { common: Settings { clock_sd_s: 0.01, ..Settings::default() }, pose };
     for (name, friction) in
         [("none", Friction::NONE), ("0.2", Friction { coefficient: 0.2, moving_share: 1.0 })]
     {

@@ -73,7 +73,15 @@ impl KnownGroove {
     #[must_use]
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
-        let own = Self { places, next: 0, radius_mm, last: None, compared: Vec::new(), times_s: Vec::new(), unseen: 0 };
+        let own = Self {
+            places,
+            next: 0,
+            radius_mm,
+            last: None,
+            compared: Vec::new(),
+            times_s: Vec::new(),
+            unseen: 0,
+        };
         (!own.places.is_empty()).then_some(own)
     }
 
@@ -130,11 +138,8 @@ impl KnownGroove {
     #[must_use]
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
         let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
-        let last: Vec<f64> = contacts_s
-            .iter()
-            .filter_map(within)
-            .map(|k| self.compared[k].error_mm.norm_squared())
-            .collect();
+        let last: Vec<f64> =
+            contacts_s.iter().filter_map(within).map(|k| self.compared[k].error_mm.norm_squared()).collect();
         (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
     }
 

@@ -33,6 +33,8 @@ const POSE_MM: f64 = 0.5;
 const ZERO: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
 const WHITE: f64 = 0.2;
+/// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
+const MAX_LOST_S: f64 = 1.0;
 /// A wire that is loaded by so many standard deviations touches something.
 const LOADED_SDS: f64 = 4.0;
 
@@ -62,6 +64,8 @@ pub struct MotionInput {
     pub spread: MomentSpread,
     /// Covariance of the row's own noise, where it was measured, (N mm)^2.
     pub noise_nmm2: Option<Matrix2<f64>>,
+    /// In the prefix that must be free of contact, before the noise is known.
+    pub in_prefix: bool,
     /// Motion, or why it is not known.
     pub motion: Result<RowMotion, Lost>,
     /// Pose of the base.
@@ -96,6 +100,8 @@ pub struct MotionRowTracker {
     /// Rows whose motion is not known, by why.
     lost: BTreeMap<&'static str, u64>,
     disagreeing: u64,
+    /// The last row with moments and motion, s.
+    last_s: Option<f64>,
 }
 
 impl MotionRowTracker {
@@ -119,6 +125,7 @@ impl MotionRowTracker {
             groove: None,
             lost: BTreeMap::new(),
             disagreeing: 0,
+            last_s: None,
         }
     }
 
@@ -130,18 +137,11 @@ impl MotionRowTracker {
         let MotionInput { t_s, base, base_mm_s, .. } = *row;
         let moments =
             row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(t_s, m.moment_nmm), ..m });
-        let nothing = TrackedRow {
-            moments,
-            answer: None,
-            flags: Flags::default(),
-            regions: Vec::new(),
-            segment: None,
-        };
+        let nothing =
+            TrackedRow { moments, answer: None, flags: Flags::default(), regions: Vec::new(), segment: None };
         let tracked = match (moments, &row.motion) {
-            (None, _) => {
-                self.interrupt();
-                nothing
-            }
+            (None, _) => nothing,
+            (Some(_), Err(_)) if row.in_prefix => nothing,
             (Some(m), Err(why)) => self.by_moments_alone(&m, row.noise_nmm2, *why, nothing)?,
             (Some(m), Ok(motion)) => self.along(row, &m, motion, nothing)?,
         };
@@ -150,12 +150,6 @@ impl MotionRowTracker {
         }
         let segment = self.history.row(t_s, tracked.answer.as_ref(), base, base_mm_s);
         Ok(TrackedRow { segment, ..tracked })
-    }
-
-    fn interrupt(&mut self) {
-        if let Some(stream) = &mut self.stream {
-            stream.interrupt();
-        }
     }
 
     /// The motion is known.
@@ -172,6 +166,9 @@ impl MotionRowTracker {
             let pose = Some(PoseNoise { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
             ContactStream::new(Arc::clone(&self.field), RecursiveSettings { common, pose })
         });
+        if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {
+            stream.interrupt();
+        }
         let zero = pose_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l() * ZERO);
         let mut shared_nmm = row.spread.shared_nmm.clone();
         shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
@@ -185,7 +182,7 @@ impl MotionRowTracker {
             turn: motion.turn,
             velocity_mm_s: motion.velocity_mm_s,
             moved_sd_mm: self.accuracy.moved_sd_mm,
-            free: false,
+            free: row.in_prefix,
             visit: 0,
         };
         let found = stream.push(&reading, motion.piece, motion.push)?;
@@ -203,7 +200,6 @@ impl MotionRowTracker {
         why: Lost,
         nothing: TrackedRow,
     ) -> Result<TrackedRow, TrackError> {
-        self.interrupt();
         // The row's own noise may be larger than that from pose to pose, which is one of averages.
         let own = noise_nmm2.map_or(0.0, |n| n.trace());
         let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();

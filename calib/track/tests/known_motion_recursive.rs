@@ -12,8 +12,8 @@ use wcal_rod::Rod;
 use wcal_track::known_motion::contact_path::State;
 use wcal_track::known_motion::contact_stream::FinishedEpisode;
 use wcal_track::known_motion::{
-    ContactStream, Episode, Friction, MomentField, MotionRow, PoseNoise, RecursivePosterior, RecursiveSettings,
-    Settings, locate,
+    ContactStream, Episode, Friction, MomentField, MotionRow, PoseNoise, RecursivePosterior,
+    RecursiveSettings, Settings, locate,
 };
 
 const NOISE_NMM: f64 = 4e-3;
@@ -58,7 +58,9 @@ fn press(field: &MomentField, seed: u64, draws: Draws) -> Option<Press> {
     let (wire, tangent) = field.free(s_mm);
     let aside = Vector3::new(-tangent.z, 0.0, tangent.x).normalize();
     let turn: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-    let push = (aside * turn.cos() + aside.cross(&tangent) * turn.sin() + tangent * rng.random_range(-0.3..0.3)).normalize();
+    let push =
+        (aside * turn.cos() + aside.cross(&tangent) * turn.sin() + tangent * rng.random_range(-0.3..0.3))
+            .normalize();
     let gap_mm = 0.5 * draws.gap * normal(&mut rng);
     let touch = wire + tangent.cross(&push).normalize() * gap_mm;
     // Ways past first touch, mm, a row every 0.1 s.
@@ -77,7 +79,8 @@ fn press(field: &MomentField, seed: u64, draws: Draws) -> Option<Press> {
     go(deepest, &mut way);
     let at = ways.iter().position(|w| *w == hold).unwrap_or(0);
     ways.splice(at..at, [hold; 5]);
-    let (clock_s, common): (f64, [f64; 4]) = (CLOCK_SD_S * draws.motion * normal(&mut rng), std::array::from_fn(|_| normal(&mut rng)));
+    let (clock_s, common): (f64, [f64; 4]) =
+        (CLOCK_SD_S * draws.motion * normal(&mut rng), std::array::from_fn(|_| normal(&mut rng)));
     let mut rows = Vec::new();
     for (k, way) in ways.iter().enumerate() {
         let before = if k == 0 { way - step } else { ways[k - 1] };
@@ -114,11 +117,16 @@ fn loaded(row: &MotionRow) -> bool {
 }
 
 /// The posterior from the first loaded reading on, with a word after every reading.
-fn recursive(field: &MomentField, press: &Press, mut each: impl FnMut(usize, &RecursivePosterior, f64)) -> RecursivePosterior {
+fn recursive(
+    field: &MomentField,
+    press: &Press,
+    mut each: impl FnMut(usize, &RecursivePosterior, f64),
+) -> RecursivePosterior {
     let first = press.rows.iter().position(loaded).unwrap();
     let reference_mm = press.rows[first].moved_mm.dot(&press.push);
     let lead = &press.rows[first.saturating_sub(12)..first];
-    let mut found = RecursivePosterior::start(field, settings(None), press.push, lead, &press.rows[first]).unwrap();
+    let mut found =
+        RecursivePosterior::start(field, settings(None), press.push, lead, &press.rows[first]).unwrap();
     each(0, &found, reference_mm);
     for (k, row) in press.rows[first + 1..].iter().enumerate() {
         found.push(field, row);
@@ -144,8 +152,25 @@ fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
     if std::env::var("DBG").is_ok() {
         let reference_mm = press.rows[press.rows.iter().position(loaded).unwrap()].moved_mm.dot(&press.push);
         let truth = State { onset_mm: press.truth.onset_mm - reference_mm, ..press.truth };
-        let mean = |p: &wcal_track::known_motion::Posterior| -> f64 { p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum() };
-        println!("DBG s {:.2} g {:.2} rec {:.3} sd {:.3} n {} batch {:.3} sd {:.3} holds {} {} chi {:?} {:?} maxmoment {:.3} rows {}", press.truth.s_mm, press.truth.gap_mm, mean(&posterior), sd(&posterior), found.node_count(), mean(batch.posterior.as_ref().unwrap()), sd(batch.posterior.as_ref().unwrap()), posterior.holds(&truth), batch.posterior.as_ref().unwrap().holds(&truth), found.innovations(), batch.innovations, press.rows.iter().map(|r| r.moment_nmm[0].hypot(r.moment_nmm[1])).fold(0.0, f64::max), press.rows.len());
+        let mean = |p: &wcal_track::known_motion::Posterior| -> f64 {
+            p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum()
+        };
+        println!(
+            "DBG s {:.2} g {:.2} rec {:.3} sd {:.3} n {} batch {:.3} sd {:.3} holds {} {} chi {:?} {:?} maxmoment {:.3} rows {}",
+            press.truth.s_mm,
+            press.truth.gap_mm,
+            mean(&posterior),
+            sd(&posterior),
+            found.node_count(),
+            mean(batch.posterior.as_ref().unwrap()),
+            sd(batch.posterior.as_ref().unwrap()),
+            posterior.holds(&truth),
+            batch.posterior.as_ref().unwrap().holds(&truth),
+            found.innovations(),
+            batch.innovations,
+            press.rows.iter().map(|r| r.moment_nmm[0].hypot(r.moment_nmm[1])).fold(0.0, f64::max),
+            press.rows.len()
+        );
     }
     let distance = there.covariance_mm2.cholesky().map_or(f64::NAN, |c| off.dot(&c.solve(&off)).sqrt());
     let ratio = sd(&posterior) / sd(batch.posterior.as_ref().unwrap());
@@ -167,7 +192,13 @@ fn the_recursive_posterior_ends_where_the_batch_does() {
         let at = |q: f64| values[((values.len() - 1) as f64 * q) as usize];
         [at(0.0), at(0.5), at(0.9), at(1.0)]
     };
-    println!("{} presses: distance in sd {:.3?}, sd ratio {:.3?}, chi2 ratio {:.3?}", all.len(), column(0), column(1), column(2));
+    println!(
+        "{} presses: distance in sd {:.3?}, sd ratio {:.3?}, chi2 ratio {:.3?}",
+        all.len(),
+        column(0),
+        column(1),
+        column(2)
+    );
     assert!(all.len() >= 35);
     // Both linearise what is not linear, at other points: less than half of what either says it does not know, nine times of ten.
     assert!(column(0)[2] < 0.5 && column(0)[1] < 0.25, "{:?}", column(0));
@@ -224,7 +255,9 @@ fn regions_hold_the_truth_all_along() {
     let field = field(Friction::NONE);
     let all = coverage(&field, 100..400, ALL);
     for (after, n, joint, arc) in &all {
-        println!("after {after} more readings: {n} presses, joint region {joint:.3}, pieces along the wire {arc:.3}");
+        println!(
+            "after {after} more readings: {n} presses, joint region {joint:.3}, pieces along the wire {arc:.3}"
+        );
     }
     // Three hundred presses: 95 % within 3 sd of the binomial (1.3 %) at each, all together closer.
     for (after, _, joint, _) in &all {
@@ -240,10 +273,19 @@ fn regions_hold_the_truth_all_along() {
 }
 
 /// All episodes of rows pushed through a stream.
-fn streamed(stream: &mut ContactStream, press: &Press, factor: f64, push: Option<Vector3<f64>>) -> (Vec<FinishedEpisode>, usize) {
+fn streamed(
+    stream: &mut ContactStream,
+    press: &Press,
+    factor: f64,
+    push: Option<Vector3<f64>>,
+) -> (Vec<FinishedEpisode>, usize) {
     let mut disagreeing = 0;
     for row in &press.rows {
-        let row = MotionRow { moved_mm: row.moved_mm * factor, velocity_mm_s: row.velocity_mm_s * factor, ..row.clone() };
+        let row = MotionRow {
+            moved_mm: row.moved_mm * factor,
+            velocity_mm_s: row.velocity_mm_s * factor,
+            ..row.clone()
+        };
         disagreeing += usize::from(stream.push(&row, 0, push).unwrap().disagrees);
     }
     (stream.finish().to_vec(), disagreeing)
@@ -263,8 +305,13 @@ fn a_stream_finds_its_episodes_and_doubts_a_reversed_motion() {
         // Control: the object goes the other way.
         let (episodes, off) = streamed(&mut stream(), &press, -1.0, None);
         doubted += usize::from(off > 5);
-        named += usize::from(episodes.iter().any(|e| e.disagreement.is_some_and(|d| d.name() == "motion-reversed")));
+        named += usize::from(
+            episodes.iter().any(|e| e.disagreement.is_some_and(|d| d.name() == "motion-reversed")),
+        );
     }
     println!("{all} presses: {plain} agree, reversed {doubted} doubted on the way, {named} named");
-    assert!(plain + 1 >= all && doubted + 1 >= all && named * 10 >= all * 8, "{plain} {doubted} {named} of {all}");
+    assert!(
+        plain + 1 >= all && doubted + 1 >= all && named * 10 >= all * 8,
+        "{plain} {doubted} {named} of {all}"
+    );
 }

@@ -241,12 +241,7 @@ impl<'a> ContactPath<'a> {
 }
 
 /// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
-pub(crate) fn play(
-    field: &MomentField,
-    at: &Vector3<f64>,
-    friction: f64,
-    s_mm: &mut f64,
-) -> Option<Held> {
+pub(crate) fn play(field: &MomentField, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
     let here = field.at_place(at)?;
     let [low, free, high] = [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
     let (low, free, high) = (low?, free?, high?);

@@ -184,8 +184,7 @@ impl ContactStream {
         };
         let waiting = std::mem::take(&mut self.waiting);
         let lead: Vec<MotionRow> = self.lead.drain(..).collect();
-        let started =
-            RecursivePosterior::start(&self.field, self.settings, direction, &lead, &waiting[0]);
+        let started = RecursivePosterior::start(&self.field, self.settings, direction, &lead, &waiting[0]);
         let Some(posterior) = started else { return };
         self.running = Some(Running {
             number: self.episodes,
@@ -264,8 +263,7 @@ impl ContactStream {
             rows.iter_mut().for_each(|r| r.noise_nmm2 += pose.covariance_nmm2);
         }
         let episode = Episode { rows, push: Some(running.posterior.push_direction()) };
-        let disagreement =
-            check::disagreement(&self.field, &episode, &self.settings.common, &innovations);
+        let disagreement = check::disagreement(&self.field, &episode, &self.settings.common, &innovations);
         self.finished.push(FinishedEpisode {
             number: running.number,
             span_s: [running.from_s, running.last_s],

@@ -6,6 +6,7 @@
 //! there; [`MomentField::held`] refuses `s_c` beyond the true length. Nodes are solved by continuation from the free wire, which keeps to
 //! the branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
+use super::interpolation::{cubic, cubic_rate};
 use nalgebra::{Matrix2x3, Vector3};
 use std::collections::HashMap;
 use std::sync::{Arc, RwLock};
@@ -107,26 +108,6 @@ fn place(key: &Key) -> Vector3<f64> {
 
 fn key_of(place_mm: &Vector3<f64>) -> Key {
     [0, 1, 2].map(|k| (place_mm[k] / PITCH_MM).round() as i32)
-}
-
-/// Derivatives of [`cubic`] by its argument.
-fn cubic_rate(u: f64) -> [f64; 4] {
-    [
-        -(3.0 * u * u - 6.0 * u + 2.0) / 6.0,
-        (3.0 * u * u - 4.0 * u - 1.0) / 2.0,
-        -(3.0 * u * u - 2.0 * u - 2.0) / 2.0,
-        (3.0 * u * u - 1.0) / 6.0,
-    ]
-}
-
-/// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
-fn cubic(u: f64) -> [f64; 4] {
-    [
-        -u * (u - 1.0) * (u - 2.0) / 6.0,
-        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-        -(u + 1.0) * u * (u - 2.0) / 2.0,
-        (u + 1.0) * u * (u - 1.0) / 6.0,
-    ]
 }
 
 impl MomentField {
@@ -289,7 +270,8 @@ impl MomentField {
             let key = [low[0] + n / 16 - 1, low[1] + n / 4 % 4 - 1, low[2] + n % 4 - 1];
             self.node(key).map(|node| node.values.clone())
         });
-        let cell: Option<Arc<[[f64; 3]]>> = around.collect::<Option<Vec<Values>>>().map(|all| all.concat().into());
+        let cell: Option<Arc<[[f64; 3]]>> =
+            around.collect::<Option<Vec<Values>>>().map(|all| all.concat().into());
         self.cells.write().ok()?.insert(low, cell.clone());
         cell
     }
@@ -397,65 +379,5 @@ impl MomentField {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use wcal_core::observation::WhiskerSpec;
-    use wcal_rod::{Line, Outcome};
-
-    fn rod() -> Rod {
-        Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap()
-    }
-
-    /// Largest difference to the rod followed along lines, as a share of the moment.
-    fn largest_off(field: &MomentField, rod: &Rod) -> f64 {
-        let mut largest: f64 = 0.0;
-        for (s_mm, reach_mm) in [(14.0, 4.0), (24.0, 7.0), (38.0, 11.0), (57.0, 14.0)] {
-            for turn in [0.0, -1.1, 0.7_f64] {
-                let (origin_mm, tangent) = field.free(s_mm);
-                let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
-                let line = Line { origin_mm, direction: normal * turn.cos() + Vector3::y() * turn.sin() };
-                let xs: Vec<f64> = (1..=9).map(|k| reach_mm * f64::from(k) / 9.0).collect();
-                for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
-                    let Outcome::Held(e) = outcome else { continue };
-                    let held = field.held(&line.point(*x), 0.0).unwrap();
-                    let m = MomentAxes::default().components_nmm(&e.moment_nmm);
-                    let off = (m[0] - held.moment_nmm[0]).hypot(m[1] - held.moment_nmm[1]);
-                    largest = largest.max(off / (m[0].hypot(m[1]) + 0.02));
-                    assert!((held.arclength_mm - e.arclength_mm).abs() < 0.02, "{s_mm} {x}: {held:?}");
-                }
-            }
-        }
-        largest
-    }
-
-    #[test]
-    fn the_table_is_the_rod() {
-        let rod = rod();
-        let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
-        let off = largest_off(&field, &rod);
-        assert!(off < 1e-3, "{off}");
-        // Control: another wire is another table.
-        let mut stiff = rod.clone();
-        stiff.section.ei_nmm2 *= 1.01;
-        assert!(largest_off(&field, &stiff) > 5e-3);
-    }
-
-    #[test]
-    fn what_lies_beyond_the_tip_or_behind_the_root_holds_nothing() {
-        let field = MomentField::new(&rod(), &MomentAxes::default(), Friction::NONE);
-        let (tip, tangent) = field.free(60.0);
-        assert!(field.held(&(tip - tangent * 0.5), 0.0).is_some());
-        assert!(field.held(&(tip + tangent * 0.5), 0.0).is_none());
-        assert!(field.held(&Vector3::new(-5.0, 0.0, 3.0), 0.0).is_none());
-        assert!(field.held(&Vector3::new(2e4, 0.0, 4e4), 0.0).is_none(), "metres away");
-    }
-
-    #[test]
-    fn friction_moves_the_contact_both_ways() {
-        let friction = Friction { coefficient: 0.2, moving_share: 1.0 };
-        let field = MomentField::new(&rod(), &MomentAxes::default(), friction);
-        let at = Vector3::new(30.0, -4.0, 3.0);
-        let [low, free, high] = [-0.2, 0.0, 0.2].map(|r| field.held(&at, r).unwrap().arclength_mm);
-        assert!((low - free) * (high - free) < 0.0 && (high - low).abs() > 1e-4, "{low} {free} {high}");
-    }
-}
+#[path = "field_tests.rs"]
+mod tests;

@@ -36,14 +36,15 @@ pub mod contact_path;
 pub mod contact_stream;
 pub mod episodes;
 pub mod field;
+mod interpolation;
 pub mod likelihood;
 pub mod motion_log;
 pub mod posterior;
 pub mod recursive;
 
 pub use bound::bound_mm;
-pub use contact_stream::{ContactStream, StreamedContact};
 pub use check::{Disagreement, Innovations};
+pub use contact_stream::{ContactStream, StreamedContact};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Lost, Motion, MotionLog};

@@ -180,12 +180,7 @@ impl MotionLog {
     ///
     /// # Errors
     /// Where the motion is unknown within the filter.
-    pub fn averaged(
-        &self,
-        t_s: f64,
-        point_mm: &Vector3<f64>,
-        kernel: &[(f64, f64)],
-    ) -> Result<Motion, Lost> {
+    pub fn averaged(&self, t_s: f64, point_mm: &Vector3<f64>, kernel: &[(f64, f64)]) -> Result<Motion, Lost> {
         let here = self.at(t_s, point_mm)?;
         let fixed = here.turn.inverse() * (point_mm - here.moved_mm);
         let (mut place, mut velocity_mm_s) = (Vector3::zeros(), Vector3::zeros());

@@ -420,9 +420,8 @@ fn peak(n: &Node) -> f64 {
 /// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
     let peaks: Vec<f64> = nodes.iter().map(peak).collect();
-    let above = |t: f64| {
-        nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>()
-    };
+    let above =
+        |t: f64| nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>();
     let (mut low, mut high) = (0.0, peaks.iter().copied().fold(0.0, f64::max));
     for _ in 0..60 {
         let middle = 0.5 * (low + high);

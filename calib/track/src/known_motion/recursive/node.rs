@@ -2,9 +2,9 @@
 
 use super::RecursiveSettings;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
+use crate::known_motion::field::Held;
 use crate::known_motion::likelihood::{GROSS, TABLE_MM, TABLE_SHARE};
 use crate::known_motion::posterior::normal_share;
-use crate::known_motion::field::Held;
 use crate::known_motion::{MomentField, MotionRow};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vector2, Vector3};
 
@@ -141,7 +141,11 @@ impl NodeFilter {
         let blur_mm2 = moved_mm2(reading);
         let near_mm = NEAR_SDS * (self.covariance[(ONSET, ONSET)] + blur_mm2).sqrt();
         if reading.row.free || reading.loaded || depth_mm.abs() > near_mm {
-            return self.iterate(reading, ITERATIONS, !reading.row.free && (reading.loaded || depth_mm > 0.0));
+            return self.iterate(
+                reading,
+                ITERATIONS,
+                !reading.row.free && (reading.loaded || depth_mm > 0.0),
+            );
         }
         // Readings of one pose bound the onset once.
         if self.bounded_mm.is_some_and(|at| (at - depth_mm - self.mean[ONSET]).abs() < BOUND_STEP_MM) {
@@ -253,7 +257,9 @@ impl NodeFilter {
         }
         for (j, changed) in field.changed.iter().enumerate() {
             // Without friction: its change by another coefficient is what it is at the edge of the cone at most.
-            let Some((there, here)) = changed.held(&place, 0.0).zip(field.held(&place, 0.0)) else { continue };
+            let Some((there, here)) = changed.held(&place, 0.0).zip(field.held(&place, 0.0)) else {
+                continue;
+            };
             let mut column = found.slope.column_mut(COMMON + j);
             column += Vector2::from(there.moment_nmm) - Vector2::from(here.moment_nmm);
         }
@@ -292,12 +298,14 @@ impl NodeFilter {
         let share = reading.settings.common.gross_share;
         for n in 1..=iterations {
             // Innovation at the prior mean by the slope at the present one.
-            let innovation = y - at.moment_nmm - &at.slope * &before + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0);
+            let innovation = y - at.moment_nmm - &at.slope * &before
+                + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0);
             let to_state = &at.slope * &self.covariance;
             let known = &to_state * at.slope.transpose();
             let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);
             // A regular reading, or an outlier.
-            let wide = (GROSS * GROSS - 1.0) * (at.own + if reading.settings.pose.is_some() { at.pose } else { Matrix2::zeros() });
+            let wide = (GROSS * GROSS - 1.0)
+                * (at.own + if reading.settings.pose.is_some() { at.pose } else { Matrix2::zeros() });
             let (regular, outlier) = (known + at.own, known + at.own + wide);
             let (Some(inverse), Some(inverse_wide)) = (regular.try_inverse(), outlier.try_inverse()) else {
                 return self.unexplained();
@@ -385,7 +393,8 @@ impl NodeFilter {
             others.map(|(_, n)| (s_mm - n.s_mm) / (around[i].s_mm - n.s_mm)).product()
         };
         let weights: Vec<f64> = (0..around.len()).map(weight).collect();
-        let mix = |of: &dyn Fn(&Self) -> f64| around.iter().zip(&weights).map(|(n, w)| w * of(n)).sum::<f64>();
+        let mix =
+            |of: &dyn Fn(&Self) -> f64| around.iter().zip(&weights).map(|(n, w)| w * of(n)).sum::<f64>();
         let mut node = a.clone();
         node.put(reading.field, &reading.push, s_mm)?;
         node.mean = DVector::from_fn(a.mean.len(), |i, _| mix(&|n| n.mean[i]));

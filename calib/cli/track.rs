@@ -41,6 +41,7 @@ use wcal_track::model_file::{load, read_card};
   wcal track session --calibration calibration.json --out track.csv
   wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
+  wcal track sweep.mcap --rig rigs/bench --calibration calibration.json --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
 SOURCE: a table as for `wcal predict`, with t_s in every row; a recording (.mcap, with --rig) or a session folder; without it the rig's
@@ -56,6 +57,10 @@ groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cra
 and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
 so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost. Without a model and without
 any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
+
+A stream without --model is tracked in the same way, row by row: along the stage of the rig (the groove since the mount of a trajectory, or the
+base where the rig has [base] carried_along), or of a recording along --motion, whose t_s is that of the rows. A row knows what came before it:
+its region narrows as the contact goes on.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status where it is known or noticed. Two moments cannot tell a press from a sweep: where the
@@ -74,7 +79,7 @@ pub struct TrackArgs {
     /// calibration.json of verify; ID=FILE for one of several whiskers
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal train`; ID=DIR for one of several whiskers. A session folder needs none: how its groove moves is known
+    /// Folder of `wcal train`; ID=DIR for one of several whiskers. None is needed where the motion is known (session, --motion, the rig's stage)
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
     /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..

@@ -13,10 +13,13 @@
 //! chi2 = sum_k i' S^-1 i ~ chi-squared(2 n - 3)                         at the node of most mass
 //! ```
 //!
-//! Readings on which the wire is free before first touch bound the onset, `x > x_k`, to within what the noise hides. Where a reading would
-//! part two neighbouring nodes by more than [`MAX_STEP_LN`], the grid before it is interpolated between them and the reading taken again;
-//! nodes without mass go. Friction: the play operator of the parent module, carried node by node at the mean; its slope is that without
-//! friction.
+//! First touch is a kink (a step where g is not 0). A loaded reading is held; one that is not and lies within 4 sd of first touch is taken
+//! both ways, `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation, and the two Gaussians are
+//! joined by their moments: so free readings bound the onset.
+//!
+//! Grid: where a reading would part two neighbouring nodes by more than 1 in ln w, the grid before it is interpolated between them and the
+//! reading taken again; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Friction: the play operator of the parent
+//! module, carried node by node at the mean; its slope is that without friction.
 //!
 //! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
 //! (Rao-Blackwellised filters); B. M. Bell, F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);

@@ -135,6 +135,16 @@ fn recursive(
     found
 }
 
+/// Whether the 95 % regions of recursion and batch hold the truth at the end of a press.
+fn held_at_the_end(field: &MomentField, press: &Press) -> [bool; 2] {
+    let mut reference_mm = 0.0;
+    let found = recursive(field, press, |_, _, mm| reference_mm = mm);
+    let truth = State { onset_mm: press.truth.onset_mm - reference_mm, ..press.truth };
+    let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
+    let batch = locate(field, &episode, &settings(None).common).unwrap().posterior;
+    [found.posterior().holds(&truth), batch.is_some_and(|p| p.holds(&truth))]
+}
+
 /// Distance of the recursive from the batch place in standard deviations of the batch, ratio of the standard deviations (of arc length), and
 /// chi-squared over that of the batch.
 fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
@@ -204,6 +214,17 @@ fn the_recursive_posterior_ends_where_the_batch_does() {
     assert!(column(0)[2] < 0.5 && column(0)[1] < 0.25, "{:?}", column(0));
     assert!(column(1)[0] > 0.6 && column(1)[3] < 1.6 && (column(1)[1] - 1.0).abs() < 0.1, "{:?}", column(1));
     assert!((column(2)[1] - 1.0).abs() < 0.1, "{:?}", column(2));
+    // With gap, clock and motion drawn as well.
+    let held: Vec<[bool; 2]> = (0..100)
+        .into_par_iter()
+        .filter_map(|seed| Some(held_at_the_end(&field, &press(&field, seed, ALL)?)))
+        .collect();
+    let [own, batch] = [0, 1].map(|k| held.iter().filter(|h| h[k]).count());
+    println!(
+        "gap and motion drawn, {} presses: recursive regions hold {own}, the batch's {batch}",
+        held.len()
+    );
+    assert!(own as f64 > 0.89 * held.len() as f64, "{own} of {}", held.len());
     // Control: another batch, of moments that are a tenth larger, is somewhere else.
     let other: Vec<f64> = (0..12)
         .into_par_iter()

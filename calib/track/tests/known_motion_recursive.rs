@@ -215,7 +215,7 @@ fn the_recursive_posterior_ends_where_the_batch_does() {
     assert!(column(1)[0] > 0.6 && column(1)[3] < 1.6 && (column(1)[1] - 1.0).abs() < 0.1, "{:?}", column(1));
     assert!((column(2)[1] - 1.0).abs() < 0.1, "{:?}", column(2));
     // With gap, clock and motion drawn as well.
-    let held: Vec<[bool; 2]> = (0..100)
+    let held: Vec<[bool; 2]> = (100..300)
         .into_par_iter()
         .filter_map(|seed| Some(held_at_the_end(&field, &press(&field, seed, ALL)?)))
         .collect();
@@ -224,7 +224,8 @@ fn the_recursive_posterior_ends_where_the_batch_does() {
         "gap and motion drawn, {} presses: recursive regions hold {own}, the batch's {batch}",
         held.len()
     );
-    assert!(own as f64 > 0.89 * held.len() as f64, "{own} of {}", held.len());
+    // Two hundred presses: 95 % less 3 sd of the binomial.
+    assert!(own as f64 > 0.9 * held.len() as f64, "{own} of {}", held.len());
     // Control: another batch, of moments that are a tenth larger, is somewhere else.
     let other: Vec<f64> = (0..12)
         .into_par_iter()

@@ -19,8 +19,8 @@ use wcal_track::known_groove::at_most;
 use wcal_track::known_motion::contact_path::ContactPath;
 use wcal_track::known_motion::posterior::REGION;
 use wcal_track::known_motion::{
-    CorrelatedShare, Disagreement, Episode, Friction, Located, MomentField, MotionRow, Place, Posterior,
-    Region, Settings, bound_mm, locate, share_correlated,
+    CorrelatedShare, Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place,
+    Posterior, Region, Settings, bound_mm, locate, share_correlated,
 };
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
@@ -256,11 +256,16 @@ impl TrackedSession {
 
 /// What an episode told, for track.json.
 pub fn found_summary(found: &Located) -> Value {
-    let i = &found.innovations;
+    let mut summary = innovations_summary(&found.innovations, found.disagreement);
+    summary["regions"] = json!(found.posterior.as_ref().map(Posterior::regions));
+    summary
+}
+
+/// Innovations and what speaks against motion and moments, for track.json.
+pub fn innovations_summary(i: &Innovations, disagreement: Option<Disagreement>) -> Value {
     json!({
-        "regions": found.posterior.as_ref().map(Posterior::regions),
-        "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
-        "disagreement": found.disagreement.map(Disagreement::name),
+        "regions": null, "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
+        "disagreement": disagreement.map(Disagreement::name),
     })
 }
 

@@ -4,13 +4,16 @@ mod feed;
 mod groove;
 mod known_motion;
 mod live;
+mod located;
 mod moments_alone;
 mod motion;
 mod motion_log;
 mod motion_table;
 mod object;
 mod output;
+mod recorded_motion;
 mod sliding;
+mod stream_motion;
 mod surface;
 mod table;
 mod trust;
@@ -40,6 +43,7 @@ use wcal_track::model_file::{load, read_card};
   wcal track session --calibration calibration.json --out track.csv
   wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
+  wcal track sweep.mcap --rig rigs/bench --calibration calibration.json --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
 SOURCE: a table as for `wcal predict`, with t_s in every row; a recording (.mcap, with --rig) or a session folder; without it the rig's
@@ -55,6 +59,10 @@ groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cra
 and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
 so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost. Without a model and without
 any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
+
+A stream without --model is tracked in the same way, row by row: along the stage of the rig (the groove since the mount of a trajectory, or the
+base where the rig has [base] carried_along), or of a recording along --motion, whose t_s is that of the rows. A row knows what came before it:
+its region narrows as the contact goes on.
 
 The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
 holds, a reversal) is marked untrained-motion in status where it is known or noticed. Two moments cannot tell a press from a sweep: where the
@@ -73,7 +81,7 @@ pub struct TrackArgs {
     /// calibration.json of verify; ID=FILE for one of several whiskers
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal train`; ID=DIR for one of several whiskers. A session folder needs none: how its groove moves is known
+    /// Folder of `wcal train`; ID=DIR for one of several whiskers. None is needed where the motion is known (session, --motion, the rig's stage)
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
     /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
@@ -174,9 +182,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             (None, Some(table)) if table.is_file() && table.extension().is_none_or(|e| e != "mcap") => {
                 motion_table::track(args, table)
             }
-            _ => {
-                bail!("--model: expected one for a stream, found none (tables and session folders need none)")
-            }
+            _ => along_stream(args),
         };
     }
     let (source, rig) = source(args)?;
@@ -197,8 +203,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         judged.push(one);
     }
     for (one, doubt) in judged.iter().flat_map(|j| j.doubts.messages().into_iter().map(move |d| (j, d))) {
-        let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
-        eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
+        say_doubt(args, one.name(), &doubt);
     }
     if judged.iter().any(|j| !j.doubts.none()) && !args.force {
         return Ok(ExitCode::from(4));
@@ -233,6 +238,34 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (Source::Interrogator, Some((place, rig))) => live::track(args, &place, &rig, &loaded),
         (_, None) => bail!("expected --rig RIG for a stream, found none"),
     }
+}
+
+/// Tracks a stream without a network, along its motion.
+fn along_stream(args: &TrackArgs) -> Result<ExitCode> {
+    motion_table::check_accuracy(args)?;
+    let (source, Some((place, rig))) = source(args)? else {
+        bail!("expected --rig RIG for a stream, found none");
+    };
+    let names: Vec<String> = rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect();
+    let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
+    let all = names.iter().map(|n| WhiskerModel::without_network(n, &calibrations[n]));
+    let loaded = all.collect::<Result<Vec<_>>>()?;
+    for (one, doubt) in loaded.iter().flat_map(|l| l.doubts.messages().into_iter().map(move |d| (l, d))) {
+        say_doubt(args, &one.name, &doubt);
+    }
+    if loaded.iter().any(|l| !l.doubts.none()) && !args.force {
+        return Ok(ExitCode::from(4));
+    }
+    match source {
+        Source::Recordings(parts) => live::replay(args, &parts, &place, &rig, &loaded),
+        _ => live::track(args, &place, &rig, &loaded),
+    }
+}
+
+/// Says what speaks against a whisker's calibration or model.
+fn say_doubt(args: &TrackArgs, name: &str, doubt: &str) {
+    let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+    eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
 }
 
 /// The points table of a session folder.

@@ -63,8 +63,19 @@ pub trait WhiskerCalibration {
     /// # Errors
     /// Where the table cannot be read, lacks a column, or the wire cannot be bent.
     fn sensed(&self, table: &Path, whisker: &WhiskerSpec) -> Result<SensedTable, CalibrationError>;
+    /// The wire that `whisker` describes, in air, as the calibration has it, and by one standard deviation of each of the first common unknowns.
+    ///
+    /// # Errors
+    /// Where the wire cannot be bent.
+    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError>;
     /// A session's moments and the ways of its groove, not its place; none where nothing can be computed.
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion>;
+}
+
+/// The error of [`WhiskerCalibration::wire`].
+pub(crate) fn no_wire() -> CalibrationError {
+    let detail = "expected a wire that can be bent".to_owned();
+    CalibrationError::Content { place: "calibration".to_owned(), detail }
 }
 
 /// A session as its kind's measurement model sees it.

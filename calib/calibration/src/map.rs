@@ -2,7 +2,7 @@
 
 use crate::apply::{
     AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
-    WhiskerCalibration,
+    WhiskerCalibration, no_wire,
 };
 use crate::error::CalibrationError;
 use std::path::Path;
@@ -11,7 +11,7 @@ use wcal_core::{FbgSpec, WhiskerSpec};
 use wcal_map::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
 use wcal_trace::verify::judgement::Judged;
-use wcal_trace::whisker::groove_motion::{self, GrooveMotion};
+use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 const HEADER: &str = "point,fbg_1_pm,fbg_2_pm,moment_1_nmm,moment_2_nmm,moment_1_sd_nmm,moment_2_sd_nmm,\
@@ -116,6 +116,11 @@ impl WhiskerCalibration for MapArtefact {
             changed: found.changed,
             warnings: table.warnings,
         })
+    }
+
+    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
+        let found = groove_motion::of_shifts(std::iter::empty(), whisker, self).ok_or_else(no_wire)?;
+        Ok((found.wire, found.changed))
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {

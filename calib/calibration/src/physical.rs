@@ -2,7 +2,7 @@
 
 use crate::apply::{
     AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
-    WhiskerCalibration,
+    WhiskerCalibration, no_wire,
 };
 use crate::error::CalibrationError;
 use std::path::Path;
@@ -10,7 +10,7 @@ use wcal_core::stream::MomentStream;
 use wcal_core::{FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
 use wcal_session::{SessionWarning, load_table};
 use wcal_trace::verify::judgement::Judged;
-use wcal_trace::whisker::groove_motion::{self, GrooveMotion};
+use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
 use wcal_trace::whisker::path::WhiskerPath;
 use wcal_trace::whisker::{PhysicalModel, PhysicalStream, WhiskerSystem, judgement};
 
@@ -100,6 +100,12 @@ impl WhiskerCalibration for PhysicalModel {
         let one = |i: usize| SensedRow::new(&rows[path.rows[i]], found.readings[i].clone());
         let rows = in_order(&path).into_iter().map(one).collect();
         Ok(SensedTable { rows, wire: found.wire, changed: found.changed, warnings })
+    }
+
+    fn wire(&self, whisker: &WhiskerSpec) -> Result<(AcceptedWire, Vec<AcceptedWire>), CalibrationError> {
+        let path = WhiskerPath::new(&[], &[], &MomentAxes::default(), &self.fbg, None, None);
+        let found = groove_motion::of_readings(&path, whisker, self).ok_or_else(no_wire)?;
+        Ok((found.wire, found.changed))
     }
 
     fn groove_motion(&self, system: &WhiskerSystem) -> Option<GrooveMotion> {

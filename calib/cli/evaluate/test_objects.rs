@@ -72,7 +72,7 @@ pub fn table(
                 all.insert(name.clone(), series);
             }
         }
-        let table = TableBounds::new(inverse, [&all]);
+        let table = TableBounds::new(&tracker.inverse, [&all]);
         let bounds = [false, true].map(|known| table.simulated(plan, known));
         for (name, known, method) in &methods {
             work.next(

@@ -13,8 +13,7 @@ use wcal_calibration::{TrustIssue, of_whisker};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_core::{SessionData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
-use wcal_track::known_motion::Place;
-use wcal_track::network::Prediction;
+use wcal_track::motion_row_tracker::answer;
 
 /// Tracks the readings of a session's points table.
 ///
@@ -112,18 +111,4 @@ pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
         args,
         Outcome { outside: outside > 0, misstated, lost: false, untrained: !disagreements.is_empty() },
     ))
-}
-
-/// A place as a row of the track has it; none where nothing was found.
-pub fn answer(place: &Place) -> Option<Prediction> {
-    let at = place.place_mm?;
-    let c = place.covariance_mm2;
-    Some(Prediction {
-        contact: place.contact as f32,
-        several: 0.0,
-        point_mm: [0, 1, 2].map(|k| at[k] as f32),
-        covariance_mm2: [0, 1, 2].map(|i| [0, 1, 2].map(|j| c[(i, j)] as f32)),
-        weights: Vec::new(),
-        normal: [0.0; 3],
-    })
 }

@@ -3,12 +3,13 @@
 use super::feed::{Intake, Item};
 use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles};
+use super::recorded_motion::{recorded_motion, session_folder};
 use super::trust::WhiskerModel;
 use super::whiskers::{Whiskers, lost_text};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -103,7 +104,9 @@ fn about(
     for l in loaded {
         let key = |what: &str| if l.name.is_empty() { what.to_owned() } else { format!("{what} {}", l.name) };
         all.insert(key("calibration_sha256"), l.file.content_sha256.clone());
-        all.insert(key("model_sha256"), l.card.weights_sha256.clone());
+        if let Some(network) = &l.network {
+            all.insert(key("model_sha256"), network.card.weights_sha256.clone());
+        }
         all.insert(key("doubts"), l.doubts.codes());
     }
     all
@@ -121,8 +124,9 @@ pub fn replay(
     loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
-    let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
-    if let Some((table, whisker)) = args.source.as_deref().and_then(session_points) {
+    let log = recorded_motion(args, parts)?;
+    let mut whiskers = Whiskers::new(args, (place, rig), loaded, log)?;
+    if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
     }
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
@@ -189,7 +193,13 @@ pub fn replay(
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
 pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_>]) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
-    let mut whiskers = Whiskers::new(args, place, rig, loaded)?;
+    if let Some(log) = &args.motion {
+        bail!(
+            "--motion {}: expected a table or a recording to go with it, found a live stream",
+            log.display()
+        );
+    }
+    let mut whiskers = Whiskers::new(args, (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
     let mut interrogator = open_interrogator(&mut Drivers::default(), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
@@ -326,12 +336,13 @@ fn consume(
 /// Summary, files, exit code.
 fn conclude(
     args: &TrackArgs,
-    whiskers: Whiskers<'_>,
+    mut whiskers: Whiskers<'_>,
     sinks: Sinks,
     files: TrackFiles,
     more: Value,
     (dropped, cut_off): (u64, bool),
 ) -> Result<ExitCode> {
+    whiskers.end();
     let mut summary = json!({
         "format": FORMAT, "out": args.out, "mcap": args.mcap, "rate_hz": args.rate_hz, "prefix_s": args.prefix_s,
         "false_alarms_per_hour": args.false_alarms_per_hour,
@@ -340,6 +351,9 @@ fn conclude(
         for part in [more, whiskers.summary()] {
             all.extend(part.as_object().cloned().unwrap_or_default());
         }
+    }
+    if let Some(motion) = whiskers.motion_summary() {
+        summary["stream_motion"] = motion;
     }
     let (outside, lost, doubtful) = (whiskers.outside(), whiskers.lost(), whiskers.doubtful());
     if summary["simulated"] == true {

@@ -1,7 +1,6 @@
 //! Tracks of a table without a network: along a known relative motion, or by the moments alone.
 
 use super::groove::known_places;
-use super::known_motion::answer;
 use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
@@ -25,6 +24,7 @@ use wcal_track::known_groove::KnownGroove;
 use wcal_track::known_motion::{
     Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
 };
+use wcal_track::motion_row_tracker::answer;
 use wcal_track::stream::BasePose;
 
 /// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
@@ -57,13 +57,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let [place] = &args.calibration[..] else {
         bail!("--calibration: expected one for a table, found {}", args.calibration.len());
     };
-    for (option, value) in
-        [("--motion-sd-mm", args.motion_sd_mm), ("--motion-clock-sd-s", args.motion_clock_sd_s)]
-    {
-        if !(value.is_finite() && value >= 0.0) {
-            bail!("{option}: expected 0 or more, found {value}");
-        }
-    }
+    check_accuracy(args)?;
     let place = Path::new(place);
     let (file, issues) = calibration_issues(place)?;
     let issues = TrustIssues::of(issues);
@@ -263,6 +257,21 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             untrained: !disagreements.is_empty(),
         },
     ))
+}
+
+/// Checks what the arguments say of the motion's accuracy.
+///
+/// # Errors
+/// Negative numbers and those that are not finite.
+pub fn check_accuracy(args: &TrackArgs) -> Result<()> {
+    for (option, value) in
+        [("--motion-sd-mm", args.motion_sd_mm), ("--motion-clock-sd-s", args.motion_clock_sd_s)]
+    {
+        if !(value.is_finite() && value >= 0.0) {
+            bail!("{option}: expected 0 or more, found {value}");
+        }
+    }
+    Ok(())
 }
 
 /// Readings in order of time with their motion.

@@ -69,8 +69,11 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
     let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
     let doubts = loaded.doubts.codes();
     let mut files = TrackFiles::create(&args.out, false)?;
-    let mut tracker = loaded.row_tracker("", args.sweep, args.tare_s);
-    tracker.groove = KnownGroove::new(places, &loaded.card.whisker);
+    let found = loaded.row_tracker("", args.sweep, args.tare_s);
+    let (Some(mut tracker), Some(card)) = (found, loaded.network.as_ref().map(|n| &n.card)) else {
+        bail!("--model: expected one, found none");
+    };
+    tracker.groove = KnownGroove::new(places, &card.whisker);
     let mut last: Option<(f64, Option<BasePose>)> = None;
     let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
     for m in &rows {
@@ -125,8 +128,8 @@ pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result
         "format": FORMAT, "source": path, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
         "outside_valid_region": outside, "doubts": loaded.doubts.messages(), "lag_s": 0.0, "tare_s": args.tare_s,
         "object_class": args.object_class,
-        "calibration_sha256": loaded.file.content_sha256, "model_sha256": loaded.card.weights_sha256,
-        "trained_on_simulation": loaded.card.trained_on_simulation,
+        "calibration_sha256": loaded.file.content_sha256, "model_sha256": card.weights_sha256,
+        "trained_on_simulation": card.trained_on_simulation,
         "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
         "several_contacts": motion::several_summary(several_rows),
     });

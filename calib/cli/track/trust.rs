@@ -1,12 +1,12 @@
 //! What speaks against tracking with a calibration and a model.
 
 use crate::known_motion::contact_sentence;
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
 };
-use wcal_core::{CalibrationFile, VerificationStatus};
+use wcal_core::{CalibrationFile, VerificationStatus, WhiskerSpec};
 use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
@@ -47,12 +47,18 @@ pub struct WhiskerModel<'a> {
     pub place: PathBuf,
     /// Calibration.
     pub file: CalibrationFile<CalibrationModel>,
+    /// Network; none where the motion is known.
+    pub network: Option<Network<'a>>,
+    /// What speaks against them.
+    pub doubts: TrustIssues,
+}
+
+/// A network with its card.
+pub struct Network<'a> {
     /// Model.
     pub tracker: &'a Tracker,
     /// Its card.
     pub card: Card,
-    /// What speaks against them.
-    pub doubts: TrustIssues,
 }
 
 /// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
@@ -67,6 +73,21 @@ pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank 
 }
 
 impl WhiskerModel<'_> {
+    /// A whisker without a network: its contacts come from a known motion.
+    ///
+    /// # Errors
+    /// Where the calibration cannot be read.
+    pub fn without_network(name: &str, place: &Path) -> Result<Self> {
+        let (file, issues) = calibration_issues(place)?;
+        Ok(Self {
+            name: name.to_owned(),
+            place: place.to_owned(),
+            file,
+            network: None,
+            doubts: TrustIssues(issues),
+        })
+    }
+
     /// Its calibration from wavelengths to moments.
     ///
     /// # Errors
@@ -75,10 +96,25 @@ impl WhiskerModel<'_> {
         Ok(of_whisker(&self.place, &self.file)?)
     }
 
-    /// A tracker of rows whose filters know the calibration's noise.
-    pub fn row_tracker(&self, whisker: &str, vouched: bool, tare_s: f64) -> RowTracker<'_> {
-        let filters = filters_for(self.tracker.filters, &self.file.model);
-        RowTracker::new(whisker, (self.tracker, &self.card.training), filters, vouched, tare_s)
+    /// The whisker: the model's, else the calibration's.
+    ///
+    /// # Errors
+    /// Where neither says.
+    pub fn whisker(&self) -> Result<&WhiskerSpec> {
+        let own = self.network.as_ref().map(|n| &n.card.whisker).or(self.file.whisker.as_ref());
+        own.ok_or_else(|| {
+            anyhow!(
+                "{}: expected a calibration that says of which whisker it is, found an older one",
+                self.place.display()
+            )
+        })
+    }
+
+    /// A tracker of rows whose filters know the calibration's noise; none without a network.
+    pub fn row_tracker(&self, whisker: &str, vouched: bool, tare_s: f64) -> Option<RowTracker<'_>> {
+        let Network { tracker, card } = self.network.as_ref()?;
+        let filters = filters_for(tracker.filters, &self.file.model);
+        Some(RowTracker::new(whisker, (tracker, &card.training), filters, vouched, tare_s))
     }
 }
 
@@ -162,7 +198,7 @@ impl CheckedCalibration {
     /// With its model.
     pub fn with(self, tracker: &Tracker) -> WhiskerModel<'_> {
         let Self { name, place, file, card, doubts } = self;
-        WhiskerModel { name, place, file, tracker, card, doubts }
+        WhiskerModel { name, place, file, network: Some(Network { tracker, card }), doubts }
     }
 
     /// Reads a calibration and judges it beside the model.

@@ -1,12 +1,12 @@
 //! The whiskers of a stream: readings in, rows and events out.
 
 use super::TrackArgs;
-use super::motion;
+use super::located::RowLocator;
 use super::output::{TrackFiles, TrackRow, event_message};
+use super::stream_motion::{StreamMotion, kernel};
 use super::surface::write_surface;
 use super::trust::WhiskerModel;
-use anyhow::{Context, Result, bail};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,8 +18,8 @@ use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::device::FbgReading;
 use wcal_track::known_groove::{KnownGroove, KnownPlace};
-use wcal_track::row_tracker::{RowInput, RowTracker};
-use wcal_track::stream::{BaseMotion, Row, SignalChain, SignalChainSettings, first_mode_hz};
+use wcal_track::known_motion::MotionLog;
+use wcal_track::stream::{Row, SignalChain, SignalChainSettings, first_mode_hz};
 
 /// One whisker of a stream.
 struct Whisker<'a> {
@@ -27,7 +27,8 @@ struct Whisker<'a> {
     doubts: String,
     reader: WhiskerReader,
     chain: SignalChain,
-    tracker: RowTracker<'a>,
+    locator: RowLocator<'a>,
+    kernel: Vec<(f64, f64)>,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -38,14 +39,9 @@ struct Whisker<'a> {
 /// All whiskers with what they share.
 pub struct Whiskers<'a> {
     all: Vec<Whisker<'a>>,
-    base: Option<BaseMotion>,
-    base_mm_s: Option<f64>,
-    /// Groove that the stage carries, base frame, since a trajectory was mounted, and the trajectories by number.
-    groove: Option<BaseMotion>,
-    trajectories: BTreeMap<u32, Vector3<f64>>,
+    motion: StreamMotion,
     tare_s: f64,
     object_class: Option<String>,
-    zero_mm: f64,
     clocks: ClockPair,
     origin_s: Option<f64>,
     scans: u64,
@@ -61,11 +57,16 @@ pub struct Whiskers<'a> {
 }
 
 impl<'a> Whiskers<'a> {
-    /// Whiskers of a rig.
+    /// Whiskers of a rig; a log takes the place of the stage's motion.
     ///
     /// # Errors
     /// Where gratings, calibration, filter or base do not fit.
-    pub fn new(args: &TrackArgs, place: &str, rig: &Rig, loaded: &'a [WhiskerModel<'a>]) -> Result<Self> {
+    pub fn new(
+        args: &TrackArgs,
+        (place, rig): (&str, &Rig),
+        loaded: &'a [WhiskerModel<'a>],
+        log: Option<MotionLog>,
+    ) -> Result<Self> {
         let settings = SignalChainSettings {
             rate_hz: rig.interrogator.rate_hz,
             out_hz: args.rate_hz,
@@ -78,13 +79,15 @@ impl<'a> Whiskers<'a> {
             let calibration = l.calibration()?;
             let place_of = || l.place.display().to_string();
             let (map, fbg) = (calibration.stream().with_context(place_of)?, calibration.fbg());
-            let settings = SignalChainSettings { first_mode_hz: first_mode_hz(&l.card.whisker), ..settings };
+            let settings = SignalChainSettings { first_mode_hz: first_mode_hz(l.whisker()?), ..settings };
+            let chain = SignalChain::new(&settings, map)?;
             Ok(Whisker {
                 loaded: l,
                 doubts: l.doubts.codes(),
                 reader: WhiskerReader::new(place, &rig.interrogator, &l.name, fbg)?,
-                chain: SignalChain::new(&settings, map)?,
-                tracker: l.row_tracker(&l.name, args.sweep, args.tare_s),
+                kernel: kernel(chain.filter()),
+                chain,
+                locator: RowLocator::new(args, l)?,
                 rows: 0,
                 flagged: 0,
                 outside: 0,
@@ -94,13 +97,9 @@ impl<'a> Whiskers<'a> {
         };
         Ok(Self {
             all: loaded.iter().map(one).collect::<Result<_>>()?,
-            base: base_motion(place, rig)?,
-            base_mm_s: args.base_mm_s,
-            groove: None,
-            trajectories: rig.trajectory.iter().map(|t| (t.id, Vector3::from(t.direction))).collect(),
+            motion: StreamMotion::new(place, rig, args.base_mm_s, log)?,
             tare_s: args.tare_s,
             object_class: args.object_class.clone(),
-            zero_mm: rig.stage.zero_mm,
             clocks: ClockPair::default(),
             origin_s: None,
             scans: 0,
@@ -130,27 +129,20 @@ impl<'a> Whiskers<'a> {
         if let Some(origin_s) = self.origin_s
             && let Some(device_s) = self.clocks.device_s(position.host_s)
         {
-            for carried in self.base.iter_mut().chain(&mut self.groove) {
-                carried.push(device_s - origin_s, position.measured_mm - self.zero_mm);
-            }
+            self.motion.stage(device_s - origin_s, position.measured_mm);
         }
     }
 
-    /// Takes what a sweep did: from a mount on, the stage carries the groove along that trajectory, unless the rig says that it carries the
-    /// base.
+    /// Takes what a sweep did.
     pub fn sweep_event(&mut self, event: &SweepEvent) {
-        let direction =
-            self.trajectories.get(&event.trajectory).filter(|_| event.kind == "mount" && self.base.is_none());
-        if let Some(direction) = direction {
-            self.groove = Some(BaseMotion::new(Isometry3::identity(), Some(*direction)));
-        }
+        self.motion.sweep_event(event);
     }
 
     /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
     pub fn know_groove(&mut self, places: &[KnownPlace], whisker: Option<&str>) {
         let one = self.all.len() == 1;
         for w in self.all.iter_mut().filter(|w| one || whisker.is_some_and(|id| id == w.loaded.name)) {
-            w.tracker.groove = KnownGroove::new(places.to_vec(), &w.loaded.card.whisker);
+            w.locator.know_groove(places);
         }
     }
 
@@ -191,8 +183,7 @@ impl<'a> Whiskers<'a> {
             }
             if let Some(row) = row {
                 let start = Instant::now();
-                let carried = [self.base.as_ref(), self.groove.as_ref()];
-                let message = w.row(&row, carried, self.base_mm_s, files)?;
+                let message = w.row(&row, &self.motion, files)?;
                 self.spent[1] += start.elapsed();
                 if let Some(channels) = channels {
                     channels.contact(reading.clocks.host_s, &message);
@@ -224,18 +215,21 @@ impl<'a> Whiskers<'a> {
         for w in &self.all {
             let whose =
                 if w.loaded.name.is_empty() { String::new() } else { format!("whisker {}: ", w.loaded.name) };
-            motion::say(&w.tracker.motion, &whose, w.rows);
-            motion::say_several(&whose, w.tracker.several_rows);
-            if let Some(said) = w.tracker.groove.as_ref().and_then(KnownGroove::message) {
-                eprintln!("{whose}{said}");
-            }
+            w.locator.say(&whose, w.rows);
         }
+    }
+
+    /// Ends the contacts at hand: the stream is over.
+    pub fn end(&mut self) {
+        self.all.iter_mut().for_each(|w| w.locator.end());
     }
 
     /// Whether rows are in doubt for their motion, and whether stated regions do not hold the known groove.
     pub fn doubtful(&self) -> [bool; 2] {
-        let misstated = |w: &Whisker<'_>| w.tracker.groove.as_ref().is_some_and(KnownGroove::misstated);
-        [self.all.iter().any(|w| w.tracker.motion.any()), self.all.iter().any(misstated)]
+        [
+            self.all.iter().any(|w| w.locator.in_doubt()),
+            self.all.iter().any(|w| w.locator.groove().is_some_and(KnownGroove::misstated)),
+        ]
     }
 
     /// Writes cloud and surface beside the table.
@@ -243,7 +237,18 @@ impl<'a> Whiskers<'a> {
     /// # Errors
     /// Where the disk does not take it.
     pub fn surface(&self, out: &Path) -> Result<Value> {
-        write_surface(out, &self.all.iter().map(|w| &w.tracker.history).collect::<Vec<_>>())
+        write_surface(out, &self.all.iter().map(|w| w.locator.history()).collect::<Vec<_>>())
+    }
+
+    /// Where the motion comes from, for track.json; none where networks locate the contacts.
+    pub fn motion_summary(&self) -> Option<Value> {
+        let log = self.motion.log();
+        self.all.iter().all(|w| w.loaded.network.is_none()).then(|| {
+            json!({
+                "source": self.motion.source(), "span_s": log.map(MotionLog::span_s),
+                "jump_lines": log.map(|l| l.jumps().collect::<Vec<_>>()),
+            })
+        })
     }
 
     /// Facts for track.json.
@@ -274,22 +279,15 @@ impl Whisker<'_> {
     fn row(
         &mut self,
         row: &Row,
-        [base, groove]: [Option<&BaseMotion>; 2],
-        base_mm_s: Option<f64>,
+        motion: &StreamMotion,
         files: &mut TrackFiles,
     ) -> Result<wcal_acquisition::tracks::ContactPoint> {
-        let [base, groove] = [base, groove].map(|b| b.and_then(|b| b.at(row.t_s)));
-        // The groove goes on as the base would go back.
-        let past_groove = groove.and_then(|g| g.velocity_mm_s).map(|v| -v);
-        let velocity = base.and_then(|b| b.velocity_mm_s).or(past_groove);
-        let velocity = velocity.or(base_mm_s.map(|v| Vector3::z() * v));
-        let base_mm_s = base.and_then(|b| b.along_z_mm_s()).or(base_mm_s);
-        if row.moments.is_none() {
-            // What happened in between is not known: the tracker starts anew.
-            self.tracker.restart();
-        }
-        let input = RowInput { t_s: row.t_s, moments: row.moments, base, base_mm_s, velocity_mm_s: velocity };
-        let tracked = self.tracker.push(&input);
+        let known = motion.at(row.t_s);
+        let tracked = self.locator.push(row, &known, |middle| {
+            let relative = motion.relative(row.t_s, &self.kernel, middle);
+            (relative, self.chain.spread(), self.chain.row_noise_nmm2())
+        })?;
+        let (base, base_mm_s) = (known.base, known.base_mm_s);
         let flags = row.flags.with(tracked.flags);
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
@@ -322,33 +320,17 @@ impl Whisker<'_> {
                 "drift_nmm_s": noise.drift_nmm_s, "level_limit": limits.level, "abrupt_limit": limits.abrupt,
             })
         });
-        json!({
+        let mut summary = json!({
             "whisker": l.name, "rows": self.rows, "flagged_rows": self.flagged, "outside_valid_region": self.outside,
-            "unusable_scans": self.unusable, "events": self.events, "segments": self.tracker.history.segments(), "noise": noise, "doubts": l.doubts.messages(),
-            "untrained_motion": motion::summary(&self.tracker.motion), "known_groove": self.tracker.groove.as_ref().and_then(KnownGroove::summary),
-            "several_contacts": motion::several_summary(self.tracker.several_rows),
-            "first_mode_hz": first_mode_hz(&l.card.whisker), "calibration_sha256": l.file.content_sha256,
-            "model_sha256": l.card.weights_sha256, "trained_on_simulation": l.card.trained_on_simulation,
-        })
+            "unusable_scans": self.unusable, "events": self.events, "segments": self.locator.history().segments(), "noise": noise,
+            "doubts": l.doubts.messages(), "known_groove": self.locator.groove().and_then(KnownGroove::summary),
+            "first_mode_hz": l.whisker().ok().map(first_mode_hz), "calibration_sha256": l.file.content_sha256,
+        });
+        if let Some(all) = summary.as_object_mut() {
+            all.extend(self.locator.summary(l).as_object().cloned().unwrap_or_default());
+        }
+        summary
     }
-}
-
-/// Motion of the base where the rig says where it is.
-fn base_motion(place: &str, rig: &Rig) -> Result<Option<BaseMotion>> {
-    let Some(base) = &rig.base else { return Ok(None) };
-    let m = base.world_from_base;
-    let turn = Matrix3::from_fn(|i, j| m[i][j]);
-    let sound = (turn * turn.transpose() - Matrix3::identity()).norm() < 1e-3 && turn.determinant() > 0.0;
-    if !sound || m[3] != [0.0, 0.0, 0.0, 1.0] {
-        bail!("{place}: base.world_from_base: expected a rotation and a shift in mm, found {m:?}");
-    }
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&turn));
-    let at_zero = Isometry3::from_parts(Translation3::new(m[0][3], m[1][3], m[2][3]), turn);
-    let flat = |a: [f64; 3]| a.iter().any(|x| !x.is_finite()) || Vector3::from(a).norm() <= 1e-6;
-    if base.carried_along.is_some_and(flat) {
-        bail!("{place}: base.carried_along: expected a direction, found {:?}", base.carried_along);
-    }
-    Ok(Some(BaseMotion::new(at_zero, base.carried_along.map(Vector3::from))))
 }
 
 /// What was lost, for people; none when nothing was.

@@ -1,5 +1,7 @@
 //! A whisker's readings as they arrive, and the maps that take them one by one.
 
+use nalgebra::Matrix2;
+
 /// What was wrong with a reading or since the one before, as bits; 0: nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Flags(pub u16);
@@ -100,12 +102,23 @@ pub struct StreamMoments {
     pub valid: bool,
 }
 
+/// What the spread of a reading's moments is made of.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MomentSpread {
+    /// Covariance of the noise from pose to pose, (N mm)^2.
+    pub noise_nmm2: Matrix2<f64>,
+    /// By how much one standard deviation of each unknown that all readings share makes the moments too large, N mm.
+    pub shared_nmm: Vec<[f64; 2]>,
+}
+
 /// A calibration that takes readings one by one, in order of time.
 pub trait MomentStream: Send {
     /// Moments alone, N mm, without memory: for every scan.
     fn quick_nmm(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2];
     /// Moments with their spread and validity, memory effects carried on from the reading before.
     fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> StreamMoments;
+    /// What the spread of the moments is made of that [`Self::moments`] gave last; as many shared unknowns at every reading.
+    fn spread(&self) -> MomentSpread;
 }
 
 #[cfg(test)]

@@ -12,7 +12,8 @@ use crate::process::{Factor, ProcessModel};
 use crate::region::ValidRegion;
 use crate::student::half95;
 use crate::trend::{MAX_TERMS, Trend};
-use wcal_core::stream::{MomentStream, StreamMoments};
+use nalgebra::Matrix2;
+use wcal_core::stream::{MomentSpread, MomentStream, StreamMoments};
 
 /// Moments of one reading.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -35,6 +36,18 @@ impl MapPrediction {
     pub fn is_valid(&self) -> bool {
         self.outside_by_pm <= 0.0
     }
+
+    /// What the spread is made of: the map's uncertainty is taken as common to all readings, one unknown for each moment.
+    #[must_use]
+    pub fn spread(&self) -> MomentSpread {
+        const MIN_NMM2: f64 = 1e-12;
+        let map = self.sd_map_nmm;
+        let [a, b] = [0, 1].map(|c| (self.sd_nmm[c].powi(2) - map[c].powi(2)).max(MIN_NMM2));
+        MomentSpread {
+            noise_nmm2: Matrix2::new(a, 0.0, 0.0, b),
+            shared_nmm: vec![[map[0], 0.0], [0.0, map[1]]],
+        }
+    }
 }
 
 /// A map ready for use: factors rebuilt once, buffers held.
@@ -47,6 +60,7 @@ pub struct MapPredictor {
     outputs: [Output; 2],
     correlation: Box<[f64]>,
     whitened: Box<[f64]>,
+    last: MapPrediction,
 }
 
 #[derive(Debug, Clone)]
@@ -86,6 +100,7 @@ impl MapPredictor {
             correlation: vec![0.0; inputs.len()].into(),
             whitened: vec![0.0; inputs.len()].into(),
             inputs,
+            last: MapPrediction::default(),
         })
     }
 
@@ -129,7 +144,12 @@ impl MomentStream for MapPredictor {
 
     fn moments(&mut self, _t_s: f64, shift_pm: [f64; 2], _rise_degc: f64) -> StreamMoments {
         let p = self.predict(shift_pm);
+        self.last = p;
         StreamMoments { moment_nmm: p.moment_nmm, sd_nmm: p.sd_nmm, valid: p.is_valid() }
+    }
+
+    fn spread(&self) -> MomentSpread {
+        self.last.spread()
     }
 }
 

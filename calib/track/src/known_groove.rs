@@ -62,6 +62,8 @@ pub struct KnownGroove {
     radius_mm: f64,
     last: Option<Answer>,
     compared: Vec<EstimateError>,
+    /// Their times, s.
+    times_s: Vec<f64>,
     /// Readings at which the tracker sees no contact.
     unseen: usize,
 }
@@ -71,7 +73,15 @@ impl KnownGroove {
     #[must_use]
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
-        let own = Self { places, next: 0, radius_mm, last: None, compared: Vec::new(), unseen: 0 };
+        let own = Self {
+            places,
+            next: 0,
+            radius_mm,
+            last: None,
+            compared: Vec::new(),
+            times_s: Vec::new(),
+            unseen: 0,
+        };
         (!own.places.is_empty()).then_some(own)
     }
 
@@ -101,6 +111,7 @@ impl KnownGroove {
                     &path,
                     Some(&chosen.covariance_mm2),
                 ));
+                self.times_s.push(place.t_s);
                 self.unseen += usize::from(chosen.contact < 0.5);
             }
             self.next += 1;
@@ -120,6 +131,16 @@ impl KnownGroove {
             "readings": self.places.len(), "compared": s.samples, "without_contact": self.unseen, "rmse_mm": s.true_contact_rmse_mm,
             "median_mm": s.true_contact_median_mm, "p95_mm": s.p95_mm, "largest_mm": largest_mm, "coverage90": s.coverage90,
         }))
+    }
+
+    /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
+    /// where none was compared.
+    #[must_use]
+    pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
+        let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
+        let last: Vec<f64> =
+            contacts_s.iter().filter_map(within).map(|k| self.compared[k].error_mm.norm_squared()).collect();
+        (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
     }
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.

@@ -17,6 +17,7 @@ pub mod known_motion;
 pub mod mesh_score;
 pub mod model_file;
 pub mod motion_judge;
+pub mod motion_row_tracker;
 pub mod network;
 pub mod row_tracker;
 pub mod score;

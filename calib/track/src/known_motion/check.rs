@@ -90,7 +90,7 @@ impl Innovations {
     }
 
     /// Whether the innovations are consistent, a few outliers allowed.
-    fn consistent(&self) -> bool {
+    pub(crate) fn consistent(&self) -> bool {
         !too_large(self.robust, self.dof) && self.gross <= (self.rows / MAX_GROSS).max(1)
     }
 }
@@ -139,5 +139,9 @@ fn best_chi2(field: &MomentField, episode: &Episode, settings: &Settings) -> Opt
     let likelihood = Likelihood::new(&path, settings, None).ok()?;
     let mode = modes(&path, &likelihood, settings).into_iter().next()?;
     let mode = climb(&path, &likelihood, settings, &mode.state)?;
-    Some(likelihood.innovation(&path, &mode.state).0)
+    // With what is not known of the motion; a few outliers allowed.
+    let likelihood = Likelihood::new(&path, settings, Some((&mode.state, &likelihood))).ok()?;
+    let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
+    let few = gross <= (episode.rows.len() / MAX_GROSS).max(1);
+    few.then(|| likelihood.innovation(&path, &mode.state).0)
 }

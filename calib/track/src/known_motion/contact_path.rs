@@ -25,13 +25,13 @@ pub struct State {
 }
 
 /// Longest step over which stick and slip are integrated, mm.
-const PLAY_MM: f64 = 0.25;
+pub(crate) const PLAY_MM: f64 = 0.25;
 /// Moment beyond which a reading is no longer that of a free wire, in standard deviations.
 const LOADED_SDS: f64 = 4.0;
 /// Smallest sine of the angle between push and wire: a push along the wire has no gap direction.
-const ACROSS: f64 = 0.1;
+pub(crate) const ACROSS: f64 = 0.1;
 /// Range of the onset before the first reading, mm.
-const BEFORE_MM: f64 = 20.0;
+pub(crate) const BEFORE_MM: f64 = 20.0;
 
 /// An episode with its push direction, ready for states.
 pub struct ContactPath<'a> {
@@ -77,6 +77,16 @@ impl<'a> ContactPath<'a> {
         Some(Self { onset_mm: [lowest - BEFORE_MM, deepest], ..own })
     }
 
+    /// Of one reading, whose motion since the reference is known.
+    pub(crate) fn of_reading(
+        field: &'a MomentField,
+        row: &'a MotionRow,
+        push: Vector3<f64>,
+        motion: (Rotation3<f64>, Vector3<f64>),
+    ) -> Self {
+        Self { field, rows: std::slice::from_ref(row), push, motions: vec![motion], onset_mm: [0.0; 2] }
+    }
+
     /// The same motion past another wire.
     pub(crate) fn past(&self, field: &'a MomentField) -> Self {
         Self { field, motions: self.motions.clone(), ..*self }
@@ -105,7 +115,7 @@ impl<'a> ContactPath<'a> {
     }
 
     /// Where a point that is at `place_mm` at the reference reading is at another, mm.
-    fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
+    pub(crate) fn carried(&self, place_mm: &Vector3<f64>, row: usize) -> Vector3<f64> {
         let (turn, displacement) = &self.motions[row];
         turn * place_mm + displacement
     }
@@ -209,7 +219,7 @@ impl<'a> ContactPath<'a> {
             let mut held = None;
             for n in 1..=steps {
                 let at = from + (to - from) * (n as f64 / steps as f64);
-                held = Some(self.play(&at, mu.coefficient * share, &mut s)?);
+                held = Some(play(self.field, &at, mu.coefficient * share, &mut s)?);
             }
             moments.push(held?.moment_nmm);
             contact = Some((s, to, row.visit));
@@ -224,36 +234,36 @@ impl<'a> ContactPath<'a> {
         to - self.push * (depth - depth.min(1e-3))
     }
 
-    /// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
-    fn play(&self, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
-        let [low, free, high] =
-            [-friction, 0.0, friction].map(|r| self.field.held(at, r).map(|h| h.arclength_mm));
-        let (low, free, high) = (low?, free?, high?);
-        *s_mm = s_mm.clamp(low.min(high), low.max(high));
-        // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.
-        let (mut a, mut b) = ((-friction, low - *s_mm), (friction, high - *s_mm));
-        let mut ratio = 0.0;
-        let mut value = free - *s_mm;
-        for _ in 0..8 {
-            if value.abs() < 1e-7 {
-                break;
-            }
-            if (value > 0.0) == (a.1 > 0.0) {
-                a = (ratio, value)
-            } else {
-                b = (ratio, value)
-            }
-            if (b.1 - a.1).abs() < 1e-12 {
-                break;
-            }
-            ratio = a.0 - a.1 * (b.0 - a.0) / (b.1 - a.1);
-            value = self.field.held(at, ratio)?.arclength_mm - *s_mm;
-        }
-        self.field.held(at, ratio)
-    }
-
     /// Whether the wire is held at a reading.
     pub(crate) fn held(&self, state: &State, row: usize) -> bool {
         !self.rows[row].free && self.depth(state, row).is_some_and(|d| d > 0.0)
     }
+}
+
+/// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
+pub(crate) fn play(field: &MomentField, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
+    let here = field.at_place(at)?;
+    let [low, free, high] = [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
+    let (low, free, high) = (low?, free?, high?);
+    *s_mm = s_mm.clamp(low.min(high), low.max(high));
+    // Ratio of tangential to normal force whose equilibrium has this arc length, by regula falsi.
+    let (mut a, mut b) = ((-friction, low - *s_mm), (friction, high - *s_mm));
+    let mut ratio = 0.0;
+    let mut value = free - *s_mm;
+    for _ in 0..8 {
+        if value.abs() < 1e-7 {
+            break;
+        }
+        if (value > 0.0) == (a.1 > 0.0) {
+            a = (ratio, value)
+        } else {
+            b = (ratio, value)
+        }
+        if (b.1 - a.1).abs() < 1e-12 {
+            break;
+        }
+        ratio = a.0 - a.1 * (b.0 - a.0) / (b.1 - a.1);
+        value = here.held(ratio)?.arclength_mm - *s_mm;
+    }
+    here.held(ratio)
 }

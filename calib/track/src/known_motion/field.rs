@@ -6,7 +6,8 @@
 //! there; [`MomentField::held`] refuses `s_c` beyond the true length. Nodes are solved by continuation from the free wire, which keeps to
 //! the branch of equilibria that starts at first touch. Source of the equilibrium: `wcal_rod`.
 
-use nalgebra::Vector3;
+use super::interpolation::{cubic, cubic_rate};
+use nalgebra::{Matrix2x3, Vector3};
 use std::collections::HashMap;
 use std::sync::{Arc, RwLock};
 use wcal_core::observation::MomentAxes;
@@ -49,6 +50,22 @@ pub struct Held {
     pub arclength_mm: f64,
 }
 
+/// Interpolated values at a place: what is left is the parabola through the ratios.
+pub(crate) struct AtPlace<'a> {
+    field: &'a MomentField,
+    place_mm: Vector3<f64>,
+    sums: [[f64; 3]; 3],
+}
+
+impl AtPlace<'_> {
+    /// As [`MomentField::held`].
+    pub fn held(&self, ratio: f64) -> Option<Held> {
+        let by_ratio = self.field.ratio_weights(ratio);
+        let sum = [0, 1, 2].map(|k| self.sums.iter().zip(by_ratio).map(|(s, by)| by * s[k]).sum());
+        self.field.of_sums(&self.place_mm, &sum)
+    }
+}
+
 /// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
 type Values = Vec<[f64; 3]>;
 
@@ -81,8 +98,8 @@ pub struct MomentField {
     /// Samples of the free wire: arc length and place.
     wire: Vec<(f64, Vector3<f64>)>,
     nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
-    /// Values of the 64 nodes around a cell; none where one is missing.
-    cells: RwLock<HashMap<Key, Option<Arc<Vec<Values>>>>>,
+    /// Values of the 64 nodes around a cell, ratio by ratio; none where one is missing.
+    cells: RwLock<HashMap<Key, Option<Arc<[[f64; 3]]>>>>,
 }
 
 fn place(key: &Key) -> Vector3<f64> {
@@ -91,16 +108,6 @@ fn place(key: &Key) -> Vector3<f64> {
 
 fn key_of(place_mm: &Vector3<f64>) -> Key {
     [0, 1, 2].map(|k| (place_mm[k] / PITCH_MM).round() as i32)
-}
-
-/// Weights of the nodes at -1, 0, 1, 2 for a value between 0 and 1 (Lagrange).
-fn cubic(u: f64) -> [f64; 4] {
-    [
-        -u * (u - 1.0) * (u - 2.0) / 6.0,
-        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-        -(u + 1.0) * u * (u - 2.0) / 2.0,
-        (u + 1.0) * u * (u - 1.0) / 6.0,
-    ]
 }
 
 impl MomentField {
@@ -162,18 +169,82 @@ impl MomentField {
     /// lies beyond the tip.
     #[must_use]
     pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<Held> {
-        let scaled = place_mm / PITCH_MM;
-        let low = [0, 1, 2].map(|k| scaled[k].floor());
-        let cell = self.cell(low.map(|v| v as i32))?;
-        let [wx, wy, wz] = [0, 1, 2].map(|k| cubic(scaled[k] - low[k]));
-        let by_ratio = self.ratio_weights(ratio);
-        let mut sum = [0.0; 3];
-        for (n, values) in cell.iter().enumerate() {
+        self.at_place(place_mm)?.held(ratio)
+    }
+
+    /// The values at a place under every ratio.
+    pub(crate) fn at_place(&self, place_mm: &Vector3<f64>) -> Option<AtPlace<'_>> {
+        let (cell, [x, y, z]) = self.around(place_mm)?;
+        let [wx, wy, wz] = [x, y, z].map(cubic);
+        let ratios = cell.len() / 64;
+        let mut sums = [[0.0; 3]; 3];
+        for (n, values) in cell.chunks_exact(ratios).enumerate() {
             let weight = wx[n / 16] * wy[n / 4 % 4] * wz[n % 4];
-            for (value, by) in values.iter().zip(by_ratio) {
-                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * by * v);
+            for (sum, value) in sums.iter_mut().zip(values) {
+                sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
             }
         }
+        Some(AtPlace { field: self, place_mm: *place_mm, sums })
+    }
+
+    /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
+    #[must_use]
+    pub fn held_and_rate(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<(Held, Matrix2x3<f64>)> {
+        let (cell, [x, y, z]) = self.around(place_mm)?;
+        let [wx, wy, wz] = [x, y, z].map(cubic);
+        let [rx, ry, rz] = [x, y, z].map(cubic_rate);
+        let by_ratio = &self.ratio_weights(ratio)[..cell.len() / 64];
+        let (mut sum, mut rates) = ([0.0; 3], [[0.0; 2]; 3]);
+        for (n, values) in cell.chunks_exact(by_ratio.len()).enumerate() {
+            let [i, j, k] = [n / 16, n / 4 % 4, n % 4];
+            let mut value = [0.0; 3];
+            for (v, by) in values.iter().zip(by_ratio) {
+                value.iter_mut().zip(v).for_each(|(s, v)| *s += by * v);
+            }
+            let by_axis = [rx[i] * wy[j] * wz[k], wx[i] * ry[j] * wz[k], wx[i] * wy[j] * rz[k]];
+            let weight = wx[i] * wy[j] * wz[k];
+            sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+            for (rate, by) in rates.iter_mut().zip(by_axis) {
+                (0..2).for_each(|c| rate[c] += by / PITCH_MM * value[c]);
+            }
+        }
+        // m = q / |P|^2.
+        let squared = place_mm.norm_squared();
+        let rate = |c: usize, a: usize| (rates[a][c] - 2.0 * sum[c] * place_mm[a] / squared) / squared;
+        Some((self.of_sums(place_mm, &sum)?, Matrix2x3::from_fn(rate)))
+    }
+
+    /// Fills the table for places up to `reach_mm` from the free wire, so that no reading of a stream has to wait for the rod.
+    pub fn fill(&self, reach_mm: f64) {
+        let mut cells: Vec<Key> = Vec::new();
+        let steps = (reach_mm / PITCH_MM).ceil() as i32;
+        for (_, wire) in self.wire.iter().step_by((PITCH_MM / WIRE_MM) as usize) {
+            let at = key_of(wire);
+            for n in 0..(2 * steps + 1).pow(3) {
+                let side = 2 * steps + 1;
+                let by = [n / side / side - steps, n / side % side - steps, n % side - steps];
+                let key = [at[0] + by[0], at[1] + by[1], at[2] + by[2]];
+                if (place(&key) - wire).norm() <= reach_mm {
+                    cells.push(key);
+                }
+            }
+        }
+        cells.sort_unstable();
+        cells.dedup();
+        cells.into_iter().for_each(|key| {
+            let _ = self.cell(key);
+        });
+        self.changed.iter().for_each(|changed| changed.fill(reach_mm));
+    }
+
+    /// The cell of a place, and where in it the place is, in each coordinate from 0 to 1.
+    fn around(&self, place_mm: &Vector3<f64>) -> Option<(Arc<[[f64; 3]]>, [f64; 3])> {
+        let scaled = place_mm / PITCH_MM;
+        let low = [0, 1, 2].map(|k| scaled[k].floor());
+        Some((self.cell(low.map(|v| v as i32))?, [0, 1, 2].map(|k| scaled[k] - low[k])))
+    }
+
+    fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<Held> {
         let squared = place_mm.norm_squared();
         (sum[2] <= self.length_mm).then_some(Held {
             moment_nmm: [sum[0] / squared - self.at_rest_nmm[0], sum[1] / squared - self.at_rest_nmm[1]],
@@ -191,7 +262,7 @@ impl MomentField {
         [0.5 * v * (v - 1.0), 1.0 - v * v, 0.5 * v * (v + 1.0)]
     }
 
-    fn cell(&self, low: Key) -> Option<Arc<Vec<Values>>> {
+    fn cell(&self, low: Key) -> Option<Arc<[[f64; 3]]>> {
         if let Some(known) = self.cells.read().ok()?.get(&low) {
             return known.clone();
         }
@@ -199,7 +270,8 @@ impl MomentField {
             let key = [low[0] + n / 16 - 1, low[1] + n / 4 % 4 - 1, low[2] + n % 4 - 1];
             self.node(key).map(|node| node.values.clone())
         });
-        let cell = around.collect::<Option<Vec<Values>>>().map(Arc::new);
+        let cell: Option<Arc<[[f64; 3]]>> =
+            around.collect::<Option<Vec<Values>>>().map(|all| all.concat().into());
         self.cells.write().ok()?.insert(low, cell.clone());
         cell
     }
@@ -307,65 +379,5 @@ impl MomentField {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use wcal_core::observation::WhiskerSpec;
-    use wcal_rod::{Line, Outcome};
-
-    fn rod() -> Rod {
-        Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap()
-    }
-
-    /// Largest difference to the rod followed along lines, as a share of the moment.
-    fn largest_off(field: &MomentField, rod: &Rod) -> f64 {
-        let mut largest: f64 = 0.0;
-        for (s_mm, reach_mm) in [(14.0, 4.0), (24.0, 7.0), (38.0, 11.0), (57.0, 14.0)] {
-            for turn in [0.0, -1.1, 0.7_f64] {
-                let (origin_mm, tangent) = field.free(s_mm);
-                let normal = Vector3::new(-tangent.z, 0.0, tangent.x);
-                let line = Line { origin_mm, direction: normal * turn.cos() + Vector3::y() * turn.sin() };
-                let xs: Vec<f64> = (1..=9).map(|k| reach_mm * f64::from(k) / 9.0).collect();
-                for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)) {
-                    let Outcome::Held(e) = outcome else { continue };
-                    let held = field.held(&line.point(*x), 0.0).unwrap();
-                    let m = MomentAxes::default().components_nmm(&e.moment_nmm);
-                    let off = (m[0] - held.moment_nmm[0]).hypot(m[1] - held.moment_nmm[1]);
-                    largest = largest.max(off / (m[0].hypot(m[1]) + 0.02));
-                    assert!((held.arclength_mm - e.arclength_mm).abs() < 0.02, "{s_mm} {x}: {held:?}");
-                }
-            }
-        }
-        largest
-    }
-
-    #[test]
-    fn the_table_is_the_rod() {
-        let rod = rod();
-        let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
-        let off = largest_off(&field, &rod);
-        assert!(off < 1e-3, "{off}");
-        // Control: another wire is another table.
-        let mut stiff = rod.clone();
-        stiff.section.ei_nmm2 *= 1.01;
-        assert!(largest_off(&field, &stiff) > 5e-3);
-    }
-
-    #[test]
-    fn what_lies_beyond_the_tip_or_behind_the_root_holds_nothing() {
-        let field = MomentField::new(&rod(), &MomentAxes::default(), Friction::NONE);
-        let (tip, tangent) = field.free(60.0);
-        assert!(field.held(&(tip - tangent * 0.5), 0.0).is_some());
-        assert!(field.held(&(tip + tangent * 0.5), 0.0).is_none());
-        assert!(field.held(&Vector3::new(-5.0, 0.0, 3.0), 0.0).is_none());
-        assert!(field.held(&Vector3::new(2e4, 0.0, 4e4), 0.0).is_none(), "metres away");
-    }
-
-    #[test]
-    fn friction_moves_the_contact_both_ways() {
-        let friction = Friction { coefficient: 0.2, moving_share: 1.0 };
-        let field = MomentField::new(&rod(), &MomentAxes::default(), friction);
-        let at = Vector3::new(30.0, -4.0, 3.0);
-        let [low, free, high] = [-0.2, 0.0, 0.2].map(|r| field.held(&at, r).unwrap().arclength_mm);
-        assert!((low - free) * (high - free) < 0.0 && (high - low).abs() > 1e-4, "{low} {free} {high}");
-    }
-}
+#[path = "field_tests.rs"]
+mod tests;

@@ -22,7 +22,7 @@ use crate::TrackError;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
 /// Standard deviation of noisy outliers in units of the noise.
-const GROSS: f64 = 10.0;
+pub(crate) const GROSS: f64 = 10.0;
 /// Largest moment of a wire pressed near its root, N mm: outliers that are anything lie below.
 const MAX_NMM: f64 = 3.0;
 /// Weight of a reading that is certainly an outlier.
@@ -30,9 +30,9 @@ const NO_WEIGHT: f64 = 1e-9;
 /// A column with a norm below this (in standard deviations) is zero: the square root of the rounding error of its square.
 const MIN_NORM: f64 = 1e-6;
 /// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
-const TABLE_SHARE: f64 = 3e-4;
+pub(crate) const TABLE_SHARE: f64 = 3e-4;
 /// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate, mm.
-const TABLE_MM: f64 = 0.003;
+pub(crate) const TABLE_MM: f64 = 0.003;
 /// Step of differences, mm.
 const STEP_MM: f64 = 0.02;
 

@@ -34,20 +34,25 @@
 pub mod bound;
 pub mod check;
 pub mod contact_path;
+pub mod contact_stream;
 pub mod correlated;
 pub mod episodes;
 pub mod field;
+mod interpolation;
 pub mod likelihood;
 pub mod motion_log;
 pub mod posterior;
+pub mod recursive;
 
 pub use bound::bound_mm;
 pub use check::{Disagreement, Innovations};
+pub use contact_stream::{ContactStream, StreamedContact};
 pub use correlated::{CorrelatedShare, share_correlated};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Lost, Motion, MotionLog};
 pub use posterior::{Posterior, Region};
+pub use recursive::{PoseNoise, RecursivePosterior, RecursiveSettings};
 
 use crate::TrackError;
 use contact_path::{ContactPath, loaded};
@@ -265,21 +270,26 @@ fn check_rows(episode: &Episode) -> Result<(), TrackError> {
     let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
     let mut last_s = f64::NEG_INFINITY;
     for (k, row) in episode.rows.iter().enumerate() {
-        let what = || format!("reading {k} of an episode");
-        let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
-        if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
-            return Err(TrackError::value(what(), "finite moments, noise and motion", "one that is not"));
-        }
-        if !(row.t_s >= last_s) {
-            return Err(TrackError::value(what(), format!("a time from {last_s} s on"), row.t_s.to_string()));
-        }
-        for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
-            if count != shared {
-                let expected = format!("{shared} common unknowns as in the first");
-                return Err(TrackError::value(what(), expected, count.to_string()));
-            }
-        }
+        check_row(row, last_s, shared, &format!("reading {k} of an episode"))?;
         last_s = row.t_s;
+    }
+    Ok(())
+}
+
+/// A reading after one at `last_s`, of a record with `shared` common unknowns.
+fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<(), TrackError> {
+    let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
+    if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
+        return Err(TrackError::value(what, "finite moments, noise and motion", "one that is not"));
+    }
+    if !(row.t_s >= last_s) {
+        return Err(TrackError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
+    }
+    for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
+        if count != shared {
+            let expected = format!("{shared} common unknowns as in the first");
+            return Err(TrackError::value(what, expected, count.to_string()));
+        }
     }
     Ok(())
 }

@@ -62,6 +62,8 @@ pub enum Lost {
     Gap,
     /// Between the two rows of a jump.
     Jump,
+    /// Nothing says how base and object move.
+    Unknown,
 }
 
 impl Lost {
@@ -72,6 +74,7 @@ impl Lost {
             Self::Outside => "outside",
             Self::Gap => "gap",
             Self::Jump => "jump",
+            Self::Unknown => "unknown",
         }
     }
 }
@@ -171,6 +174,25 @@ impl MotionLog {
         let row = self.rows.get(after).filter(|_| own).ok_or(why)?;
         let (turn, moved_mm, piece) = (row.turn, row.moved_mm, self.pieces[after]);
         Ok(Motion { turn, moved_mm, velocity_mm_s: Vector3::zeros(), piece })
+    }
+
+    /// Motion averaged over a filter's times and weights around a time (s), with the rotation at that time.
+    ///
+    /// # Errors
+    /// Where the motion is unknown within the filter.
+    pub fn averaged(&self, t_s: f64, point_mm: &Vector3<f64>, kernel: &[(f64, f64)]) -> Result<Motion, Lost> {
+        let here = self.at(t_s, point_mm)?;
+        let fixed = here.turn.inverse() * (point_mm - here.moved_mm);
+        let (mut place, mut velocity_mm_s) = (Vector3::zeros(), Vector3::zeros());
+        for (offset_s, weight) in kernel {
+            let m = self.at(t_s + offset_s, point_mm)?;
+            if m.piece != here.piece {
+                return Err(Lost::Jump);
+            }
+            place += (m.turn * fixed + m.moved_mm) * *weight;
+            velocity_mm_s += m.velocity_mm_s * *weight;
+        }
+        Ok(Motion { moved_mm: place - here.turn * fixed, velocity_mm_s, ..here })
     }
 
     /// Whether the motion between a row and the next is known.

@@ -8,7 +8,7 @@ use std::cell::OnceCell;
 use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
 
 /// First grid along the wire, mm.
-const SCAN_MM: f64 = 1.0;
+pub(crate) const SCAN_MM: f64 = 1.0;
 /// Trial onsets of the scan at each arc length.
 const TRIALS: usize = 8;
 /// Onset is looked for so far before the first loaded reading where no free one stands before it, mm.
@@ -50,6 +50,13 @@ pub struct Node {
     pub mass: f64,
     /// Length that it stands for, mm.
     length_mm: f64,
+}
+
+impl Node {
+    /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc length.
+    pub(crate) fn new(state: State, covariance_mm2: Matrix2<f64>, ln: f64) -> Self {
+        Self { state, covariance_mm2, ln, mass: 0.0, length_mm: 0.0 }
+    }
 }
 
 /// A piece of the 95 % region along the wire.
@@ -177,7 +184,7 @@ fn given_arclength(
     information[(0, 0)] += 12.0 / (high - low).powi(2);
     let covariance_mm2 = information.try_inverse()?;
     let ln = mode.ln + 0.5 * covariance_mm2.determinant().max(1e-300).ln();
-    Some(Node { state: mode.state, covariance_mm2, ln, mass: 0.0, length_mm: 0.0 })
+    Some(Node::new(mode.state, covariance_mm2, ln))
 }
 
 /// The first grid: at each arc length the best of a few onsets, climbed.
@@ -258,7 +265,8 @@ impl Posterior {
         Self::of_nodes(nodes)
     }
 
-    fn of_nodes(mut nodes: Vec<Node>) -> Self {
+    /// Of nodes by arc length whose masses are not normalised yet.
+    pub(crate) fn of_nodes(mut nodes: Vec<Node>) -> Self {
         let best = nodes.iter().map(|n| n.ln).fold(f64::NEG_INFINITY, f64::max);
         let places: Vec<f64> = nodes.iter().map(|n| n.state.s_mm).collect();
         let last = nodes.len().saturating_sub(1);
@@ -329,49 +337,43 @@ impl Posterior {
         pieces
     }
 
-    /// Mean and covariance of the point's place at the reference, with the direction of the push taken from `path`.
+    /// Mean and covariance of the point's place at every reading, with the direction of the push taken from `path`.
     pub(crate) fn places(&self, path: &ContactPath<'_>, is_gross: impl Fn(usize) -> bool) -> Vec<Place> {
-        (0..path.rows.len())
-            .map(|row| {
-                let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
-                let mut total = 0.0;
-                for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
-                    let (Some(at), Some((_, across))) = (path.place(&n.state, row), path.touch(&n.state))
-                    else {
-                        continue;
-                    };
-                    let axes = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
-                    let turn = path.turned(row).matrix() * axes;
-                    mean += at * n.mass;
-                    square += (turn * n.covariance_mm2 * turn.transpose() + at * at.transpose()) * n.mass;
-                    let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
-                    let past = path.depth(&n.state, row).unwrap_or(0.0) / sd;
-                    contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
-                    total += n.mass;
-                }
-                if total <= 0.0 {
-                    return Place {
-                        place_mm: None,
-                        covariance_mm2: Matrix3::zeros(),
-                        contact: 0.0,
-                        gross: false,
-                    };
-                }
-                let mean = mean / total;
-                let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);
-                Place {
-                    place_mm: Some(mean),
-                    covariance_mm2: square / total - mean * mean.transpose() + motion,
-                    contact: contact / total,
-                    gross: is_gross(row),
-                }
-            })
-            .collect()
+        (0..path.rows.len()).map(|row| Place { gross: is_gross(row), ..self.place(path, row) }).collect()
+    }
+
+    /// The same at one reading; whether it was treated as an outlier is not known here.
+    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> Place {
+        let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
+        let mut total = 0.0;
+        for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
+            let Some((touch, across)) = path.touch(&n.state) else { continue };
+            let at = path.carried(&(touch - path.push * n.state.onset_mm), row);
+            let axes = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
+            let turn = path.turned(row).matrix() * axes;
+            mean += at * n.mass;
+            square += (turn * n.covariance_mm2 * turn.transpose() + at * at.transpose()) * n.mass;
+            let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
+            let past = (at - touch).dot(&path.push) / sd;
+            contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
+            total += n.mass;
+        }
+        if total <= 0.0 {
+            return Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false };
+        }
+        let mean = mean / total;
+        let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);
+        Place {
+            place_mm: Some(mean),
+            covariance_mm2: square / total - mean * mean.transpose() + motion,
+            contact: contact / total,
+            gross: false,
+        }
     }
 }
 
 /// Standard normal distribution function.
-fn normal_share(z: f64) -> f64 {
+pub(crate) fn normal_share(z: f64) -> f64 {
     0.5 * statrs::function::erf::erfc(-z / std::f64::consts::SQRT_2)
 }
 
@@ -417,9 +419,11 @@ fn peak(n: &Node) -> f64 {
 
 /// Density above which 95 % of the mass lies: of a two-dimensional Gaussian the share above `t` of its peak is `1 - t`.
 fn threshold(nodes: &[Node]) -> f64 {
-    let above = |t: f64| nodes.iter().map(|n| n.mass * (1.0 - t / peak(n)).max(0.0)).sum::<f64>();
-    let (mut low, mut high) = (0.0, nodes.iter().map(peak).fold(0.0, f64::max));
-    for _ in 0..100 {
+    let peaks: Vec<f64> = nodes.iter().map(peak).collect();
+    let above =
+        |t: f64| nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>();
+    let (mut low, mut high) = (0.0, peaks.iter().copied().fold(0.0, f64::max));
+    for _ in 0..60 {
         let middle = 0.5 * (low + high);
         if above(middle) > REGION { low = middle } else { high = middle }
     }

@@ -44,6 +44,10 @@ pub struct BaseMotion {
 
 /// Longest interval between positions over which they are interpolated, s.
 const MAX_GAP_S: f64 = 0.5;
+/// Positions that differ by less are equal, mm.
+const STILL_MM: f64 = 1e-3;
+/// Time by which the last positions are continued, s: the filter's last weights fall on positions that are still to come.
+const AHEAD_S: f64 = 0.1;
 /// Positions that are kept, s.
 const KEPT_S: f64 = 10.0;
 
@@ -63,6 +67,30 @@ impl BaseMotion {
         while self.way.front().is_some_and(|first| first.0 < t_s - KEPT_S) {
             self.way.pop_front();
         }
+    }
+
+    /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over a filter's times and weights
+    /// ([`LowPass::kernel`](super::LowPass::kernel)); none where the base is not carried or its positions do not reach so far.
+    #[must_use]
+    pub fn averaged(&self, t_s: f64, kernel: &[(f64, f64)]) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let along = self.along?;
+        let (mut way_mm, mut speed_mm_s) = (0.0, 0.0);
+        for (offset_s, weight) in kernel {
+            let (way, speed) = self.way(t_s + offset_s)?;
+            way_mm += weight * way;
+            speed_mm_s += weight * speed;
+        }
+        Some((along * way_mm, along * speed_mm_s))
+    }
+
+    /// Position and speed of the stage at a time (mm, mm/s); the last positions are continued for [`AHEAD_S`].
+    fn way(&self, t_s: f64) -> Option<(f64, f64)> {
+        let after = self.way.partition_point(|p| p.0 <= t_s).min(self.way.len().checked_sub(1)?);
+        let (a, b) = (self.way.get(after.checked_sub(1)?)?, self.way.get(after)?);
+        let speed = (b.1 - a.1) / (b.0 - a.0);
+        // Equal positions at both ends are a standstill.
+        let known = b.0 - a.0 <= MAX_GAP_S || (b.1 - a.1).abs() < STILL_MM;
+        (known && t_s <= b.0 + AHEAD_S).then_some((a.1 + speed * (t_s - a.0), speed))
     }
 
     /// The pose at a time between two positions that are near enough; none where there are none.
@@ -102,6 +130,20 @@ mod tests {
         assert!(motion.at(0.97).is_none() && motion.at(-0.1).is_none());
         motion.push(2.0, 0.0);
         assert!(motion.at(1.5).is_none());
+        // Averaged over a filter: a ramp stays what it is, a corner is rounded, and nothing is known far past the last position.
+        let kernel: Vec<(f64, f64)> = (-10..=10).map(|k| (0.01 * f64::from(k), 1.0 / 21.0)).collect();
+        let mut ramp = BaseMotion::new(at_zero, Some(Vector3::z()));
+        (0..20).for_each(|k| ramp.push(0.05 * f64::from(k), 0.2 * f64::from(k).min(10.0)));
+        let (moved, velocity) = ramp.averaged(0.3, &kernel).unwrap();
+        assert!((moved.z - 1.2).abs() < 1e-9 && (velocity.z - 4.0).abs() < 1e-9, "{moved} {velocity}");
+        let corner = ramp.averaged(0.5, &kernel).unwrap();
+        assert!((1.8..1.95).contains(&corner.0.z) && (1.5..2.5).contains(&corner.1.z), "{corner:?}");
+        assert!(ramp.averaged(0.94, &kernel).is_some() && ramp.averaged(1.0, &kernel).is_none());
+        ramp.push(3.0, 2.0);
+        assert!(ramp.averaged(2.0, &kernel).is_some(), "a standstill is no gap");
+        ramp.push(5.0, 3.0);
+        assert!(ramp.averaged(4.0, &kernel).is_none());
+        assert!(BaseMotion::new(at_zero, None).averaged(0.3, &kernel).is_none());
         assert_eq!(BaseMotion::new(at_zero, None).at(7.0).unwrap().along_z_mm_s(), Some(0.0));
     }
 }

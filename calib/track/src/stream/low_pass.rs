@@ -64,6 +64,20 @@ impl<const N: usize> LowPass<N> {
         self.taps.iter().map(|t| t * t).sum::<f64>().sqrt()
     }
 
+    /// The filter as times before (-) and after (+) what its answer is true of, s, and their weights: what a motion is averaged by so that it
+    /// belongs to moments that went through the filter. At most `count` times; they stand for equal numbers of taps.
+    #[must_use]
+    pub fn kernel(&self, count: usize) -> Vec<(f64, f64)> {
+        let half = (self.taps.len() / 2) as f64;
+        let size = self.taps.len().div_ceil(count.max(1));
+        let group = |(g, taps): (usize, &[f64])| {
+            let weight: f64 = taps.iter().sum();
+            let middle = (g * size) as f64 + 0.5 * (taps.len() as f64 - 1.0);
+            ((middle - half) / self.rate_hz, weight)
+        };
+        self.taps.chunks(size).enumerate().map(group).collect()
+    }
+
     /// Takes a sample.
     pub fn push(&mut self, t_s: f64, value: [f64; N]) {
         if self.kept.len() == self.taps.len() {

@@ -3,8 +3,10 @@
 use super::event::{ContactEvent, EventSettings};
 use super::events::EventDetector;
 use super::low_pass::LowPass;
+use super::noise::BLOCK_S;
 use crate::error::TrackError;
-use wcal_core::stream::{Flags, MomentStream, StreamMoments, WhiskerReading};
+use nalgebra::Matrix2;
+use wcal_core::stream::{Flags, MomentSpread, MomentStream, StreamMoments, WhiskerReading};
 
 /// Rates and lag of a chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,6 +45,7 @@ pub struct SignalChain {
     map: Box<dyn MomentStream>,
     filter: LowPass<3>,
     detector: EventDetector,
+    rate_hz: f64,
     every: u64,
     due: Option<u64>,
     since: Flags,
@@ -72,6 +75,7 @@ impl SignalChain {
             map,
             filter,
             detector: EventDetector::new(events),
+            rate_hz,
             every: ((rate_hz / out_hz).round() as u64).max(1),
             due: None,
             since: Flags::default(),
@@ -90,6 +94,21 @@ impl SignalChain {
     #[must_use]
     pub fn detector(&self) -> &EventDetector {
         &self.detector
+    }
+
+    /// What the spread of the last row's moments is made of.
+    #[must_use]
+    pub fn spread(&self) -> MomentSpread {
+        self.map.spread()
+    }
+
+    /// Covariance of a row's own noise as in the prefix, (N mm)^2: that of the scans through the filter; none before the prefix is over.
+    #[must_use]
+    pub fn row_noise_nmm2(&self) -> Option<Matrix2<f64>> {
+        let (noise, _) = self.detector.noise()?;
+        // Scans of white noise: the mean of a block has 1 / n of their variance.
+        let scans = (BLOCK_S * self.rate_hz).round().max(1.0);
+        Some(noise.block * scans * self.filter.noise_gain().powi(2))
     }
 
     /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values that were not measured.
@@ -147,6 +166,10 @@ mod tests {
 
         fn moments(&mut self, t_s: f64, shift_pm: [f64; 2], rise: f64) -> StreamMoments {
             StreamMoments { moment_nmm: self.quick_nmm(t_s, shift_pm, rise), sd_nmm: [0.01; 2], valid: true }
+        }
+
+        fn spread(&self) -> MomentSpread {
+            MomentSpread::default()
         }
     }
 

@@ -14,8 +14,9 @@ use super::rod_tables::rod_of;
 use super::system::{AIR_KG_M3, WhiskerSystem};
 use super::whisker_effect::ActiveEffect;
 use crate::whisker::path::WhiskerPath;
-use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use nalgebra::{DMatrix, Matrix2, Vector3};
 use wcal_core::WhiskerSpec;
+use wcal_core::stream::MomentSpread;
 use wcal_map::{MapArtefact, MapPredictor};
 use wcal_rod::Rod;
 
@@ -199,14 +200,9 @@ pub fn of_readings(
 
 fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> Sensed {
     let p = predictor.predict(shift_pm);
-    let noise = [0, 1].map(|c| (p.sd_nmm[c].powi(2) - p.sd_map_nmm[c].powi(2)).max(1e-12));
-    Sensed {
-        moment_nmm: p.moment_nmm,
-        noise_nmm2: Matrix2::from_diagonal(&Vector2::from(noise)),
-        valid: p.is_valid(),
-        shared_nmm: vec![[p.sd_map_nmm[0], 0.0], [0.0, p.sd_map_nmm[1]]],
-        shared_way_mm: vec![0.0; 2],
-    }
+    let MomentSpread { noise_nmm2, shared_nmm } = p.spread();
+    let shared_way_mm = vec![0.0; shared_nmm.len()];
+    Sensed { moment_nmm: p.moment_nmm, noise_nmm2, valid: p.is_valid(), shared_nmm, shared_way_mm }
 }
 
 /// A wire without accepted deviations.
@@ -297,7 +293,7 @@ fn is_mechanical(effect: &ActiveEffect) -> bool {
 }
 
 /// F with cov(theta) = F F', and how many of its first columns change the wire.
-fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
+pub(super) fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
     const LEAST: f64 = 1e-12;
     let size = model.covariance.len();
     // Values of the wire's effects first.

@@ -1,12 +1,13 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
+use super::groove_motion::factor;
 use super::physical::{PhysicalModel, VALID_SHARE, hidden};
 use super::uncertainty::VALUE_STEP;
 use super::whisker_effect::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
-use nalgebra::Matrix2;
+use nalgebra::{DMatrix, Matrix2};
 use wcal_core::MomentAxes;
-use wcal_core::stream::{MomentStream, StreamMoments};
+use wcal_core::stream::{MomentSpread, MomentStream, StreamMoments};
 
 /// The effects at one set of values, with what they remember.
 struct Remembering {
@@ -58,6 +59,9 @@ pub struct PhysicalStream {
     moved: Vec<(usize, f64, [Remembering; 2])>,
     inverse: Matrix2<f64>,
     last_s: Option<f64>,
+    /// F with cov(theta) = F F', and the gradient at the last reading.
+    factor: DMatrix<f64>,
+    gradient: DMatrix<f64>,
     /// Path of the one reading at hand.
     now: WhiskerPath,
 }
@@ -102,7 +106,9 @@ impl PhysicalStream {
             moments: MomentAxes::default(),
             columns: Columns { time: true, temperature: true, ..Columns::default() },
         };
-        Some(Self { model, effects, moved, inverse, last_s: None, now })
+        let factor = factor(&model).0;
+        let gradient = DMatrix::zeros(2, model.covariance.len());
+        Some(Self { model, effects, moved, inverse, last_s: None, factor, gradient, now })
     }
 
     fn sensed(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2] {
@@ -137,7 +143,16 @@ impl MomentStream for PhysicalStream {
         }
         let sd_nmm = self.model.sd_nmm(&self.inverse, &gradient, self.model.noise_sd_pm);
         let valid = base[0].hypot(base[1]) <= VALID_SHARE * self.model.largest_moment_nmm;
+        self.gradient = gradient;
         StreamMoments { moment_nmm: base, sd_nmm, valid }
+    }
+
+    fn spread(&self) -> MomentSpread {
+        let common = &self.gradient * &self.factor;
+        MomentSpread {
+            noise_nmm2: self.inverse * self.inverse.transpose() * self.model.noise_sd_pm.powi(2),
+            shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
+        }
     }
 }
 
@@ -226,6 +241,11 @@ mod tests {
             let off = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
             assert!(off(m.moment_nmm, expected.moment_nmm) < 1e-7, "{t_s}: {m:?} {expected:?}");
             assert!(off(m.sd_nmm, expected.sd_nmm) < 1e-6, "{t_s}: {m:?} {expected:?}");
+            // The parts of the spread are the whole.
+            let spread = stream.spread();
+            let shared = |c: usize| spread.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
+            let parts = [0, 1].map(|c| (spread.noise_nmm2[(c, c)] + shared(c)).sqrt());
+            assert!(off(parts, m.sd_nmm) < 1e-9, "{t_s}: {parts:?} {m:?}");
             let quick = stream.quick_nmm(*t_s, *shift, 0.0);
             largest = largest.max(off(quick, expected.moment_nmm));
         }

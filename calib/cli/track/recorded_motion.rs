@@ -1,0 +1,43 @@
+//! The motion that goes with a recording: a log of `--motion`, checked against the recording's clock before anything is tracked.
+
+use super::TrackArgs;
+use super::motion_log::{LoggedMotion, read};
+use anyhow::{Context, Result};
+use std::path::{Path, PathBuf};
+use wcal_acquisition::replay::{self, Message};
+use wcal_track::known_motion::MotionLog;
+
+/// The session whose recording is tracked: the folder that was named, or without a network the one that the recording lies in.
+pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
+    let source = args.source.as_deref()?;
+    if source.is_dir() || !args.model.is_empty() { Some(source) } else { source.parent() }
+}
+
+/// The log of `--motion` by the recording's clock (seconds since the first scan); none where none was given.
+///
+/// # Errors
+/// Where log or recording cannot be read, or their clocks have nothing in common.
+pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
+    let Some(file) = &args.motion else { return Ok(None) };
+    let LoggedMotion { log, .. } = read(file, args.motion_offset_s)?;
+    let mut span: Option<[f64; 2]> = None;
+    for part in parts {
+        replay::read(part, |message| {
+            if let Message::Scan(scan) = message {
+                let clocks = scan.reading().clocks;
+                let t_s = clocks.device_s.unwrap_or(clocks.host_s);
+                span = Some([span.map_or(t_s, |s| s[0]), t_s]);
+            }
+        })?;
+    }
+    if let Some([first, last]) = span {
+        log.check_clock([0.0, last - first]).with_context(|| file.display().to_string())?;
+    }
+    for line in log.jumps() {
+        eprintln!(
+            "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
+            file.display()
+        );
+    }
+    Ok(Some(log))
+}

@@ -1,0 +1,283 @@
+//! The posterior of an episode's contact reading by reading: a Rao-Blackwellised point-mass filter.
+//!
+//! The arc length s of first touch lies on a grid; given s, all else, `z = (x, g, c_1 .. c_n, tau, b)` (onset, gap, the calibration's
+//! common unknowns, clock, noise of the pose), is Gaussian with mean z^ and covariance C. A reading is linearised at the mean (iterated),
+//! with P_k and m(P) as in the parent module, D = dm/dP and B the covariance of the pose's noise:
+//!
+//! ```text
+//! y_k = m(P_k) + sum_j H_kj c_j + D v_k tau + b_k + n_k,    H_kj = h_kj + D w_kj + m_j(P_k) - m(P_k)
+//! A   = dy/dz = [-D Q_k u,  D Q_k n,  H_k1 ..,  D v_k,  1]              zero but for h and 1 while the wire is free
+//! b_k = rho b_(k-1) + e_k,   rho = exp(-|d_k - d_(k-1)| / l),   cov e_k = (1 - rho^2) B
+//! S   = A C A' + R_k,   z^ += C A' S^-1 i,   C -= C A' S^-1 A C,   i = y_k - y(z^)
+//! w_s ~ w_s [(1 - eps) N(i; 0, S) + eps N(i; 0, S + 99 R_k)]
+//! chi2 = sum_k i' S^-1 i ~ chi-squared(2 n - 3)                         at the node of most mass
+//! ```
+//!
+//! First touch is a kink (a step where g is not 0). A loaded reading is held; one that is not and lies within 4 sd of first touch is taken
+//! both ways, `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation, and the two Gaussians are
+//! joined by their moments: so free readings bound the onset.
+//!
+//! Grid: where a reading would part two neighbouring nodes by more than 1 in ln w, the grid before it is interpolated between them and the
+//! reading taken again; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Friction: the play operator of the parent
+//! module, carried node by node at the mean; its slope is that without friction.
+//!
+//! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
+//! (Rao-Blackwellised filters); B. M. Bell, F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);
+//! decomposition of the likelihood into innovations: F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61.
+
+mod node;
+
+use super::contact_path::{BEFORE_MM, ContactPath, loaded};
+use super::posterior::{self, SCAN_MM};
+use super::{Innovations, MomentField, MotionRow, Place, Posterior, Settings};
+use nalgebra::{Matrix2, Rotation3, Vector3};
+use node::{NodeFilter, Reading};
+
+/// Largest number of nodes: what bounds the time of a reading.
+pub const MAX_NODES: usize = 56;
+/// Halvings of the grid at one reading.
+const MAX_HALVINGS: usize = 9;
+/// Smallest distance of nodes, mm.
+const MIN_STEP_MM: f64 = 1e-3;
+/// Nodes whose logarithm lies this far below the best are not refined.
+const REFINED_LN: f64 = 8.0;
+/// Nodes whose logarithm lies this far below the best go.
+const NO_MASS: f64 = 14.0;
+/// Neighbouring nodes differ by no more than this in their logarithm where there is mass.
+const MAX_STEP_LN: f64 = 1.0;
+
+/// Noise of which readings at poses near each other share one draw.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseNoise {
+    /// Covariance, (N mm)^2.
+    pub covariance_nmm2: Matrix2<f64>,
+    /// Displacement over which a draw is forgotten (correlation `exp(-d / length)`), mm.
+    pub length_mm: f64,
+}
+
+/// What is assumed where nothing is known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RecursiveSettings {
+    /// As for the batch.
+    pub common: Settings,
+    /// Noise from pose to pose; none where every reading has noise of its own alone.
+    pub pose: Option<PoseNoise>,
+}
+
+impl RecursiveSettings {
+    /// Whether a reading is loaded beyond its noise, the pose's included.
+    #[must_use]
+    pub fn is_loaded(&self, row: &MotionRow) -> bool {
+        let Some(pose) = self.pose else { return loaded(row) };
+        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + pose.covariance_nmm2, ..row.clone() })
+    }
+}
+
+/// Posterior of an episode so far.
+#[derive(Debug, Clone)]
+pub struct RecursivePosterior {
+    settings: RecursiveSettings,
+    /// Unit vector of the push.
+    push: Vector3<f64>,
+    /// The first loaded reading, from which displacements count.
+    reference: MotionRow,
+    /// Place of the wire's middle, carried along: at the reading before.
+    middle_mm: Vector3<f64>,
+    nodes: Vec<NodeFilter>,
+    readings: usize,
+}
+
+/// Motion of a reading since the reference: rotation and translation (mm).
+fn motion_since(reference: &MotionRow, row: &MotionRow) -> (Rotation3<f64>, Vector3<f64>) {
+    let turn = row.turn * reference.turn.inverse();
+    (turn, row.moved_mm - turn * reference.moved_mm)
+}
+
+fn middle(field: &MomentField, (turn, displacement): &(Rotation3<f64>, Vector3<f64>)) -> Vector3<f64> {
+    turn * field.free(0.5 * field.length_mm()).0 + displacement
+}
+
+impl RecursivePosterior {
+    /// From the first loaded reading and the free ones before it (`lead`, in order of time); none where the push runs along the whole wire.
+    #[must_use]
+    pub fn start(
+        field: &MomentField,
+        settings: RecursiveSettings,
+        push: Vector3<f64>,
+        lead: &[MotionRow],
+        first: &MotionRow,
+    ) -> Option<Self> {
+        let push = push.try_normalize(1e-9)?;
+        let still = (Rotation3::identity(), Vector3::zeros());
+        let middle_mm = middle(field, &still);
+        let mut own =
+            Self { settings, push, reference: first.clone(), middle_mm, nodes: Vec::new(), readings: 1 };
+        let lowest = lead.iter().map(|row| own.along_mm(field, row)).fold(0.0, f64::min);
+        let at_first = own.reading(field, first, 0.0);
+        let length = field.length_mm() - settings.common.first_mm;
+        let count = (length / SCAN_MM).ceil().max(1.0) as usize;
+        let mut nodes = Vec::with_capacity(count + 1);
+        for k in 0..=count {
+            let s_mm = settings.common.first_mm + length * k as f64 / count as f64;
+            let Some(mut node) = NodeFilter::new(&at_first, s_mm, BEFORE_MM - lowest) else { continue };
+            node.start(&at_first);
+            // Backwards in time from first touch: the state is constant, and the pose's noise is reversible.
+            let mut before = middle_mm;
+            for row in lead.iter().rev() {
+                let here = middle(field, &motion_since(first, row));
+                let reading = own.reading(field, row, (here - before).norm());
+                node.update(&reading);
+                before = here;
+            }
+            node.renew_pose(&settings);
+            if node.ln.is_finite() {
+                nodes.push(node);
+            }
+        }
+        own.readings += lead.len();
+        own.nodes = nodes;
+        own.normalise();
+        (!own.nodes.is_empty()).then_some(own)
+    }
+
+    /// Takes the next reading.
+    pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
+        let middle_mm = middle(field, &motion_since(&self.reference, row));
+        let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm());
+        let mut before: Vec<&NodeFilter> = self.nodes.iter().collect();
+        let take = |node: &NodeFilter| {
+            let mut node = node.clone();
+            node.update(&reading);
+            node
+        };
+        let mut after: Vec<NodeFilter> = before.iter().map(|n| take(n)).collect();
+        // The grid before the reading is smooth where the one after it is not yet: refined there, and the reading taken again.
+        let mut between: Vec<NodeFilter>;
+        for _ in 0..MAX_HALVINGS {
+            let best = best_ln(&after);
+            let kept = |k: usize| {
+                let near = k.saturating_sub(1)..(k + 2).min(after.len());
+                near.into_iter().any(|k| after[k].ln > best - NO_MASS)
+            };
+            let split = |k: usize| {
+                let [a, b] = [&after[k], &after[k + 1]];
+                a.ln.max(b.ln) > best - REFINED_LN
+                    && (a.ln - b.ln).abs() > MAX_STEP_LN
+                    && b.s_mm - a.s_mm > MIN_STEP_MM
+            };
+            let gaps: Vec<usize> = (0..after.len().saturating_sub(1)).filter(|k| split(*k)).collect();
+            let room = MAX_NODES.saturating_sub((0..after.len()).filter(|k| kept(*k)).count());
+            if gaps.is_empty() || room == 0 {
+                break;
+            }
+            let mut made: Vec<(NodeFilter, NodeFilter)> = Vec::new();
+            for k in gaps.into_iter().take(room) {
+                let Some(node) = NodeFilter::between(&before, k, &reading) else { continue };
+                let taken = take(&node);
+                made.push((node, taken));
+            }
+            if made.is_empty() {
+                break;
+            }
+            let mut pairs: Vec<(NodeFilter, NodeFilter)> = before.into_iter().cloned().zip(after).collect();
+            pairs.extend(made);
+            pairs.sort_by(|a, b| a.0.s_mm.total_cmp(&b.0.s_mm));
+            (between, after) = pairs.into_iter().unzip();
+            before = between.iter().collect();
+        }
+        self.nodes = after;
+        self.middle_mm = middle_mm;
+        self.readings += 1;
+        self.normalise();
+    }
+
+    /// Where the wire is held at a reading that was taken, and the posterior.
+    #[must_use]
+    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (Place, Posterior) {
+        let posterior = self.posterior();
+        let motion = motion_since(&self.reference, row);
+        let path = ContactPath::of_reading(field, row, self.push, motion);
+        let gross = self.best().is_some_and(|n| n.last_gross > 0.5);
+        (Place { gross, ..posterior.place(&path, 0) }, posterior)
+    }
+
+    /// The posterior over arc length, onset and gap.
+    #[must_use]
+    pub fn posterior(&self) -> Posterior {
+        let node = |n: &NodeFilter| {
+            let (state, covariance_mm2) = n.state();
+            posterior::Node::new(state, covariance_mm2, n.ln)
+        };
+        Posterior::of_nodes(self.nodes.iter().map(node).collect())
+    }
+
+    /// Innovations so far, at the node of highest density.
+    #[must_use]
+    pub fn innovations(&self) -> Innovations {
+        let rows = self.readings;
+        let dof = (2.0 * rows as f64 - 3.0).max(1.0);
+        self.best().map_or(Innovations::unexplained(rows), |n| Innovations {
+            plain: n.chi2[0],
+            robust: n.chi2[1],
+            dof,
+            gross: n.gross.round() as usize,
+            rows,
+        })
+    }
+
+    /// Nodes of the grid now.
+    #[must_use]
+    pub fn node_count(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Unit vector of the push.
+    #[must_use]
+    pub fn push_direction(&self) -> Vector3<f64> {
+        self.push
+    }
+
+    /// Displacement of a reading from the first loaded one along the push, mm; under rotation that of the wire's middle.
+    #[must_use]
+    pub fn along_mm(&self, field: &MomentField, row: &MotionRow) -> f64 {
+        let here = middle(field, &motion_since(&self.reference, row));
+        (here - field.free(0.5 * field.length_mm()).0).dot(&self.push)
+    }
+
+    fn best(&self) -> Option<&NodeFilter> {
+        self.nodes.iter().max_by(|a, b| a.ln.total_cmp(&b.ln))
+    }
+
+    fn reading<'a>(&'a self, field: &'a MomentField, row: &'a MotionRow, moved_mm: f64) -> Reading<'a> {
+        let (turn, displacement_mm) = motion_since(&self.reference, row);
+        let correlation = self.settings.pose.map_or(0.0, |p| (-moved_mm / p.length_mm.max(1e-9)).exp());
+        Reading {
+            field,
+            settings: &self.settings,
+            push: self.push,
+            row,
+            turn,
+            displacement_mm,
+            correlation,
+            loaded: self.settings.is_loaded(row),
+        }
+    }
+
+    /// The best node's logarithm is zero; nodes without mass go, but for one on each side of those that have some.
+    fn normalise(&mut self) {
+        let best = best_ln(&self.nodes);
+        self.nodes.retain(|n| n.ln.is_finite());
+        self.nodes.iter_mut().for_each(|n| n.ln -= best);
+        let has: Vec<bool> = self.nodes.iter().map(|n| n.ln > -NO_MASS).collect();
+        let near = |k: usize| has[k.saturating_sub(1)..(k + 2).min(has.len())].iter().any(|h| *h);
+        let mut k = 0;
+        self.nodes.retain(|_| {
+            k += 1;
+            near(k - 1)
+        });
+    }
+}
+
+fn best_ln(nodes: &[NodeFilter]) -> f64 {
+    nodes.iter().map(|n| n.ln).fold(f64::NEG_INFINITY, f64::max)
+}

@@ -111,6 +111,20 @@ impl<const N: usize> LowPass<N> {
 mod tests {
     use super::LowPass;
 
+    #[test]
+    fn the_kernel_is_the_filter_in_few_times() {
+        let filter = LowPass::<1>::new(2000.0, 10.0, 0.1).unwrap();
+        let kernel = filter.kernel(21);
+        let moment = |p: i32| kernel.iter().map(|(t, w)| w * t.powi(p)).sum::<f64>();
+        assert!(kernel.len() <= 21 && (moment(0) - 1.0).abs() < 1e-12 && moment(1).abs() < 1e-3);
+        // A sine of 2 Hz passes as through the filter itself; control: two times are too few.
+        let gain = |kernel: &[(f64, f64)]| {
+            kernel.iter().map(|(t, w)| w * (std::f64::consts::TAU * 2.0 * t).cos()).sum::<f64>()
+        };
+        assert!((gain(&kernel) - filter.gain(2.0)).abs() < 2e-3, "{}", gain(&kernel));
+        assert!((gain(&filter.kernel(2)) - filter.gain(2.0)).abs() > 2e-2);
+    }
+
     fn filtered(signal: impl Fn(f64) -> f64, lag_s: f64) -> Vec<(f64, f64)> {
         let mut filter = LowPass::<2>::new(2000.0, 10.0, lag_s).unwrap();
         let mut out = Vec::new();

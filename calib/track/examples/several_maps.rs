@@ -1,4 +1,4 @@
-//! Fits the maps of the probability of several contacts of a model that was trained before there were any, on sweeps over its held-out objects
+//! Fits (and keeps where they hold on other objects) the maps of the probability of several contacts of a model that was trained before there were any, on sweeps over its held-out objects
 //! (SIMULATED), and writes them into its card: what `wcal train` does at its end. With sweeps over its unseen objects the maps are judged there.
 //!
 //! `cargo run --release -p wcal-track --example several_maps MODEL SWEEPS [UNSEEN]`
@@ -18,11 +18,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let (tracker, card) = load(Path::new(&model), &Device::flex())?;
     let held_out = series(&sweeps, &card.objects.held_out)?;
-    let maps = several_maps(&tracker, &held_out).ok_or("too few samples with several contacts")?;
+    let kept = several_maps(&tracker, &held_out);
+    if kept.is_none() {
+        println!(
+            "no map is better than the network's own probability on objects that were not in its fit: none is written"
+        );
+    }
+    // What was fitted is judged all the same.
+    let fitted = |known: bool| PlattMap::fitted(&several_calls(&tracker, held_out.iter(), known));
+    let maps = kept.unwrap_or([fitted(false).unwrap_or_default(), fitted(true).unwrap_or_default()]);
     judge("held-out objects", &tracker, &held_out, &maps)?;
     if let Some(unseen) = words.next() {
         judge("unseen objects", &tracker, &series(&unseen, &card.objects.unseen)?, &maps)?;
     }
+    let Some(maps) = kept else { return Ok(()) };
     // The rest of the card stays as it is written, old names too.
     let path = Path::new(&model).join("model.json");
     let mut document: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path)?)?;

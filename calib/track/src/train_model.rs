@@ -13,7 +13,7 @@ use crate::sweep_series;
 use crate::sweep_series::SweepSeries;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings, TrainingData, train};
-use crate::two_contacts::reliability::{PlattMap, several_calls};
+use crate::two_contacts::reliability::{PlattMap, map_that_holds, several_calls};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -201,12 +201,22 @@ fn refuse_test_objects(folder: &Path) -> Result<(), TrackError> {
     Err(TrackError::value(format!("{}: objects", folder.display()), expected, found))
 }
 
-/// Maps of the probability of several contacts from sweeps over held-out objects, base's speed not known and known; none where they have too
-/// few samples of either kind.
+/// Maps of the probability of several contacts from sweeps over held-out objects, base's speed not known and known; none where neither is better
+/// than the network's own probability on objects that were not in its fit.
 #[must_use]
 pub fn several_maps(tracker: &Tracker, held_out: &[SweepSeries]) -> Option<[PlattMap; 2]> {
-    let of = |known: bool| PlattMap::fitted(&several_calls(tracker, held_out.iter(), known));
-    Some([of(false)?, of(true)?])
+    let objects: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
+    let of = |known: bool| {
+        let calls = |name: &&String| {
+            let own = held_out.iter().filter(|c| c.object == **name);
+            several_calls(tracker, own, known)
+        };
+        map_that_holds(&objects.iter().map(calls).collect::<Vec<_>>())
+    };
+    match [of(false), of(true)] {
+        [None, None] => None,
+        maps => Some(maps.map(Option::unwrap_or_default)),
+    }
 }
 
 /// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.

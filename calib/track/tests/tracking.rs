@@ -408,6 +408,11 @@ fn the_shipped_models_beat_the_static_inverse_by_far() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name);
         let (tracker, card) = load(&folder, &Device::flex()).unwrap();
         assert!(card.trained_on_simulation && card.objects.training.len() > 20);
+        // Cards of before 2026-11-25 name neither command nor cost, and are read all the same.
+        assert_eq!(
+            (card.command.is_empty(), card.cost.is_none()),
+            [(true, true), (false, false)][usize::from(name == "tracker_small")]
+        );
         let [known, blind] = [true, false].map(|known| contact_mm(Method::Network(&tracker, known)));
         let still = contact_mm(Method::Static(&tracker.inverse, 40.0));
         println!("{name}: speed known {known:.2} mm, not known {blind:.2} mm, static inverse {still:.2} mm");

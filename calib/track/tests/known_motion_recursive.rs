@@ -116,17 +116,25 @@ fn loaded(row: &MotionRow) -> bool {
     row.moment_nmm[0].hypot(row.moment_nmm[1]) > 4.0 * (row.noise_nmm2.trace() + shared).sqrt()
 }
 
-/// The posterior from the first loaded reading on, with a word after every reading.
+/// The posterior from the first loaded reading on, with a call after every reading.
 fn recursive(
     field: &MomentField,
     press: &Press,
+    each: impl FnMut(usize, &RecursivePosterior, f64),
+) -> RecursivePosterior {
+    recursive_by(field, press, settings(None), each)
+}
+
+fn recursive_by(
+    field: &MomentField,
+    press: &Press,
+    settings: RecursiveSettings,
     mut each: impl FnMut(usize, &RecursivePosterior, f64),
 ) -> RecursivePosterior {
     let first = press.rows.iter().position(loaded).unwrap();
     let reference_mm = press.rows[first].moved_mm.dot(&press.push);
     let lead = &press.rows[first.saturating_sub(12)..first];
-    let mut found =
-        RecursivePosterior::start(field, settings(None), press.push, lead, &press.rows[first]).unwrap();
+    let mut found = RecursivePosterior::start(field, settings, press.push, lead, &press.rows[first]).unwrap();
     each(0, &found, reference_mm);
     for (k, row) in press.rows[first + 1..].iter().enumerate() {
         found.push(field, row);
@@ -148,11 +156,16 @@ fn held_at_the_end(field: &MomentField, press: &Press) -> [bool; 2] {
 /// Distance of the recursive from the batch place in standard deviations of the batch, ratio of the standard deviations (of arc length), and
 /// chi-squared over that of the batch.
 fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
-    let found = recursive(field, press, |_, _, _| {});
+    // A motion that is stated to be exact: with an error of its own the batch takes the recursion.
+    let mut rows = press.rows.clone();
+    rows.iter_mut().for_each(|r| r.moved_sd_mm = 0.0);
+    let press = &Press { rows, ..*press };
+    let settings = RecursiveSettings { common: Settings::default(), pose: None };
+    let found = recursive_by(field, press, settings, |_, _, _| {});
     let last = press.rows.last().unwrap();
     let (place, posterior) = found.place(field, last);
     let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
-    let batch = locate(field, &episode, &settings(None).common).unwrap();
+    let batch = locate(field, &episode, &settings.common).unwrap();
     let there = batch.places.last().unwrap();
     let off = place.place_mm.unwrap() - there.place_mm.unwrap();
     let sd = |p: &wcal_track::known_motion::Posterior| {

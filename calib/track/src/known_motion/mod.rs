@@ -25,7 +25,8 @@
 //!
 //! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s uniform over the wire, x uniform over the episode; on a grid of s that is refined
 //! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71
-//! (2009) 319) ([`posterior`]). The 95 % region is that of highest density.
+//! (2009) 319) ([`posterior`]). The 95 % region is that of highest density. Where the motion has an error of its own, readings near first touch
+//! lie on either side of it, and the posterior is that of the recursion over the readings ([`recursive`]).
 //!
 //! Bound: no estimator has a smaller mean squared error than `J^-1`, `J = G' S^-1 G + diag(12/L_s^2, 12/L_x^2, 1/s_g^2)`, `G = dm/dtheta` at the
 //! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory"
@@ -189,7 +190,11 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
             None => break,
         }
     }
-    let posterior = Posterior::new(&path, &likelihood, settings);
+    let posterior = match exact(&episode.rows, settings) {
+        true => Posterior::new(&path, &likelihood, settings),
+        false => recursive::of_episode(field, path.push, &episode.rows, settings)
+            .unwrap_or_else(|| Posterior::new(&path, &likelihood, settings)),
+    };
     let (robust, _) = likelihood.innovation(&path, &best.state);
     let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
     let innovations = Innovations { plain, robust, dof, gross, rows: episode.rows.len() };
@@ -201,6 +206,12 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
         disagreement,
         innovations,
     })
+}
+
+/// Whether the motion has no error of its own. Where it has one, readings near first touch may lie on either side of it: the linearised
+/// likelihood takes one side and states too small a region, the recursion weighs both.
+fn exact(rows: &[MotionRow], settings: &Settings) -> bool {
+    settings.clock_sd_s == 0.0 && rows.iter().all(|r| r.moved_sd_mm == 0.0)
 }
 
 /// Readings of an episode that are left out in turn, and readings from which on one outlier has little weight.

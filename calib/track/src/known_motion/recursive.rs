@@ -97,6 +97,25 @@ fn middle(field: &MomentField, (turn, displacement): &(Rotation3<f64>, Vector3<f
     turn * field.free(0.5 * field.length_mm()).0 + displacement
 }
 
+/// Free readings before a contact that bound its onset.
+const LEAD: usize = 25;
+
+/// The posterior at the end of an episode: its state is constant, so that the last posterior is that of all readings. None without a loaded
+/// reading, or where the push runs along the whole wire.
+pub(super) fn of_episode(
+    field: &MomentField,
+    push: Vector3<f64>,
+    rows: &[MotionRow],
+    settings: &Settings,
+) -> Option<Posterior> {
+    let first = rows.iter().position(loaded)?;
+    let lead = &rows[first.saturating_sub(LEAD)..first];
+    let settings = RecursiveSettings { common: *settings, pose: None };
+    let mut own = RecursivePosterior::start(field, settings, push, lead, &rows[first])?;
+    rows[first + 1..].iter().for_each(|row| own.push(field, row));
+    Some(own.posterior()).filter(|p| !p.nodes.is_empty())
+}
+
 impl RecursivePosterior {
     /// From the first loaded reading and the free ones before it (`lead`, in order of time); none where the push runs along the whole wire.
     #[must_use]

@@ -1,5 +1,5 @@
 //! The tracker on the groove under noise as instruments make it (SIMULATED): for each kind of noise of the plant, sessions without an effect,
-//! `verify`'s own fit, and the held-out trajectories tracked along the stage's way; how far from the groove, beside the Cramer-Rao bound.
+//! `verify`'s own fit, and the held-out trajectories tracked along the stage's way; how far from the groove, compared with the Cramer-Rao bound.
 //!
 //! `cargo run --release --example groove_noise -- [--draws N] [--seed S] [--noise KIND] [--design paper|rich|repeats|...] [--each]`
 //!

@@ -279,7 +279,7 @@ fn controls(swept: &Swept, good: &Run) {
     assert!(run.end_mm() > 5.0 * good.end_mm(), "{}", run.said);
 }
 
-/// The same motion as a log beside the recording, and logs that cannot be used.
+/// The same motion as a log of its own, and logs that cannot be used.
 fn logs(swept: &Swept, by_stage: &Run) {
     let rows = swept.motion();
     let log = swept.path("motion.csv");
@@ -296,7 +296,7 @@ fn logs(swept: &Swept, by_stage: &Run) {
     // A clock that is ahead, and told.
     write_log(&log, &rows, |_, t| (t + 7.0).to_string());
     let told = along(&["--motion-offset-s", "7"]);
-    assert!((told.end_mm() - run.end_mm()).abs() < 0.02, "{} {}", told.end_mm(), run.end_mm());
+    assert!((stated.end_mm() - run.end_mm()).abs() < 0.02, "{} {}", stated.end_mm(), run.end_mm());
 
     // Refused by name, and nothing is written.
     let refused = |what: &str, cell: &dyn Fn(usize, f64) -> String| {

@@ -209,7 +209,7 @@ impl Maker<'_> {
     }
 }
 
-/// Mean over objects of the RMSE (mm) with its 95 % interval, and beside its bound.
+/// Mean over objects of the RMSE (mm) with its 95 % interval, and compared with its bound.
 struct MeanError {
     mean_mm: f64,
     interval95: Option<[f64; 2]>,

@@ -72,7 +72,7 @@ impl Order {
         Ok(totals)
     }
 
-    /// Writes dataset.json beside the shards, and warns of what went wrong while they were made.
+    /// Writes dataset.json into the folder of the shards, and warns of what went wrong while they were made.
     ///
     /// # Errors
     /// Where it cannot be written.

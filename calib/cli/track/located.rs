@@ -122,7 +122,7 @@ impl<'a> RowLocator<'a> {
         }
     }
 
-    /// The known groove beside the answers.
+    /// The comparison with a known groove.
     pub fn groove(&self) -> Option<&KnownGroove> {
         match self {
             Self::Network(tracker, _) => tracker.groove.as_ref(),

@@ -21,7 +21,7 @@
 //!
 //! Source: P. Tichavsky, C. H. Muravchik, A. Nehorai, IEEE Trans. Signal Process. 46 (1998) 1386, eq. 21. The densities of w_n, w_t and w_v are
 //! those of the sweeps in question ([`transition`]); independent errors add by Stam's inequality, 1 / I(x + y) >= 1 / I(x) + 1 / I(y) (A. J. Stam,
-//! Inform. Control 2 (1959) 101), so that the bound stays one. The bound takes as known what a tracker is not told: when the wire touches,
+//! Inform. Control 2 (1959) 101), so that the bound stays one. The bound takes as known what no tracker knows: when the wire touches,
 //! jumps or slips, the densities themselves, and that friction is what it is. At first touch q has the variance that it has in the sweeps, and
 //! the deflection is uniform up to the base's travel z (information 12 / z^2 of its variance). It is evaluated at the true contacts
 //! and holds for small errors: at first touches and jumps, where it is millimetres wide ([`ContactBound::is_regular`]), it bounds nothing.

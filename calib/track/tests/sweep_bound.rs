@@ -1,4 +1,4 @@
-//! The bound of sweeps beside the Bayes filter, which knows the base's speed, on SIMULATED sweeps over built-in objects.
+//! The bound of sweeps and the error of the Bayes filter, which knows the base's speed, on SIMULATED sweeps over built-in objects.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;

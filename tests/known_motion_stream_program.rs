@@ -293,9 +293,9 @@ fn logs(swept: &Swept, by_stage: &Run) {
     assert!(matches!(run.code, Some(0 | 3)) && run.said.contains("jumps"), "{}", run.said);
     assert_eq!(run.summary["stream_motion"]["source"], "log");
     assert!(run.end_mm() < 2.0 * by_stage.end_mm() + 0.2, "{} {}", run.end_mm(), by_stage.end_mm());
-    // A clock that is ahead, and told.
+    // A clock that is ahead, and is said to be.
     write_log(&log, &rows, |_, t| (t + 7.0).to_string());
-    let told = along(&["--motion-offset-s", "7"]);
+    let stated = along(&["--motion-offset-s", "7"]);
     assert!((stated.end_mm() - run.end_mm()).abs() < 0.02, "{} {}", stated.end_mm(), run.end_mm());
 
     // Refused by name, and nothing is written.

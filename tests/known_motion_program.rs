@@ -304,7 +304,10 @@ fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
     assert_eq!(own.with_status("motion-disagrees"), 0, "control: {}", own.said);
     bench.record.write_table(&bench.path("other.csv"), false, 1.4);
     let other = bench.along("other.csv", &[]);
+    // A contact that slides explains a wrong calibration, too: never without the disagreement.
     assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);
+    let both = |s: &String| !s.contains("sliding-assumed") || s.contains("motion-disagrees");
+    assert!(other.status.iter().all(both) && slow.status.iter().all(both), "{}", other.said);
 }
 
 /// A pose that is lost, and a jump within a contact: rows that are marked, contacts that are parted.

@@ -56,7 +56,8 @@ Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibratio
 A session folder without --model: the contact comes from physics, not from a network. The moments of the points table and the way of the
 groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
 groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
-and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why. A table is tracked
+and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why; where a contact that
+slides over the object explains them, sliding-assumed. A table is tracked
 so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost. Without a model and without
 any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
 

@@ -7,6 +7,7 @@ use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::sliding::sliding_contacts;
 use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
+use crate::import::SweepFolder;
 use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
@@ -45,8 +46,8 @@ struct TrackedRow<'a> {
     contact: usize,
     place: &'a Place,
     regions: &'a [Region],
-    /// Moments and motion disagree.
-    disagrees: bool,
+    /// Whether moments and motion disagree, or a sliding contact was assumed.
+    flags: Flags,
 }
 
 /// Tracks the readings of a table along the motion of `--motion`, or of its own columns; by the moments alone where there is neither.
@@ -117,17 +118,23 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let slides = |n: usize| sliding[n].as_ref().filter(|s| s.supported());
     let regions: Vec<Vec<Region>> =
         found.iter().map(|f| f.posterior.as_ref().map_or_else(Vec::new, Posterior::regions)).collect();
+    // A sweep over an object slides by its nature; elsewhere a wrong motion or calibration is as likely.
+    let over_object = table.parent().and_then(SweepFolder::of).is_some();
+    let sliding_flags = match over_object {
+        true => Flags::SLIDING_ASSUMED,
+        false => Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES),
+    };
     let mut tracked: BTreeMap<usize, TrackedRow<'_>> = BTreeMap::new();
     for (n, ([from, to], located)) in with_range.iter().enumerate() {
         let at = |k: usize| match slides(n) {
             Some(s) => {
-                TrackedRow { contact: n, place: &s.places[k], regions: &s.regions[k], disagrees: false }
+                TrackedRow { contact: n, place: &s.places[k], regions: &s.regions[k], flags: sliding_flags }
             }
             None => TrackedRow {
                 contact: n,
                 place: &located.places[k],
                 regions: &regions[n],
-                disagrees: located.disagreement.is_some(),
+                flags: located.disagreement.map_or_else(Flags::default, |_| Flags::MOTION_DISAGREES),
             },
         };
         tracked.extend((0..to - from).map(|k| (index[from + k], at(k))));
@@ -143,8 +150,8 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             *lost.entry(why.name()).or_default() += 1;
             flags = flags.with(Flags::MOTION_LOST);
         }
-        if here.is_some_and(|row| row.disagrees) {
-            flags = flags.with(Flags::MOTION_DISAGREES);
+        if let Some(row) = here {
+            flags = flags.with(row.flags);
         }
         let answer = here.and_then(|row| answer(row.place));
         if let (Some(groove), Some(answer)) = (&mut groove, &answer) {
@@ -156,7 +163,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
         let base = m.motion.as_ref().ok().filter(|_| posed).map(base_pose);
         // The wire's axis at the contact, a radius from the object.
         if let (Some(base), Some(at)) =
-            (&base, here.filter(|row| !row.disagrees).and_then(|r| r.place.place_mm))
+            (&base, here.filter(|row| row.flags != Flags::MOTION_DISAGREES).and_then(|r| r.place.place_mm))
         {
             contacts_mm.push(base.world_from_base.transform_point(&at.into()).coords);
         }
@@ -232,8 +239,8 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     }
     for (n, s) in (0..sliding.len()).filter_map(|n| Some((n, slides(n)?))) {
         eprintln!(
-            "contact {n}: no fixed point of the object explains the moments; it slides, and the motion predicts them (log likelihood ratio {:.0} \
-             to the reversed motion)",
+            "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
+             reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
             s.evidence - s.reversed_evidence
         );
     }
@@ -254,7 +261,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             outside: outside > 0,
             misstated,
             lost: lost_rows > 0,
-            untrained: !disagreements.is_empty(),
+            untrained: !disagreements.is_empty() || (0..sliding.len()).any(|n| slides(n).is_some()),
         },
     ))
 }

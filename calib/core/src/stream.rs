@@ -31,8 +31,10 @@ impl Flags {
     pub const MOTION_LOST: Self = Self(1024);
     /// Contact in a motion that is not known; it was assumed to be as in training, and nothing speaks against that.
     pub const MOTION_ASSUMED: Self = Self(2048);
+    /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
+    pub const SLIDING_ASSUMED: Self = Self(4096);
 
-    const NAMES: [(Self, &'static str); 12] = [
+    const NAMES: [(Self, &'static str); 13] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -45,6 +47,7 @@ impl Flags {
         (Self::MOTION_DISAGREES, "motion-disagrees"),
         (Self::MOTION_LOST, "motion-lost"),
         (Self::MOTION_ASSUMED, "motion-assumed"),
+        (Self::SLIDING_ASSUMED, "sliding-assumed"),
     ];
 
     /// Both.

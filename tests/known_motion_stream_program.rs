@@ -175,7 +175,10 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
         (&"known-motion".into(), &"stage carries the groove".into())
     );
     // Nine trajectories, and the sync move before them.
-    assert_eq!(whisker["contacts"].as_array().unwrap().len(), 10, "{}", run.said);
+    let contacts = whisker["contacts"].as_array().unwrap().len();
+    // A busy computer asks the stage late: a loss of more than a second ends a contact.
+    let most = if run.with_status("motion-lost") == 0 { 10 } else { 13 };
+    assert!((10..=most).contains(&contacts), "{contacts}: {}", run.said);
     assert!(groove["compared"].as_u64() >= Some(25), "{groove}");
     assert!(run.end_mm() < 0.5 && groove["median_mm"].as_f64() < Some(0.5), "{groove}");
     assert!(groove["coverage90"].as_f64() > Some(0.8), "{groove}");
@@ -267,10 +270,8 @@ fn controls(swept: &Swept, good: &Run) {
     // A wire twice as sensitive.
     reseal(&swept.path("good.json"), &swept.path("other.json"), |c| {
         let coefficients = c.model["coefficients"].as_array_mut().unwrap();
-        for k in 1..3 {
-            for value in coefficients[k].as_array_mut().unwrap() {
-                *value = (value.as_f64().unwrap() * 2.0).into();
-            }
+        for value in coefficients[1..3].iter_mut().flat_map(|c| c.as_array_mut().unwrap()) {
+            *value = (value.as_f64().unwrap() * 2.0).into();
         }
     });
     let run = swept.track("rig.toml", "other.json", &[]);

@@ -1,4 +1,6 @@
 //! The bound of sweeps and the error of the Bayes filter, which knows the base's speed, on SIMULATED sweeps over built-in objects.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+#![allow(missing_docs, reason = "tests")]
 
 use nalgebra::Vector3;
 use rand::SeedableRng;

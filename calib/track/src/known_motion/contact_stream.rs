@@ -278,7 +278,7 @@ impl ContactStream {
 impl Running {
     /// Keeps a bounded number of readings, evenly spread.
     fn keep(&mut self, row: &MotionRow) {
-        if self.posterior.innovations().rows % self.every == 0 {
+        if self.posterior.innovations().rows.is_multiple_of(self.every) {
             self.kept.push(row.clone());
         }
         if self.kept.len() > KEPT {

@@ -69,6 +69,9 @@ impl AtPlace<'_> {
 /// `q` (N mm^3) and arc length (mm) at the three ratios -mu, 0, +mu; one where there is no friction.
 type Values = Vec<[f64; 3]>;
 
+/// Values of the nodes around a cell, one after the other.
+type Cell = Arc<[[f64; 3]]>;
+
 /// The step of the continuation that leads to a node.
 struct Continuation {
     /// Arc length of the nearest sample of the free wire, mm.
@@ -99,7 +102,7 @@ pub struct MomentField {
     wire: Vec<(f64, Vector3<f64>)>,
     nodes: RwLock<HashMap<Key, Option<Arc<Node>>>>,
     /// Values of the 64 nodes around a cell, ratio by ratio; none where one is missing.
-    cells: RwLock<HashMap<Key, Option<Arc<[[f64; 3]]>>>>,
+    cells: RwLock<HashMap<Key, Option<Cell>>>,
 }
 
 fn place(key: &Key) -> Vector3<f64> {
@@ -238,7 +241,7 @@ impl MomentField {
     }
 
     /// The cell of a place, and where in it the place is, in each coordinate from 0 to 1.
-    fn around(&self, place_mm: &Vector3<f64>) -> Option<(Arc<[[f64; 3]]>, [f64; 3])> {
+    fn around(&self, place_mm: &Vector3<f64>) -> Option<(Cell, [f64; 3])> {
         let scaled = place_mm / PITCH_MM;
         let low = [0, 1, 2].map(|k| scaled[k].floor());
         Some((self.cell(low.map(|v| v as i32))?, [0, 1, 2].map(|k| scaled[k] - low[k])))

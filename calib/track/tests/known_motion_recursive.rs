@@ -172,29 +172,6 @@ fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
         let mean: f64 = p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum();
         p.nodes.iter().map(|n| n.mass * (n.state.s_mm - mean).powi(2)).sum::<f64>().sqrt()
     };
-    if std::env::var("DBG").is_ok() {
-        let reference_mm = press.rows[press.rows.iter().position(loaded).unwrap()].moved_mm.dot(&press.push);
-        let truth = State { onset_mm: press.truth.onset_mm - reference_mm, ..press.truth };
-        let mean = |p: &wcal_track::known_motion::Posterior| -> f64 {
-            p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum()
-        };
-        println!(
-            "DBG s {:.2} g {:.2} rec {:.3} sd {:.3} n {} batch {:.3} sd {:.3} holds {} {} chi {:?} {:?} maxmoment {:.3} rows {}",
-            press.truth.s_mm,
-            press.truth.gap_mm,
-            mean(&posterior),
-            sd(&posterior),
-            found.node_count(),
-            mean(batch.posterior.as_ref().unwrap()),
-            sd(batch.posterior.as_ref().unwrap()),
-            posterior.holds(&truth),
-            batch.posterior.as_ref().unwrap().holds(&truth),
-            found.innovations(),
-            batch.innovations,
-            press.rows.iter().map(|r| r.moment_nmm[0].hypot(r.moment_nmm[1])).fold(0.0, f64::max),
-            press.rows.len()
-        );
-    }
     let distance = there.covariance_mm2.cholesky().map_or(f64::NAN, |c| off.dot(&c.solve(&off)).sqrt());
     let ratio = sd(&posterior) / sd(batch.posterior.as_ref().unwrap());
     [distance, ratio, found.innovations().plain / batch.innovations.plain]

@@ -1,6 +1,7 @@
 //! The bound of sweeps and the error of the Bayes filter, which knows the base's speed, on SIMULATED sweeps over built-in objects.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
+#![allow(clippy::print_stdout, reason = "tests")]
 
 use nalgebra::Vector3;
 use rand::SeedableRng;

@@ -59,7 +59,6 @@ impl Maker<'_> {
         let multi_mu = BayesSettings::multi_mu();
         let mut methods = vec![("network", network(false)), ("network, speed known", network(true))];
         if !self.args.quick {
-            methods.push(("bayes", Method::Bayes(self.curve, false, &multi_mu)));
             methods.push(("bayes, speed known", Method::Bayes(self.curve, true, &multi_mu)));
         }
         let mut rows = Vec::new();

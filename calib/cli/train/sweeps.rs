@@ -76,7 +76,7 @@ impl Sweeps {
     }
 }
 
-/// What all runs that came to the end of the sweeps took by the clock, s, with what this one took where it made some; kept beside the
+/// What all runs that came to the end of the sweeps took by the clock, s, with what this one took where it made some; kept with the
 /// checkpoint.
 fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
     let (folder, name) = (out.join("checkpoint"), "sweeps_wall_s.json");

@@ -34,7 +34,7 @@ const MIN_PREDICTED: usize = 10;
 /// Share of the noise from pose to pose that changes from reading to reading. An assumption, as for sweeps.
 const WHITE: f64 = 0.2;
 
-/// Probability that the filter has lost the contact (three of 18 tracks over a ball, a block, a bottle and a bar): then nothing but the moments
+/// Probability that the filter has lost the contact and is sure of it (three of 18 tracks, read one by one): then nothing but the moments
 /// counts, and the regions are that wide.
 const LOST: f64 = 0.17;
 /// Standard deviation added for errors that the curve's nodes do not represent, mm.

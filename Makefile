@@ -3,7 +3,7 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge python3-pip
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test setup check exam peers docs
+.PHONY: demo test setup check results exam peers docs
 
 setup:
 	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -20,8 +20,14 @@ test: setup
 	cargo test --workspace --locked
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
+# Licences and sources are a test (tests/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.
 check: setup
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+	@if command -v cargo-deny >/dev/null; then cargo deny --workspace check; else echo "check: cargo-deny is not installed: known vulnerabilities are not checked"; fi
+
+# README's table of results: what takes minutes is run, what takes an hour comes from the dated records of docs/src/lab-notes.
+results: setup
+	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test results
 
 exam:
 	cargo build --release --locked --bin wcal --example exam

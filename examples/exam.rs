@@ -1,7 +1,7 @@
 //! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
 //!
 //! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
-//! `[--follow-up] [--mix MIX] [--only EFFECT] [--json FILE] [--no-rivals]`
+//! `[--follow-up] [--mix MIX] [--only EFFECT] [--json FILE] [--record FILE] [--no-rivals]`
 //! `[--keep DIR] [--write DIR]`
 //!
 //! MIX: `null`, `single`, `pair`, `unknown`, `paper`, `confounded`, `adversarial` (white normal noise, layouts of the practice
@@ -10,6 +10,8 @@
 //! and with a wire that is not as declared); `all`.
 //! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
 //! The table of goals has the rows for which there are data; below it stands one row a kind of noise.
+//! A goal is met or missed where the 95 % interval lies on one side of it, else open.
+//! `--json FILE` has every session; `--record FILE` what a table quotes: date, commit, command, seed, and the counts of each row.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
 
@@ -33,6 +35,7 @@ struct Options {
     follow_up: bool,
     wcal: PathBuf,
     json: Option<PathBuf>,
+    record: Option<PathBuf>,
     keep: Option<PathBuf>,
     write: Option<PathBuf>,
 }
@@ -51,6 +54,7 @@ fn options() -> anyhow::Result<Options> {
         follow_up: false,
         wcal: beside.unwrap_or_else(|| "target/release/wcal".into()),
         json: None,
+        record: None,
         keep: None,
         write: None,
     };
@@ -66,6 +70,7 @@ fn options() -> anyhow::Result<Options> {
             "--only" => o.only = Some(value()?),
             "--wcal" => o.wcal = value()?.into(),
             "--json" => o.json = Some(value()?.into()),
+            "--record" => o.record = Some(value()?.into()),
             "--keep" => o.keep = Some(value()?.into()),
             "--write" => o.write = Some(value()?.into()),
             "--follow-up" => o.follow_up = true,
@@ -116,10 +121,39 @@ fn main() -> anyhow::Result<ExitCode> {
             "format": "wcal-exam/1", "draws": o.draws, "seed": o.seed, "mix": o.mix, "only": o.only,
             "summary": table, "by_noise": noises, "cases": outcomes,
         });
-        std::fs::write(path, serde_json::to_string_pretty(&document)?)
-            .with_context(|| format!("writing {}", path.display()))?;
+        write(path, &document)?;
+    }
+    if let Some(path) = &o.record {
+        write(path, &record(&o, outcomes.len(), &table, &noises)?)?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn write(path: &std::path::Path, document: &serde_json::Value) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(document)? + "\n";
+    std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))
+}
+
+/// What a table may quote: who drew what when, and hits of trials of each row.
+fn record(o: &Options, drawn: usize, table: &[Goal], noises: &[NoiseRow]) -> anyhow::Result<serde_json::Value> {
+    let git = |arguments: &[&str]| -> anyhow::Result<String> {
+        let out = std::process::Command::new("git").args(arguments).output().context("asking git for the commit")?;
+        Ok(String::from_utf8_lossy(&out.stdout).trim().to_owned())
+    };
+    let changed = !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();
+    let rows = table.iter().filter(|g| g.counts.1 > 0);
+    Ok(serde_json::json!({
+        "format": "wcal-exam-record/1", "simulated": true,
+        "date": jiff::Timestamp::now().strftime("%Y-%m-%d").to_string(),
+        "commit": git(&["rev-parse", "--short=10", "HEAD"])?, "changed_since_commit": changed,
+        "profile": if cfg!(debug_assertions) { "dev" } else { "release" },
+        "mix": o.mix, "only": o.only, "rivals": o.rivals, "draws": o.draws, "drawn": drawn, "seed": o.seed,
+        "noises": noises.iter().map(|n| &n.noise).collect::<Vec<_>>(),
+        "rows": rows.map(|g| serde_json::json!({
+            "score": g.score, "goal": g.goal, "value": g.value, "bounds": g.bounds, "hits": g.counts.0, "trials": g.counts.1,
+            "met": g.met, "open": g.open(),
+        })).collect::<Vec<_>>(),
+    }))
 }
 
 fn write_only(folder: &std::path::Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
@@ -252,7 +286,12 @@ fn noise_table(rows: &[NoiseRow]) -> String {
 }
 
 fn row(g: &Goal) -> String {
-    let met = g.met.map_or("    ", |m| if m { "met " } else { "MISS" });
+    let met = match g.met {
+        Some(true) => "met ",
+        Some(false) => "MISS",
+        None if g.open() => "open",
+        None => "    ",
+    };
     let bounds = g.bounds.map_or(String::new(), |(a, b)| format!("[{a:.3}, {b:.3}]"));
     let value = format!("{:.3}", g.value);
     format!("{met} {:58} {value:>8} {bounds:16} {:>5}/{:<5} goal {}", g.score, g.counts.0, g.counts.1, g.goal)

@@ -84,6 +84,34 @@ impl Record {
         std::fs::write(path, out).unwrap();
     }
 
+    /// The table with the known groove, `lead` readings of the free wire before it, and both gratings off by `off_nm` throughout.
+    fn write_displaced(&self, path: &Path, lead: usize, off_nm: [f64; 2]) {
+        let at = |name: &str| self.header.iter().position(|c| c == name).unwrap();
+        let table = std::fs::read_to_string(format!("{SESSION}/points.csv")).unwrap();
+        let rest: Vec<String> = table
+            .lines()
+            .map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>())
+            .find(|row| row[at("role")] == "rest")
+            .unwrap();
+        let names = ["point", "t_s", "fbg_ref_nm", "fbg_1_nm", "fbg_2_nm", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
+        let start_s = self.motion[0].0;
+        let row = |row: &[String], point: usize, t_s: f64, groove: bool| {
+            let cell = |name: &&str| match *name {
+                "point" => point.to_string(),
+                "t_s" => t_s.to_string(),
+                "fbg_1_nm" => (row[at(name)].parse::<f64>().unwrap() + off_nm[0]).to_string(),
+                "fbg_2_nm" => (row[at(name)].parse::<f64>().unwrap() + off_nm[1]).to_string(),
+                name if name.starts_with("groove") && !groove => String::new(),
+                name => row[at(name)].clone(),
+            };
+            names.iter().map(cell).collect::<Vec<_>>().join(",")
+        };
+        let before = (0..lead).map(|k| row(&rest, k, start_s - 1.0 - 0.5 * (lead - 1 - k) as f64, false));
+        let after = self.rows.iter().zip(&self.motion).enumerate().map(|(k, (r, m))| row(r, 1000 + k, m.0, true));
+        let lines: Vec<String> = std::iter::once(names.join(",")).chain(before).chain(after).collect();
+        std::fs::write(path, lines.join("\n") + "\n").unwrap();
+    }
+
     fn write_motion(&self, path: &Path, columns: &str, row: impl Fn(usize, f64, [f64; 3]) -> String) {
         let mut out = format!("{columns}\n");
         for (k, (t_s, way)) in self.motion.iter().enumerate() {
@@ -268,6 +296,47 @@ fn a_table_is_tracked_along_a_motion_however_it_is_written() {
     std::fs::write(bench.path("joined.csv"), lines.join("\n") + "\n").unwrap();
     let joined = bench.track("joined.csv", &[]);
     assert!(same(&joined) && !joined.said.contains("not known"), "{}", joined.said);
+}
+
+/// A zero that has moved since the calibration: `--tare-s` takes it off a table with a motion, as it does off a stream.
+#[test]
+fn the_zero_of_a_table_with_a_motion_is_set_anew() {
+    const LEAD: usize = 12;
+    let bench = Bench::new();
+    bench.write_motion(MM, |_, t, way| plain(t, way));
+    let good = bench.along("table.csv", &[]);
+    // Some seconds of the free wire before the first contact, and both gratings off by a tenth of what contacts do.
+    let (lead_s, off_nm) = (0.5 * LEAD as f64, [0.02, -0.015]);
+    bench.record.write_displaced(&bench.path("off.csv"), LEAD, off_nm);
+    let start = bench.record.motion[0];
+    let log: Vec<String> = (0..LEAD)
+        .map(|k| plain(start.0 - 1.0 - 0.5 * (LEAD - 1 - k) as f64, start.1))
+        .chain(bench.record.motion.iter().map(|(t, way)| plain(*t, *way)))
+        .collect();
+    std::fs::write(bench.path("motion.csv"), format!("{MM}\n{}\n", log.join("\n"))).unwrap();
+    let tared = bench.along("off.csv", &["--tare-s", &lead_s.to_string()]);
+    assert_eq!(tared.summary["tare_s"].as_f64(), Some(lead_s), "{}", tared.said);
+    assert!((tared.rmse_mm() - good.rmse_mm()).abs() < 0.15, "{} {}: {}", tared.rmse_mm(), good.rmse_mm(), tared.said);
+    // Negative control: with the calibration's own zero the contacts are elsewhere, or do not belong to the motion.
+    let own = bench.along("off.csv", &[]);
+    let far = own.summary["known_groove"]["rmse_mm"].as_f64().is_none_or(|mm| mm > 2.0 * good.rmse_mm());
+    assert!(far || own.with_status("motion-disagrees") > 20, "{}", own.said);
+    assert_eq!(own.summary["tare_s"], 0.0);
+    // By the moments alone, too: the free wire is loaded by its wrong zero, and not by the right one.
+    let free = |run: &Run| run.status[..LEAD].iter().filter(|s| *s == "ok").count();
+    let [wrong, right] = [&[][..], &["--tare-s", "5.75"]].map(|more| bench.track("off.csv", more));
+    assert_eq!((free(&wrong), free(&right)), (0, LEAD), "{} {}", wrong.said, right.said);
+    assert_eq!(right.summary["tare_s"], 5.75);
+    // What is no time, and a session, whose rest readings are its zero.
+    let run = bench.along("off.csv", &["--tare-s", "-1"]);
+    assert!(run.code != Some(0) && run.said.contains("--tare-s"), "{}", run.said);
+    let calibration = verified().join("calibration.json");
+    let out = bench.path("session.csv");
+    let run = wcal(&[
+        "track", SESSION, "--tare-s", "1", "--calibration", calibration.to_str().unwrap(), "--out", out.to_str().unwrap(),
+    ]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("--tare-s") && !out.exists(), "{}", text(&run.stderr));
 }
 
 /// Without any motion there is an arc for each loaded reading, wide and never "ok"; the groove lies on it.

@@ -89,12 +89,23 @@ impl Running {
 
 fn judge(command: &str, expected: i32, code: Option<i32>, stderr: &[u8], wrong: &mut Vec<String>) {
     let said = String::from_utf8_lossy(stderr);
-    // On a machine that is busy with other things the bench's scans may come late; the program says so.
     let recorded = ["wcal stage-sweep", "wcal reduce"].iter().any(|c| command.starts_with(c));
-    let late = recorded && code == Some(3) && said.contains("warning:");
+    let late = recorded && code == Some(3) && only_late(&said);
     if code != Some(expected) && !late {
         wrong.push(format!("{command}: expected exit code {expected}, found {code:?}:\n{said}"));
     }
+}
+
+/// On a machine that is busy with other things the bench's scans may come late: whether the warnings say that and nothing else.
+fn only_late(said: &str) -> bool {
+    /// Beginning and further words of such a warning.
+    const LATE: [&str; 2] = ["scans late, by up to", "0 rows with scans missing and"];
+    let warnings: Vec<&str> = said.lines().filter_map(|l| l.split_once("warning: ")).map(|l| l.1).collect();
+    let late = |w: &&str| {
+        let (_, without_count) = w.split_once(' ').unwrap_or(("", w));
+        without_count.starts_with(LATE[0]) || w.starts_with(LATE[1])
+    };
+    !warnings.is_empty() && warnings.iter().all(late)
 }
 
 /// Runs a page's blocks in one folder; what went wrong.
@@ -216,10 +227,6 @@ fn every_block_of_the_readme_is_one_of_the_guide_which_is_run() {
     assert!(order.is_sorted(), "{commands:?}");
     assert!(!commands.iter().any(|c| c.contains("--force")), "{commands:?}");
     assert!(commands.iter().any(|c| c.contains("--calibration verify/calibration.json")));
-    assert!(
-        readme.contains("2.4e-3 | 2.1e-4") && readme.contains("10.0 N | 0.14 N"),
-        "the table has what the tests of the guide hold"
-    );
     assert_eq!(own_blocks("```sh\nwcal verify cell --out elsewhere\n```\n").len(), 1, "negative control");
 }
 
@@ -292,4 +299,17 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
     let wrong = run(page, folder.path());
     assert_eq!(wrong.len(), 2, "{wrong:?}");
     assert!(wrong[0].starts_with("wcal verify nothing") && wrong[1].contains("expected exit code 4"));
+    // Exit code 3 of a sweep is taken for late scans alone.
+    let judged = |said: &str| {
+        let mut wrong = Vec::new();
+        judge("wcal stage-sweep --out s", 0, Some(3), said.as_bytes(), &mut wrong);
+        wrong.is_empty()
+    };
+    let late = "stage-sweep: warning: 12 scans late, by up to 0.4 s of the bench's time: the bench or this computer fell behind\n\
+                stage-sweep: warning: 0 rows with scans missing and 2 with late scans or clocks that cannot be aligned, marked in the column `stream`\n";
+    assert!(judged(late));
+    for more in ["3 scans lost in 1 gaps", "1 windows whose signal did not settle", "1 rows with scans missing and 2 with late scans"] {
+        assert!(!judged(&format!("{late}stage-sweep: warning: {more}\n")), "{more}");
+    }
+    assert!(!judged("") && !judged("stage-sweep: warning: 2 camera pairs refused"));
 }

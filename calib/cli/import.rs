@@ -205,10 +205,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let table = read_text_table(&args.file, &layout)?;
     let mut files = SessionFiles::default();
     files.tables.push(("points.csv".to_owned(), columns::convert(args, &table)?));
+    let mut left_out = columns::left_out(args, &table)?;
     let mut sources = vec![&table];
     let holdout = args.holdout.as_deref().map(|path| read_text_table(path, &layout)).transpose()?;
     if let Some(holdout) = &holdout {
         files.tables.push(("holdout.csv".to_owned(), columns::convert(args, holdout)?));
+        let more = columns::left_out(args, holdout)?;
+        left_out.extend(more.into_iter().filter(|name| !table.columns.contains(name)));
         sources.push(holdout);
     }
     let (text, more) = description::write(args, &sources)?;
@@ -228,10 +231,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         let kind = name_of(args.kind);
         let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
             "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
-            "warnings": session.warnings, "inputs": session.inputs });
+            "columns_left_out": left_out, "warnings": session.warnings, "inputs": session.inputs });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
+    }
+    if !left_out.is_empty() {
+        eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::way_in(args.kind));
     }
     for warning in &session.warnings {
         eprintln!("warning: {warning}");

@@ -168,6 +168,33 @@ fn import_takes_good_tables_and_replaces_only_its_own() {
     assert_eq!(listing(place.path()), ["new", "t.csv"]);
 }
 
+/// No column goes without a word, and the option that is named takes it.
+#[test]
+fn columns_that_are_left_out_are_named() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("t.csv"), "x,y,humidity,remark,t_s\n1,2.5,40,a,0\n2,4.5,41,b,1\n").unwrap();
+    fs::write(place.path().join("h.csv"), "x,y,humidity,t_s,more\n3,6.5,42,2,7\n").unwrap();
+    let import = |more: &[&str]| {
+        let arguments = [&["import", "t.csv", "--out", "new", "--json"], LINEAR, more].concat();
+        let output = wcal(place.path(), &arguments);
+        judge(&output, 0, &[]).unwrap();
+        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (document["columns_left_out"].clone(), said)
+    };
+    let (left, said) = import(&[]);
+    assert_eq!(left, serde_json::json!(["humidity", "remark"]));
+    assert!(said.contains("columns not imported: humidity, remark; --covariate COLUMN"), "{said}");
+    let (left, _) = import(&["--covariate", "humidity", "--holdout", "h.csv"]);
+    assert_eq!(left, serde_json::json!(["remark", "more"]));
+    let points = fs::read_to_string(place.path().join("new/points.csv")).unwrap();
+    assert!(points.starts_with("point,role,stimulus,response,humidity,t_s\n"), "{points}");
+    // Control: nothing is left out, and nothing said.
+    fs::write(place.path().join("t.csv"), "x,y\n1,2.5\n2,4.5\n").unwrap();
+    let (left, said) = import(&[]);
+    assert!(left == serde_json::json!([]) && !said.contains("not imported"), "{said}");
+}
+
 #[test]
 fn a_whisker_table_is_imported_with_its_description() {
     let place = tempfile::tempdir().unwrap();

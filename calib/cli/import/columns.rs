@@ -55,6 +55,30 @@ pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Ve
     Ok(out.into_bytes())
 }
 
+/// Columns of the foreign table that the session does not have, in their order.
+///
+/// # Errors
+/// As [`convert`].
+pub(super) fn left_out(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
+    let taken: Vec<usize> = plan(args, table)?
+        .iter()
+        .filter_map(|(_, source)| match source {
+            Source::Column { index, .. } => Some(*index),
+            Source::Order | Source::Calibration => None,
+        })
+        .collect();
+    let left = table.columns.iter().enumerate().filter(|(k, _)| !taken.contains(k));
+    Ok(left.map(|(_, name)| name.clone()).collect())
+}
+
+/// The option that takes a further column.
+pub(super) fn way_in(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Transducer => "--covariate COLUMN takes one of numbers as what else may matter",
+        Kind::Axis | Kind::Whisker | Kind::WhiskerfbgSweep => "--map NAME=COLUMN takes one under its name in the session",
+    }
+}
+
 fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Source)>> {
     let wanted = wanted(args, table)?;
     let mut factors = BTreeMap::new();

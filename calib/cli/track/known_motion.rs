@@ -20,6 +20,13 @@ use wcal_track::motion_row_tracker::answer;
 /// # Errors
 /// Where session or calibration cannot be used, or the session does not say how the groove moves.
 pub fn track(args: &TrackArgs, folder: &Path) -> Result<ExitCode> {
+    // Each mounting has the zero that its rest readings and the calibration give.
+    if args.tare_s != 0.0 {
+        bail!(
+            "--tare-s: expected a table or a stream, found the session folder {}: its zero is that of its rest readings",
+            folder.display()
+        );
+    }
     let session = wcal_session::load(folder)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("{}: expected a whisker session, found another kind", folder.display());

@@ -73,7 +73,7 @@ pub fn track(
     }
     let summary = json!({
         "format": FORMAT, "source": table, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": loaded,
-        "unusable_rows": 0, "outside_valid_region": outside, "doubts": issues.messages(), "method": "moments-alone",
+        "unusable_rows": 0, "outside_valid_region": outside, "doubts": issues.messages(), "method": "moments-alone", "tare_s": args.tare_s,
         "calibration_sha256": file.content_sha256, "place": "point of the object, base frame",
         "known_groove": groove.as_ref().and_then(KnownGroove::summary),
     });

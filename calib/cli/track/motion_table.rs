@@ -27,6 +27,8 @@ use wcal_track::known_motion::{
 };
 use wcal_track::motion_row_tracker::answer;
 use wcal_track::stream::BasePose;
+use wcal_track::Tare;
+
 
 /// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
 const ZERO: f64 = 0.5;
@@ -75,8 +77,9 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
             place.display()
         )
     })?;
-    let sensed =
+    let mut sensed =
         of_whisker(place, &file)?.sensed(table, whisker).with_context(|| place.display().to_string())?;
+    tare(&mut sensed.rows, args.tare_s);
     let of_motion =
         |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
     for warning in sensed.warnings.iter().filter(|w| !of_motion(w)) {
@@ -216,7 +219,7 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     let on_object = object_score(table, &contacts_mm)?;
     let summary = json!({
         "format": FORMAT, "source": table, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged,
-        "unusable_rows": lost_rows, "outside_valid_region": outside, "doubts": issues.messages(), "method": "known-motion",
+        "unusable_rows": lost_rows, "outside_valid_region": outside, "doubts": issues.messages(), "method": "known-motion", "tare_s": args.tare_s,
         "calibration_sha256": file.content_sha256, "place": "axis of the wire at the contact, base frame",
         "motion": {"file": motion_file, "span_s": log.span_s(), "offset_s": args.motion_offset_s, "lost_rows": lost,
             "jump_lines": log.jumps().collect::<Vec<_>>()},
@@ -266,14 +269,25 @@ pub fn track(args: &TrackArgs, table: &Path) -> Result<ExitCode> {
     ))
 }
 
-/// Checks what the arguments say of the motion's accuracy.
+/// Takes the zero of `--tare-s` off the moments, in the order of the table.
+fn tare(rows: &mut [SensedRow], span_s: f64) {
+    let mut tare = Tare::new(span_s);
+    for row in rows {
+        let Some(t_s) = row.t_s else { continue };
+        row.sensed.moment_nmm = tare.zeroed(t_s, row.sensed.moment_nmm);
+    }
+}
+
+/// Checks what the arguments say of the motion's accuracy, and of the time of the zero.
 ///
 /// # Errors
 /// Negative numbers and those that are not finite.
 pub fn check_accuracy(args: &TrackArgs) -> Result<()> {
-    for (option, value) in
-        [("--motion-sd-mm", args.motion_sd_mm), ("--motion-clock-sd-s", args.motion_clock_sd_s)]
-    {
+    for (option, value) in [
+        ("--motion-sd-mm", args.motion_sd_mm),
+        ("--motion-clock-sd-s", args.motion_clock_sd_s),
+        ("--tare-s", args.tare_s),
+    ] {
         if !(value.is_finite() && value >= 0.0) {
             bail!("{option}: expected 0 or more, found {value}");
         }

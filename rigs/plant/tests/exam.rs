@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use serde_json::{Value, json};
-use wcal_plant::exam::{Examiner, Mark, by_noise, clopper_pearson, score, score_scalar, summarise};
+use wcal_plant::exam::{Examiner, Goal, Mark, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise};
 use wcal_plant::scalar;
 use wcal_plant::{
     Case, Design, Kind, Make, Noise, Order, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
@@ -127,8 +127,38 @@ fn exam_runs_a_program_and_sums_up() {
     let line = |name: &str| table.iter().find(|g| g.score == name).unwrap();
     assert_eq!(line("crashes").counts, (2, 4));
     assert_eq!(line("crashes").met, Some(false));
-    // Three nulls cannot show a rate below 5 %.
-    assert_eq!(line("false attribution on nulls").met, Some(false));
+    // Three nulls cannot show a rate below 5 %, nor one right answer of one a rate above 93 %.
+    let open = line("false attribution on nulls");
+    assert!(open.met.is_none() && open.open(), "{open:?}");
+}
+
+#[test]
+fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
+    let case = draw_under(
+        &Request { seed: 1, design: Design::Rich, want: Want::Null, target_sigma: 12.0, rivals: false },
+        Noise::Gaussian,
+        Make::Usual,
+    )
+    .unwrap();
+    let adequate = serde_json::json!({"verdict": "adequate", "effects": [], "alternatives": []});
+    let right = score("null", &case, &adequate, "", 1.0, None);
+    assert_eq!(right.kind, Mark::Right);
+    let named = |hits: usize, of: usize| -> Goal {
+        let kind = |k: usize| if k < hits { Mark::False } else { Mark::Right };
+        let outcomes: Vec<_> = (0..of).map(|k| Outcome { kind: kind(k), ..right.clone() }).collect();
+        summarise(&outcomes).into_iter().find(|g| g.score == "false attribution on nulls").unwrap()
+    };
+    for (hits, of, met) in [(0, 1, None), (0, 40, None), (0, 100, Some(true)), (2, 100, None), (50, 100, Some(false))] {
+        let goal = named(hits, of);
+        assert_eq!((goal.met, goal.open()), (met, met.is_none()), "{hits} of {of}: {goal:?}");
+    }
+    // Quantiles are bounded by order statistics: a few values bound none.
+    let ratios = |ratio: f64, of: usize| -> Goal {
+        let outcomes: Vec<_> = (0..of).map(|_| Outcome { after_ratio: Some(ratio), ..right.clone() }).collect();
+        summarise(&outcomes).into_iter().find(|g| g.score == "held-out error after / floor, 95th percentile").unwrap()
+    };
+    assert_eq!((ratios(1.0, 1).met, ratios(1.0, 20).met), (None, None));
+    assert_eq!((ratios(1.0, 200).met, ratios(1.5, 200).met), (Some(true), Some(false)));
 }
 
 #[test]

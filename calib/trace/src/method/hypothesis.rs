@@ -88,6 +88,12 @@ impl Hypothesis {
         }
         self.fit.status != Status::RankDeficient && range_check(system, &self.fit)
     }
+
+    /// Whether it may be accepted: physical, and its sum of squares no longer falls.
+    #[must_use]
+    pub fn acceptable(&self, system: &dyn MeasurementModel) -> bool {
+        self.fit.status != Status::NotConverged && self.physical(system)
+    }
 }
 
 /// One line of the evidence table.
@@ -131,6 +137,8 @@ pub struct SearchResult {
     pub evidence: Vec<Evidence>,
     /// The same as hypotheses, best first.
     pub refitted: Vec<Hypothesis>,
+    /// Effects of explanations whose fit did not converge: none is accepted.
+    pub not_converged: Vec<Vec<String>>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
 }

@@ -1,6 +1,6 @@
 //! An accepted effect by a richer law of its own, where the plain one leaves something: two time constants, a stack of plays.
 
-use super::fit::fit;
+use super::fit::{Status, fit};
 use super::hypothesis::Hypothesis;
 use super::min_p::f_test;
 use super::omnibus::CATALOGUE_LEVEL;
@@ -28,7 +28,21 @@ pub(super) fn refit(
             best = Some(next);
         }
     }
-    best
+    best.map(|h| settle(system, h))
+}
+
+/// Steps more for a fit that was still falling.
+const MORE_STEPS: usize = 40;
+
+/// Goes on with a fit that did not converge.
+fn settle(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+    if h.fit.status != Status::NotConverged {
+        return h;
+    }
+    match fit(system, &h.fit.terms, &h.weights, MORE_STEPS) {
+        Some(fit) => Hypothesis { fit, ..h },
+        None => h,
+    }
 }
 
 /// Explanations of a size that are refined: the best and its nearest rivals, so that none is judged by a law that is too plain.
@@ -74,7 +88,7 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
                 })
                 .collect();
             tried += 1;
-            let Some(to) = refit(system, &starts, from).filter(|h| h.physical(system)) else { continue };
+            let Some(to) = refit(system, &starts, from).filter(|h| h.acceptable(system)) else { continue };
             let extra = (to.parameters(&base.fit) - from.parameters(&base.fit)).max(1.0);
             let p = f_test(from.fit.ssr - to.fit.ssr, from.fit.ssr, from.fit.dof, extra as usize);
             if best.as_ref().is_none_or(|(least, _)| p < *least) {

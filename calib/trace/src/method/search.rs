@@ -73,7 +73,7 @@ fn by_subsets(
     size: usize,
 ) -> Vec<Hypothesis> {
     const KEPT: usize = 2;
-    let fitting = || next.iter().filter(|h| h.physical(system));
+    let fitting = || next.iter().filter(|h| h.acceptable(system));
     let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
     let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
@@ -141,6 +141,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     let mut level: Vec<Hypothesis> = vec![base.clone()];
     let mut level_test = first_test.clone();
     let mut final_level: Vec<Hypothesis> = Vec::new();
+    let mut not_converged: Vec<Vec<String>> = Vec::new();
     for size in 1..=options.largest {
         progress("searching for effects", (size - 1) as f64 / options.largest as f64);
         if !level_test.rejected() && !single_readings(system, &best) {
@@ -161,9 +162,11 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
             let more = by_subsets(system, &base, &first_test.signatures, &next, size);
             merge(&mut next, more, outliers, &base.fit, variance);
         }
+        let open = next.iter().filter(|h| h.physical(system) && !h.acceptable(system));
+        not_converged.extend(open.map(|h| names(system, &h.effects(outliers))));
         let mut physical: Vec<Hypothesis> = next
             .into_iter()
-            .filter(|h| h.physical(system) && h.effects(outliers).len() == given + size)
+            .filter(|h| h.acceptable(system) && h.effects(outliers).len() == given + size)
             .collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
         physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
@@ -204,7 +207,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         .iter()
         .zip(&p_values)
         .map(|(h, p_value)| Evidence {
-            effects: h.effects(outliers).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect(),
+            effects: names(system, &h.effects(outliers)),
             laws: h
                 .fit
                 .terms
@@ -226,8 +229,14 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         survivors,
         evidence,
         refitted: final_level,
+        not_converged,
         covariate_beats_catalogue,
     })
+}
+
+/// Identifiers of effects.
+fn names(system: &dyn MeasurementModel, effects: &[usize]) -> Vec<String> {
+    effects.iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
 }
 
 /// One generic score alone explains the residual better than the accepted effects do.

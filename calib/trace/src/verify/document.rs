@@ -104,6 +104,9 @@ fn notes<M: SessionModel>(
             points.join(", ")
         ));
     }
+    notes.extend(explained.found.not_converged.iter().map(|effects| {
+        format!("The fit of {} did not converge: it is not among the explanations.", effects.join(" with "))
+    }));
     notes.extend(noise.iter().flat_map(noise_sentences));
     notes.extend(model.notes(&explained.found, &conclusion.accepted));
     let quantity = model.quantities()[0];

@@ -1,6 +1,7 @@
 //! `wcal verify`: one procedure, generic over the measurement model of a session, from the twin check to the unsealed holdout.
 
 pub mod conclusion;
+pub mod copied_holdout;
 pub mod detect;
 mod document;
 pub mod error_summary;

@@ -1,7 +1,8 @@
-//! The scores beside their goals, with Clopper-Pearson bounds.
+//! The scores beside their goals, with Clopper-Pearson bounds. A goal is met where the whole 95 % interval lies on its side, missed where none of it
+//! does, and open else: one session of one meets nothing.
 
 use serde::Serialize;
-use statrs::distribution::{Beta, ContinuousCDF};
+use statrs::distribution::{Beta, Binomial, ContinuousCDF, DiscreteCDF};
 
 use super::pictures::picture_goals;
 use super::score::{FollowUp, Kind, Outcome, Part};
@@ -19,12 +20,20 @@ pub struct Goal {
     pub goal: String,
     /// Measured value.
     pub value: f64,
-    /// 95 % bounds, for shares.
+    /// 95 % bounds: of shares by Clopper and Pearson, of quantiles by order statistics (infinite where too few values bound them).
     pub bounds: Option<(f64, f64)>,
     /// Hits and trials, for shares; else the number of values.
     pub counts: (usize, usize),
-    /// Whether the measured value meets the goal; none where there is no goal or no data.
+    /// Whether the goal is met by the bounds; none where there is no goal or no data, or where the bounds leave it open.
     pub met: Option<bool>,
+}
+
+impl Goal {
+    /// Whether there is a goal, and data that do not decide it.
+    #[must_use]
+    pub fn open(&self) -> bool {
+        self.met.is_none() && self.goal != "-" && self.counts.1 > 0
+    }
 }
 
 /// Exact 95 % bounds of a share: `hits` of `trials` (Clopper and Pearson 1934).
@@ -40,10 +49,12 @@ pub fn clopper_pearson(hits: usize, trials: usize) -> (f64, f64) {
 pub(super) enum Side {
     AtLeast(f64),
     AtMost(f64),
-    /// The upper bound stays below.
-    UpperAtMost(f64),
     /// The bounds contain it.
     Contains(f64),
+    /// A statement on the sessions that were drawn, not on a rate: all of them.
+    All,
+    /// As `All`: none of them.
+    NoneOfThem,
     None,
 }
 
@@ -62,13 +73,33 @@ fn rate(score: &str, goal: &str, hits: usize, trials: usize, side: Side) -> Goal
     let value = hits as f64 / trials as f64;
     let bounds = (trials > 0).then(|| clopper_pearson(hits, trials));
     let met = bounds.and_then(|(low, high)| match side {
-        Side::AtLeast(g) => Some(value >= g),
-        Side::AtMost(g) => Some(value <= g),
-        Side::UpperAtMost(g) => Some(high <= g),
+        Side::AtLeast(g) => decided(low >= g, high < g),
+        Side::AtMost(g) => decided(high <= g, low > g),
         Side::Contains(g) => Some(low <= g && g <= high),
+        Side::All => Some(hits == trials),
+        Side::NoneOfThem => Some(hits == 0),
         Side::None => None,
     });
     Goal { score: score.into(), goal: goal.into(), value, bounds, counts: (hits, trials), met }
+}
+
+/// Met, missed, or neither.
+fn decided(met: bool, missed: bool) -> Option<bool> {
+    if met { Some(true) } else { missed.then_some(false) }
+}
+
+/// Bounds of a quantile that hold for any distribution: the order statistics whose ranks a binomial count of values below it has at 2.5 and 97.5 %
+/// (Conover, Practical Nonparametric Statistics, sec. 3.2). The largest value is what it is.
+fn quantile_bounds(sorted: &[f64], quantile: f64) -> (f64, f64) {
+    let n = sorted.len();
+    if quantile >= 1.0 {
+        let last = sorted.last().copied().unwrap_or(f64::NAN);
+        return (last, last);
+    }
+    let below = Binomial::new(quantile, n as u64);
+    let rank = |p: f64| below.as_ref().map_or(0, |b| b.inverse_cdf(p)) as usize;
+    let low = rank(0.025).checked_sub(1).map_or(f64::NEG_INFINITY, |k| sorted[k]);
+    (low, sorted.get(rank(0.975)).copied().unwrap_or(f64::INFINITY))
 }
 
 /// Quantile of the finite values, linear between them; NaN where there is none.
@@ -85,13 +116,15 @@ fn quantile_of(mut values: Vec<f64>, quantile: f64) -> f64 {
 
 pub(super) fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f64, most: f64) -> Goal {
     values.retain(|v| v.is_finite());
+    values.sort_by(f64::total_cmp);
     let value = quantile_of(values.clone(), quantile);
-    let met = (!values.is_empty() && most.is_finite()).then_some(value <= most);
+    let bounds = (!values.is_empty()).then(|| quantile_bounds(&values, quantile));
+    let met = bounds.filter(|_| most.is_finite()).and_then(|(low, high)| decided(high <= most, low > most));
     Goal {
         score: score.into(),
         goal: goal.into(),
         value,
-        bounds: None,
+        bounds,
         counts: (values.len(), values.len()),
         met,
     }
@@ -129,7 +162,7 @@ pub fn summarise(outcomes: &[Outcome]) -> Vec<Goal> {
     let all: Vec<&Outcome> = outcomes.iter().chain(looked.iter().copied()).collect();
     let long = [Design::Rich, Design::Repeats, Design::Shuffled, Design::Staircase];
     out.extend(picture_goals(&looked));
-    out.push(share("crashes", "0", &all, |o| o.kind == Kind::Crash, Side::AtMost(0.0)));
+    out.push(share("crashes", "none of these", &all, |o| o.kind == Kind::Crash, Side::NoneOfThem));
     out.push(number("slowest paper session, s", "<= 10", seconds(&[Design::Paper]), 1.0, 10.0));
     out.push(number("slowest session of about 360 rows, s", "<= 60", seconds(&long), 1.0, 60.0));
     out
@@ -173,10 +206,10 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     vec![
         share(
             "every noise: false names on nulls",
-            "upper bound <= 5 %",
+            "<= 5 %",
             &nulls,
             names_something,
-            Side::UpperAtMost(0.05),
+            Side::AtMost(0.05),
         ),
         share(
             "every noise: nulls called unknown-effect",
@@ -185,7 +218,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.verdict == "unknown-effect",
             Side::None,
         ),
-        share("every noise: refused", "0", &answered, refused, Side::AtMost(0.0)),
+        share("every noise: refused", "none of these", &answered, refused, Side::NoneOfThem),
         share("every noise: singles >= 8 sigma right", ">= 93 %", &singles, right, Side::AtLeast(0.93)),
         share("every noise: singles >= 8 sigma, wrong name", "<= 1 %", &singles, wrong, Side::AtMost(0.01)),
         number("every noise: after / floor, median", "<= 1.03", ratios(), 0.5, 1.03),
@@ -350,10 +383,10 @@ fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     vec![
         share(
             "false attribution on nulls",
-            "upper bound <= 5 %",
+            "<= 5 %",
             &nulls,
             |o| o.kind == Kind::False,
-            Side::UpperAtMost(0.05),
+            Side::AtMost(0.05),
         ),
         share(
             "right class, rich single >= 8 sigma, no rival within 3",
@@ -488,10 +521,10 @@ fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
         ),
         share(
             "tampered sessions: no confident wrong name",
-            "100 %",
+            "all of these",
             &pick(&tampered),
             right,
-            Side::AtLeast(1.0),
+            Side::All,
         ),
     ]
 }

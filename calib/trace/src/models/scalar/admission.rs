@@ -1,6 +1,7 @@
 //! Which readings can be used at all.
 
 use super::frame::{Declared, ScalarRow, Scaling};
+use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
 
@@ -37,7 +38,9 @@ pub(super) fn refusal(
             declared.worded(&format!("{count} different stimuli do not determine {parameters} coefficients")),
         );
     }
-    clock_fault(rows.iter().map(|r| r.t_s)).or_else(|| copied_holdout(rows, sealed))
+    let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
+    clock_fault(rows.iter().map(|r| r.t_s))
+        .or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
 }
 
 /// Where the clock of a table in file order runs backwards, in words.
@@ -52,16 +55,15 @@ pub fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
     ))
 }
 
-/// Sealed readings that are in the points table too. With a clock one agreement is a copy; without, coarse readings agree by chance.
-fn copied_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
-    let key = |r: &ScalarRow| (r.x.to_bits(), r.y.to_bits(), r.t_s.map(f64::to_bits));
-    let known: std::collections::BTreeSet<_> = rows.iter().map(key).collect();
-    let copied = sealed.admission(|r| known.contains(&key(r))).into_iter().filter(|k| *k).count();
-    let timed = sealed.admission(|r| r.t_s.is_some()).into_iter().all(|t| t);
-    let suspicious = if timed { copied > 0 } else { copied > 2 && 2 * copied > sealed.len() };
-    suspicious.then(|| {
-        format!("{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing")
-    })
+/// A reading as it is compared with those of the points table.
+fn compared(r: &ScalarRow) -> ComparedRow {
+    let more = [r.temperature_degc, r.cycle.map(f64::from)];
+    ComparedRow {
+        setting: bits(&[Some(r.x), r.direction]),
+        reading: vec![r.y],
+        rest: more.into_iter().chain(r.covariates.iter().map(|v| Some(*v))).map(|v| bits(&[v])[0]).collect(),
+        t_s: r.t_s,
+    }
 }
 
 /// Parts of the stimulus that are sampled alike.

@@ -7,6 +7,7 @@ use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
 use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
+use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
 use crate::verify::{Verification, VerifyOptions, verify};
 use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
@@ -67,14 +68,11 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             times[k]
         ));
     }
-    let place = |r: &WhiskerRow| (r.shift_pm, r.stage_mm, r.t_s);
-    let fitted: Vec<_> = data.rows.iter().filter(|r| r.role != Role::Rest).map(place).collect();
-    let sealed = data.holdout.admission(|r| r.sealed.then(|| place(r)));
-    let copied = sealed.iter().flatten().filter(|h| fitted.contains(h)).count();
-    if copied > 0 {
-        return Some(format!(
-            "{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing."
-        ));
+    let fitted: Vec<ComparedRow> = data.rows.iter().filter(|r| r.role != Role::Rest).map(compared).collect();
+    let sealed = data.holdout.admission(|r| r.sealed.then(|| compared(r)));
+    let sealed: Vec<ComparedRow> = sealed.into_iter().flatten().collect();
+    if let Some(reason) = copied_holdout(&fitted, &sealed) {
+        return Some(format!("{reason}."));
     }
     copied_rows(&data.rows)
 }
@@ -101,6 +99,18 @@ fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
     (copies >= 3).then(|| {
         format!("{copies} readings repeat another in every column, the clock included; copied rows are no replicates.")
     })
+}
+
+/// A reading as it is compared with those of the points table.
+fn compared(r: &WhiskerRow) -> ComparedRow {
+    let groove = r.groove_mm.map_or([None; 3], |g| [Some(g.x), Some(g.y), Some(g.z)]);
+    let [x, y, z] = groove;
+    ComparedRow {
+        setting: bits(&[r.trajectory.map(f64::from), r.stage_mm, x, y, z, r.direction]),
+        reading: r.shift_pm.to_vec(),
+        rest: bits(&[r.temperature_degc, r.reference_shift_pm]),
+        t_s: r.t_s,
+    }
 }
 
 /// Verifies a whisker session.

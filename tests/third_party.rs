@@ -1,0 +1,166 @@
+//! What others wrote: under which licence, from where, and that `THIRD-PARTY.md` says so. No LGPL code is in the program.
+//!
+//! `WCAL_WRITE_DOCS=1 cargo test --workspace --test third_party` writes the notice anew.
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
+#[path = "support/packages.rs"]
+mod packages;
+
+use packages::Package;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn repository(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// `deny.toml`: allowed licences and registries.
+struct Rules {
+    licences: Vec<String>,
+    registries: Vec<String>,
+}
+
+impl Rules {
+    fn read() -> Self {
+        let deny: toml::Table = fs::read_to_string(repository("deny.toml")).unwrap().parse().unwrap();
+        let list = |v: &toml::Value| -> Vec<String> {
+            v.as_array().unwrap().iter().map(|v| v.as_str().unwrap().to_owned()).collect()
+        };
+        Self {
+            licences: list(&deny["licenses"]["allow"]),
+            registries: list(&deny["sources"]["allow-registry"]),
+        }
+    }
+
+    /// Why a package may not be used.
+    fn objection(&self, package: &Package) -> Option<String> {
+        let who = format!("{} {}", package.name, package.version);
+        let Some(licence) = &package.licence else { return Some(format!("{who}: no licence")) };
+        if !allowed(licence, &self.licences) {
+            return Some(format!("{who}: {licence}"));
+        }
+        let from = package.source.as_deref()?;
+        let known = self.registries.iter().any(|r| from == format!("registry+{r}"));
+        (!known).then(|| format!("{who}: from {from}"))
+    }
+}
+
+/// Whether an SPDX expression (or the older "A/B") is met by what is allowed: OR over AND, brackets first.
+fn allowed(expression: &str, licences: &[String]) -> bool {
+    let expression = expression.replace('/', " OR ");
+    let mut text = expression.as_str();
+    let met = any(&mut text, licences);
+    met && text.trim().is_empty()
+}
+
+fn any(text: &mut &str, licences: &[String]) -> bool {
+    let mut met = every(text, licences);
+    while let Some(rest) = text.trim_start().strip_prefix("OR ") {
+        *text = rest;
+        met |= every(text, licences);
+    }
+    met
+}
+
+fn every(text: &mut &str, licences: &[String]) -> bool {
+    let mut met = one(text, licences);
+    while let Some(rest) = text.trim_start().strip_prefix("AND ") {
+        *text = rest;
+        met &= one(text, licences);
+    }
+    met
+}
+
+fn one(text: &mut &str, licences: &[String]) -> bool {
+    *text = text.trim_start();
+    if let Some(rest) = text.strip_prefix('(') {
+        *text = rest;
+        let met = any(text, licences);
+        *text = text.trim_start().strip_prefix(')').unwrap_or("unbalanced");
+        return met;
+    }
+    let ends = [" OR ", " AND ", ")"].iter().filter_map(|end| text.find(end));
+    let (name, rest) = text.split_at(ends.min().unwrap_or(text.len()));
+    *text = rest;
+    licences.iter().any(|l| l == name.trim())
+}
+
+/// Third-party code that Cargo does not know of.
+const NATIVE: &str = "\
+## Native code
+
+| what | how it comes | licence |
+|---|---|---|
+| NLopt 2.9.1 without its Luksan solvers (LGPL: left out at build time, `calib/mujoco/without-lgpl.cmake`) | source in the package `nlopt`, linked | MIT |
+| AprilTag 3 | source in the package `apriltag-sys`, linked | BSD-2-Clause |
+| mimalloc | source in the package `libmimalloc-sys`, linked | MIT |
+| OpenCV | Debian's libraries, loaded | Apache-2.0 |
+| libudev | Debian's library, loaded | LGPL-2.1-or-later |
+| MuJoCo 3.17.0 | its PyPI wheel, fetched into `native/` with its licences, loaded by `wcal-mujoco` | Apache-2.0 |
+| CoACD 1.0.14 | as MuJoCo | MIT |
+| libgomp | in CoACD's wheel | GPL-3.0-or-later WITH GCC-exception-3.1 |
+";
+
+fn notice(packages: &[Package]) -> String {
+    let mut out = "# Third parties\n\nWritten by `WCAL_WRITE_DOCS=1 cargo test --workspace --test third_party` from `Cargo.lock`; the same test compares it. The text of each licence is in the package's \
+                   source.\n\n"
+        .to_owned();
+    out += NATIVE;
+    out += "\n## Rust packages in the programs\n\n| package | licence | source |\n|---|---|---|\n";
+    for p in packages.iter().filter(|p| p.shipped && p.source.is_some()) {
+        let licence = p.licence.as_deref().unwrap_or_default();
+        writeln!(out, "| {} {} | {licence} | {} |", p.name, p.version, p.repository.as_deref().unwrap_or("crates.io"))
+            .unwrap();
+    }
+    out
+}
+
+#[test]
+fn licences_and_sources_are_those_that_deny_toml_allows() {
+    let (rules, packages) = (Rules::read(), packages::resolved());
+    assert!(packages.len() > 300, "{}", packages.len());
+    let objections: Vec<String> = packages.iter().filter_map(|p| rules.objection(p)).collect();
+    assert_eq!(objections, Vec::<String>::new());
+    // Negative controls: a licence that is not allowed alone, with another, and one from elsewhere.
+    let base = packages.iter().find(|p| p.source.is_some()).unwrap();
+    let with = |licence: &str| rules.objection(&Package { licence: Some(licence.to_owned()), ..base.clone() });
+    assert!(with("LGPL-2.1-or-later").is_some() && with("MIT AND GPL-3.0-only").is_some());
+    assert!(with("(MIT OR GPL-3.0-only) AND ISC").is_none() && with("(MIT OR ISC) AND GPL-3.0-only").is_some());
+    assert!(with("MIT/Apache-2.0").is_none() && with("MIT OR GPL-3.0-only").is_none() && with("MIT (").is_some());
+    let git = Package { source: Some("git+https://example.org/x#1".to_owned()), ..base.clone() };
+    assert!(rules.objection(&git).is_some());
+    let silent = Package { name: "silent".to_owned(), licence: None, ..base.clone() };
+    assert!(rules.objection(&silent).is_some());
+}
+
+#[test]
+fn the_notice_of_third_parties_is_current() {
+    let packages = packages::resolved();
+    let (page, found) = (repository("THIRD-PARTY.md"), notice(&packages));
+    if std::env::var_os("WCAL_WRITE_DOCS").is_some() {
+        fs::write(&page, &found).unwrap();
+    }
+    assert!(fs::read_to_string(&page).unwrap_or_default() == found, "THIRD-PARTY.md: write it anew with WCAL_WRITE_DOCS=1");
+    // What the table of native code says of NLopt: its version is that of the source in the package.
+    let nlopt = packages.iter().find(|p| p.name == "nlopt").unwrap();
+    assert_eq!(nlopt.version, "0.8.1", "another package of NLopt: look at its version and licence, then at NATIVE");
+    // Negative control: a package that is left out.
+    assert!(notice(&packages[..packages.len() / 2]) != found);
+}
+
+/// Whether bytes hold a text.
+fn holds(bytes: &[u8], text: &str) -> bool {
+    bytes.windows(text.len()).any(|w| w == text.as_bytes())
+}
+
+#[test]
+fn no_lgpl_solver_is_in_the_program() {
+    let program = fs::read(env!("CARGO_BIN_EXE_wcal")).unwrap();
+    // NLopt is there with its names: the search would find those of the solvers.
+    assert!(holds(&program, "bobyqa") && holds(&program, "nlopt_optimize"));
+    assert!(
+        !holds(&program, "luksan_"),
+        "NLopt was built with its LGPL part, before .cargo/config.toml said otherwise: cargo clean -p nlopt"
+    );
+}

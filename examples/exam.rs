@@ -135,9 +135,17 @@ fn write(path: &std::path::Path, document: &serde_json::Value) -> anyhow::Result
 }
 
 /// What a table may quote: who drew what when, and hits of trials of each row.
-fn record(o: &Options, drawn: usize, table: &[Goal], noises: &[NoiseRow]) -> anyhow::Result<serde_json::Value> {
+fn record(
+    o: &Options,
+    drawn: usize,
+    table: &[Goal],
+    noises: &[NoiseRow],
+) -> anyhow::Result<serde_json::Value> {
     let git = |arguments: &[&str]| -> anyhow::Result<String> {
-        let out = std::process::Command::new("git").args(arguments).output().context("asking git for the commit")?;
+        let out = std::process::Command::new("git")
+            .args(arguments)
+            .output()
+            .context("asking git for the commit")?;
         Ok(String::from_utf8_lossy(&out.stdout).trim().to_owned())
     };
     let changed = !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();

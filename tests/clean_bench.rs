@@ -84,7 +84,10 @@ fn clean_sessions_are_adequate() {
     for v in &all {
         println!(
             "{} {}; pictures scatter {} of what they state; after / floor {:.2}",
-            v["verdict"], v["effects"], v["pictures"]["reduced_chi"], after_over_floor(v)
+            v["verdict"],
+            v["effects"],
+            v["pictures"]["reduced_chi"],
+            after_over_floor(v)
         );
     }
     let adequate = all.iter().filter(|v| v["verdict"] == "adequate").count() as u64;

@@ -93,7 +93,16 @@ impl Record {
             .map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>())
             .find(|row| row[at("role")] == "rest")
             .unwrap();
-        let names = ["point", "t_s", "fbg_ref_nm", "fbg_1_nm", "fbg_2_nm", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
+        let names = [
+            "point",
+            "t_s",
+            "fbg_ref_nm",
+            "fbg_1_nm",
+            "fbg_2_nm",
+            "groove_x_mm",
+            "groove_y_mm",
+            "groove_z_mm",
+        ];
         let start_s = self.motion[0].0;
         let row = |row: &[String], point: usize, t_s: f64, groove: bool| {
             let cell = |name: &&str| match *name {
@@ -107,7 +116,8 @@ impl Record {
             names.iter().map(cell).collect::<Vec<_>>().join(",")
         };
         let before = (0..lead).map(|k| row(&rest, k, start_s - 1.0 - 0.5 * (lead - 1 - k) as f64, false));
-        let after = self.rows.iter().zip(&self.motion).enumerate().map(|(k, (r, m))| row(r, 1000 + k, m.0, true));
+        let after =
+            self.rows.iter().zip(&self.motion).enumerate().map(|(k, (r, m))| row(r, 1000 + k, m.0, true));
         let lines: Vec<String> = std::iter::once(names.join(",")).chain(before).chain(after).collect();
         std::fs::write(path, lines.join("\n") + "\n").unwrap();
     }
@@ -316,7 +326,13 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
     std::fs::write(bench.path("motion.csv"), format!("{MM}\n{}\n", log.join("\n"))).unwrap();
     let tared = bench.along("off.csv", &["--tare-s", &lead_s.to_string()]);
     assert_eq!(tared.summary["tare_s"].as_f64(), Some(lead_s), "{}", tared.said);
-    assert!((tared.rmse_mm() - good.rmse_mm()).abs() < 0.15, "{} {}: {}", tared.rmse_mm(), good.rmse_mm(), tared.said);
+    assert!(
+        (tared.rmse_mm() - good.rmse_mm()).abs() < 0.15,
+        "{} {}: {}",
+        tared.rmse_mm(),
+        good.rmse_mm(),
+        tared.said
+    );
     // Negative control: with the calibration's own zero the contacts are elsewhere, or do not belong to the motion.
     let own = bench.along("off.csv", &[]);
     let far = own.summary["known_groove"]["rmse_mm"].as_f64().is_none_or(|mm| mm > 2.0 * good.rmse_mm());
@@ -333,7 +349,14 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
     let calibration = verified().join("calibration.json");
     let out = bench.path("session.csv");
     let run = wcal(&[
-        "track", SESSION, "--tare-s", "1", "--calibration", calibration.to_str().unwrap(), "--out", out.to_str().unwrap(),
+        "track",
+        SESSION,
+        "--tare-s",
+        "1",
+        "--calibration",
+        calibration.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
     ]);
     assert_eq!(run.status.code(), Some(1));
     assert!(text(&run.stderr).contains("--tare-s") && !out.exists(), "{}", text(&run.stderr));

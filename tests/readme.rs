@@ -308,7 +308,11 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
     let late = "stage-sweep: warning: 12 scans late, by up to 0.4 s of the bench's time: the bench or this computer fell behind\n\
                 stage-sweep: warning: 0 rows with scans missing and 2 with late scans or clocks that cannot be aligned, marked in the column `stream`\n";
     assert!(judged(late));
-    for more in ["3 scans lost in 1 gaps", "1 windows whose signal did not settle", "1 rows with scans missing and 2 with late scans"] {
+    for more in [
+        "3 scans lost in 1 gaps",
+        "1 windows whose signal did not settle",
+        "1 rows with scans missing and 2 with late scans",
+    ] {
         assert!(!judged(&format!("{late}stage-sweep: warning: {more}\n")), "{more}");
     }
     assert!(!judged("") && !judged("stage-sweep: warning: 2 camera pairs refused"));

@@ -28,7 +28,8 @@ type Row = [String; 5];
 fn verified(session: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
     let place = out.path().join("out");
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal")).arg("verify").arg(session).arg("--out").arg(&place).output();
+    let run =
+        Command::new(env!("CARGO_BIN_EXE_wcal")).arg("verify").arg(session).arg("--out").arg(&place).output();
     let said = String::from_utf8_lossy(&run.unwrap().stderr).into_owned();
     let document = fs::read(place.join("verify.json"));
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {said}"))).unwrap()
@@ -45,8 +46,12 @@ fn rmse(document: &Value, side: &str) -> f64 {
 }
 
 fn verdict(document: &Value) -> String {
-    let effects: Vec<String> =
-        document["effects"].as_array().unwrap().iter().map(|e| format!("`{}`", e["id"].as_str().unwrap())).collect();
+    let effects: Vec<String> = document["effects"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|e| format!("`{}`", e["id"].as_str().unwrap()))
+        .collect();
     let word = document["verdict"].as_str().unwrap();
     match (word, effects.is_empty()) {
         (_, true) => word.to_owned(),
@@ -68,7 +73,8 @@ fn load_cell_of(v: &Value) -> Row {
     let floor = v["noise_floor"]["response"].as_f64().unwrap();
     let [before, after] = ["before", "after"].map(|side| rmse(v, side));
     [
-        "load cell (NIST Pontius), declared as a straight line: error of readings left out in turn".to_owned(),
+        "load cell (NIST Pontius), declared as a straight line: error of readings left out in turn"
+            .to_owned(),
         format!("measured, one cell, {} readings", left_out(v)),
         format!("{before:.1e}"),
         format!("{after:.1e}, the noise floor is {floor:.1e}"),
@@ -80,7 +86,8 @@ fn actuator() -> Row {
     let v = fixture("pneumatic/pk-7bar");
     let [before, after] = ["before", "after"].map(|side| rmse(&v, side));
     [
-        "strokes of a pneumatic actuator, declared as a straight line: error of readings left out in turn".to_owned(),
+        "strokes of a pneumatic actuator, declared as a straight line: error of readings left out in turn"
+            .to_owned(),
         format!("measured, one actuator at 7 bar, {} readings", left_out(&v)),
         format!("{before:.1} N"),
         format!("{after:.2} N"),
@@ -120,7 +127,10 @@ struct Record(Value);
 impl Record {
     fn read(mix: &str) -> Self {
         let record: Value = serde_json::from_str(&read(&format!("{RECORDS}/{mix}.json"))).unwrap();
-        assert_eq!((record["format"].as_str(), record["mix"].as_str()), (Some("wcal-exam-record/1"), Some(mix)));
+        assert_eq!(
+            (record["format"].as_str(), record["mix"].as_str()),
+            (Some("wcal-exam-record/1"), Some(mix))
+        );
         Self(record)
     }
 
@@ -147,7 +157,8 @@ const EXAM: &str = "[the exam](docs/src/exam.md)";
 fn nulls() -> Row {
     let (whisker, lines) = (Record::read("noise-null"), Record::read("scalar-null"));
     let both = |what: &str| {
-        let [a, b] = [whisker.counts(&format!("every noise: {what}")), lines.counts(&format!("lines: {what}"))];
+        let [a, b] =
+            [whisker.counts(&format!("every noise: {what}")), lines.counts(&format!("lines: {what}"))];
         [a[0] + b[0], a[1] + b[1]]
     };
     let ([named, of], [unknown, _]) = (both("false names on nulls"), both("nulls called unknown-effect"));
@@ -171,7 +182,12 @@ fn singles() -> Row {
     let [wrong, _] = record.counts("every noise: singles >= 8 sigma, wrong name");
     [
         "`verify` with one effect of 8 sigma or more: the right class named".to_owned(),
-        format!("SIMULATED, {} draws, {} kinds of noise, every layout ({})", record.0["drawn"], record.noises(), record.said()),
+        format!(
+            "SIMULATED, {} draws, {} kinds of noise, every layout ({})",
+            record.0["drawn"],
+            record.noises(),
+            record.said()
+        ),
         String::new(),
         format!("{right} of {of}; a wrong name in {wrong}"),
         EXAM.to_owned(),
@@ -181,7 +197,8 @@ fn singles() -> Row {
 /// Cells of the rows of a table in the lab notes, below a heading and under a head.
 fn noted(heading: &str, head: &str) -> Vec<Vec<String>> {
     let notes = read(TRACKING);
-    let section = notes.split("\n## ").find(|s| s.starts_with(heading)).unwrap_or_else(|| unreachable!("{heading}"));
+    let section =
+        notes.split("\n## ").find(|s| s.starts_with(heading)).unwrap_or_else(|| unreachable!("{heading}"));
     let table = section.split_once(head).unwrap_or_else(|| unreachable!("{head}")).1;
     let rows = table.lines().skip(2).take_while(|l| l.starts_with('|'));
     rows.map(|l| l.trim_matches('|').split('|').map(|c| c.trim().to_owned()).collect()).collect()
@@ -197,7 +214,9 @@ fn groove() -> Row {
     let heading = "Noise as instruments make it, on the groove, 2026-11-25";
     let rows = noted(heading, "| noise | before: error / bound, mm | ratio | held | after: ratio | held |");
     // Where the later tracker was not run, the row of the earlier one stands.
-    let newest = |r: &Vec<String>| if r[4] == "not run" { [r[2].clone(), r[3].clone()] } else { [r[4].clone(), r[5].clone()] };
+    let newest = |r: &Vec<String>| {
+        if r[4] == "not run" { [r[2].clone(), r[3].clone()] } else { [r[4].clone(), r[5].clone()] }
+    };
     let newest: Vec<[String; 2]> = rows.iter().map(newest).collect();
     let earlier = rows.iter().filter(|r| r[4] == "not run").count();
     let mut ratios: Vec<f64> = newest.iter().map(|r| r[0].parse().unwrap()).collect();
@@ -209,7 +228,8 @@ fn groove() -> Row {
     let counts: Vec<(u64, u64)> = newest.iter().map(held).collect();
     let mut shares: Vec<f64> = counts.iter().map(|(k, n)| 100.0 * *k as f64 / *n as f64).collect();
     shares.sort_by(f64::total_cmp);
-    let (least, most) = (counts.iter().map(|c| c.1).min().unwrap(), counts.iter().map(|c| c.1).max().unwrap());
+    let (least, most) =
+        (counts.iter().map(|c| c.1).min().unwrap(), counts.iter().map(|c| c.1).max().unwrap());
     [
         "contact on the groove, motion known: error / Cramer-Rao bound; trajectories whose 95 % regions hold it".to_owned(),
         format!(
@@ -228,7 +248,8 @@ fn tracker() -> Row {
     let rows = noted(heading, "| RMSE from the surface | seen | unseen |");
     let bench = rows.iter().find(|r| r[0].starts_with("VIRTUAL real bench")).unwrap();
     [
-        "contact tracking by the network: distance from the surface only, objects seen / unseen in training".to_owned(),
+        "contact tracking by the network: distance from the surface only, objects seen / unseen in training"
+            .to_owned(),
         format!("SIMULATED, virtual bench, twelve sweeps a scan, {}", date(heading)),
         String::new(),
         format!("{} / {} mm", bench[1], bench[2]),
@@ -262,7 +283,10 @@ fn the_table_of_results_is_what_its_script_writes() {
     }
     // Each row says what its data are, and those that are not run here of which day they are.
     let dated = |r: &Row| r[1].contains(", 20");
-    assert!(rows.iter().all(|r| r[1].starts_with("measured, ") != (r[1].starts_with("SIMULATED, ") && dated(r))), "{rows:?}");
+    assert!(
+        rows.iter().all(|r| r[1].starts_with("measured, ") != (r[1].starts_with("SIMULATED, ") && dated(r))),
+        "{rows:?}"
+    );
     // Negative control: another result is another table.
     let other = [load_cell_of(&{
         let mut v = fixture("nist/pontius");
@@ -278,9 +302,18 @@ fn judged(line: &str) -> Option<(String, &'static str)> {
     let word = ["met ", "MISS", "open", "    "].into_iter().find(|w| line.starts_with(w))?;
     let (hits, trials) = row.split_whitespace().last()?.split_once('/')?;
     let (hits, trials): (u64, u64) = (hits.parse().ok()?, trials.parse().ok()?);
-    let bounds = row.rsplit_once('[').and_then(|(_, b)| b.split_once(']')).and_then(|(b, _)| b.split_once(", "));
+    let bounds =
+        row.rsplit_once('[').and_then(|(_, b)| b.split_once(']')).and_then(|(b, _)| b.split_once(", "));
     let goal = goal.trim().trim_start_matches("upper bound ");
-    let decided = |met: bool, missed: bool| if met { "met" } else if missed { "MISS" } else { "open" };
+    let decided = |met: bool, missed: bool| {
+        if met {
+            "met"
+        } else if missed {
+            "MISS"
+        } else {
+            "open"
+        }
+    };
     let expected = match (goal, bounds) {
         ("-", _) => "",
         ("0", _) => decided(hits == 0, hits > 0),
@@ -308,7 +341,8 @@ fn a_goal_on_the_page_of_the_exam_is_met_by_its_interval() {
     let page = read("docs/src/exam.md");
     let rows: Vec<_> = page.lines().filter_map(|l| Some((judged(l)?, l))).collect();
     assert!(rows.len() > 100, "{}", rows.len());
-    let wrong: Vec<&str> = rows.iter().filter(|((word, expected), _)| word != expected).map(|r| r.1).collect();
+    let wrong: Vec<&str> =
+        rows.iter().filter(|((word, expected), _)| word != expected).map(|r| r.1).collect();
     assert_eq!(wrong, Vec::<&str>::new());
     assert!(rows.iter().any(|r| r.0.0 == "met") && rows.iter().any(|r| r.0.0 == "MISS"));
     // Negative control: one of one.

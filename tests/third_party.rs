@@ -110,8 +110,14 @@ fn notice(packages: &[Package]) -> String {
     out += "\n## Rust packages in the programs\n\n| package | licence | source |\n|---|---|---|\n";
     for p in packages.iter().filter(|p| p.shipped && p.source.is_some()) {
         let licence = p.licence.as_deref().unwrap_or_default();
-        writeln!(out, "| {} {} | {licence} | {} |", p.name, p.version, p.repository.as_deref().unwrap_or("crates.io"))
-            .unwrap();
+        writeln!(
+            out,
+            "| {} {} | {licence} | {} |",
+            p.name,
+            p.version,
+            p.repository.as_deref().unwrap_or("crates.io")
+        )
+        .unwrap();
     }
     out
 }
@@ -124,10 +130,15 @@ fn licences_and_sources_are_those_that_deny_toml_allows() {
     assert_eq!(objections, Vec::<String>::new());
     // Negative controls: a licence that is not allowed alone, with another, and one from elsewhere.
     let base = packages.iter().find(|p| p.source.is_some()).unwrap();
-    let with = |licence: &str| rules.objection(&Package { licence: Some(licence.to_owned()), ..base.clone() });
+    let with =
+        |licence: &str| rules.objection(&Package { licence: Some(licence.to_owned()), ..base.clone() });
     assert!(with("LGPL-2.1-or-later").is_some() && with("MIT AND GPL-3.0-only").is_some());
-    assert!(with("(MIT OR GPL-3.0-only) AND ISC").is_none() && with("(MIT OR ISC) AND GPL-3.0-only").is_some());
-    assert!(with("MIT/Apache-2.0").is_none() && with("MIT OR GPL-3.0-only").is_none() && with("MIT (").is_some());
+    assert!(
+        with("(MIT OR GPL-3.0-only) AND ISC").is_none() && with("(MIT OR ISC) AND GPL-3.0-only").is_some()
+    );
+    assert!(
+        with("MIT/Apache-2.0").is_none() && with("MIT OR GPL-3.0-only").is_none() && with("MIT (").is_some()
+    );
     let git = Package { source: Some("git+https://example.org/x#1".to_owned()), ..base.clone() };
     assert!(rules.objection(&git).is_some());
     let silent = Package { name: "silent".to_owned(), licence: None, ..base.clone() };
@@ -141,10 +152,16 @@ fn the_notice_of_third_parties_is_current() {
     if std::env::var_os("WCAL_WRITE_DOCS").is_some() {
         fs::write(&page, &found).unwrap();
     }
-    assert!(fs::read_to_string(&page).unwrap_or_default() == found, "THIRD-PARTY.md: write it anew with WCAL_WRITE_DOCS=1");
+    assert!(
+        fs::read_to_string(&page).unwrap_or_default() == found,
+        "THIRD-PARTY.md: write it anew with WCAL_WRITE_DOCS=1"
+    );
     // What the table of native code says of NLopt: its version is that of the source in the package.
     let nlopt = packages.iter().find(|p| p.name == "nlopt").unwrap();
-    assert_eq!(nlopt.version, "0.8.1", "another package of NLopt: look at its version and licence, then at NATIVE");
+    assert_eq!(
+        nlopt.version, "0.8.1",
+        "another package of NLopt: look at its version and licence, then at NATIVE"
+    );
     // Negative control: a package that is left out.
     assert!(notice(&packages[..packages.len() / 2]) != found);
 }

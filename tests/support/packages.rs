@@ -55,8 +55,9 @@ fn tree(edges: &str) -> BTreeSet<String> {
 pub fn resolved() -> Vec<Package> {
     let used = tree("normal,build,dev");
     let shipped = tree("normal");
-    let all: Value = serde_json::from_str(&cargo(&["metadata", "--format-version", "1", "--filter-platform", PLATFORM]))
-        .unwrap();
+    let all: Value =
+        serde_json::from_str(&cargo(&["metadata", "--format-version", "1", "--filter-platform", PLATFORM]))
+            .unwrap();
     let text = |v: &Value| v.as_str().map(str::to_owned);
     let mut packages: Vec<Package> = all["packages"]
         .as_array()

@@ -21,14 +21,13 @@ use wcal_calibration::{SensedRow, SensedTable, of_whisker};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, WarningKind};
+use wcal_track::Tare;
 use wcal_track::known_groove::KnownGroove;
 use wcal_track::known_motion::{
     Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
 };
 use wcal_track::motion_row_tracker::answer;
 use wcal_track::stream::BasePose;
-use wcal_track::Tare;
-
 
 /// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
 const ZERO: f64 = 0.5;

@@ -4,10 +4,12 @@
 
 mod toy;
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Binomial, DiscreteCDF};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
-use wcal_trace::effect::EffectTerm;
+use wcal_trace::effect::{Effect, EffectTerm};
 use wcal_trace::measurement_model::MeasurementModel;
 use wcal_trace::method::fit::{Fit, Status, Weights, fit};
 use wcal_trace::method::hypothesis::Hypothesis;
@@ -63,6 +65,66 @@ fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explan
     assert!(f.at_bound[0]);
     let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 };
     assert!(!h.physical(&system));
+}
+
+#[test]
+fn a_fit_that_did_not_converge_is_no_explanation() {
+    let system = shelved(1);
+    let start = EffectTerm { effect: SHELF, law: 0, values: vec![0.01, 0.4] };
+    let after = |steps: usize| {
+        let fit = fit(&system, std::slice::from_ref(&start), &Weights::equal(READINGS), steps).unwrap();
+        Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
+    };
+    let (short, whole) = (after(1), after(30));
+    assert_eq!((short.fit.status, whole.fit.status), (Status::NotConverged, Status::Converged));
+    assert!(short.physical(&system) && !short.acceptable(&system) && whole.acceptable(&system));
+}
+
+/// The search leaves it out and says which it was.
+#[test]
+fn an_effect_whose_fit_goes_on_falling_is_named_and_not_accepted() {
+    let restless = Restless(shelved(10), AtomicU32::new(0));
+    let found = search(&restless, &Weights::equal(READINGS), &Options::default()).unwrap();
+    assert!(!names(&restless.0, &found.best).contains(&"shelf"), "{:?}", found.best.fit.terms);
+    assert!(found.not_converged.contains(&vec!["shelf".to_owned()]), "{:?}", found.not_converged);
+    assert!(found.refitted.iter().all(|h| h.fit.status != Status::NotConverged));
+    // Control: the same readings with a law that stands still.
+    let found = search(&restless.0, &Weights::equal(READINGS), &Options::default()).unwrap();
+    assert_eq!((names(&restless.0, &found.best), found.not_converged), (vec!["shelf"], Vec::new()));
+}
+
+/// A system whose shelf fits a little better each time it is asked: its sum of squares never settles.
+struct Restless(ToySystem, AtomicU32);
+
+impl MeasurementModel for Restless {
+    fn measured(&self) -> &DMatrix<f64> {
+        self.0.measured()
+    }
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+        let mut design = self.0.design(terms)?;
+        if terms.iter().any(|t| t.effect == SHELF) {
+            let off = 4e-3 * 0.999_f64.powf(f64::from(self.1.fetch_add(1, Ordering::SeqCst)));
+            for i in 0..READINGS {
+                design[(i, 1)] += off * (2.7 * i as f64).sin();
+            }
+        }
+        Some(design)
+    }
+    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+        self.0.catalogue()
+    }
+    fn not_observable(&self, effect: usize) -> Option<String> {
+        self.0.not_observable(effect)
+    }
+    fn groups(&self) -> &[u32] {
+        self.0.groups()
+    }
+    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
+        self.0.covariates()
+    }
+    fn known_noise(&self) -> &DMatrix<f64> {
+        self.0.known_noise()
+    }
 }
 
 #[test]

@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use serde_json::{Value, json};
-use wcal_plant::exam::{Examiner, Goal, Mark, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise};
+use wcal_plant::exam::{
+    Examiner, Goal, Mark, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise,
+};
 use wcal_plant::scalar;
 use wcal_plant::{
     Case, Design, Kind, Make, Noise, Order, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
@@ -148,14 +150,20 @@ fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
         let outcomes: Vec<_> = (0..of).map(|k| Outcome { kind: kind(k), ..right.clone() }).collect();
         summarise(&outcomes).into_iter().find(|g| g.score == "false attribution on nulls").unwrap()
     };
-    for (hits, of, met) in [(0, 1, None), (0, 40, None), (0, 100, Some(true)), (2, 100, None), (50, 100, Some(false))] {
+    for (hits, of, met) in
+        [(0, 1, None), (0, 40, None), (0, 100, Some(true)), (2, 100, None), (50, 100, Some(false))]
+    {
         let goal = named(hits, of);
         assert_eq!((goal.met, goal.open()), (met, met.is_none()), "{hits} of {of}: {goal:?}");
     }
     // Quantiles are bounded by order statistics: a few values bound none.
     let ratios = |ratio: f64, of: usize| -> Goal {
-        let outcomes: Vec<_> = (0..of).map(|_| Outcome { after_ratio: Some(ratio), ..right.clone() }).collect();
-        summarise(&outcomes).into_iter().find(|g| g.score == "held-out error after / floor, 95th percentile").unwrap()
+        let outcomes: Vec<_> =
+            (0..of).map(|_| Outcome { after_ratio: Some(ratio), ..right.clone() }).collect();
+        summarise(&outcomes)
+            .into_iter()
+            .find(|g| g.score == "held-out error after / floor, 95th percentile")
+            .unwrap()
     };
     assert_eq!((ratios(1.0, 1).met, ratios(1.0, 20).met), (None, None));
     assert_eq!((ratios(1.0, 200).met, ratios(1.5, 200).met), (Some(true), Some(false)));

@@ -88,7 +88,8 @@ fn sha256(content: &[u8]) -> String {
 /// Paths below native/ that the script lists.
 fn listed() -> Vec<String> {
     let script = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fetch.sh")).unwrap();
-    let path = |line: &str| line.split_once("  native/").filter(|(s, _)| s.len() == 64).map(|l| l.1.to_owned());
+    let path =
+        |line: &str| line.split_once("  native/").filter(|(s, _)| s.len() == 64).map(|l| l.1.to_owned());
     script.lines().filter_map(path).collect()
 }
 

@@ -35,7 +35,7 @@ pub(super) fn refit(
 const MORE_STEPS: usize = 40;
 
 /// Goes on with a fit that did not converge.
-fn settle(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+pub(super) fn settle(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.fit.status != Status::NotConverged {
         return h;
     }

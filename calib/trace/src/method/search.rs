@@ -8,7 +8,7 @@ use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::outliers::{clean, gross};
 use super::progress::progress;
-use super::refine::{refine_level, refit};
+use super::refine::{refine_level, refit, settle};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::EffectTerm;
@@ -175,11 +175,11 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
             break;
         }
-        best = flag_anew(system, candidate);
+        best = settle(system, flag_anew(system, candidate));
         physical[0] = best.clone();
         level_test = gate_again(system, &best, options, size as u64);
         if level_test.rejected() && refine_level(system, &base, &mut physical) {
-            best = flag_anew(system, physical[0].clone());
+            best = settle(system, flag_anew(system, physical[0].clone()));
             physical[0] = best.clone();
             level_test = gate_again(system, &best, options, (options.largest + size) as u64);
         }

@@ -120,14 +120,7 @@ pub(super) fn number(score: &str, goal: &str, mut values: Vec<f64>, quantile: f6
     let value = quantile_of(values.clone(), quantile);
     let bounds = (!values.is_empty()).then(|| quantile_bounds(&values, quantile));
     let met = bounds.filter(|_| most.is_finite()).and_then(|(low, high)| decided(high <= most, low > most));
-    Goal {
-        score: score.into(),
-        goal: goal.into(),
-        value,
-        bounds,
-        counts: (values.len(), values.len()),
-        met,
-    }
+    Goal { score: score.into(), goal: goal.into(), value, bounds, counts: (values.len(), values.len()), met }
 }
 
 /// Alternatives of all ambiguous answers together over those that the data allow; nothing where no rivals were computed.
@@ -204,13 +197,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let ratios = || answered.iter().filter_map(|o| o.after_ratio).collect::<Vec<_>>();
     let oracle = || answered.iter().map(|o| o.oracle_ratio).collect::<Vec<_>>();
     vec![
-        share(
-            "every noise: false names on nulls",
-            "<= 5 %",
-            &nulls,
-            names_something,
-            Side::AtMost(0.05),
-        ),
+        share("every noise: false names on nulls", "<= 5 %", &nulls, names_something, Side::AtMost(0.05)),
         share(
             "every noise: nulls called unknown-effect",
             "-",
@@ -381,13 +368,7 @@ fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let sizeable = pick(&|o| known.iter().any(|k| k.name == o.name) && (o.label == "null" || o.delta >= 6.0));
 
     vec![
-        share(
-            "false attribution on nulls",
-            "<= 5 %",
-            &nulls,
-            |o| o.kind == Kind::False,
-            Side::AtMost(0.05),
-        ),
+        share("false attribution on nulls", "<= 5 %", &nulls, |o| o.kind == Kind::False, Side::AtMost(0.05)),
         share(
             "right class, rich single >= 8 sigma, no rival within 3",
             ">= 93 %",

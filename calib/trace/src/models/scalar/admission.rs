@@ -39,8 +39,7 @@ pub(super) fn refusal(
         );
     }
     let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
-    clock_fault(rows.iter().map(|r| r.t_s))
-        .or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
+    clock_fault(rows.iter().map(|r| r.t_s)).or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
 }
 
 /// Where the clock of a table in file order runs backwards, in words.

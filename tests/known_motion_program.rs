@@ -344,7 +344,7 @@ fn the_zero_of_a_table_with_a_motion_is_set_anew() {
     assert_eq!((free(&wrong), free(&right)), (0, LEAD), "{} {}", wrong.said, right.said);
     assert_eq!(right.summary["tare_s"], 5.75);
     // What is no time, and a session, whose rest readings are its zero.
-    let run = bench.along("off.csv", &["--tare-s", "-1"]);
+    let run = bench.along("off.csv", &["--tare-s=-1"]);
     assert!(run.code != Some(0) && run.said.contains("--tare-s"), "{}", run.said);
     let calibration = verified().join("calibration.json");
     let out = bench.path("session.csv");

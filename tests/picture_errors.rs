@@ -298,12 +298,26 @@ fn same_as_stated(pair: &PairDocument, document: &ShapesDocument) {
     }
 }
 
+/// RMS errors over these three folders that a hundredth of a millimetre as stated allows: twice what they are (0.008, 0.026, 0.002 and 0.007 mm),
+/// for another machine's rounding and another build of OpenCV.
+const RMS_LIMITS_MM: [f64; 4] = [0.016, 0.052, 0.005, 0.015];
+
+fn within(rms_mm: &[f64; 4]) -> bool {
+    rms_mm.iter().zip(RMS_LIMITS_MM).all(|(r, limit)| *r < limit)
+}
+
 #[test]
 fn stated_errors_hold_on_the_plants_pictures() {
     let s = survey(0..3, 4);
-    assert!(s.chi2[0].value < 2.5 && s.used > 0.9 && s.rms_mm.iter().all(|r| *r < 0.1), "{s:?}");
-    assert!(s.squares.iter().all(|m| m.value < 4.0), "{s:?}");
-    assert!(s.inside[0].value > 0.8, "{s:?}");
+    assert!(s.chi2[0].value < 1.5 && s.used == 1.0 && within(&s.rms_mm), "{s:?}");
+    assert!(s.squares.iter().all(|m| m.value < 2.0), "{s:?}");
+    assert!(s.inside[0].value > 0.95, "{s:?}");
+    // Negative control: a twentieth of a millimetre more in any one of them.
+    for k in 0..4 {
+        let mut off = s.rms_mm;
+        off[k] = off[k].hypot(0.05);
+        assert!(!within(&off), "{k}: {off:?}");
+    }
     // Negative controls: the pairs' own errors alone do not explain what was found, nor does a third of the line's.
     assert!(s.chi2[1].value > 5.0 * s.chi2[0].value, "{s:?}");
     assert!(s.inside[1].value < s.inside[0].value - 0.1, "{s:?}");

@@ -8,6 +8,7 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+use statrs::distribution::{Binomial, DiscreteCDF};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_rod::Shape;
 use wcal_sim::SweepPlan;
@@ -23,6 +24,8 @@ const DIRECTIONS_DEG: [f64; 4] = [0.0, 90.0, 200.0, 300.0];
 const SWEEPS: usize = 1;
 /// A contact this far off over a quarter of its readings is lost, mm.
 const LOST_MM: f64 = 4.0;
+/// Share of them that the tracker states.
+const STATED_LOST: f64 = 0.17;
 /// Noise of the moments and their zero, N mm.
 const NOISE_NMM: f64 = 0.001;
 const ZERO_NMM: f64 = 0.002;
@@ -152,13 +155,23 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     spreads.sort_by(f64::total_cmp);
     let quantile = |of: &[f64], q: f64| of[(q * (of.len() - 1) as f64) as usize];
     println!("regions along the wire, width in mm: {:.1?}", [0.1, 0.5, 0.9].map(|q| quantile(&widths, q)));
-    println!("stated standard deviation in space, mm: {:.2?}", [0.1, 0.5, 0.9].map(|q| quantile(&spreads, q)));
+    println!(
+        "stated standard deviation in space, mm: {:.2?}",
+        [0.1, 0.5, 0.9].map(|q| quantile(&spreads, q))
+    );
+    // As many are lost as is stated, and the regions, which must hold those too, are as wide as the arc that the moments alone leave: no wider.
+    let most_lost = Binomial::new(STATED_LOST, supported as u64).unwrap().inverse_cdf(0.975);
+    assert!(lost as u64 <= most_lost, "{lost} of {supported}");
+    assert!(quantile(&widths, 0.5) < 38.5 && quantile(&widths, 0.9) < 40.0);
+    assert!(quantile(&spreads, 0.5) < 10.5);
+    // Negative control: half of the contacts lost.
+    assert!(supported as u64 / 2 > most_lost);
     assert!(all >= 20, "{all}");
     // Other directions are followed as well as the sweeps that the filter was made for.
     assert!(medians.iter().all(|m| *m < 2.5 * medians[0] + 0.3), "{medians:?}");
     // A wrong motion passes at most by accident; the true one mostly.
     assert!(supported * 10 >= all * 6 && reversed_supported == 0, "{supported} {reversed_supported}");
-    // Readings of a track share their errors: some 20 tracks determine the coverage to a few per cent.
+    // Readings of a track share their errors: some 20 tracks determine the coverage to a few per cent. It can hardly be missed: see the widths.
     let coverage = pooled_held as f64 / pooled as f64;
     assert!((0.9..=1.0).contains(&coverage), "{coverage}");
 }

@@ -96,16 +96,19 @@ fn judge(command: &str, expected: i32, code: Option<i32>, stderr: &[u8], wrong: 
     }
 }
 
-/// On a machine that is busy with other things the bench's scans may come late: whether the warnings say that and nothing else.
+/// On a machine that is busy with other things the bench's scans and pictures may come late: whether the warnings say that and nothing else.
 fn only_late(said: &str) -> bool {
-    /// Beginning and further words of such a warning.
-    const LATE: [&str; 2] = ["scans late, by up to", "0 rows with scans missing and"];
-    let warnings: Vec<&str> = said.lines().filter_map(|l| l.split_once("warning: ")).map(|l| l.1).collect();
-    let late = |w: &&str| {
-        let (_, without_count) = w.split_once(' ').unwrap_or(("", w));
-        without_count.starts_with(LATE[0]) || w.starts_with(LATE[1])
+    /// Poses of a sweep that a busy machine may leave without pictures (3 of 36 were, beside thirty other processes on two cores).
+    const FEW_POSES: u64 = 6;
+    let late = |warning: &str| {
+        let (count, what) = warning.split_once(' ').unwrap_or(("", warning));
+        let count: u64 = count.parse().unwrap_or(u64::MAX);
+        what.starts_with("scans late, by up to")
+            || (count == 0 && what.starts_with("rows with scans missing and"))
+            || (count <= FEW_POSES && what == "poses without pictures")
     };
-    !warnings.is_empty() && warnings.iter().all(late)
+    let mut warnings = said.lines().filter_map(|l| Some(l.split_once("warning: ")?.1)).peekable();
+    warnings.peek().is_some() && warnings.all(late)
 }
 
 /// Runs a page's blocks in one folder; what went wrong.
@@ -312,8 +315,10 @@ fn a_command_that_fails_or_ends_otherwise_is_noticed() {
         "3 scans lost in 1 gaps",
         "1 windows whose signal did not settle",
         "1 rows with scans missing and 2 with late scans",
+        "7 poses without pictures",
     ] {
         assert!(!judged(&format!("{late}stage-sweep: warning: {more}\n")), "{more}");
     }
+    assert!(judged("stage-sweep: warning: 3 poses without pictures\n"));
     assert!(!judged("") && !judged("stage-sweep: warning: 2 camera pairs refused"));
 }

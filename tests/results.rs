@@ -7,6 +7,7 @@ use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use wcal_plant::exam::clopper_pearson;
 
 const BEGIN: &str = "<!-- results: written by `make results` -->\n";
 const END: &str = "<!-- end of results -->\n";
@@ -54,6 +55,9 @@ fn verdict(document: &Value) -> String {
         .collect();
     let word = document["verdict"].as_str().unwrap();
     match (word, effects.is_empty()) {
+        ("ambiguous", _) => {
+            format!("ambiguous between {} explanations", document["alternatives"].as_array().unwrap().len())
+        }
         (_, true) => word.to_owned(),
         ("effect", false) => format!("effect: {}", effects.join(", ")),
         (_, false) => format!("{word}, after {}", effects.join(", ")),
@@ -152,6 +156,12 @@ impl Record {
     }
 }
 
+/// Hits of trials with the 95 % interval of their share.
+fn share(hits: u64, trials: u64) -> String {
+    let (low, high) = clopper_pearson(hits as usize, trials as usize);
+    format!("{hits} of {trials} [{:.1} to {:.1} %]", 100.0 * low, 100.0 * high)
+}
+
 const EXAM: &str = "[the exam](docs/src/exam.md)";
 
 fn nulls() -> Row {
@@ -171,7 +181,7 @@ fn nulls() -> Row {
             lines.said()
         ),
         String::new(),
-        format!("{named} of {of} with a false name, {unknown} more called unknown-effect"),
+        format!("{} with a false name, {unknown} more called unknown-effect", share(named, of)),
         EXAM.to_owned(),
     ]
 }
@@ -189,7 +199,7 @@ fn singles() -> Row {
             record.said()
         ),
         String::new(),
-        format!("{right} of {of}; a wrong name in {wrong}"),
+        format!("{}; a wrong name in {wrong}", share(right, of)),
         EXAM.to_owned(),
     ]
 }

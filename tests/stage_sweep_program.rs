@@ -157,8 +157,8 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
-    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. It names one in 2 of 305 sessions of the
-    // exam: 2 % for these three runs (always three). Anything but "adequate" it says in 9 of 305: 0.3 % for two of the three.
+    // Nothing is wrong with this bench but noise and temperature: the loop must not invent an effect. The verdict "effect" it gives in 1 of 305
+    // sessions of the exam without one: 1 % for these three runs (always three). Anything but "adequate" in 9 of 305: 0.3 % for two of the three.
     let mut verdicts = vec![verdict(&bench)];
     // One bench at a time: the second would wait for the first for ever.
     drop(bench);

@@ -103,7 +103,7 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// Where the files cannot be read or no geometry comes out.
 pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    let text = std::fs::read_to_string(&args.shapes)
+    let text = wcal_core::files::read_text(&args.shapes)
         .with_context(|| format!("reading {}", args.shapes.display()))?;
     let document: ShapesDocument = serde_json::from_str(&text).with_context(|| {
         format!(

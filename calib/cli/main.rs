@@ -1,6 +1,10 @@
 //! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
 
+// First: what follows prints by its macros.
+#[macro_use]
+mod printing;
+
 mod demo;
 mod doctor;
 mod evaluate;
@@ -130,11 +134,14 @@ fn main() -> ExitCode {
         Command::Formats => explain::formats(),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
-            clap_complete::generate(*shell, &mut command(), "wcal", &mut std::io::stdout());
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut command(), "wcal", &mut script);
+            print!("{}", String::from_utf8_lossy(&script));
             Ok(ExitCode::SUCCESS)
         }
     };
-    result.unwrap_or_else(|error| {
+    let unwritten = printing::failed().map(anyhow::Error::msg);
+    unwritten.map_or(result, Err).unwrap_or_else(|error| {
         eprintln!("wcal: {error:#}");
         ExitCode::from(1)
     })

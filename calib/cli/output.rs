@@ -73,7 +73,7 @@ impl ResultKind<'_> {
             if self.files.contains(&name.as_str()) {
                 others.get_or_insert(name);
             } else if matches(self.document, &name) {
-                let text = fs::read_to_string(folder.join(&name)).unwrap_or_default();
+                let text = wcal_core::files::read_text(folder.join(&name)).unwrap_or_default();
                 let own = text.contains(self.says);
                 // A damaged document of a command that goes on is one that it makes again.
                 if !own && (!self.resumes || text.contains("\"format\"")) {
@@ -213,7 +213,7 @@ pub fn check_file(path: &Path, command: &str, own: impl Fn(&str) -> bool, force:
 /// Where it cannot be read.
 pub fn first_line(path: &Path) -> Result<String> {
     let mut start = Vec::new();
-    let read = fs::File::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
+    let read = wcal_core::files::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
     read.with_context(|| format!("reading {}", path.display()))?;
     Ok(String::from_utf8_lossy(&start).lines().next().unwrap_or_default().to_owned())
 }

@@ -95,7 +95,7 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
 
 /// The page of one document.
 fn html_of(path: &Path) -> anyhow::Result<String> {
-    let text = std::fs::read_to_string(path)?;
+    let text = wcal_core::files::read_text(path)?;
     let document: Value = serde_json::from_str(&text)?;
     let folder = path.parent().unwrap_or(Path::new("."));
     Ok(match document["format"].as_str() {
@@ -116,7 +116,7 @@ fn html_of(path: &Path) -> anyhow::Result<String> {
 /// # Errors
 /// Where one of them is not what a page needs.
 pub fn read_page(path: &Path) -> anyhow::Result<Page> {
-    let text = std::fs::read_to_string(path)?;
-    let verify = std::fs::read_to_string(path.with_file_name("verify.json")).ok();
+    let text = wcal_core::files::read_text(path)?;
+    let verify = wcal_core::files::read_text(path.with_file_name("verify.json")).ok();
     Ok(Page::from_json(&text, verify.as_deref())?)
 }

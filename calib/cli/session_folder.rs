@@ -34,7 +34,7 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
             folder.display()
         );
     }
-    let header = std::fs::read_to_string(session).unwrap_or_default();
+    let header = wcal_core::files::read_text(session).unwrap_or_default();
     let header = header.trim_start_matches('\u{feff}').lines().next().unwrap_or_default().to_owned();
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",

@@ -111,7 +111,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let plan = match &args.plan {
         Some(path) => {
             let text =
-                std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+                wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
             toml::from_str(&text).with_context(|| format!("reading {}", path.display()))?
         }
         None => SweepPlan::default(),

@@ -28,7 +28,7 @@ struct UnsealedFile {
 
 /// Record of unsealing in a folder. Version 0 was a list of hashes.
 fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
-    let Ok(bytes) = std::fs::read(path) else { return Ok(Vec::new()) };
+    let Ok(bytes) = wcal_core::files::read(path) else { return Ok(Vec::new()) };
     if let Ok(hashes) = serde_json::from_slice::<Vec<String>>(&bytes) {
         let of =
             |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };

@@ -133,7 +133,7 @@ fn bytes(path: &Path) -> Result<Vec<u8>, AcquisitionError> {
         let expected = format!("at most {MAX_BYTES} bytes");
         return Err(AcquisitionError::input(path.display().to_string(), expected, format!("{size} bytes")));
     }
-    std::fs::read(path).map_err(io)
+    wcal_core::files::read(path).map_err(io)
 }
 
 /// A table with its header: cells by the names of columns.

@@ -102,7 +102,7 @@ pub fn read_unsealed(
     let refuse =
         |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
     let bytes =
-        std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+        wcal_core::files::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.

@@ -50,7 +50,7 @@ fn shear_gpa() -> f64 {
 }
 
 fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     toml::from_str(&text).with_context(|| format!("reading {}", path.display()))
 }
 

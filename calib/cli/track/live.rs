@@ -384,7 +384,7 @@ fn conclude(
 
 /// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.
 fn session_points(folder: &Path) -> Option<(PathBuf, Option<String>)> {
-    let session: toml::Table = std::fs::read_to_string(folder.join("session.toml")).ok()?.parse().ok()?;
+    let session: toml::Table = wcal_core::files::read_text(folder.join("session.toml")).ok()?.parse().ok()?;
     let text = |v: Option<&toml::Value>| v.and_then(toml::Value::as_str).map(str::to_owned);
     let points = text(session.get("files").and_then(|f| f.get("points")))?;
     Some((folder.join(points), text(session.get("whisker_id"))))

@@ -20,7 +20,7 @@ pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), 
         let found = format!("{size} bytes");
         return Err(InputError::new("session.toml", format!("at most {MAX_BYTES} bytes"), found).into());
     }
-    let mut text = std::fs::read_to_string(&path).map_err(io)?;
+    let mut text = wcal_core::files::read_text(&path).map_err(io)?;
     let wrong = |e: toml::de::Error| InputError::new("session.toml", "TOML", e.message().to_owned());
     let mut content: Table = text.parse().map_err(wrong)?;
     for (table, key, value) in entries {

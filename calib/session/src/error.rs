@@ -87,6 +87,11 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
+/// The error of a file that is no UTF-8 text.
+pub(crate) fn not_utf8(file: &str, found: wcal_core::text::NotUtf8) -> InputError {
+    InputError::new(file, "UTF-8 text", found.found).hint(found.way_out)
+}
+
 /// Why a session could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {

@@ -64,7 +64,7 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let folder = if folder.is_file() { folder.parent().unwrap_or(folder) } else { folder };
     const NAME: &str = "session.toml";
     let path = folder.join(NAME);
-    let bytes = std::fs::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let bytes = wcal_core::files::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
     let meta = document::parse(NAME, &bytes)?;
     let root = Section::root(NAME, &meta);
     check_format(&root)?;

@@ -87,7 +87,7 @@ pub(crate) fn read(
         let found = format!("{size} bytes");
         return Err(InputError::new(name, format!("at most {MAX_BYTES} bytes"), found).into());
     }
-    let bytes = std::fs::read(path).map_err(io)?;
+    let bytes = wcal_core::files::read(path).map_err(io)?;
     let document = parsed(name, &bytes)?;
     let covariance: Vec<Vec<f64>> = document
         .shared_covariance

@@ -54,7 +54,7 @@ impl Recipe {
     /// That of a folder; none where it has none.
     fn read(folder: &Path) -> Result<Option<Self>, SimError> {
         let path = folder.join(FILE);
-        let text = match std::fs::read_to_string(&path) {
+        let text = match wcal_core::files::read_text(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             other => other.map_err(SimError::io("reading", &path))?,
         };

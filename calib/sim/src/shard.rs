@@ -97,7 +97,7 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
 /// # Errors
 /// Where the manifest cannot be read.
 pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
-    let text = std::fs::read_to_string(path).map_err(SimError::io("reading", path))?;
+    let text = wcal_core::files::read_text(path).map_err(SimError::io("reading", path))?;
     serde_json::from_str(&text).map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
 }
 
@@ -108,7 +108,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
 pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), SimError> {
     for (table, expected) in &manifest.sha256 {
         let path = folder.join(table);
-        let bytes = std::fs::read(&path).map_err(SimError::io("reading", &path))?;
+        let bytes = wcal_core::files::read(&path).map_err(SimError::io("reading", &path))?;
         let found = sha256_hex(&bytes);
         if found != *expected {
             return Err(SimError::Shard {

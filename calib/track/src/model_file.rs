@@ -192,7 +192,7 @@ pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), Trac
     let mut store =
         SafetensorsStore::from_file(&part).clear_metadata().metadata("producer", "wcal").overwrite(true);
     net.save_into(&mut store).map_err(TrackError::file("writing", &weights))?;
-    let bytes = std::fs::read(&part).map_err(TrackError::file("reading", &part))?;
+    let bytes = wcal_core::files::read(&part).map_err(TrackError::file("reading", &part))?;
     write_atomic(&weights, &bytes).map_err(refused)?;
     std::fs::remove_file(&part).map_err(TrackError::file("removing", &part))?;
     card.weights_sha256 = sha256_hex(&bytes);
@@ -212,7 +212,7 @@ pub fn read_card(folder: &Path) -> Result<Card, TrackError> {
 /// Card and weights.
 fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     let path = folder.join("model.json");
-    let text = std::fs::read_to_string(&path).map_err(TrackError::file("reading", &path))?;
+    let text = wcal_core::files::read_text(&path).map_err(TrackError::file("reading", &path))?;
     let card: Card = serde_json::from_str(&text).map_err(TrackError::file("reading", &path))?;
     if card.format != FORMAT {
         return Err(TrackError::value(format!("{}: format", path.display()), FORMAT, card.format));
@@ -225,7 +225,7 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
         return Err(TrackError::value(what, format!("{expected}, as the network weighs"), found));
     }
     let weights = folder.join("model.safetensors");
-    let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
+    let bytes = wcal_core::files::read(&weights).map_err(TrackError::file("reading", &weights))?;
     let found = sha256_hex(&bytes);
     if found != card.weights_sha256 {
         let what = format!("{}: SHA-256", weights.display());

@@ -98,7 +98,7 @@ impl Rig {
     /// Where the file is missing, no TOML, or a field is missing or out of range.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+        let text = wcal_core::files::read_text(path).map_err(|source| VisionError::Io {
             action: "read",
             path: name.clone(),
             source,

@@ -1,13 +1,13 @@
 //! `wcal report`: a page again, from the documents that its command stored.
 
-use crate::output::{OutputFolder, write_file};
+use crate::output::{OutputFolder, check_beside, write_file};
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::map_document::MAP_FORMAT;
-use wcal_report::{Page, REPORT_FORMAT, render_map};
+use wcal_report::{Page, REPORT_FORMAT, is_page, render_map};
 use wcal_track::model_file::read_card;
 
 /// Arguments of `wcal report`.
@@ -64,11 +64,16 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
     };
     if !place.is_dir() {
         let name = place.file_name().unwrap_or_default();
-        let page = DOCUMENTS.iter().find(|(document, _)| name == *document);
-        again(
-            place.to_owned(),
-            page.map_or_else(|| place.with_extension("html"), |(_, page)| place.with_file_name(page)),
-        )?;
+        let page = match DOCUMENTS.iter().find(|(document, _)| name == *document) {
+            Some((_, page)) => place.with_file_name(page),
+            // In a folder that is no result the name may be taken.
+            None => {
+                let page = place.with_extension("html");
+                check_beside(std::slice::from_ref(&page), is_page, false)?;
+                page
+            }
+        };
+        again(place.to_owned(), page)?;
         return Ok(made);
     }
     for (document, page) in DOCUMENTS {

@@ -112,7 +112,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         Some(path) => {
             let text =
                 wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-            toml::from_str(&text).with_context(|| format!("reading {}", path.display()))?
+            SweepPlan::from_toml(&text).with_context(|| format!("reading {}", path.display()))?
         }
         None => SweepPlan::default(),
     };

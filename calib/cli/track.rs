@@ -171,7 +171,7 @@ enum Source {
 /// # Errors
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
-    crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
+    output::check(&args.out, args.force)?;
     if args.model.is_empty() {
         if let Some(sweep) = args.source.as_deref().and_then(SweepFolder::of) {
             return motion_table::track(args, &sweep.points);

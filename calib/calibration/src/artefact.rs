@@ -6,6 +6,8 @@ use crate::trust_issue::TrustIssue;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::format;
+use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::CalibrationContact;
 use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
@@ -81,6 +83,12 @@ pub fn seal(
     Ok(file)
 }
 
+/// Numbers that a calibration may hold; what a model's own parameters can be, the model says.
+const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
+    Range::real("", -1e30, 1e30),
+];
+
 /// Reads the file and checks format, model and content hash.
 ///
 /// # Errors
@@ -106,12 +114,9 @@ pub fn read_unsealed(
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.
-    let format = value.get("format").and_then(serde_json::Value::as_str);
-    if format != Some(CALIBRATION_FORMAT) {
-        let found = format.map_or_else(|| "nothing".to_owned(), |f| format!("{f:?}"));
-        let detail = format!("field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
-        return Err(CalibrationError::content(path, detail));
-    }
+    format::expect(CALIBRATION_FORMAT, value.get("format").and_then(serde_json::Value::as_str))
+        .map_err(|why| CalibrationError::content(path, why))?;
+    ranges::check(&value, &[RANGES]).map_err(|e| CalibrationError::content(path, e))?;
     let raw: CalibrationFile<serde_json::Value> =
         serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
     let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
@@ -123,6 +128,9 @@ pub fn read_unsealed(
     let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
         .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
     file.model.check().map_err(|e| CalibrationError::content(path, e))?;
+    if let Some(whisker) = &file.whisker {
+        whisker.check().map_err(|e| CalibrationError::content(path, format!("whisker.{e}")))?;
+    }
     Ok((file, changed))
 }
 

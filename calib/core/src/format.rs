@@ -9,14 +9,19 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), String> {
     if found == expected {
         return Ok(());
     }
+    let hint = if is_newer(expected, found) { " (a newer version: update wcal to read it)" } else { "" };
+    let shown: String = found.chars().take(60).collect();
+    Err(format!("format: expected {expected:?}, found {shown:?}{hint}"))
+}
+
+/// Whether `found` is a later version of the format.
+#[must_use]
+pub fn is_newer(expected: &str, found: &str) -> bool {
     let version = |format: &str| -> Option<(String, u32)> {
         let (name, version) = format.rsplit_once('/')?;
         Some((name.to_owned(), version.parse().ok()?))
     };
-    let newer = version(expected).zip(version(found)).is_some_and(|(a, b)| a.0 == b.0 && b.1 > a.1);
-    let hint = if newer { " (a newer version: update wcal to read it)" } else { "" };
-    let shown: String = found.chars().take(60).collect();
-    Err(format!("format: expected {expected:?}, found {shown:?}{hint}"))
+    version(expected).zip(version(found)).is_some_and(|(a, b)| a.0 == b.0 && b.1 > a.1)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
 pub mod device;
+pub mod document;
 pub mod files;
 pub mod format;
 pub mod least_squares;

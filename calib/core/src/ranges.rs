@@ -28,6 +28,24 @@ impl Range {
         Self { key, low, high, whole: true }
     }
 
+    fn holds(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+
+    /// The unit in which the value would be in the range, as a question.
+    fn other_unit(&self, key: &str, value: f64) -> String {
+        const UNITS: [(&str, f64, &str); 5] = [
+            ("_mm", 1e3, "m"),
+            ("_mm", 1e-3, "um"),
+            ("_gpa", 1e-3, "MPa"),
+            ("_gpa", 1e-9, "Pa"),
+            ("_nm", 1e9, "m"),
+        ];
+        let fits =
+            |(suffix, factor, _): &&(&str, f64, &str)| key.ends_with(suffix) && self.holds(value * factor);
+        UNITS.iter().find(fits).map_or_else(String::new, |unit| format!(" (in {}?)", unit.2))
+    }
+
     fn fits(&self, path: &str) -> bool {
         let before = path.strip_suffix(self.key);
         self.key.is_empty() || before.is_some_and(|b| b.is_empty() || b.ends_with('.'))
@@ -37,7 +55,7 @@ impl Range {
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.whole { "a whole number" } else { "a number" };
-        write!(f, "{kind} from {} to {}", Short(self.low), Short(self.high))
+        write!(f, "{kind} between {} and {}", Short(self.low), Short(self.high))
     }
 }
 
@@ -134,16 +152,21 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
             latest = (key.to_owned(), ranges.iter().copied().flatten().find(|range| range.fits(key)));
         }
         let Some(range) = latest.1 else { return Ok(()) };
-        let within = (range.low..=range.high).contains(&value) && (whole || !range.whole);
-        if within {
+        if range.holds(value) && (whole || !range.whole) {
             return Ok(());
         }
-        Err(OutOfRange {
-            key: name.to_owned(),
-            expected: range.to_string(),
-            found: Short(value).to_string(),
-        })
+        let found = format!("{}{}", Short(value), range.other_unit(key, value));
+        Err(OutOfRange { key: name.to_owned(), expected: range.to_string(), found })
     })
+}
+
+/// The same of a value in memory; what no document can hold is not judged.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_value(value: &impl serde::Serialize, ranges: &[&[Range]]) -> Result<(), OutOfRange> {
+    // TOML's values hold NaN, where JSON's have nothing.
+    toml::Table::try_from(value).map_or(Ok(()), |table| check(&table, ranges))
 }
 
 #[cfg(test)]
@@ -159,17 +182,20 @@ mod tests {
         let good = json!({"net": {"layers": 3, "rate": [1.5, 2]}, "title": "x", "none": null});
         assert_eq!(check(&good, &[RANGES]), Ok(()));
         for (bad, says) in [
-            (json!({"net": {"layers": 0}}), "net.layers: expected a whole number from 1 to 64, found 0"),
-            (json!({"net": {"layers": 2.5}}), "net.layers: expected a whole number from 1 to 64, found 2.5"),
-            (json!({"a": [{"rate": [1, 1e300]}]}), "a #1.rate #2: expected a number from 0 to 1e9, found 1e300"),
-            (json!({"crate": 1e13}), "crate: expected a number from -1e12 to 1e12, found 1e13"),
+            (json!({"net": {"layers": 0}}), "net.layers: expected a whole number between 1 and 64, found 0"),
+            (json!({"net": {"layers": 2.5}}), "net.layers: expected a whole number between 1 and 64, found 2.5"),
+            (json!({"a": [{"rate": [1, 1e300]}]}), "a #1.rate #2: expected a number between 0 and 1e9, found 1e300"),
+            (json!({"crate": 1e13}), "crate: expected a number between -1e12 and 1e12, found 1e13"),
         ] {
             assert_eq!(check(&bad, &[RANGES]).unwrap_err().to_string(), says);
         }
+        let length = [Range::real("length_mm", 1.0, 2000.0)];
+        let error = check(&json!({"length_mm": 0.06}), &[&length]).unwrap_err().to_string();
+        assert!(error.ends_with("found 0.06 (in m?)"), "{error}");
         let table: toml::Table = "[net]\nlayers = 3\n[[a]]\nrate = nan\n".parse().unwrap();
         assert_eq!(
             check(&table, &[RANGES]).unwrap_err().to_string(),
-            "a #1.rate: expected a number from 0 to 1e9, found NaN"
+            "a #1.rate: expected a number between 0 and 1e9, found NaN"
         );
         assert_eq!(check(&json!({"rate": 1e300}), &[]), Ok(()), "negative control: no range, no refusal");
     }

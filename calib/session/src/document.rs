@@ -121,12 +121,6 @@ impl<'a> Section<'a> {
         Err(self.error(key, format!("a number between {low} and {high}"), format!("{value}")).hint(hint))
     }
 
-    /// Finite number within `[low, high]` that must be there.
-    pub(crate) fn required_in(&self, key: &str, low: f64, high: f64) -> Outcome<f64> {
-        let missing = || self.error(key, format!("a number between {low} and {high}"), "nothing");
-        self.number_in(key, low, high)?.ok_or_else(missing)
-    }
-
     fn finite(&self, key: &str, value: &Value) -> Outcome<f64> {
         let number = match value {
             Value::Float(x) => *x,

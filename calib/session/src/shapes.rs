@@ -15,7 +15,7 @@ use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{
     ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
 };
-use wcal_core::{InputFile, Purpose, Role};
+use wcal_core::{InputFile, Purpose, Role, format};
 
 /// Largest file that is read: some thousand pairs.
 const MAX_BYTES: u64 = 1 << 28;
@@ -144,9 +144,8 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
     let document: Shapes = serde_json::from_slice(bytes).map_err(|e| {
         InputError::new(name, "shapes.json as stereo-shape writes it", e.to_string()).at(e.line())
     })?;
-    if document.format != SHAPES_FORMAT {
-        let found = quote(&document.format);
-        return Err(InputError::new(name, format!("{SHAPES_FORMAT:?}"), found).field("format"));
+    if let Err(why) = format::expect(SHAPES_FORMAT, Some(&document.format)) {
+        return Err(InputError::new(name, "shapes.json of this version", why).field("format"));
     }
     if document.pairs.len() > MAX_PAIRS {
         let found = document.pairs.len().to_string();

@@ -26,8 +26,10 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::document::from_json;
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
+use wcal_core::ranges::Range;
 use wcal_rod::Contact;
 
 /// Version of the tables.
@@ -62,6 +64,8 @@ pub struct Manifest {
     /// SHA-256 of each table.
     pub sha256: BTreeMap<String, String>,
 }
+
+const RANGES: &[Range] = &[Range::real("core_s", 0.0, 1e12), Range::whole("", 0.0, 1e12)];
 
 /// Ending of the table with the rod on MuJoCo's sweeps.
 pub const ROD: &str = "rod";
@@ -98,7 +102,8 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
 /// Where the manifest cannot be read.
 pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
     let text = wcal_core::files::read_text(path).map_err(SimError::io("reading", path))?;
-    serde_json::from_str(&text).map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
+    from_json(&text, FORMAT, &[RANGES])
+        .map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
 }
 
 /// Compares the tables with their checksums.

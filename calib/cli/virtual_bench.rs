@@ -45,8 +45,8 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     let mut scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
     if let Some(speed) = arguments.speed {
         anyhow::ensure!(
-            speed > 0.0 && speed.is_finite(),
-            "--speed: expected a number above 0, found {speed}"
+            (1e-3..=1e3).contains(&speed),
+            "--speed: expected a number between 0.001 and 1000, found {speed}"
         );
         scenario.speed = speed;
     }

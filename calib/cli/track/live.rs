@@ -151,7 +151,8 @@ pub fn replay(
                     }
                     if args.real_time {
                         let due_s = scan.host_s - *first_host_s.get_or_insert(scan.host_s);
-                        let due = Duration::from_secs_f64((due_s / rig.clock_scale).max(0.0));
+                        // A damaged time is no reason to wait.
+                        let due = Duration::try_from_secs_f64(due_s / rig.clock_scale).unwrap_or_default();
                         std::thread::sleep(due.saturating_sub(start.elapsed()));
                     }
                     failed = whiskers.scan(&reading, false, &mut files, sinks.channels.as_ref()).err();

@@ -4,7 +4,7 @@ use super::TrainArgs;
 use crate::output::Overwrite;
 use crate::picture_output::write;
 use crate::progress::Progress;
-use crate::simulate::{Engine, Order, SimulateArgs, SlurmArgs};
+use crate::simulate::{Engine, MAX_SWEEPS, Order, SimulateArgs, SlurmArgs, within};
 use anyhow::{Context, ensure};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ impl Sweeps {
     /// # Errors
     /// Where there is no object, or a folder holds other sweeps.
     pub fn make(args: &TrainArgs) -> anyhow::Result<Self> {
-        ensure!(args.sweeps_each > 0, "--sweeps-each: expected 1 or more, found 0");
+        within("--sweeps-each", args.sweeps_each, MAX_SWEEPS)?;
         let (begin, mut made) = (Instant::now(), 0);
         let progress = Progress::new("train");
         let mut simulate = arguments(args);

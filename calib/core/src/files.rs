@@ -65,7 +65,7 @@ fn other_kind(_: fs::FileType) -> &'static str {
 /// # Errors
 /// As [`open`], or where the file is larger.
 pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
-    read_within(path.as_ref(), MAX_BYTES)
+    read_within(path, MAX_BYTES)
 }
 
 /// Reads a text document of at most [`MAX_DOCUMENT_BYTES`]; a byte order mark is left out.
@@ -73,12 +73,16 @@ pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As [`open`], or where the file is larger or no UTF-8 text, with what it is instead.
 pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
-    let bytes = read_within(path.as_ref(), MAX_DOCUMENT_BYTES)?;
+    let bytes = read_within(path, MAX_DOCUMENT_BYTES)?;
     let invalid = |found: text::NotUtf8| io::Error::new(io::ErrorKind::InvalidData, found);
     Ok(text::utf8(&bytes).map_err(invalid)?.to_owned())
 }
 
-fn read_within(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+/// Reads a regular file of at most `most` bytes whole.
+///
+/// # Errors
+/// As [`open`], or where the file is larger.
+pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata()?.len();
     let mut bytes = Vec::new();
@@ -88,7 +92,7 @@ fn read_within(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         file.take(most + 1).read_to_end(&mut bytes)?;
     }
     if size.max(bytes.len() as u64) > most {
-        let found = format!("expected at most {} MiB, found {} MiB", most >> 20, size.max(most + 1) >> 20);
+        let found = format!("expected a file of at most {most} bytes, found {}", size.max(most + 1));
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, found));
     }
     Ok(bytes)

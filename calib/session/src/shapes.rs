@@ -15,10 +15,9 @@ use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{
     ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
 };
+use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::{InputFile, Purpose, Role, format};
 
-/// Largest file that is read: some thousand pairs.
-const MAX_BYTES: u64 = 1 << 28;
 /// Most pairs: a session has some hundred poses.
 const MAX_PAIRS: usize = 20_000;
 /// Most errors that pairs share: the parameters of two cameras, of tags and light are some fifty.
@@ -82,12 +81,7 @@ pub(crate) fn read(
     purpose: Purpose,
 ) -> Result<(SessionShapes, InputFile), SessionError> {
     let io = |e| SessionError::io("reading", path, e);
-    let size = std::fs::metadata(path).map_err(io)?.len();
-    if size > MAX_BYTES {
-        let found = format!("{size} bytes");
-        return Err(InputError::new(name, format!("at most {MAX_BYTES} bytes"), found).into());
-    }
-    let bytes = wcal_core::files::read(path).map_err(io)?;
+    let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(io)?;
     let document = parsed(name, &bytes)?;
     let covariance: Vec<Vec<f64>> = document
         .shared_covariance

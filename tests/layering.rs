@@ -212,5 +212,9 @@ fn every_path_is_opened_in_one_place() {
     }
     assert!(seen > 300, "{seen} sources");
     assert_eq!(wrong, Vec::<String>::new());
-    assert_eq!(opened("let a = std::fs::read(path)?;\n#[cfg(test)]\nstd::fs::read(path)").len(), 1, "control");
+    assert_eq!(
+        opened("let a = std::fs::read(path)?;\n#[cfg(test)]\nstd::fs::read(path)").len(),
+        1,
+        "control"
+    );
 }

@@ -54,12 +54,7 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
     }
     eprintln!(
         "{} rows, {} holdout rows from {} scans ({} lost, {} marked, {} recordings cut off)",
-        result.rows,
-        result.holdout,
-        result.scans,
-        result.lost,
-        result.outliers,
-        result.cut_off
+        result.rows, result.holdout, result.scans, result.lost, result.outliers, result.cut_off
     );
     Ok(())
 }

@@ -36,8 +36,11 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
         );
     }
     let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
-    let encodings =
-        [(Encoding::Utf8, ""), (Encoding::Utf16, " --encoding utf-16"), (Encoding::Latin1, " --encoding latin1")];
+    let encodings = [
+        (Encoding::Utf8, ""),
+        (Encoding::Utf16, " --encoding utf-16"),
+        (Encoding::Latin1, " --encoding latin1"),
+    ];
     let read = encodings.into_iter().find_map(|(e, option)| Some((decoded(&bytes, e).ok()?, option)));
     let Some((text, encoding)) = read else {
         bail!("{shown}: {}", utf8(&bytes).err().map_or_else(String::new, |e| e.to_string()));

@@ -62,8 +62,9 @@ pub struct StageSweepArgs {
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
 pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
-    let read =
-        |path: &Path| wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()));
+    let read = |path: &Path| {
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
+    };
     let rig_file =
         if arguments.rig.is_dir() { arguments.rig.join("rig.toml") } else { arguments.rig.clone() };
     let (mut rig, plan) = (read(&rig_file)?, read(&arguments.plan)?);
@@ -192,9 +193,7 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     if let Some(cause) = cause {
         eprintln!("stage-sweep: stopped: {cause}");
         if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
-            eprintln!(
-                "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
-            );
+            eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
         }
         eprintln!("go on with the same rig and plan and --resume {}", folder.display());
     }

@@ -131,7 +131,8 @@ impl Shaper {
         };
         let mut calibration = Vec::new();
         for file in &args.cameras {
-            calibration.extend(wcal_core::files::read(file).with_context(|| format!("reading {}", file.display()))?);
+            calibration
+                .extend(wcal_core::files::read(file).with_context(|| format!("reading {}", file.display()))?);
         }
         let text = wcal_core::files::read_text(&rig_file);
         let table: toml::Table = text.with_context(|| format!("reading {}", rig_file.display()))?.parse()?;

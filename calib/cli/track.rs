@@ -284,8 +284,9 @@ fn points_table(folder: &Path) -> Result<PathBuf> {
 
 /// What the arguments ask for, and the rig of a stream with its place.
 fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
-    let read =
-        |path: &Path| wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()));
+    let read = |path: &Path| {
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
+    };
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {

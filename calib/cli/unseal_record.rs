@@ -42,9 +42,10 @@ fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
             |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
         return Ok(hashes.into_iter().map(of).collect());
     }
-    let file: UnsealedFile =
-        serde_json::from_slice(&bytes).with_context(reading)?;
-    wcal_core::format::expect(FORMAT, Some(&file.format)).map_err(anyhow::Error::msg).with_context(reading)?;
+    let file: UnsealedFile = serde_json::from_slice(&bytes).with_context(reading)?;
+    wcal_core::format::expect(FORMAT, Some(&file.format))
+        .map_err(anyhow::Error::msg)
+        .with_context(reading)?;
     Ok(file.opened)
 }
 

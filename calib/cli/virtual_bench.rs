@@ -41,7 +41,8 @@ pub struct VirtualBenchArgs {
 /// When the scenario cannot be used or a port cannot be opened.
 pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     let place = arguments.scenario.display();
-    let text = wcal_core::files::read_text(&arguments.scenario).with_context(|| format!("reading {place}"))?;
+    let text =
+        wcal_core::files::read_text(&arguments.scenario).with_context(|| format!("reading {place}"))?;
     let mut scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
     if let Some(speed) = arguments.speed {
         anyhow::ensure!(

@@ -57,7 +57,11 @@ pub fn models() -> [serde_json::Value; 3] {
 /// A whisker's.
 pub fn whisker_calibration() -> serde_json::Value {
     let [physical, ..] = models();
-    calibration(physical)
+    let mut file: wcal_core::CalibrationFile<serde_json::Value> =
+        serde_json::from_value(calibration(physical)).unwrap();
+    file.whisker = Some(wcal_core::WhiskerSpec::nominal());
+    file.content_sha256 = file.compute_hash().unwrap();
+    serde_json::to_value(&file).unwrap()
 }
 
 #[test]

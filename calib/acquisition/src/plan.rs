@@ -11,8 +11,8 @@ use wcal_core::ranges::Range;
 /// `format` of a plan file.
 pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
-/// A week of readings.
-const MAX_STEPS: usize = 200_000;
+/// Readings of some days.
+const MAX_STEPS: usize = 100_000;
 /// A day, s.
 const DAY_S: f64 = 86_400.0;
 
@@ -357,7 +357,11 @@ mod tests {
             ("wcal-plan/1", "wcal-plan/3", "wcal-plan/1"),
             ("depths_mm = [1, 3, 5]", "depths_mm = [1]\nspeeds_mm_s = [99]", "speeds up to"),
             ("depths_mm", "depth_mm", "plan file"),
-            ("name = \"p\"", "name = \"p\"\nboard_views = 1000", "board_views: expected a whole number between 0 and 100"),
+            (
+                "name = \"p\"",
+                "name = \"p\"\nboard_views = 1000",
+                "board_views: expected a whole number between 0 and 100",
+            ),
             ("name = \"p\"", "name = \"p\"\nboard_views = -1", "board_views"),
         ] {
             let error = plan(from, to).unwrap_err().to_string();

@@ -86,6 +86,14 @@ pub fn seal(
 /// Numbers that a calibration may hold; what a model's own parameters can be, the model says.
 const RANGES: &[Range] = &[
     Range::whole("seed", 0.0, 1.9e19),
+    Range::whole("model.seatings", 0.0, 1e6),
+    Range::whole("model.version", 0.0, 1e6),
+    Range::whole("model.declared.polynomial", 0.0, 9.0),
+    Range::whole("model.scaling.count", 0.0, 1e12),
+    Range::real("model.outputs.nugget", 1e-30, 1e30),
+    Range::real("model.outputs.variance_nmm2", 0.0, 1e30),
+    Range::real("model.outputs.inflation", 0.0, 1e30),
+    Range::real("dof", 0.0, 1e12),
     Range::real("", -1e30, 1e30),
 ];
 
@@ -109,8 +117,8 @@ pub fn read_unsealed(
 ) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
     let refuse =
         |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
-    let bytes =
-        wcal_core::files::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+    let bytes = wcal_core::files::read(path)
+        .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.

@@ -103,7 +103,8 @@ fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables)
     let shape = meta.get("files").and_then(|f| f.get("rest_shape")).and_then(Value::as_str);
     if let Some(name) = shape {
         let source = path.parent().unwrap_or(Path::new(".")).join(name);
-        let bytes = wcal_core::files::read(&source).with_context(|| format!("reading {}", source.display()))?;
+        let bytes =
+            wcal_core::files::read(&source).with_context(|| format!("reading {}", source.display()))?;
         files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv"));
         more.push(("rest_shape.csv".to_owned(), bytes));
     }

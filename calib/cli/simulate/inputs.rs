@@ -1,11 +1,11 @@
 //! What `wcal simulate` reads: whisker and objects.
 
 use super::SimulateArgs;
+use crate::fit_whisker;
 use anyhow::{Context, bail, ensure};
 use nalgebra::Vector3;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use crate::fit_whisker;
 use wcal_acquisition::rig::RIG_FORMAT;
 use wcal_core::format;
 use wcal_core::observation::{RestShape, WHISKER_RANGES, WhiskerSpec};
@@ -173,7 +173,9 @@ fn stl_files(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path).with_context(|| format!("reading {}", path.display()))? {
         let file = entry?.path();
-        if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
+        // Finder and others leave "._NAME" beside NAME.
+        let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if !hidden && file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
             files.push(file);
         }
     }

@@ -101,7 +101,9 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
     }
     let array = ranges(&unfinished);
     let setup = match &args.slurm_setup {
-        Some(path) => wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?,
+        Some(path) => {
+            wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?
+        }
         None => String::new(),
     };
     let job = Job { args, here: &here, folder: &folder, setup: &setup };

@@ -43,7 +43,9 @@ pub fn check(out: &Path, force: bool) -> Result<()> {
     let earlier = out.exists() && is_track(&first_line(out)?);
     let own = |start: &str| {
         start.starts_with(EVENT_COLUMNS)
-            || ["wcal-track/", "comment contacts, mm", "comment touched surface, mm"].iter().any(|word| start.contains(word))
+            || ["wcal-track/", "comment contacts, mm", "comment touched surface, mm"]
+                .iter()
+                .any(|word| start.contains(word))
     };
     check_beside(&COMPANIONS.map(|ending| companion(out, ending)), own, force || earlier)
 }

@@ -81,7 +81,7 @@ mod tests {
         assert_eq!(json("{\"format\": \"wcal-plan/1\", \"count\": 3}"), Ok(Plan { count: 3 }));
         for (text, says) in [
             ("{", "EOF"),
-            ("{\"count\": 1e9}", "format: expected"),
+            ("{\"count\": 1e9}", "`format`: expected"),
             ("{\"format\": \"wcal-plan/1\", \"count\": 1e9}", "count: expected"),
             ("{\"format\": \"wcal-plan/1\"}", "missing field"),
         ] {

@@ -5,13 +5,15 @@
 /// # Errors
 /// What was expected and found; for a newer version of the same format, that a newer wcal reads it.
 pub fn expect(expected: &str, found: Option<&str>) -> Result<(), String> {
-    let Some(found) = found else { return Err(format!("format: expected {expected:?}, found nothing")) };
+    let Some(found) = found else {
+        return Err(format!("field `format`: expected {expected:?}, found nothing"));
+    };
     if found == expected {
         return Ok(());
     }
     let hint = if is_newer(expected, found) { " (a newer version: update wcal to read it)" } else { "" };
     let shown: String = found.chars().take(60).collect();
-    Err(format!("format: expected {expected:?}, found {shown:?}{hint}"))
+    Err(format!("field `format`: expected {expected:?}, found {shown:?}{hint}"))
 }
 
 /// Whether `found` is a later version of the format.

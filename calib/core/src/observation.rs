@@ -79,8 +79,7 @@ impl WhiskerSpec {
         ranges::check_value(self, &[WHISKER_RANGES])?;
         // E = 2 (1 + nu) G, and nu is above -1/2 for every known wire: G is below E.
         if !(self.shear_gpa < self.youngs_gpa) {
-            let expected =
-                format!("less than youngs_gpa = {} (are the two exchanged?)", self.youngs_gpa);
+            let expected = format!("less than youngs_gpa = {} (are the two exchanged?)", self.youngs_gpa);
             return of("shear_gpa", expected, self.shear_gpa);
         }
         match &self.rest_shape {

@@ -165,8 +165,11 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
 /// # Errors
 /// As [`check`].
 pub fn check_value(value: &impl serde::Serialize, ranges: &[&[Range]]) -> Result<(), OutOfRange> {
-    // TOML's values hold NaN, where JSON's have nothing.
-    toml::Table::try_from(value).map_or(Ok(()), |table| check(&table, ranges))
+    // TOML's values hold NaN, where JSON's have nothing; JSON's hold whole numbers of 64 bits.
+    match toml::Table::try_from(value) {
+        Ok(table) => check(&table, ranges),
+        Err(_) => serde_json::to_value(value).map_or(Ok(()), |value| check(&value, ranges)),
+    }
 }
 
 #[cfg(test)]
@@ -183,8 +186,14 @@ mod tests {
         assert_eq!(check(&good, &[RANGES]), Ok(()));
         for (bad, says) in [
             (json!({"net": {"layers": 0}}), "net.layers: expected a whole number between 1 and 64, found 0"),
-            (json!({"net": {"layers": 2.5}}), "net.layers: expected a whole number between 1 and 64, found 2.5"),
-            (json!({"a": [{"rate": [1, 1e300]}]}), "a #1.rate #2: expected a number between 0 and 1e9, found 1e300"),
+            (
+                json!({"net": {"layers": 2.5}}),
+                "net.layers: expected a whole number between 1 and 64, found 2.5",
+            ),
+            (
+                json!({"a": [{"rate": [1, 1e300]}]}),
+                "a #1.rate #2: expected a number between 0 and 1e9, found 1e300",
+            ),
             (json!({"crate": 1e13}), "crate: expected a number between -1e12 and 1e12, found 1e13"),
         ] {
             assert_eq!(check(&bad, &[RANGES]).unwrap_err().to_string(), says);

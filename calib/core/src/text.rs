@@ -1,5 +1,6 @@
 //! Text as other programs write it: which encoding it has, and which way leads to UTF-8.
 
+const SAVE: &str = "save it as UTF-8";
 /// Bytes that are read to recognise what they are.
 const START: usize = 4096;
 
@@ -11,6 +12,8 @@ pub struct NotUtf8 {
     pub found: &'static str,
     /// What to do.
     pub way_out: &'static str,
+    /// Option of `wcal import` that reads a table so, where there is one.
+    pub option: Option<&'static str>,
 }
 
 /// The other encodings that are read on request.
@@ -30,8 +33,8 @@ pub enum Encoding {
 pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     let start = &bytes[..bytes.len().min(START)];
     let sheet = "save the sheet as CSV UTF-8";
-    let says = |found, way_out| Some(NotUtf8 { found, way_out });
-    let utf16 = || says("UTF-16 text", "save it as UTF-8; wcal import reads it with --encoding utf-16");
+    let says = |found, way_out| Some(NotUtf8 { found, way_out, option: None });
+    let utf16 = || Some(NotUtf8 { found: "UTF-16 text", way_out: SAVE, option: Some("--encoding utf-16") });
     match start {
         [b'P', b'K', 3, 4, ..] => says("a spreadsheet (.xlsx, .ods) or another zip archive", sheet),
         [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet),
@@ -61,17 +64,15 @@ pub fn utf8(bytes: &[u8]) -> Result<&str, NotUtf8> {
 }
 
 /// Bytes that are text, and not in UTF-8.
-pub const LATIN_1: NotUtf8 = NotUtf8 {
-    found: "text in Latin-1 or Windows-1252",
-    way_out: "save it as UTF-8; wcal import reads it with --encoding latin1",
-};
+pub const LATIN_1: NotUtf8 =
+    NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, option: Some("--encoding latin1") };
 
 /// Text in a stated encoding.
 ///
 /// # Errors
 /// Where the bytes are in another one.
 pub fn decoded(bytes: &[u8], encoding: Encoding) -> Result<String, NotUtf8> {
-    let odd = NotUtf8 { found: "no UTF-16 text", way_out: "state another --encoding" };
+    let odd = NotUtf8 { found: "no UTF-16 text", way_out: "state another --encoding", option: None };
     match encoding {
         Encoding::Utf8 => utf8(bytes).map(str::to_owned),
         Encoding::Latin1 => match other_than_text(bytes) {
@@ -98,10 +99,10 @@ pub fn decoded(bytes: &[u8], encoding: Encoding) -> Result<String, NotUtf8> {
 /// A byte as a character; 0x80 to 0x9f are control characters in Latin-1 and signs in Windows-1252.
 fn latin1(byte: u8) -> char {
     const WINDOWS: [char; 32] = [
-        '\u{20ac}', '\u{81}', '\u{201a}', '\u{192}', '\u{201e}', '\u{2026}', '\u{2020}', '\u{2021}', '\u{2c6}',
-        '\u{2030}', '\u{160}', '\u{2039}', '\u{152}', '\u{8d}', '\u{17d}', '\u{8f}', '\u{90}', '\u{2018}',
-        '\u{2019}', '\u{201c}', '\u{201d}', '\u{2022}', '\u{2013}', '\u{2014}', '\u{2dc}', '\u{2122}', '\u{161}',
-        '\u{203a}', '\u{153}', '\u{9d}', '\u{17e}', '\u{178}',
+        '\u{20ac}', '\u{81}', '\u{201a}', '\u{192}', '\u{201e}', '\u{2026}', '\u{2020}', '\u{2021}',
+        '\u{2c6}', '\u{2030}', '\u{160}', '\u{2039}', '\u{152}', '\u{8d}', '\u{17d}', '\u{8f}', '\u{90}',
+        '\u{2018}', '\u{2019}', '\u{201c}', '\u{201d}', '\u{2022}', '\u{2013}', '\u{2014}', '\u{2dc}',
+        '\u{2122}', '\u{161}', '\u{203a}', '\u{153}', '\u{9d}', '\u{17e}', '\u{178}',
     ];
     match byte {
         0x80..=0x9f => WINDOWS[usize::from(byte - 0x80)],

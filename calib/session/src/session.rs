@@ -65,7 +65,9 @@ struct Files {
 pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let folder = if folder.is_file() { folder.parent().unwrap_or(folder) } else { folder };
     if folder.exists() && !folder.is_dir() {
-        return Err(InputError::new(&folder.display().to_string(), "a session folder", "a pipe or device").into());
+        return Err(
+            InputError::new(&folder.display().to_string(), "a session folder", "a pipe or device").into()
+        );
     }
     const NAME: &str = "session.toml";
     let path = folder.join(NAME);

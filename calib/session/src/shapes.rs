@@ -10,12 +10,12 @@ use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{
     ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
 };
-use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::{InputFile, Purpose, Role, format};
 
 /// Most pairs: a session has some hundred poses.

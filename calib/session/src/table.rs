@@ -1,6 +1,6 @@
 //! CSV tables: streamed, hashed while read, every cell known by file, line and column.
 
-use crate::error::{InputError, SessionError, not_utf8, quote};
+use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
 use crate::row::Row;
 use crate::units::split_unit;
 use csv::ByteRecord;
@@ -47,7 +47,7 @@ impl Table {
         });
         let (file, other) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
         if let Some(other) = other {
-            return Err(not_utf8(name, other).into());
+            return Err(not_utf8_table(name, other).into());
         }
         let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
         let mut record = ByteRecord::new();
@@ -94,7 +94,7 @@ impl Table {
             let hint = format!("rename {near:?} if its values fit the name {name:?}");
             return Err(self.no_column(name, &format!("a column {near:?}")).hint(hint));
         }
-        Err(self.no_column(name, &format!("the columns {}", self.columns.join(", "))))
+        Err(self.no_column(name, &format!("the columns {}", listed(&self.columns))))
     }
 
     fn no_column(&self, name: &str, found: &str) -> InputError {
@@ -166,7 +166,7 @@ fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
     }
     let mut columns: Vec<String> = Vec::with_capacity(record.len());
     for field in record {
-        let text = std::str::from_utf8(field).map_err(|_| not_utf8(name, LATIN_1).at(1))?;
+        let text = std::str::from_utf8(field).map_err(|_| not_utf8_table(name, LATIN_1).at(1))?;
         columns.push(text.trim_start_matches('\u{feff}').trim().to_owned());
     }
     if columns.len() == 1 {

@@ -1,6 +1,6 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
-use crate::error::{InputError, SessionError, not_utf8, quote};
+use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
 use crate::table::split_line;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
@@ -71,7 +71,7 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     let file = path.display().to_string();
     let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
     let sha256 = sha256_hex(&bytes);
-    let mut text = decoded(&bytes, layout.encoding).map_err(|other| not_utf8(&file, other))?;
+    let mut text = decoded(&bytes, layout.encoding).map_err(|other| not_utf8_table(&file, other))?;
     if text.contains('\r') && !text.contains('\n') {
         text = text.replace('\r', "\n");
     }
@@ -99,10 +99,11 @@ fn other_separator(text: &str, stated: Separator) -> Option<String> {
     let lines = || text.lines().filter(|line| !line.trim().is_empty()).take(LOOK);
     let counts = |mark: char| lines().map(move |line| line.matches(mark).count());
     let own = Separator::ALL.iter().find(|s| s.0 == stated)?.1;
-    let (_, mark, called, option) = *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
-        let first = counts(*mark).next().unwrap_or(0);
-        first > 0 && counts(*mark).all(|n| n == first)
-    })?;
+    let (_, mark, called, option) =
+        *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
+            let first = counts(*mark).next().unwrap_or(0);
+            first > 0 && counts(*mark).all(|n| n == first)
+        })?;
     // Decimal commas stand in the rows and not in the header.
     let decimals = lines().skip(1).any(|line| line.split(mark).any(is_decimal_comma));
     if counts(own).next() != Some(0) || (counts(own).any(|n| n > 0) && !decimals) {
@@ -147,7 +148,7 @@ impl TextTable {
         let wanted = self.columns.len();
         match self.rows.iter().find(|(_, cells)| cells.len() != wanted) {
             Some((line, cells)) => {
-                let expected = format!("{wanted} fields ({})", self.columns.join(", "));
+                let expected = format!("{wanted} fields ({})", listed(&self.columns));
                 let error =
                     InputError::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
                 let usual = "check the separator, the lines to skip and the column names";
@@ -163,7 +164,7 @@ impl TextTable {
     /// Where there is no such column; the message lists those that there are.
     pub fn column(&self, name: &str) -> Result<usize, InputError> {
         self.columns.iter().position(|c| c == name).ok_or_else(|| {
-            let found = format!("the columns {}", self.columns.join(", "));
+            let found = format!("the columns {}", listed(&self.columns));
             let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
             match &self.hint {
                 Some(hint) => error.hint(hint),

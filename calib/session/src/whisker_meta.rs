@@ -98,9 +98,7 @@ fn spec(
         }
         None => straight_arc(section, length_mm, straight_mm, arc_radius_mm)?,
     };
-    let required = |key: &str| {
-        section.number(key)?.ok_or_else(|| section.error(key, "a number", "nothing"))
-    };
+    let required = |key: &str| section.number(key)?.ok_or_else(|| section.error(key, "a number", "nothing"));
     let whisker = WhiskerSpec {
         diameter_mm: required("diameter_mm")?,
         youngs_gpa: required("youngs_gpa")?,

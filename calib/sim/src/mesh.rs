@@ -18,6 +18,8 @@ use wcal_rod::ClosestPoint;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
+/// Longest side of several bodies together, mm.
+const APART_MM: f64 = 10_000.0;
 /// Way from a known place below which the grid would tell no more, mm.
 const CLOSE_MM: f64 = 0.7;
 /// Depth up to which a point inside is found, mm.
@@ -66,7 +68,12 @@ impl Mesh {
         let high_mm = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size_mm = (high_mm - low_mm).max();
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
-            return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+            // Bodies far apart, as the solids of one file may lie, are of the right unit where the largest is.
+            let largest_mm =
+                pieces(points.len(), &triangles).iter().map(|p| size_of(&points, p)).fold(0.0, f64::max);
+            if !(size_mm <= APART_MM && (SIZE_MM[0]..=SIZE_MM[1]).contains(&largest_mm)) {
+                return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+            }
         }
         let mut notes = topology(&triangles);
         if notes.is_empty() && volume_mm3(&points, &triangles) < 0.0 {
@@ -110,8 +117,7 @@ impl Mesh {
             cause: std::io::Error::new(std::io::ErrorKind::InvalidData, found),
         };
         let Stl { points, triangles, notes, .. } = Stl::parse(&bytes).map_err(wrong)?;
-        let mut points: Vec<Vector3<f64>> =
-            points.iter().map(|v| Vector3::from(v.map(f64::from))).collect();
+        let mut points: Vec<Vector3<f64>> = points.iter().map(|v| Vector3::from(v.map(f64::from))).collect();
         let low = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
         let high = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size = (high - low).max();
@@ -311,6 +317,14 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
     let triangles: Vec<[u32; 3]> =
         triangles.iter().map(|t| t.map(|k| place[k as usize])).filter(|t| area(t) > 0.0).collect();
     (kept, triangles)
+}
+
+/// Longest side of the box around some triangles, mm.
+fn size_of(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
+    let corners = || triangles.iter().flatten().map(|k| points[*k as usize]);
+    let Some(first) = corners().next() else { return 0.0 };
+    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+    (high - low).max()
 }
 
 /// Triangles that hang together by their corners.

@@ -112,7 +112,11 @@ impl Stl {
                 (_, false, _) => return Err(wrong("solid")),
             }
         }
-        if in_solid { Err("expected endsolid, found the end of the file: cut off".to_owned()) } else { Ok(all) }
+        if in_solid {
+            Err("expected endsolid, found the end of the file: cut off".to_owned())
+        } else {
+            Ok(all)
+        }
     }
 
     fn push(&mut self, corners: [[f32; 3]; 3]) {
@@ -170,7 +174,11 @@ mod tests {
         assert_eq!((one.points.len(), one.triangles.len()), (3, 1));
         let same = |name: &str, text: String| {
             let found = Stl::parse(text.as_bytes()).unwrap_or_else(|e| panic!("{name}: {e}"));
-            assert_eq!((found.points, found.triangles), (one.points.clone(), one.triangles.clone()), "{name}");
+            assert_eq!(
+                (found.points, found.triangles),
+                (one.points.clone(), one.triangles.clone()),
+                "{name}"
+            );
         };
         same("no name", ONE.replace("solid a", "solid"));
         same("capitals", ONE.to_uppercase());
@@ -208,7 +216,11 @@ mod tests {
             ("four corners", text(&ONE.replace("  endloop", "   vertex 9 9 9\n  endloop")), "three vertices"),
             ("decimal commas", text(&ONE.replace("4 0 0", "4,0 0,0 0,0")), "line 5: expected vertex"),
             ("another line", text(&ONE.replace(" facet", " colour 1\n facet")), "facet or endsolid"),
-            ("fewer than stated", binary("solid x", 3, 2), "expected 3 triangles as the header states, found 2"),
+            (
+                "fewer than stated",
+                binary("solid x", 3, 2),
+                "expected 3 triangles as the header states, found 2",
+            ),
             ("far more than there are", binary("x", u32::MAX, 2), "at most 5000000"),
             ("UTF-16", ONE.encode_utf16().flat_map(u16::to_le_bytes).collect(), "triangles"),
         ] {

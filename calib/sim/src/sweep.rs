@@ -125,8 +125,7 @@ impl SweepPlan {
     /// Where a value cannot be.
     pub fn check(&self) -> Result<(), SimError> {
         ranges::check_value(self, &[RANGES])?;
-        for (what, r) in
-            [("speed_mm_s", self.speed_mm_s), ("gap_mm", self.gap_mm), ("lead_mm", self.lead_mm)]
+        for (what, r) in [("speed_mm_s", self.speed_mm_s), ("gap_mm", self.gap_mm), ("lead_mm", self.lead_mm)]
         {
             if !(r[1] >= r[0]) {
                 let expected = "low <= high".to_owned();
@@ -139,7 +138,11 @@ impl SweepPlan {
         for (what, count) in [("rate_hz", samples), ("step_mm", steps)] {
             if !(count <= MAX_STEPS) {
                 let expected = format!("at most {MAX_STEPS} samples and steps of the base in a sweep");
-                return Err(SimError::Value { what: what.to_owned(), expected, found: format!("{count:.0}") });
+                return Err(SimError::Value {
+                    what: what.to_owned(),
+                    expected,
+                    found: format!("{count:.0}"),
+                });
             }
         }
         self.physics.check()

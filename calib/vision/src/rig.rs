@@ -143,13 +143,7 @@ impl Rig {
                         )
                     })?),
                 };
-                Ok(RigTag {
-                    id: t.id,
-                    size_mm: t.size_mm,
-                    family: t.family,
-                    body: t.body,
-                    base_from_tag,
-                })
+                Ok(RigTag { id: t.id, size_mm: t.size_mm, family: t.family, body: t.body, base_from_tag })
             })
             .collect::<Result<Vec<_>, VisionError>>()?;
         if !tags.iter().any(|t| t.base_from_tag.is_some()) {

@@ -35,6 +35,7 @@ const RANGES: &[Range] = &[
     Range::real("trajectory.origin_mm", -1e4, 1e4),
     Range::real("trajectory.direction", -1e3, 1e3),
     Range::whole("trajectory.id", 0.0, 4e9),
+    Range::real("backlash_um", 0.0, 1e6),
     Range::real("start_degc", -273.0, 1e3),
     Range::real("swing_period_s", 1e-3, 1e9),
     Range::real("creep_s", 0.0, 1e9),

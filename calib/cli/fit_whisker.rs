@@ -93,14 +93,21 @@ pub enum RestChoice {
 /// Format tag of `whisker.toml`.
 pub const FORMAT: &str = "wcal-whisker/1";
 
-/// Numbers of shapes.json; places are mm and counts and variances of the same size.
+/// Numbers of shapes.json: places and lengths of a wire, their standard deviations, and errors that are small beside them.
 const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
     Range::whole("point", -9e15, 9e15),
-    Range::real("centreline_mm", -1e4, 1e4),
-    Range::real("centreline_sd_mm", 0.0, 1e4),
+    Range::real("centreline_sd_mm", 1e-6, 1e3),
+    Range::real("pairs.centreline_mm", -1e4, 1e4),
     Range::real("pairs.length_mm", 0.0, 1e4),
-    Range::real("pairs.length_sd_mm", 0.0, 1e4),
-    Range::real("", -1e9, 1e9),
+    Range::real("pairs.length_sd_mm", 0.0, 1e3),
+    Range::real("displacement_mm", -50.0, 50.0),
+    Range::real("shared_errors.length_mm", -50.0, 50.0),
+    Range::real("groove.position_mm", -1e4, 1e4),
+    Range::real("groove.sd_mm", 0.0, 1e3),
+    Range::real("groove.contact_arclength_mm", -1e4, 1e4),
+    Range::real("groove.contact_arclength_sd_mm", 0.0, 1e3),
+    Range::real("", -1e12, 1e12),
 ];
 
 const RESULT: ResultKind<'_> = ResultKind {

@@ -80,11 +80,12 @@ pub fn decoded(bytes: &[u8], encoding: Encoding) -> Result<String, NotUtf8> {
             None => Ok(bytes.iter().map(|byte| latin1(*byte)).collect()),
         },
         Encoding::Utf16 => {
-            let (bytes, wide): (&[u8], fn([u8; 2]) -> u16) = match bytes {
-                [0xfe, 0xff, rest @ ..] => (rest, u16::from_be_bytes),
-                [0xff, 0xfe, rest @ ..] => (rest, u16::from_le_bytes),
-                _ => (bytes, u16::from_le_bytes),
+            let (bytes, big) = match bytes {
+                [0xfe, 0xff, rest @ ..] => (rest, true),
+                [0xff, 0xfe, rest @ ..] => (rest, false),
+                _ => (bytes, false),
             };
+            let wide = if big { u16::from_be_bytes } else { u16::from_le_bytes };
             if bytes.len() % 2 == 1 {
                 return Err(odd);
             }

@@ -30,6 +30,10 @@ pub const FORMAT: &str = "wcal-model/1";
 /// Numbers of a card itself: factors on standard deviations, and the maps of probabilities.
 const RANGES: &[Range] = &[
     Range::real("sd_factors", 0.0, 1e6),
+    Range::whole("objects", 0.0, 1e9),
+    Range::whole("epoch", 0.0, 1e9),
+    Range::whole("cores", 0.0, 1e6),
+    Range::whole("sweeps_trained", 0.0, 1e15),
     Range::real("at_mm", 0.0, 1e6),
     Range::real("factors", 0.0, 1e6),
     Range::real("several_maps.slope", -1e6, 1e6),

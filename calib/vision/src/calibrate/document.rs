@@ -21,6 +21,10 @@ const RANGES: &[Range] = &[
     Range::real("coefficients", -1e5, 1e5),
     Range::real("right_from_left", -1e6, 1e6),
     Range::real("square_mm", 0.0, 1e5),
+    Range::whole("board.columns", 0.0, 1000.0),
+    Range::whole("board.rows", 0.0, 1000.0),
+    Range::whole("held_out.corners", 0.0, 1e9),
+    Range::whole("provenance.seed", 0.0, 1.9e19),
     Range::real("", -1e18, 1e18),
 ];
 
@@ -183,7 +187,7 @@ impl StereoDocument {
             let p = camera.parameters();
             if p.iter().any(|v| !v.is_finite()) || !(p[0] >= 1.0 && p[1] >= 1.0) {
                 return Err(format!(
-                    "camera {}: focal lengths of 1 px or more expected, {} and {} found",
+                    "camera {}: K: focal lengths of 1 px or more expected, {} and {} found",
                     c.name, p[0], p[1]
                 ));
             }

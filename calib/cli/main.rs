@@ -142,8 +142,17 @@ fn main() -> ExitCode {
     };
     let unwritten = printing::failed().map(anyhow::Error::msg);
     unwritten.map_or(result, Err).unwrap_or_else(|error| {
-        eprintln!("wcal: {error:#}");
+        eprintln!("wcal: {}", told(&error));
         ExitCode::from(1)
+    })
+}
+
+/// An error and its causes, each once: some say their cause themselves.
+fn told(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        said if said.ends_with(&cause) => text,
+        said => format!("{said}: {cause}"),
     })
 }
 

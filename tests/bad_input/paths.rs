@@ -34,6 +34,7 @@ fn lines() -> Vec<Vec<&'static str>> {
         "train --classes @ --sweeps-each 1 --out o",
         "train --whisker @ --sweeps-each 1 --out o",
         "train --meshes @ --sweeps-each 1 --out o",
+        "train --from @ --sweeps-each 1 --out o",
         "evaluate sweeps --model @ --out o",
         "track @ --calibration c.json --out o.csv",
         "track t.csv --calibration @ --motion m.csv --out o.csv",
@@ -75,13 +76,11 @@ fn prepare(place: &Path) {
     write("optic.csv", &sweep_table("fbg_2,fbg_6,fbg_4", "1545,1543,1541", 2000));
     write("action.csv", "ind,py\n0,0\n1000,0.01\n1999,0.02\n");
     write("m.stl", "solid\nendsolid\n");
-    write(
-        "shapes.json",
-        "{\"format\": \"wcal-shapes/1\", \"cameras\": \"\", \"pairs\": [], \"provenance\": {}}",
-    );
+    write("shapes.json", "{\"format\": \"wcal-shapes/1\", \"pairs\": []}");
     for folder in ["pictures", "sweeps", "a-folder"] {
         fs::create_dir(place.join(folder)).unwrap();
     }
+    copy("fixtures/pictured/pictures/left/00001.png", "pictures/00001.png");
     let made = Command::new("mkfifo").arg(place.join("a-pipe")).status().unwrap();
     assert!(made.success());
 }
@@ -145,7 +144,7 @@ fn a_pipe_inside_a_session_is_named() {
         fs::remove_file(session.join(name)).unwrap();
         assert!(Command::new("mkfifo").arg(session.join(name)).status().unwrap().success());
         for command in ["doctor", "verify", "fit-gpr"] {
-            let out = if command == "doctor" { &[][..] } else { &["--out", "o"] };
+            let out = if command == "doctor" { &[][..] } else { &["--out", command] };
             let output = limited(&session, &[&[command, "."], out].concat());
             judge(&output, 1, &[name]).unwrap();
             let text = sound(&output).unwrap();

@@ -86,9 +86,9 @@ pub fn seal(
 /// Numbers that a calibration may hold; what a model's own parameters can be, the model says.
 const RANGES: &[Range] = &[
     Range::whole("seed", 0.0, 1.9e19),
-    Range::whole("model.seatings", 0.0, 1e6),
+    Range::whole("model.seatings", 0.0, 4.3e9),
     Range::whole("model.version", 0.0, 1e6),
-    Range::whole("model.declared.polynomial", 0.0, 9.0),
+    Range::whole("model.declared.polynomial", 0.0, 1e18),
     Range::whole("model.scaling.count", 0.0, 1e12),
     Range::real("model.outputs.nugget", 1e-30, 1e30),
     Range::real("model.outputs.variance_nmm2", 0.0, 1e30),

@@ -6,8 +6,20 @@
 mod broken;
 #[path = "bad_input/calibrations.rs"]
 mod calibrations;
+#[path = "bad_input/closed_pipes.rs"]
+mod closed_pipes;
+#[path = "support/copy.rs"]
+mod copy;
+#[path = "bad_input/foreign_files.rs"]
+mod foreign_files;
 #[path = "bad_input/imports.rs"]
 mod imports;
+#[path = "bad_input/limits.rs"]
+mod limits;
+#[path = "bad_input/numbers.rs"]
+mod numbers;
+#[path = "bad_input/paths.rs"]
+mod paths;
 #[path = "bad_input/tracking.rs"]
 mod tracking;
 

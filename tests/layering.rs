@@ -179,3 +179,42 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
     assert!(noted.contains("exit status 7: torn") && noted.contains("\"met\": false"), "{noted}");
     assert!(!folder.path().join("peers-good.json").exists());
 }
+
+/// Calls that open a file by a path. `wcal_core::files` does so for everybody: a pipe would hang the program, a device fill the memory.
+const OPENS: [&str; 4] = ["fs::read(", "fs::read_to_string(", "File::open(", "stl_io::read"];
+
+/// Lines of a source that open a file on their own; what stands below `#[cfg(test)]` may.
+fn opened(source: &str) -> Vec<&str> {
+    let program = source.split("#[cfg(test)]").next().unwrap_or_default();
+    program.lines().filter(|line| OPENS.iter().any(|call| line.contains(call))).collect()
+}
+
+#[test]
+fn every_path_is_opened_in_one_place() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut folders = vec![root.join("calib"), root.join("rigs/drivers/src")];
+    let (mut seen, mut wrong) = (0, Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder of sources") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if path.is_dir() {
+                // A program of its own, which opens no path of a person.
+                if !["tests", "examples", "benches", "engine"].contains(&name.as_str()) {
+                    folders.push(path);
+                }
+            } else if name.ends_with(".rs") && name != "tests.rs" && !path.ends_with("core/src/files.rs") {
+                let text = std::fs::read_to_string(&path).expect("a source");
+                wrong.extend(opened(&text).iter().map(|line| format!("{}: {}", path.display(), line.trim())));
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 300, "{seen} sources");
+    assert_eq!(wrong, Vec::<String>::new());
+    assert_eq!(
+        opened("let a = std::fs::read(path)?;\n#[cfg(test)]\nstd::fs::read(path)").len(),
+        1,
+        "control"
+    );
+}

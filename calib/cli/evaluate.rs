@@ -12,6 +12,7 @@ mod work;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::progress::Progress;
+use crate::simulate::{MAX_SWEEPS, within};
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
 use bounds::TableBounds;
@@ -112,6 +113,8 @@ impl EvaluateArgs {
 /// # Errors
 /// Where model, sweeps or meshes cannot be used.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
+    within("--objects", args.objects as u64, MAX_SWEEPS)?;
+    within("--sweeps-each", args.sweeps_each as u64, MAX_SWEEPS)?;
     let args = &args.quickened();
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let progress = Progress::new("evaluate");

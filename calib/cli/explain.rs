@@ -1,9 +1,8 @@
 //! `wcal explain`: what an effect of a catalogue is; `wcal formats`: the files in short.
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::Args;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::Arc;
 use wcal_trace::effect::{Effect, EffectModel, Need, Role};
@@ -51,7 +50,8 @@ fn catalogues() -> [Catalogue; 3] {
 pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
     let catalogues = catalogues();
     let Some(id) = &args.effect else {
-        return written(&listed(&catalogues));
+        print!("{}", listed(&catalogues));
+        return Ok(ExitCode::SUCCESS);
     };
     let found: Vec<(&str, &Arc<dyn Effect>)> = catalogues
         .iter()
@@ -72,23 +72,17 @@ pub fn run(args: &ExplainArgs) -> anyhow::Result<ExitCode> {
     }
     let all: Vec<String> =
         told.iter().map(|(kinds, text)| format!("{id} (kind {})\n{text}", kinds.join(", "))).collect();
-    written(&all.join("\n"))
+    print!("{}", all.join("\n"));
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Runs `wcal formats`.
 ///
 /// # Errors
-/// Where stdout takes nothing.
+/// None.
 pub fn formats() -> anyhow::Result<ExitCode> {
-    written(FORMATS)
-}
-
-/// On stdout; a pager or `head` that has seen enough is no error.
-fn written(text: &str) -> anyhow::Result<ExitCode> {
-    match std::io::stdout().write_all(text.as_bytes()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e).context("writing to stdout"),
-        _ => Ok(ExitCode::SUCCESS),
-    }
+    print!("{FORMATS}");
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Every effect with its sentence and source.

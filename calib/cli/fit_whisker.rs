@@ -28,7 +28,9 @@ use nalgebra::Vector3;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use stiffness::stiffness;
+use wcal_core::document::from_json;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::ranges::Range;
 use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 use wcal_core::{InputFile, Provenance};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
@@ -88,6 +90,26 @@ pub enum RestChoice {
     FreeCurvature,
 }
 
+/// Format tag of `whisker.toml`.
+pub const FORMAT: &str = "wcal-whisker/1";
+
+/// Numbers of shapes.json: places and lengths of a wire, their standard deviations, and errors that are small beside them.
+const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
+    Range::whole("point", -9e15, 9e15),
+    Range::real("centreline_sd_mm", 1e-6, 1e3),
+    Range::real("pairs.centreline_mm", -1e4, 1e4),
+    Range::real("pairs.length_mm", 0.0, 1e4),
+    Range::real("pairs.length_sd_mm", 0.0, 1e3),
+    Range::real("displacement_mm", -50.0, 50.0),
+    Range::real("shared_errors.length_mm", -50.0, 50.0),
+    Range::real("groove.position_mm", -1e4, 1e4),
+    Range::real("groove.sd_mm", 0.0, 1e3),
+    Range::real("groove.contact_arclength_mm", -1e4, 1e4),
+    Range::real("groove.contact_arclength_sd_mm", 0.0, 1e3),
+    Range::real("", -1e12, 1e12),
+];
+
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-whisker",
     document: "whisker.toml",
@@ -103,20 +125,10 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// Where the files cannot be read or no geometry comes out.
 pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    let text = std::fs::read_to_string(&args.shapes)
+    let text = wcal_core::files::read_text(&args.shapes)
         .with_context(|| format!("reading {}", args.shapes.display()))?;
-    let document: ShapesDocument = serde_json::from_str(&text).with_context(|| {
-        format!(
-            "{}: expected shapes.json of `wcal stereo-shape`, found something else",
-            args.shapes.display()
-        )
-    })?;
-    anyhow::ensure!(
-        document.format == SHAPES_FORMAT,
-        "{}: expected format {SHAPES_FORMAT}, found {:?}",
-        args.shapes.display(),
-        document.format
-    );
+    let document: ShapesDocument = from_json(&text, SHAPES_FORMAT, &[RANGES])
+        .with_context(|| format!("{}: expected shapes.json of `wcal stereo-shape`", args.shapes.display()))?;
     let rig = Rig::read(&args.rig)?.whisker;
     anyhow::ensure!(
         rig.arc_curvature_per_mm > 0.0 && rig.straight_mm < rig.length_mm,
@@ -185,7 +197,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let rest_shape = fit.model.rest_shape(&fit.values)?;
     let (turn, offset) = fit.model.root(&fit.values);
     let mut result = WhiskerDocument {
-        format: "wcal-whisker/1",
+        format: FORMAT,
         whisker: Geometry::new(rig.diameter_mm, &rest_shape, stiffness.as_ref()),
         root: Root { turn_rad: turn.scaled_axis().into(), offset_mm: offset.into() },
         curvature: curvature(&fit),

@@ -12,6 +12,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_core::text::Encoding;
 use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
 
 /// Arguments of `wcal import`.
@@ -130,6 +131,9 @@ pub struct ImportArgs {
     /// Decimals are written with a comma
     #[arg(long)]
     pub decimal_comma: bool,
+    /// Encoding of the table's text
+    #[arg(long, value_enum, default_value_t = EncodingName::Utf8)]
+    pub encoding: EncodingName,
     /// The table comes from a simulation: the session and all that is made from it say so
     #[arg(long)]
     pub simulated: bool,
@@ -173,6 +177,20 @@ pub enum SeparatorName {
     Tab,
     /// Any run of blanks.
     Whitespace,
+}
+
+/// Name of an encoding on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum EncodingName {
+    /// With or without a byte order mark.
+    #[value(name = "utf-8")]
+    Utf8,
+    /// ISO 8859-1 and Windows-1252.
+    #[value(name = "latin1")]
+    Latin1,
+    /// As spreadsheets write "Unicode text".
+    #[value(name = "utf-16")]
+    Utf16,
 }
 
 fn name_of(value: impl ValueEnum) -> String {
@@ -253,6 +271,11 @@ fn layout(args: &ImportArgs) -> TextTableLayout {
         SeparatorName::Tab => Separator::Tab,
         SeparatorName::Whitespace => Separator::Whitespace,
     };
-    let columns = args.columns.clone();
-    TextTableLayout { skip_lines: args.skip_lines, columns, separator, decimal_comma: args.decimal_comma }
+    let encoding = match args.encoding {
+        EncodingName::Utf8 => Encoding::Utf8,
+        EncodingName::Latin1 => Encoding::Latin1,
+        EncodingName::Utf16 => Encoding::Utf16,
+    };
+    let (columns, skip_lines) = (args.columns.clone(), args.skip_lines);
+    TextTableLayout { skip_lines, columns, separator, encoding, decimal_comma: args.decimal_comma }
 }

@@ -1,6 +1,10 @@
 //! The `wcal` program: one file a command; results on stdout, progress and diagnostics on stderr.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
 
+// First: what follows prints by its macros.
+#[macro_use]
+mod printing;
+
 mod demo;
 mod doctor;
 mod evaluate;
@@ -130,13 +134,25 @@ fn main() -> ExitCode {
         Command::Formats => explain::formats(),
         Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
-            clap_complete::generate(*shell, &mut command(), "wcal", &mut std::io::stdout());
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut command(), "wcal", &mut script);
+            print!("{}", String::from_utf8_lossy(&script));
             Ok(ExitCode::SUCCESS)
         }
     };
-    result.unwrap_or_else(|error| {
-        eprintln!("wcal: {error:#}");
+    let unwritten = printing::failed().map(anyhow::Error::msg);
+    unwritten.map_or(result, Err).unwrap_or_else(|error| {
+        eprintln!("wcal: {}", told(&error));
         ExitCode::from(1)
+    })
+}
+
+/// An error and its causes, each once: some say their cause themselves.
+fn told(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        said if said.ends_with(&cause) => text,
+        said => format!("{said}: {cause}"),
     })
 }
 

@@ -73,7 +73,7 @@ impl ResultKind<'_> {
             if self.files.contains(&name.as_str()) {
                 others.get_or_insert(name);
             } else if matches(self.document, &name) {
-                let text = fs::read_to_string(folder.join(&name)).unwrap_or_default();
+                let text = wcal_core::files::read_text(folder.join(&name)).unwrap_or_default();
                 let own = text.contains(self.says);
                 // A damaged document of a command that goes on is one that it makes again.
                 if !own && (!self.resumes || text.contains("\"format\"")) {
@@ -207,15 +207,36 @@ pub fn check_file(path: &Path, command: &str, own: impl Fn(&str) -> bool, force:
     writable(folder_of(path))
 }
 
+/// Refuses to write over files that stand beside a result's own name and are none of it.
+///
+/// # Errors
+/// Where one is there without `force`.
+pub fn check_beside(files: &[PathBuf], own: impl Fn(&str) -> bool, force: bool) -> Result<()> {
+    for path in files.iter().filter(|path| !force && path.exists()) {
+        ensure!(
+            own(&start_of(path)?),
+            "{}: expected no file of this name or an earlier result, found another file, which would be written over; choose another name \
+             or move it away",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
 /// First line of a file, in full where it is not longer than 4 kB.
 ///
 /// # Errors
 /// Where it cannot be read.
 pub fn first_line(path: &Path) -> Result<String> {
+    Ok(start_of(path)?.lines().next().unwrap_or_default().to_owned())
+}
+
+/// The first 4 kB of a file.
+fn start_of(path: &Path) -> Result<String> {
     let mut start = Vec::new();
-    let read = fs::File::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
+    let read = wcal_core::files::open(path).and_then(|f| f.take(4096).read_to_end(&mut start));
     read.with_context(|| format!("reading {}", path.display()))?;
-    Ok(String::from_utf8_lossy(&start).lines().next().unwrap_or_default().to_owned())
+    Ok(String::from_utf8_lossy(&start).into_owned())
 }
 
 /// Writes a file whole; its folder is made where it is missing.

@@ -18,7 +18,7 @@ pub fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<PathBuf>
 pub fn provenance<'a>(files: impl IntoIterator<Item = &'a Path>) -> Provenance {
     let files: Vec<&Path> = files.into_iter().collect();
     let hash = |path: &Path| {
-        let bytes = std::fs::read(path).ok()?;
+        let bytes = wcal_core::files::read(path).ok()?;
         Some(InputFile {
             purpose: wcal_core::Purpose::Description,
             path: path.display().to_string(),

@@ -89,8 +89,9 @@ const TURN_S: f64 = 10.0;
 
 /// The session that the plan would record, without readings: by the session reader itself, so that rig and poses are checked as a session's.
 fn planned_session(plan_file: &Path, rig: &Path) -> Result<WhiskerData> {
-    let read =
-        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let read = |path: &Path| {
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
+    };
     let rig_file = if rig.is_dir() { rig.join("rig.toml") } else { rig.to_owned() };
     let (rig, plan, steps) = plan_only(
         (&rig_file.display().to_string(), &read(&rig_file)?),

@@ -3,7 +3,6 @@
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_acquisition::clocks::ClockFit;
@@ -31,7 +30,7 @@ pub fn run(arguments: &ReduceArgs) -> Result<ExitCode> {
     report(&result, arguments.json)?;
     let warnings = result.warnings();
     for warning in &warnings {
-        writeln!(std::io::stderr(), "reduce: warning: {warning}")?;
+        eprintln!("reduce: warning: {warning}");
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }
@@ -50,19 +49,13 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
             "camera_clocks":
                 result.camera_clocks.iter().map(|(name, c)| clock(c, Some(name))).collect::<Vec<_>>(),
         });
-        writeln!(std::io::stdout(), "{document}")?;
+        println!("{document}");
         return Ok(());
     }
-    writeln!(
-        std::io::stderr(),
+    eprintln!(
         "{} rows, {} holdout rows from {} scans ({} lost, {} marked, {} recordings cut off)",
-        result.rows,
-        result.holdout,
-        result.scans,
-        result.lost,
-        result.outliers,
-        result.cut_off
-    )?;
+        result.rows, result.holdout, result.scans, result.lost, result.outliers, result.cut_off
+    );
     Ok(())
 }
 

@@ -1,13 +1,13 @@
 //! `wcal report`: a page again, from the documents that its command stored.
 
-use crate::output::{OutputFolder, write_file};
+use crate::output::{OutputFolder, check_beside, write_file};
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::map_document::MAP_FORMAT;
-use wcal_report::{Page, REPORT_FORMAT, render_map};
+use wcal_report::{Page, REPORT_FORMAT, is_page, render_map};
 use wcal_track::model_file::read_card;
 
 /// Arguments of `wcal report`.
@@ -64,11 +64,16 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
     };
     if !place.is_dir() {
         let name = place.file_name().unwrap_or_default();
-        let page = DOCUMENTS.iter().find(|(document, _)| name == *document);
-        again(
-            place.to_owned(),
-            page.map_or_else(|| place.with_extension("html"), |(_, page)| place.with_file_name(page)),
-        )?;
+        let page = match DOCUMENTS.iter().find(|(document, _)| name == *document) {
+            Some((_, page)) => place.with_file_name(page),
+            // In a folder that is no result the name may be taken.
+            None => {
+                let page = place.with_extension("html");
+                check_beside(std::slice::from_ref(&page), is_page, false)?;
+                page
+            }
+        };
+        again(place.to_owned(), page)?;
         return Ok(made);
     }
     for (document, page) in DOCUMENTS {
@@ -95,7 +100,7 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
 
 /// The page of one document.
 fn html_of(path: &Path) -> anyhow::Result<String> {
-    let text = std::fs::read_to_string(path)?;
+    let text = wcal_core::files::read_text(path)?;
     let document: Value = serde_json::from_str(&text)?;
     let folder = path.parent().unwrap_or(Path::new("."));
     Ok(match document["format"].as_str() {
@@ -116,7 +121,7 @@ fn html_of(path: &Path) -> anyhow::Result<String> {
 /// # Errors
 /// Where one of them is not what a page needs.
 pub fn read_page(path: &Path) -> anyhow::Result<Page> {
-    let text = std::fs::read_to_string(path)?;
-    let verify = std::fs::read_to_string(path.with_file_name("verify.json")).ok();
+    let text = wcal_core::files::read_text(path)?;
+    let verify = wcal_core::files::read_text(path.with_file_name("verify.json")).ok();
     Ok(Page::from_json(&text, verify.as_deref())?)
 }

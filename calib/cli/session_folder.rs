@@ -1,8 +1,9 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use std::fmt::Write as _;
 use std::path::Path;
+use wcal_core::text::{Encoding, decoded, utf8};
 
 /// Columns that an import takes by their names, or that say when or how and not what was measured.
 const BESIDE: &[&str] = &[
@@ -34,11 +35,20 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
             folder.display()
         );
     }
-    let header = std::fs::read_to_string(session).unwrap_or_default();
-    let header = header.trim_start_matches('\u{feff}').lines().next().unwrap_or_default().to_owned();
+    let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
+    let encodings = [
+        (Encoding::Utf8, ""),
+        (Encoding::Utf16, " --encoding utf-16"),
+        (Encoding::Latin1, " --encoding latin1"),
+    ];
+    let read = encodings.into_iter().find_map(|(e, option)| Some((decoded(&bytes, e).ok()?, option)));
+    let Some((text, encoding)) = read else {
+        bail!("{shown}: {}", utf8(&bytes).err().map_or_else(String::new, |e| e.to_string()));
+    };
+    let header = text.lines().next().unwrap_or_default();
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",
-        import_line(session, &header),
+        import_line(session, header) + encoding,
         target(session)
     )
 }

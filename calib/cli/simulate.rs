@@ -107,19 +107,19 @@ const RESULT: ResultKind<'_> = ResultKind {
 pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let share = share(&args.shard)?;
     RESULT.check(&args.out, args.overwrite.force)?;
-    ensure!(args.sweeps > 0, "--sweeps: expected 1 or more, found 0");
+    within("--sweeps", args.sweeps, MAX_SWEEPS)?;
     let plan = match &args.plan {
         Some(path) => {
             let text =
-                std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
-            toml::from_str(&text).with_context(|| format!("reading {}", path.display()))?
+                wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
+            SweepPlan::from_toml(&text).with_context(|| format!("reading {}", path.display()))?
         }
         None => SweepPlan::default(),
     };
     let order = Order::new(args, plan, share)?;
     let dataset = &order.dataset;
     if let Some(jobs) = args.jobs {
-        ensure!(jobs > 0, "--jobs: expected 1 or more, found 0");
+        within("--jobs", jobs as u64, MAX_JOBS)?;
         rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global().context("starting threads")?;
     }
     // Before a job is handed in, and before a check writes its dataset.json over another's.
@@ -166,6 +166,20 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         (true, false) => ExitCode::from(3),
         (false, _) => ExitCode::from(4),
     })
+}
+
+/// Most sweeps over an object: their shards' names alone fill the memory past it.
+pub const MAX_SWEEPS: u64 = 10_000_000;
+/// Most threads.
+const MAX_JOBS: u64 = 4096;
+
+/// Holds a number of the command line between 1 and what a machine can do.
+///
+/// # Errors
+/// Names the option.
+pub fn within(option: &str, found: u64, most: u64) -> anyhow::Result<()> {
+    ensure!((1..=most).contains(&found), "{option}: expected 1 or more and at most {most}, found {found}");
+    Ok(())
 }
 
 fn share(text: &str) -> anyhow::Result<[usize; 2]> {

@@ -14,14 +14,14 @@ pub fn is_simulated(path: &Path) -> bool {
         || [Some(own), own.parent()].into_iter().flatten().any(|folder| folder.join(MARKER).is_file());
     let says_so = || {
         let json = path.extension().is_some_and(|e| e == "json");
-        let document = std::fs::read(path).ok().filter(|_| json);
+        let document = wcal_core::files::read(path).ok().filter(|_| json);
         let document = document.and_then(|b| serde_json::from_slice::<serde_json::Value>(&b).ok());
         let marks =
             |d: &serde_json::Value| [&d["simulated"], &d["provenance"]["simulated"]].map(|v| v == true);
         document.is_some_and(|d| marks(&d).contains(&true))
     };
     let in_session = || {
-        let session = std::fs::read_to_string(own.join("session.toml")).ok();
+        let session = wcal_core::files::read_text(own.join("session.toml")).ok();
         let session = session.and_then(|text| text.parse::<toml::Table>().ok());
         session.is_some_and(|t| t.get("provenance").and_then(|p| p.get("simulated")?.as_bool()) == Some(true))
     };

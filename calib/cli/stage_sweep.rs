@@ -62,8 +62,9 @@ pub struct StageSweepArgs {
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
 pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
-    let read =
-        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let read = |path: &Path| {
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
+    };
     let rig_file =
         if arguments.rig.is_dir() { arguments.rig.join("rig.toml") } else { arguments.rig.clone() };
     let (mut rig, plan) = (read(&rig_file)?, read(&arguments.plan)?);
@@ -153,11 +154,10 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
     if as_json {
         let document =
             json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
-        writeln!(std::io::stdout(), "{document}")?;
+        println!("{document}");
     } else {
-        let mut out = std::io::stdout();
-        write!(out, "{}", draw(&steps, &rig))?;
-        writeln!(out, "{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil())?;
+        print!("{}", draw(&steps, &rig));
+        println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -170,10 +170,10 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     };
     let warnings = recorded.warnings();
     for warning in &warnings {
-        writeln!(std::io::stderr(), "stage-sweep: warning: {warning}")?;
+        eprintln!("stage-sweep: warning: {warning}");
     }
     if let Err(e) = &recorded.reduction {
-        writeln!(std::io::stderr(), "stage-sweep: the raw streams are kept, but reducing them failed: {e}")?;
+        eprintln!("stage-sweep: the raw streams are kept, but reducing them failed: {e}");
     }
     let tables = recorded.reduction.as_ref().ok();
     if as_json {
@@ -187,25 +187,20 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
             "worst_skew_ms": sweep.counts.worst_skew_ms,
             "rows": tables.map(|r| r.rows), "holdout": tables.map(|r| r.holdout), "lag_s": tables.map(|r| &r.lag_s),
         });
-        writeln!(std::io::stdout(), "{document}")?;
+        println!("{document}");
         return Ok(());
     }
-    let mut out = std::io::stderr();
     if let Some(cause) = cause {
-        writeln!(out, "stage-sweep: stopped: {cause}")?;
+        eprintln!("stage-sweep: stopped: {cause}");
         if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
-            writeln!(
-                out,
-                "stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else"
-            )?;
+            eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
         }
-        writeln!(out, "go on with the same rig and plan and --resume {}", folder.display())?;
+        eprintln!("go on with the same rig and plan and --resume {}", folder.display());
     }
     if recorded.simulated {
-        writeln!(out, "SIMULATED: recorded on a virtual bench; session.toml and run.json say so")?;
+        eprintln!("SIMULATED: recorded on a virtual bench; session.toml and run.json say so");
     }
-    writeln!(
-        out,
+    eprintln!(
         "{} steps; {} scans, {} lost in {} gaps; {} windows not settled; {} questions to the stage repeated",
         sweep.done,
         sweep.counts.scans,
@@ -213,7 +208,7 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
         sweep.counts.gaps,
         sweep.unsettled,
         recorded.repeats
-    )?;
+    );
     tables.map_or(Ok(()), |r| reduce::report(r, false))
 }
 

@@ -131,9 +131,10 @@ impl Shaper {
         };
         let mut calibration = Vec::new();
         for file in &args.cameras {
-            calibration.extend(std::fs::read(file).with_context(|| format!("reading {}", file.display()))?);
+            calibration
+                .extend(wcal_core::files::read(file).with_context(|| format!("reading {}", file.display()))?);
         }
-        let text = std::fs::read_to_string(&rig_file);
+        let text = wcal_core::files::read_text(&rig_file);
         let table: toml::Table = text.with_context(|| format!("reading {}", rig_file.display()))?.parse()?;
         let source = ShapesSource {
             cameras_sha256: sha256_hex(&calibration),

@@ -159,6 +159,9 @@ pub struct TrackArgs {
     pub json: bool,
 }
 
+/// Most scans that may wait: an hour of the fastest interrogator.
+const MAX_QUEUE: u64 = 10_000_000;
+
 /// Where readings come from.
 enum Source {
     Table(PathBuf),
@@ -171,7 +174,8 @@ enum Source {
 /// # Errors
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
-    crate::output::check_file(&args.out, "track", output::is_track, args.force)?;
+    output::check(&args.out, args.force)?;
+    crate::simulate::within("--queue", args.queue as u64, MAX_QUEUE)?;
     if args.model.is_empty() {
         if let Some(sweep) = args.source.as_deref().and_then(SweepFolder::of) {
             return motion_table::track(args, &sweep.points);
@@ -180,7 +184,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         return match (folder, &args.source) {
             (Some(folder), _) if args.motion.is_none() => known_motion::track(args, folder),
             (Some(folder), _) => motion_table::track(args, &points_table(folder)?),
-            (None, Some(table)) if table.is_file() && table.extension().is_none_or(|e| e != "mcap") => {
+            (None, Some(table)) if !table.is_dir() && table.extension().is_none_or(|e| e != "mcap") => {
                 motion_table::track(args, table)
             }
             _ => along_stream(args),
@@ -280,8 +284,9 @@ fn points_table(folder: &Path) -> Result<PathBuf> {
 
 /// What the arguments ask for, and the rig of a stream with its place.
 fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
-    let read =
-        |path: &Path| std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()));
+    let read = |path: &Path| {
+        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
+    };
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {

@@ -13,7 +13,7 @@ use sweeps::Sweeps;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 use wcal_session::TextTableLayout;
 use wcal_track::classes::ObjectClasses;
-use wcal_track::model_file::{Card, SplitBy};
+use wcal_track::model_file::{Card, SplitBy, read_card};
 use wcal_track::train::{Pass, TrainSettings, best};
 use wcal_track::train_model::{TrainingRequest, train_model};
 
@@ -128,6 +128,9 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         seed: args.seed,
         ..TrainSettings::default()
     };
+    // What cannot be read is known before the sweeps are made, which takes hours.
+    let classes = args.classes.as_deref().map(object_classes).transpose()?.unwrap_or_default();
+    args.from.as_deref().map(read_card).transpose()?;
     eprintln!("train: on SIMULATED sweeps");
     let sweeps = match &args.sweeps {
         Some(folder) => Sweeps::there(args, folder, &whisker)?,
@@ -150,7 +153,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
             SplitKind::Objects => SplitBy::Objects,
             SplitKind::Sweeps => SplitBy::Sweeps,
         },
-        classes: args.classes.as_deref().map(object_classes).transpose()?.unwrap_or_default(),
+        classes,
         out: &args.out,
     };
     let progress = Progress::new("train");

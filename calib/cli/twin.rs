@@ -2,7 +2,7 @@
 
 mod mujoco;
 
-use crate::output::{Overwrite, check_file, write_file};
+use crate::output::{Overwrite, check_beside, check_file, write_file};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::{bail, ensure};
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove;
-use wcal_report::{Fact, Page, TwinInput};
+use wcal_report::{Fact, Page, REPORT_FORMAT, TwinInput, is_page};
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
 
@@ -81,6 +81,10 @@ const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,bran
 pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     expect_session(&args.session, "twin")?;
     check_file(&args.out, "twin", |first| first == COLUMNS, args.overwrite.force)?;
+    if let Some(page) = &args.report {
+        let own = |start: &str| is_page(start) || start.contains(REPORT_FORMAT);
+        check_beside(&[page.clone(), page.with_extension("json")], own, args.overwrite.force)?;
+    }
     let session = load(&args.session)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);

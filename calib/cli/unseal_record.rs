@@ -19,6 +19,9 @@ struct Unsealed {
     program: String,
 }
 
+/// Format tag of `unsealed.json`.
+const FORMAT: &str = "wcal-unsealed/1";
+
 /// `unsealed.json`: every held-out file that was opened, with when and by what.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct UnsealedFile {
@@ -28,14 +31,21 @@ struct UnsealedFile {
 
 /// Record of unsealing in a folder. Version 0 was a list of hashes.
 fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
-    let Ok(bytes) = std::fs::read(path) else { return Ok(Vec::new()) };
+    let reading = || format!("reading {}", path.display());
+    let bytes = match wcal_core::files::read(path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        // What cannot be read may say that the holdout was opened.
+        other => other.with_context(reading)?,
+    };
     if let Ok(hashes) = serde_json::from_slice::<Vec<String>>(&bytes) {
         let of =
             |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
         return Ok(hashes.into_iter().map(of).collect());
     }
-    let file: UnsealedFile =
-        serde_json::from_slice(&bytes).with_context(|| format!("reading {}", path.display()))?;
+    let file: UnsealedFile = serde_json::from_slice(&bytes).with_context(reading)?;
+    wcal_core::format::expect(FORMAT, Some(&file.format))
+        .map_err(anyhow::Error::msg)
+        .with_context(reading)?;
     Ok(file.opened)
 }
 
@@ -74,7 +84,7 @@ impl UnsealRecord {
                 when: provenance.created.clone(),
                 program: unsealing.program.clone(),
             }));
-            Ok(serde_json::to_vec_pretty(&UnsealedFile { format: "wcal-unsealed/1".to_owned(), opened })?)
+            Ok(serde_json::to_vec_pretty(&UnsealedFile { format: FORMAT.to_owned(), opened })?)
         };
         let [beside, out] = &self.places;
         if crate::output::write_file(beside, &record(&self.known[0])?).is_err() {

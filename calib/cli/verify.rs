@@ -121,7 +121,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
 /// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result.
 fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionError) -> anyhow::Error {
     let SessionError::Content(_) = &why else { return why.into() };
-    let kind = std::fs::read_to_string(args.session.join("session.toml"))
+    let kind = wcal_core::files::read_text(args.session.join("session.toml"))
         .ok()
         .and_then(|text| text.parse::<toml::Table>().ok())
         .and_then(|t| Some(t.get("kind")?.as_str()?.to_owned()));

@@ -5,7 +5,7 @@ mod scene;
 use anyhow::{Context, Result};
 use clap::Args;
 use scene::{BenchScene, ScenePath};
-use std::io::{BufRead, Write};
+use std::io::BufRead;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -41,12 +41,13 @@ pub struct VirtualBenchArgs {
 /// When the scenario cannot be used or a port cannot be opened.
 pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     let place = arguments.scenario.display();
-    let text = std::fs::read_to_string(&arguments.scenario).with_context(|| format!("reading {place}"))?;
+    let text =
+        wcal_core::files::read_text(&arguments.scenario).with_context(|| format!("reading {place}"))?;
     let mut scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
     if let Some(speed) = arguments.speed {
         anyhow::ensure!(
-            speed > 0.0 && speed.is_finite(),
-            "--speed: expected a number above 0, found {speed}"
+            (1e-3..=1e3).contains(&speed),
+            "--speed: expected a number between 0.001 and 1000, found {speed}"
         );
         scenario.speed = speed;
     }
@@ -58,9 +59,7 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
         }
     };
     let bench = VirtualBench::start(scenario, plant).context("opening the ports of the bench")?;
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{}", serde_json::to_string(bench.addresses())?)?;
-    out.flush()?;
+    println!("{}", serde_json::to_string(bench.addresses())?);
     for line in std::io::stdin().lock().lines() {
         let line = line?;
         if line.trim().is_empty() {
@@ -69,16 +68,15 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
         // A typing error must not end a running bench.
         match faults::parse(&line) {
             Ok(fault) => bench.inject(fault),
-            Err(e) => writeln!(std::io::stderr(), "virtual-bench: {e}")?,
+            Err(e) => eprintln!("virtual-bench: {e}"),
         }
     }
     if let Some(behind_s) = bench.fell_behind_s() {
         let speed = bench.addresses().speed;
-        writeln!(
-            std::io::stderr(),
+        eprintln!(
             "virtual-bench: warning: fell behind its clock by up to {behind_s:.1} s of bench time at {speed} times real time: \
              rows recorded then are marked `late`; use a lower speed"
-        )?;
+        );
         return Ok(ExitCode::from(3));
     }
     Ok(ExitCode::SUCCESS)

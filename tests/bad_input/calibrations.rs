@@ -3,7 +3,7 @@
 use super::*;
 
 /// A sealed calibration.json around a model.
-fn calibration(model: serde_json::Value) -> serde_json::Value {
+pub fn calibration(model: serde_json::Value) -> serde_json::Value {
     let mut file = wcal_core::CalibrationFile {
         format: wcal_core::calibration::CALIBRATION_FORMAT.to_owned(),
         session: "s".to_owned(),
@@ -19,7 +19,7 @@ fn calibration(model: serde_json::Value) -> serde_json::Value {
     serde_json::to_value(&file).unwrap()
 }
 
-fn models() -> [serde_json::Value; 3] {
+pub fn models() -> [serde_json::Value; 3] {
     let fbg = serde_json::json!({
         "nominal_nm": [1541.2, 1535.8], "reference_nominal_nm": null, "temperature_pm_per_degc": null,
         "reference_temperature_pm_per_degc": null, "temperature_compensated": true,
@@ -52,6 +52,16 @@ fn models() -> [serde_json::Value; 3] {
         "stimulus_range": [0.0, 10.0], "polynomial": null, "lack_of_fit": [null, null],
     });
     [physical, map, scalar]
+}
+
+/// A whisker's.
+pub fn whisker_calibration() -> serde_json::Value {
+    let [physical, ..] = models();
+    let mut file: wcal_core::CalibrationFile<serde_json::Value> =
+        serde_json::from_value(calibration(physical)).unwrap();
+    file.whisker = Some(wcal_core::WhiskerSpec::nominal());
+    file.content_sha256 = file.compute_hash().unwrap();
+    serde_json::to_value(&file).unwrap()
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 use wcal_core::device::DeviceError;
+use wcal_core::document::DocumentError;
 
 /// Errors of planning, recording or reducing.
 #[derive(Debug, Error)]
@@ -45,6 +46,14 @@ impl AcquisitionError {
     /// An input error.
     pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Input { place: place.into(), expected: expected.into(), found: found.into() }
+    }
+
+    /// The error of a document: a key by its name, anything else as the wrong kind of file.
+    pub(crate) fn document(place: &str, expected: &str, error: DocumentError) -> Self {
+        match error {
+            DocumentError::Range(e) => Self::input(format!("{place}: {}", e.key), e.expected, e.found),
+            other => Self::input(place, expected, other.to_string()),
+        }
     }
 
     pub(crate) fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> Self + 'a {

@@ -5,12 +5,35 @@ use crate::rig::Rig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::Role;
+use wcal_core::document::from_toml;
+use wcal_core::ranges::Range;
 
 /// `format` of a plan file.
 pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
-/// More attitudes add no information, and a person cannot hold them all.
-const MAX_BOARD_VIEWS: u32 = 100;
+/// Readings of some days.
+const MAX_STEPS: usize = 100_000;
+/// A day, s.
+const DAY_S: f64 = 86_400.0;
+
+/// Numbers that a plan may state. Depths are held against the rig's limits, too, and speeds against its highest.
+const RANGES: &[Range] = &[
+    Range::real("settle.gate_pm_per_s", 1e-6, 1e6),
+    Range::real("settle.window_s", 1e-3, DAY_S),
+    Range::real("settle.timeout_s", 0.0, 7.0 * DAY_S),
+    Range::real("soak_s", 0.0, 7.0 * DAY_S),
+    // More attitudes add no information, and a person cannot hold them all.
+    Range::whole("board_views", 0.0, 100.0),
+    Range::real("block.depths_mm", 1e-6, 1e4),
+    Range::whole("block.replicates", 1.0, 10_000.0),
+    Range::real("block.speeds_mm_s", 1e-6, 1e4),
+    Range::real("block.dwell_s", 0.0, 7.0 * DAY_S),
+    Range::real("block.average_s", 1e-3, DAY_S),
+    Range::real("block.on_the_fly_hz", 0.0, 1e4),
+    Range::whole("block.trajectories", 0.0, 4e9),
+    // What is left: depths by trajectory.
+    Range::real("", 1e-6, 1e4),
+];
 
 /// A plan.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -169,21 +192,11 @@ impl Plan {
     /// # Errors
     /// Field, what was expected and what was found; `place` names the file.
     pub fn parse(place: &str, text: &str) -> Result<Self, AcquisitionError> {
-        let plan: Self = toml::from_str(text)
-            .map_err(|e| AcquisitionError::input(place, "a plan file", e.to_string().trim()))?;
+        let plan: Self = from_toml(text, PLAN_FORMAT, &[RANGES])
+            .map_err(|e| AcquisitionError::document(place, "a plan file", e))?;
         let fail = |field: String, expected: &str, found: String| {
             Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
         };
-        if plan.format != PLAN_FORMAT {
-            return fail("format".to_owned(), PLAN_FORMAT, plan.format);
-        }
-        if !(plan.settle.gate_pm_per_s > 0.0 && plan.settle.window_s > 0.0) {
-            return fail("settle".to_owned(), "a gate and a window above 0", format!("{:?}", plan.settle));
-        }
-        if plan.board_views > MAX_BOARD_VIEWS {
-            let expected = format!("at most {MAX_BOARD_VIEWS}");
-            return fail("board_views".to_owned(), &expected, plan.board_views.to_string());
-        }
         for (k, block) in plan.block.iter().enumerate() {
             let field = |name: &str| format!("block {}: {name}", k + 1);
             if block.role == Role::Rest {
@@ -192,15 +205,14 @@ impl Plan {
             if block.trajectories.is_empty() {
                 return fail(field("trajectories"), "at least one", "none".to_owned());
             }
-            if block.average_s <= 0.0 || block.dwell_s < 0.0 || block.replicates == 0 {
-                return fail(field("average_s"), "an averaging time and replicates above 0", "0".to_owned());
+            if let Some(id) = block.trajectories.iter().find(|id| block.depths(**id).is_empty()) {
+                return fail(field("depths_mm"), "at least one depth", format!("none (trajectory {id})"));
             }
-            for id in &block.trajectories {
-                let depths = block.depths(*id);
-                if depths.is_empty() || depths.iter().any(|d| !(d.is_finite() && *d > 0.0)) {
-                    return fail(field("depths_mm"), "depths above 0", format!("{depths:?}"));
-                }
-            }
+        }
+        let steps = plan.block.iter().map(Block::count).sum::<usize>();
+        if steps > MAX_STEPS {
+            let expected = format!("replicates, speeds and depths that make at most {MAX_STEPS} readings");
+            return fail("block".to_owned(), &expected, steps.to_string());
         }
         if plan.block.is_empty() {
             return fail("block".to_owned(), "at least one", "none".to_owned());
@@ -248,6 +260,13 @@ impl Plan {
 }
 
 impl Block {
+    /// Readings at most.
+    fn count(&self) -> usize {
+        let once = |id: &u32| 2 * self.depths(*id).len() + 3;
+        let paths = (self.replicates as usize).saturating_mul(self.speeds_mm_s.len().max(1));
+        self.trajectories.iter().map(once).sum::<usize>().saturating_mul(paths)
+    }
+
     fn depths(&self, trajectory: u32) -> &[f64] {
         self.depths_of.get(&trajectory.to_string()).unwrap_or(&self.depths_mm)
     }
@@ -333,13 +352,17 @@ mod tests {
         for (from, to, word) in [
             ("5]", "50]", "stage position"),
             ("[1]", "[7]", "trajectories of the rig"),
-            ("[1, 3, 5]", "[1, -3]", "above 0"),
-            ("[1, 3, 5]", "[]", "above 0"),
+            ("[1, 3, 5]", "[1, -3]", "block #1.depths_mm #2"),
+            ("[1, 3, 5]", "[]", "at least one depth"),
             ("wcal-plan/1", "wcal-plan/3", "wcal-plan/1"),
             ("depths_mm = [1, 3, 5]", "depths_mm = [1]\nspeeds_mm_s = [99]", "speeds up to"),
             ("depths_mm", "depth_mm", "plan file"),
-            ("name = \"p\"", "name = \"p\"\nboard_views = 1000", "at most 100"),
-            ("name = \"p\"", "name = \"p\"\nboard_views = -1", "plan file"),
+            (
+                "name = \"p\"",
+                "name = \"p\"\nboard_views = 1000",
+                "board_views: expected a whole number between 0 and 100",
+            ),
+            ("name = \"p\"", "name = \"p\"\nboard_views = -1", "board_views"),
         ] {
             let error = plan(from, to).unwrap_err().to_string();
             assert!(error.contains(word), "{word}: {error}");

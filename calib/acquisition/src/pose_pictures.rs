@@ -7,6 +7,7 @@ use crate::error::AcquisitionError;
 use crate::pictures::PICTURES;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use wcal_core::files::read_within;
 use wcal_core::provenance::sha256_hex;
 
 /// Largest file that is read, bytes: a table of some hundred thousand rows, or a picture.
@@ -124,16 +125,7 @@ fn ill_timed(line: &Line, stand: &Stand, all: &[Stand]) -> Option<String> {
 }
 
 fn bytes(path: &Path) -> Result<Vec<u8>, AcquisitionError> {
-    let io = AcquisitionError::io("reading", path);
-    let size = match std::fs::metadata(path) {
-        Ok(about) => about.len(),
-        Err(e) => return Err(io(e)),
-    };
-    if size > MAX_BYTES {
-        let expected = format!("at most {MAX_BYTES} bytes");
-        return Err(AcquisitionError::input(path.display().to_string(), expected, format!("{size} bytes")));
-    }
-    std::fs::read(path).map_err(io)
+    read_within(path, MAX_BYTES).map_err(AcquisitionError::io("reading", path))
 }
 
 /// A table with its header: cells by the names of columns.

@@ -227,7 +227,7 @@ pub fn record(
 fn add_outcome(folder: &Path, recording: String, recorded: &RecordResult) -> Result<(), AcquisitionError> {
     let path = folder.join("run.json");
     let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
-    let mut run = RunFile::parse(&std::fs::read_to_string(&path).map_err(io)?)?;
+    let mut run = RunFile::parse(&wcal_core::files::read_text(&path).map_err(io)?)?;
     let (ending, cause) = match &recorded.sweep.ending {
         Ending::Finished => ("finished", None),
         Ending::Stopped { cause, .. } => ("stopped", Some(cause.to_string())),
@@ -278,7 +278,7 @@ fn prepare_folder(request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionE
 fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
     let path = folder.join(name);
     let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
-    let old = std::fs::read_to_string(&path).map_err(io)?;
+    let old = wcal_core::files::read_text(&path).map_err(io)?;
     if without_links(&old) == without_links(text) {
         return Ok(());
     }
@@ -360,7 +360,7 @@ fn describe(
 /// Measured and simulated scans never share a session.
 fn same_bench(run_file: &Path, simulated: bool) -> Result<(), AcquisitionError> {
     let io = |source| AcquisitionError::Io { action: "reading", path: run_file.to_owned(), source };
-    let begun = RunFile::parse(&std::fs::read_to_string(run_file).map_err(io)?)?;
+    let begun = RunFile::parse(&wcal_core::files::read_text(run_file).map_err(io)?)?;
     if begun.is_simulated() == simulated {
         return Ok(());
     }

@@ -135,7 +135,7 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let text = |name: &str| {
         let path = folder.join(name);
-        std::fs::read_to_string(&path).map_err(AcquisitionError::io("reading", &path))
+        wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))
     };
     let rig = Rig::parse("rig.toml", &text("rig.toml")?)?;
     let run = RunFile::parse(&text("run.json")?)?;
@@ -173,7 +173,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
 
 /// Entries of an earlier session.toml that name results from the pictures: the files are still there.
 fn added_later(folder: &Path) -> Vec<[String; 3]> {
-    let text = std::fs::read_to_string(folder.join("session.toml")).unwrap_or_default();
+    let text = wcal_core::files::read_text(folder.join("session.toml")).unwrap_or_default();
     let Ok(old) = text.parse::<toml::Table>() else { return Vec::new() };
     let entry = |[table, key]: [&str; 2]| {
         let value = old.get(table)?.get(key)?.as_str()?;

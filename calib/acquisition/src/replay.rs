@@ -7,7 +7,6 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use prost::Message as _;
 use std::collections::HashMap;
 use std::fmt;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -67,7 +66,7 @@ const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// # Errors
 /// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
-    let mut file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let mut file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
     // No record is longer than its file, whatever length it states.
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
@@ -221,7 +220,7 @@ fn message(mut body: &[u8]) -> Option<(u64, u64, &[u8])> {
 /// Whether as much of the magic bytes is there as the file's length allows.
 fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
     let mut start = Vec::new();
-    let file = File::open(path).map_err(AcquisitionError::io("opening", path))?;
+    let file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = mcap::MAGIC.len();
     file.take(size as u64).read_to_end(&mut start).map_err(AcquisitionError::io("reading", path))?;
     Ok(mcap::MAGIC.starts_with(&start))

@@ -3,10 +3,10 @@
 use crate::error::AcquisitionError;
 use nalgebra::Vector3;
 use serde::Deserialize;
-use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, StageRig};
-
-/// `format` of a rig file.
-pub const RIG_FORMAT: &str = "wcal-rig/1";
+use wcal_core::document::from_toml;
+use wcal_core::observation::WHISKER_RANGES;
+pub use wcal_core::rig_devices::RIG_FORMAT;
+use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, RIG_RANGES, StageRig};
 
 /// A rig; keys of other programs (tags, groove, camera calibration) are kept, not read.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -92,21 +92,15 @@ impl Rig {
     /// # Errors
     /// Field, what was expected and what was found; `place` names the file.
     pub fn parse(place: &str, text: &str) -> Result<Self, AcquisitionError> {
-        let rig: Self = toml::from_str(text)
-            .map_err(|e| AcquisitionError::input(place, "a rig file", e.to_string().trim()))?;
+        let rig: Self = from_toml(text, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES])
+            .map_err(|e| AcquisitionError::document(place, "a rig file", e))?;
         let fail = |field: &str, expected: &str, found: String| {
             Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
         };
         let s = &rig.stage;
         let [low, high] = s.soft_limits_mm;
-        if rig.format != RIG_FORMAT {
-            return fail("format", RIG_FORMAT, rig.format);
-        }
         if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
             return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
-        }
-        if !(s.speed_mm_s > 0.0 && s.microstep_um > 0.0 && rig.clock_scale > 0.0) {
-            return fail("stage", "speed, microstep and clock scale above 0", format!("{s:?}"));
         }
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
@@ -130,9 +124,6 @@ impl Rig {
                 let found = format!("{} of {} and {} of {}", b.name, b.whisker, a.name, a.whisker);
                 return fail("interrogator.grating", "windows of two whiskers that do not overlap", found);
             }
-        }
-        if let Some(odd) = rig.interrogator.grating.iter().find(|g| g.channel == 0 || g.window_nm <= 0.0) {
-            return fail("interrogator.grating", "a channel from 1 and a window above 0", odd.name.clone());
         }
         if !matches!(rig.camera.len(), 0 | 2) {
             return fail("camera", "no camera or two", rig.camera.len().to_string());

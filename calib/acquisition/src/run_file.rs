@@ -4,9 +4,13 @@ use crate::error::AcquisitionError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::device::DeviceIdentity;
+use wcal_core::document::from_json;
+use wcal_core::ranges::Range;
 
 /// `format` of the file.
 pub const RUN_FORMAT: &str = "wcal-run/1";
+
+const RANGES: &[Range] = &[Range::real("clock_scale", 1e-3, 1e4), Range::whole("", 0.0, 1.9e19)];
 
 /// Everything about a run that the raw streams do not contain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -70,11 +74,7 @@ impl RunFile {
     /// # Errors
     /// What was expected and what was found.
     pub fn parse(text: &str) -> Result<Self, AcquisitionError> {
-        let run: Self = serde_json::from_str(text)
-            .map_err(|e| AcquisitionError::input("run.json", "a run file", e.to_string()))?;
-        if run.format == RUN_FORMAT {
-            return Ok(run);
-        }
-        Err(AcquisitionError::input("run.json: format", RUN_FORMAT, run.format))
+        from_json(text, RUN_FORMAT, &[RANGES])
+            .map_err(|e| AcquisitionError::document("run.json", "a run file", e))
     }
 }

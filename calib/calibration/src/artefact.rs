@@ -6,6 +6,8 @@ use crate::trust_issue::TrustIssue;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::format;
+use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::CalibrationContact;
 use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
 use wcal_map::MapArtefact;
@@ -81,6 +83,20 @@ pub fn seal(
     Ok(file)
 }
 
+/// Numbers that a calibration may hold; what a model's own parameters can be, the model says.
+const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
+    Range::whole("model.seatings", 0.0, 4.3e9),
+    Range::whole("model.version", 0.0, 1e6),
+    Range::whole("model.declared.polynomial", 0.0, 1e18),
+    Range::whole("model.scaling.count", 0.0, 1e12),
+    Range::real("model.outputs.nugget", 1e-30, 1e30),
+    Range::real("model.outputs.variance_nmm2", 0.0, 1e30),
+    Range::real("model.outputs.inflation", 0.0, 1e30),
+    Range::real("dof", 0.0, 1e12),
+    Range::real("", -1e30, 1e30),
+];
+
 /// Reads the file and checks format, model and content hash.
 ///
 /// # Errors
@@ -101,17 +117,14 @@ pub fn read_unsealed(
 ) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
     let refuse =
         |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
-    let bytes =
-        std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+    let bytes = wcal_core::files::read(path)
+        .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.
-    let format = value.get("format").and_then(serde_json::Value::as_str);
-    if format != Some(CALIBRATION_FORMAT) {
-        let found = format.map_or_else(|| "nothing".to_owned(), |f| format!("{f:?}"));
-        let detail = format!("field `format`: expected {CALIBRATION_FORMAT:?}, found {found}");
-        return Err(CalibrationError::content(path, detail));
-    }
+    format::expect(CALIBRATION_FORMAT, value.get("format").and_then(serde_json::Value::as_str))
+        .map_err(|why| CalibrationError::content(path, why))?;
+    ranges::check(&value, &[RANGES]).map_err(|e| CalibrationError::content(path, e))?;
     let raw: CalibrationFile<serde_json::Value> =
         serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
     let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
@@ -123,6 +136,9 @@ pub fn read_unsealed(
     let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
         .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
     file.model.check().map_err(|e| CalibrationError::content(path, e))?;
+    if let Some(whisker) = &file.whisker {
+        whisker.check().map_err(|e| CalibrationError::content(path, format!("whisker.{e}")))?;
+    }
     Ok((file, changed))
 }
 

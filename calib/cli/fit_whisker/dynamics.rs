@@ -131,7 +131,7 @@ pub fn dynamics(
 
 /// Time constant of a recorded ring-down, s.
 fn read_ring_down(path: &Path) -> anyhow::Result<f64> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
     let column = |name: &str| {

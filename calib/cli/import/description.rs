@@ -88,7 +88,7 @@ pub(super) fn provenance(sources: &[&TextTable]) -> Table {
 
 /// Takes the whisker's tables from another description, its rest shape with it.
 fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let meta: Table = text.parse().with_context(|| format!("{}: expected valid TOML", path.display()))?;
     for key in TAKEN_OVER {
         if let Some(value) = meta.get(*key) {
@@ -103,7 +103,8 @@ fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables)
     let shape = meta.get("files").and_then(|f| f.get("rest_shape")).and_then(Value::as_str);
     if let Some(name) = shape {
         let source = path.parent().unwrap_or(Path::new(".")).join(name);
-        let bytes = std::fs::read(&source).with_context(|| format!("reading {}", source.display()))?;
+        let bytes =
+            wcal_core::files::read(&source).with_context(|| format!("reading {}", source.display()))?;
         files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv"));
         more.push(("rest_shape.csv".to_owned(), bytes));
     }

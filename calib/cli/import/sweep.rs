@@ -29,7 +29,7 @@ pub struct SweepFolder {
 impl SweepFolder {
     /// Of a folder; none where it is something else.
     pub fn of(folder: &Path) -> Option<Self> {
-        let session: Table = std::fs::read_to_string(folder.join("session.toml")).ok()?.parse().ok()?;
+        let session: Table = wcal_core::files::read_text(folder.join("session.toml")).ok()?.parse().ok()?;
         let file = |key: &str| Some(folder.join(session.get("files")?.get(key)?.as_str()?));
         let pose = session.get("object").and_then(|o| o.get("world_from_object")).and_then(Value::as_array);
         let numbers = pose.map(|p| p.iter().filter_map(Value::as_float).collect::<Vec<_>>());
@@ -99,7 +99,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     out.put("points.csv", points);
-    out.put(OBJECT, std::fs::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
+    out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
     out.put("session.toml", toml::to_string(&top)?);
     out.finish()?;
     for note in &object.notes {

@@ -1,12 +1,17 @@
 //! What `wcal simulate` reads: whisker and objects.
 
 use super::SimulateArgs;
+use crate::fit_whisker;
 use anyhow::{Context, bail, ensure};
 use nalgebra::Vector3;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_acquisition::rig::RIG_FORMAT;
+use wcal_core::format;
+use wcal_core::observation::{RestShape, WHISKER_RANGES, WhiskerSpec};
+use wcal_core::ranges::{self, Range};
 use wcal_mujoco::mjcf::{MjcfOptions, Touch};
+use wcal_session::SESSION_FORMAT;
 use wcal_sim::{Mesh, objects};
 
 #[derive(Debug, Deserialize)]
@@ -24,6 +29,15 @@ struct DynamicsKeys {
     width_mm: f64,
     impedance: [f64; 2],
 }
+
+/// Numbers of `[dynamics]`.
+const RANGES: &[Range] = &[
+    Range::real("dynamics.damping_s", 1e-9, 1e3),
+    Range::real("dynamics.armature_s2", 1e-15, 1e3),
+    Range::real("dynamics.contact_time_s", 1e-6, 10.0),
+    Range::real("dynamics.width_mm", 1e-6, 1e3),
+    Range::real("dynamics.impedance", 1e-4, 0.9999),
+];
 
 /// Keys of `[whisker]` as in session.toml.
 #[derive(Debug, Deserialize)]
@@ -50,8 +64,16 @@ fn shear_gpa() -> f64 {
 }
 
 fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("reading {}", path.display()))
+    let reading = || format!("reading {}", path.display());
+    let text = wcal_core::files::read_text(path).with_context(reading)?;
+    let table: toml::Table = text.parse().with_context(reading)?;
+    // The keys are those of a session and of a rig, too; a table of one's own may state no format.
+    let found = table.get("format").and_then(toml::Value::as_str);
+    if table.contains_key("format") && found != Some(SESSION_FORMAT) && found != Some(RIG_FORMAT) {
+        format::expect(fit_whisker::FORMAT, found).map_err(anyhow::Error::msg).with_context(reading)?;
+    }
+    ranges::check(&table, &[RANGES, WHISKER_RANGES]).with_context(reading)?;
+    toml::from_str(&text).with_context(reading)
 }
 
 /// Damping and contact of a file for MuJoCo's wire; the usual ones where it has none.
@@ -96,14 +118,16 @@ pub fn whisker(path: Option<&Path>) -> anyhow::Result<WhiskerSpec> {
             );
         }
     };
-    Ok(WhiskerSpec {
+    let whisker = WhiskerSpec {
         diameter_mm: keys.diameter_mm,
         youngs_gpa: keys.youngs_gpa,
         shear_gpa: keys.shear_gpa,
         density_kg_m3: None,
         rest_shape,
         gravity_direction: None,
-    })
+    };
+    whisker.check().with_context(|| format!("{}, [whisker]", path.display()))?;
+    Ok(whisker)
 }
 
 /// Usable objects, and those left out with the reason.
@@ -149,7 +173,9 @@ fn stl_files(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path).with_context(|| format!("reading {}", path.display()))? {
         let file = entry?.path();
-        if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
+        // Finder and others leave "._NAME" beside NAME.
+        let hidden = file.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if !hidden && file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
             files.push(file);
         }
     }

@@ -101,7 +101,9 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
     }
     let array = ranges(&unfinished);
     let setup = match &args.slurm_setup {
-        Some(path) => std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?,
+        Some(path) => {
+            wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?
+        }
         None => String::new(),
     };
     let job = Job { args, here: &here, folder: &folder, setup: &setup };
@@ -144,7 +146,7 @@ impl Submission {
 /// Two arrays over one folder would make the same shards twice.
 fn refuse_a_second(folder: &Path) -> anyhow::Result<()> {
     let path = folder.join("submission.json");
-    let Ok(text) = std::fs::read_to_string(&path) else { return Ok(()) };
+    let Ok(text) = wcal_core::files::read_text(&path) else { return Ok(()) };
     let last: Submission =
         serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
     for job in last.array_job.iter().chain(&last.check_job) {

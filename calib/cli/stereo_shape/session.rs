@@ -27,7 +27,7 @@ pub(super) fn run(
     for (_, file, _) in RESULTS {
         check_own(&folder.join(file), args.overwrite.force)?;
     }
-    let text = std::fs::read_to_string(&shaper.rig_file)
+    let text = wcal_core::files::read_text(&shaper.rig_file)
         .with_context(|| format!("reading {}", shaper.rig_file.display()))?;
     let bench = BenchRig::parse(&shaper.rig_file.display().to_string(), &text)?;
     let names: Vec<&str> = bench.camera.iter().map(|c| c.name.as_str()).collect();
@@ -75,7 +75,7 @@ pub(super) fn run(
 
 fn session_id(folder: &Path) -> Result<String> {
     let path = folder.join("session.toml");
-    let text = std::fs::read_to_string(&path).with_context(|| {
+    let text = wcal_core::files::read_text(&path).with_context(|| {
         format!("reading {}: expected a session folder, or two folders of pictures", path.display())
     })?;
     let table: toml::Table = text.parse().with_context(|| path.display().to_string())?;
@@ -88,7 +88,7 @@ fn check_own(path: &Path, force: bool) -> Result<()> {
     if force || !path.exists() {
         return Ok(());
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let own = serde_json::from_str::<ShapesDocument>(&text).is_ok_and(|d| d.format == SHAPES_FORMAT);
     ensure!(
         own,

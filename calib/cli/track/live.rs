@@ -151,7 +151,8 @@ pub fn replay(
                     }
                     if args.real_time {
                         let due_s = scan.host_s - *first_host_s.get_or_insert(scan.host_s);
-                        let due = Duration::from_secs_f64((due_s / rig.clock_scale).max(0.0));
+                        // A damaged time is no reason to wait.
+                        let due = Duration::try_from_secs_f64(due_s / rig.clock_scale).unwrap_or_default();
                         std::thread::sleep(due.saturating_sub(start.elapsed()));
                     }
                     failed = whiskers.scan(&reading, false, &mut files, sinks.channels.as_ref()).err();
@@ -384,7 +385,7 @@ fn conclude(
 
 /// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.
 fn session_points(folder: &Path) -> Option<(PathBuf, Option<String>)> {
-    let session: toml::Table = std::fs::read_to_string(folder.join("session.toml")).ok()?.parse().ok()?;
+    let session: toml::Table = wcal_core::files::read_text(folder.join("session.toml")).ok()?.parse().ok()?;
     let text = |v: Option<&toml::Value>| v.and_then(toml::Value::as_str).map(str::to_owned);
     let points = text(session.get("files").and_then(|f| f.get("points")))?;
     Some((folder.join(points), text(session.get("whisker_id"))))

@@ -1,5 +1,6 @@
 //! `track.csv`, `track-events.csv`, and the same rows for a recording or a live view.
 
+use crate::output::{check_beside, check_file, first_line};
 use anyhow::{Context, Result};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt::Write as _;
@@ -30,6 +31,23 @@ const COMPANIONS: [&str; 4] = [".json", "-events.csv", "-cloud.ply", "-surface.p
 /// Whether a table with this first line is a track, of this version or an earlier one.
 pub fn is_track(first: &str) -> bool {
     first.starts_with("point,t_s,moment_1_nmm,moment_2_nmm,")
+}
+
+/// Refuses an `--out` that is neither new nor an earlier track, and files of others beside it.
+///
+/// # Errors
+/// Where something else is there without `force`, or nothing can be written.
+pub fn check(out: &Path, force: bool) -> Result<()> {
+    check_file(out, "track", is_track, force)?;
+    // What lies beside an earlier track belongs to it.
+    let earlier = out.exists() && is_track(&first_line(out)?);
+    let own = |start: &str| {
+        start.starts_with(EVENT_COLUMNS)
+            || ["wcal-track/", "comment contacts, mm", "comment touched surface, mm"]
+                .iter()
+                .any(|word| start.contains(word))
+    };
+    check_beside(&COMPANIONS.map(|ending| companion(out, ending)), own, force || earlier)
 }
 
 /// A row of a track.
@@ -169,7 +187,7 @@ impl TrackFiles {
     /// Where one cannot be made.
     pub fn create(out: &Path, events: bool) -> Result<Self> {
         // Nothing of an earlier track stays beside the new one.
-        if out.is_file() && is_track(&crate::output::first_line(out)?) {
+        if out.is_file() && is_track(&first_line(out)?) {
             for path in
                 COMPANIONS.map(|ending| companion(out, ending)).into_iter().filter(|path| path.is_file())
             {

@@ -4,7 +4,7 @@ use super::TrainArgs;
 use crate::output::Overwrite;
 use crate::picture_output::write;
 use crate::progress::Progress;
-use crate::simulate::{Engine, Order, SimulateArgs, SlurmArgs};
+use crate::simulate::{Engine, MAX_SWEEPS, Order, SimulateArgs, SlurmArgs, within};
 use anyhow::{Context, ensure};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ impl Sweeps {
     /// # Errors
     /// Where there is no object, or a folder holds other sweeps.
     pub fn make(args: &TrainArgs) -> anyhow::Result<Self> {
-        ensure!(args.sweeps_each > 0, "--sweeps-each: expected 1 or more, found 0");
+        within("--sweeps-each", args.sweeps_each, MAX_SWEEPS)?;
         let (begin, mut made) = (Instant::now(), 0);
         let progress = Progress::new("train");
         let mut simulate = arguments(args);
@@ -80,7 +80,7 @@ impl Sweeps {
 /// checkpoint.
 fn remembered(out: &Path, more_s: Option<f64>) -> anyhow::Result<Option<f64>> {
     let (folder, name) = (out.join("checkpoint"), "sweeps_wall_s.json");
-    let earlier = std::fs::read_to_string(folder.join(name)).ok();
+    let earlier = wcal_core::files::read_text(folder.join(name)).ok();
     let earlier_s: Option<f64> = earlier.and_then(|text| serde_json::from_str(&text).ok());
     let Some(more_s) = more_s else { return Ok(earlier_s) };
     let wall_s = earlier_s.unwrap_or(0.0) + more_s;
@@ -131,7 +131,7 @@ fn surfaces(names: BTreeSet<String>, folder: Option<&Path>) -> anyhow::Result<BT
 /// Whether the sweeps were made with this whisker, where the folder says so.
 fn same_whisker(sweeps: &Path, expected: &str) -> anyhow::Result<()> {
     let path = sweeps.join("dataset.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
+    let Ok(text) = wcal_core::files::read_text(&path) else {
         eprintln!(
             "train: warning: {}: not there; the sweeps are taken to be those of this whisker",
             path.display()

@@ -1,8 +1,14 @@
-//! Writing so that a reader sees the old content or the new one, never half of it.
+//! Files as people give them: read whole and bounded, written so that a reader sees the old content or the new one.
 
+use crate::text;
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+
+/// Largest file that is read into memory (tables, weights, pictures), bytes.
+pub const MAX_BYTES: u64 = 1 << 30;
+/// Largest text document (TOML, JSON, YAML), bytes: parsed, it takes several times as much memory.
+pub const MAX_DOCUMENT_BYTES: u64 = 256 << 20;
 
 /// The file system refused.
 #[derive(Debug, thiserror::Error)]
@@ -21,6 +27,75 @@ impl FileError {
     pub fn of<'a>(action: &'static str, path: &'a Path) -> impl Fn(io::Error) -> Self + 'a {
         move |source| Self { action, path: path.to_owned(), source }
     }
+}
+
+/// Opens a regular file for reading. A pipe would wait for a writer, and a device may never end.
+///
+/// # Errors
+/// Where the path is something else, with what it is, or the file system refuses.
+pub fn open(path: impl AsRef<Path>) -> io::Result<fs::File> {
+    let path = path.as_ref();
+    let kind = fs::metadata(path)?.file_type();
+    if kind.is_file() {
+        return fs::File::open(path);
+    }
+    let found = if kind.is_dir() { "a folder" } else { other_kind(kind) };
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("expected a file, found {found}")))
+}
+
+#[cfg(unix)]
+fn other_kind(kind: fs::FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    if kind.is_fifo() {
+        "a pipe (save what comes out of it as a file first)"
+    } else if kind.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+#[cfg(not(unix))]
+fn other_kind(_: fs::FileType) -> &'static str {
+    "a device"
+}
+
+/// Reads a regular file of at most [`MAX_BYTES`] whole.
+///
+/// # Errors
+/// As [`open`], or where the file is larger.
+pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
+    read_within(path, MAX_BYTES)
+}
+
+/// Reads a text document of at most [`MAX_DOCUMENT_BYTES`]; a byte order mark is left out.
+///
+/// # Errors
+/// As [`open`], or where the file is larger or no UTF-8 text, with what it is instead.
+pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
+    let bytes = read_within(path, MAX_DOCUMENT_BYTES)?;
+    let invalid = |found: text::NotUtf8| io::Error::new(io::ErrorKind::InvalidData, found);
+    Ok(text::utf8(&bytes).map_err(invalid)?.to_owned())
+}
+
+/// Reads a regular file of at most `most` bytes whole.
+///
+/// # Errors
+/// As [`open`], or where the file is larger.
+pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let size = file.metadata()?.len();
+    let mut bytes = Vec::new();
+    if size <= most {
+        // A file that grows meanwhile ends where it would be too large.
+        bytes.reserve_exact(usize::try_from(size).unwrap_or(0));
+        file.take(most + 1).read_to_end(&mut bytes)?;
+    }
+    if size.max(bytes.len() as u64) > most {
+        let found = format!("expected a file of at most {most} bytes, found {}", size.max(most + 1));
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, found));
+    }
+    Ok(bytes)
 }
 
 /// Writes `bytes` to `path` under a temporary name in the same folder, syncs, and renames.
@@ -64,6 +139,25 @@ pub fn folder_of(path: &Path) -> &Path {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_a_device_and_a_file_without_end_are_refused_and_a_file_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        fs::write(&path, "\u{feff}a = 1\n").unwrap();
+        assert_eq!(read_text(&path).unwrap(), "a = 1\n");
+        assert_eq!(read(&path).unwrap().len(), 9);
+        assert!(read(folder.path()).unwrap_err().to_string().contains("a folder"));
+        assert_eq!(read(&folder.path().join("b")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        if cfg!(unix) {
+            assert!(read(Path::new("/dev/zero")).unwrap_err().to_string().contains("a device"));
+        }
+        // A file with a hole: as large as it says, and not on the disk.
+        fs::File::create(&path).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        fs::write(&path, b"Temp (\xb0C)\n").unwrap();
+        assert!(read_text(&path).unwrap_err().to_string().contains("Latin-1"));
+    }
 
     #[test]
     fn a_file_is_replaced_whole_and_nothing_else_is_left() {

@@ -1,22 +1,26 @@
 //! Quantities, observations, residual records and the documents that wcal's programs exchange.
 //!
-//! No device and no native code; of files only how they are written. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
+//! No device and no native code; of files only how they are opened and written. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
 //! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
 pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
 pub mod device;
+pub mod document;
 pub mod files;
+pub mod format;
 pub mod least_squares;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;
+pub mod ranges;
 pub mod residual;
 pub mod rig_devices;
 pub mod sealed;
 pub mod shapes_document;
 pub mod stream;
+pub mod text;
 pub mod verify_document;
 
 pub use calibration::{CalibrationFile, VerificationStatus};

@@ -1,5 +1,6 @@
 //! What a session holds once it has been read and checked: plain data, no files.
 
+use crate::ranges::{self, OutOfRange, Range};
 use crate::sealed::Sealed;
 use crate::shapes_document::{PairDocument, SharedParameter};
 use nalgebra::Vector3;
@@ -49,10 +50,51 @@ pub struct WhiskerSpec {
     pub gravity_direction: Option<Vector3<f64>>,
 }
 
+/// What a wire of this kind can be, by the keys of `[whisker]`.
+pub const WHISKER_RANGES: &[Range] = &[
+    Range::real("diameter_mm", 0.005, 10.0),
+    Range::real("youngs_gpa", 0.001, 1500.0),
+    Range::real("shear_gpa", 0.0003, 1000.0),
+    Range::real("density_kg_m3", 50.0, 25_000.0),
+    Range::real("length_mm", 1.0, 2000.0),
+    Range::real("straight_mm", 0.0, 2000.0),
+    Range::real("arc_radius_mm", 0.5, 1e6),
+    Range::real("rest_shape", -2000.0, 2000.0),
+    Range::real("rest_shape.polyline", -2000.0, 2000.0),
+    Range::real("gravity_direction", -1.001, 1.001),
+];
+
 /// Density of NiTi where a whisker states none, kg/m^3 (docs/src/system.md, released).
 const NITI_KG_M3: f64 = 6450.0;
 
 impl WhiskerSpec {
+    /// Holds every number against what a wire can be, and the numbers against each other.
+    ///
+    /// # Errors
+    /// The first key that cannot be.
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        let of = |key: &str, expected: String, found: f64| {
+            Err(OutOfRange { key: key.to_owned(), expected, found: found.to_string() })
+        };
+        ranges::check_value(self, &[WHISKER_RANGES])?;
+        // E = 2 (1 + nu) G, and nu is above -1/2 for every known wire: G is below E.
+        if !(self.shear_gpa < self.youngs_gpa) {
+            let expected = format!("less than youngs_gpa = {} (are the two exchanged?)", self.youngs_gpa);
+            return of("shear_gpa", expected, self.shear_gpa);
+        }
+        match &self.rest_shape {
+            RestShape::StraightArc { straight_mm, length_mm, .. } if straight_mm > length_mm => {
+                of("straight_mm", format!("at most length_mm = {length_mm}"), *straight_mm)
+            }
+            RestShape::Polyline(points) => {
+                let length_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+                let ranges = [Range::real("length_mm", 1.0, 2000.0)];
+                ranges::check(&serde_json::json!({"rest_shape": {"length_mm": length_mm}}), &[&ranges])
+            }
+            RestShape::StraightArc { .. } => Ok(()),
+        }
+    }
+
     /// Density, kg/m^3: the stated one, or NiTi's.
     #[must_use]
     pub fn density_or_niti_kg_m3(&self) -> f64 {

@@ -4,8 +4,53 @@
 
 use crate::clock::HostClock;
 use crate::device::{Camera, DeviceError, Interrogator, Mount, Stage};
+use crate::ranges::Range;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+
+/// `format` of a rig file.
+pub const RIG_FORMAT: &str = "wcal-rig/1";
+
+/// Numbers that a rig may state; those of `[whisker]` are [`crate::observation::WHISKER_RANGES`].
+pub const RIG_RANGES: &[Range] = &[
+    Range::real("clock_scale", 1e-3, 1e4),
+    Range::real("camera_skew_limit_ms", 0.0, 1e4),
+    Range::real("microstep_um", 1e-6, 1e3),
+    Range::real("travel_mm", 1e-3, 1e5),
+    Range::real("soft_limits_mm", 0.0, 1e5),
+    Range::real("stage.zero_mm", -1e5, 1e5),
+    Range::real("speed_mm_s", 1e-6, 1e4),
+    Range::real("approach_mm", 0.0, 1e3),
+    Range::real("retract_mm", -1e5, 1e5),
+    Range::whole("address", 0.0, 254.0),
+    Range::whole("axis", 0.0, 9.0),
+    Range::whole("baud", 300.0, 1e7),
+    Range::whole("trajectory.id", 0.0, 4e9),
+    Range::whole("tags.id", 0.0, 1e6),
+    Range::whole("groove.tag", 0.0, 1e6),
+    Range::whole("steps_per_trajectory", -1e9, 1e9),
+    Range::real("interrogator.rate_hz", 0.1, 1e6),
+    Range::whole("channel", 1.0, 1024.0),
+    Range::real("nominal_nm", 400.0, 2500.0),
+    Range::real("window_nm", 1e-4, 1e3),
+    Range::real("camera.rate_hz", 1e-4, 1e5),
+    Range::whole("image_size_px", 16.0, 65_536.0),
+    Range::real("exposure_ms", 1e-4, 1e6),
+    Range::real("gain_db", -100.0, 200.0),
+    Range::real("trajectory.origin_mm", -1e4, 1e4),
+    Range::real("trajectory.direction", -1e3, 1e3),
+    Range::real("nominal_arclength_mm", 0.0, 2000.0),
+    Range::real("world_from_base", -1e6, 1e6),
+    Range::real("carried_along", -1e3, 1e3),
+    Range::real("temperature_pm_per_degc", -1e4, 1e4),
+    Range::real("reference_temperature_pm_per_degc", -1e4, 1e4),
+    Range::real("moments.axes", -1.001, 1.001),
+    Range::real("size_mm", 0.1, 1e4),
+    Range::real("base_from_tag", -1e5, 1e5),
+    Range::real("half_angle_deg", 0.1, 89.9),
+    Range::real("position_in_tag_mm", -1e4, 1e4),
+    Range::real("width_along_wire_mm", 0.0, 1e3),
+];
 
 /// Opens devices by what a rig says of them: real and virtual ones by wcal-drivers, scripted ones in tests.
 pub trait DeviceOpener {

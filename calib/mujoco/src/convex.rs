@@ -67,7 +67,7 @@ impl Convex {
     /// Where the mesh cannot be written as a request.
     pub fn kept(mesh: &Mesh, folder: &Path) -> Result<Option<Self>, TwinError> {
         let (_, made_from) = request(mesh)?;
-        let text = std::fs::read_to_string(file(mesh, folder, &made_from)).ok();
+        let text = wcal_core::files::read_text(file(mesh, folder, &made_from)).ok();
         let there = text.and_then(|t| serde_json::from_str::<Self>(&t).ok());
         Ok(there.filter(|c| c.made_from == made_from))
     }

@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_sim::SimError;
+use wcal_sim::stl::Stl;
 
 /// Which twin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,13 +48,9 @@ pub fn tip_parts() -> Result<Vec<Vec<Vector3<f64>>>, TwinError> {
     parts!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18)
         .into_iter()
         .map(|bytes| {
-            let stl = stl_io::read_stl(&mut std::io::Cursor::new(bytes))
-                .map_err(SimError::io("reading", "groove_tip".as_ref()))?;
-            Ok(stl
-                .vertices
-                .iter()
-                .map(|v| Vector3::from([v[0], v[1], v[2]].map(|x| f64::from(x) * 1e3)))
-                .collect())
+            let wrong = |found| TwinError::from(SimError::Engine(format!("groove_tip: {found}")));
+            let stl = Stl::parse(bytes).map_err(wrong)?;
+            Ok(stl.points.iter().map(|v| Vector3::from(v.map(|x| f64::from(x) * 1e3))).collect())
         })
         .collect()
 }

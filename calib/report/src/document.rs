@@ -10,9 +10,21 @@ use crate::sweeps::{SweepsInput, render_sweeps};
 use crate::twin::{TwinInput, render_twin};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use wcal_core::format;
+use wcal_core::ranges::{self, Range};
+use wcal_core::verify_document::VERIFY_FORMAT;
 
 /// Format tag of `report.json`.
 pub const REPORT_FORMAT: &str = "wcal-report/1";
+
+/// Counts and numbers that name something; what was measured and fitted may be anything.
+const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
+    Range::whole("degrees_of_freedom", 0.0, 1e12),
+    Range::whole("group", 0.0, 4e9),
+    Range::whole("line", 0.0, 1e15),
+    Range::whole("points", 0.0, 1e15),
+];
 
 /// A page by what it shows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,9 +51,12 @@ pub enum PageError {
     /// The same of the result that it shows.
     #[error("verify.json: expected the result of verify, found: {0}")]
     Result(#[source] serde_json::Error),
-    /// Another format or version.
-    #[error("format: expected {REPORT_FORMAT}, found {0:?}")]
+    /// Another format or version, or a number that its key cannot have.
+    #[error("{0}")]
     Format(String),
+    /// The same of the result that it shows.
+    #[error("verify.json: {0}")]
+    ResultFormat(String),
     /// A session's page without the result that it shows.
     #[error("expected verify.json in the folder of the page of a session, found none")]
     NoResult,
@@ -75,14 +90,15 @@ impl Page {
     /// Another format, a document that is cut off or lacks keys, or a session without its result.
     pub fn from_json(text: &str, verify: Option<&str>) -> Result<Self, PageError> {
         let mut document: Value = serde_json::from_str(text)?;
-        let format = document["format"].as_str().unwrap_or_default();
-        if format != REPORT_FORMAT {
-            return Err(PageError::Format(format.to_owned()));
-        }
+        format::expect(REPORT_FORMAT, document["format"].as_str()).map_err(PageError::Format)?;
+        ranges::check(&document, &[RANGES]).map_err(|e| PageError::Format(e.to_string()))?;
         let mut page = document["page"].take();
         if let Some(Value::Object(session)) = page.get_mut("session") {
             let verify = verify.ok_or(PageError::NoResult)?;
-            session.insert("verify".to_owned(), serde_json::from_str(verify).map_err(PageError::Result)?);
+            let verify: Value = serde_json::from_str(verify).map_err(PageError::Result)?;
+            format::expect(VERIFY_FORMAT, verify["format"].as_str()).map_err(PageError::ResultFormat)?;
+            ranges::check(&verify, &[RANGES]).map_err(|e| PageError::ResultFormat(e.to_string()))?;
+            session.insert("verify".to_owned(), verify);
         }
         Ok(serde_json::from_value(page)?)
     }

@@ -51,7 +51,7 @@ pub use input::{
 };
 pub use map::render_map;
 pub use number::{number, p_value, percent, with_interval};
-pub use page::{render, render_index, render_many};
+pub use page::{is_page, render, render_index, render_many};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
 pub use sweeps::{
     EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,

@@ -35,11 +35,20 @@ pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) 
     document(title, simulated, &overview(title, introduction, entries))
 }
 
+/// How every page begins: a page is told from other HTML by it.
+const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>";
+
+/// Whether a file that begins so is a page of this program.
+#[must_use]
+pub fn is_page(start: &str) -> bool {
+    start.starts_with(HEAD)
+}
+
 /// Every page is well-formed XML too, so that a strict parser can check it.
 pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
     let mark = if simulated { " (simulated data)" } else { "" };
     format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>{}{mark}</title>\n<style>\n{STYLE}</style></head>\n<body><main>\n{body}</main></body></html>\n",
+        "{HEAD}{}{mark}</title>\n<style>\n{STYLE}</style></head>\n<body><main>\n{body}</main></body></html>\n",
         escape(title)
     )
 }

@@ -1,6 +1,6 @@
 //! Typed access to `session.toml` that names the key in every error and remembers which keys were understood.
 
-use crate::error::{InputError, quote};
+use crate::error::{InputError, not_utf8, quote};
 use nalgebra::Vector3;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -121,12 +121,6 @@ impl<'a> Section<'a> {
         Err(self.error(key, format!("a number between {low} and {high}"), format!("{value}")).hint(hint))
     }
 
-    /// Finite number within `[low, high]` that must be there.
-    pub(crate) fn required_in(&self, key: &str, low: f64, high: f64) -> Outcome<f64> {
-        let missing = || self.error(key, format!("a number between {low} and {high}"), "nothing");
-        self.number_in(key, low, high)?.ok_or_else(missing)
-    }
-
     fn finite(&self, key: &str, value: &Value) -> Outcome<f64> {
         let number = match value {
             Value::Float(x) => *x,
@@ -208,10 +202,10 @@ fn describe(value: &Value) -> String {
 
 /// Parses TOML; a syntax error names the line.
 pub(crate) fn parse(file: &str, bytes: &[u8]) -> Outcome<Table> {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes[..e.valid_up_to()].iter().filter(|b| **b == b'\n').count();
-        InputError::new(file, "UTF-8 text", "other bytes").at(line)
+    let text = wcal_core::text::utf8(bytes).map_err(|other| {
+        let valid = std::str::from_utf8(bytes).map_or_else(|e| e.valid_up_to(), str::len);
+        let line = 1 + bytes[..valid].iter().filter(|b| **b == b'\n').count();
+        not_utf8(file, other).at(line)
     })?;
     text.parse::<Table>().map_err(|e| {
         let error = InputError::new(file, "valid TOML", e.message().to_owned());

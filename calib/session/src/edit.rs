@@ -5,9 +5,6 @@ use std::path::Path;
 use toml::{Table, Value};
 use wcal_core::files::write_atomic;
 
-/// Longest session.toml that is read, bytes.
-const MAX_BYTES: u64 = 1 << 24;
-
 /// Sets texts of `session.toml` by table and key, e.g. `("files", "shapes", "shapes.json")`, in one step.
 ///
 /// # Errors
@@ -15,12 +12,7 @@ const MAX_BYTES: u64 = 1 << 24;
 pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), SessionError> {
     let path = folder.join("session.toml");
     let io = |e| SessionError::io("reading", &path, e);
-    let size = std::fs::metadata(&path).map_err(io)?.len();
-    if size > MAX_BYTES {
-        let found = format!("{size} bytes");
-        return Err(InputError::new("session.toml", format!("at most {MAX_BYTES} bytes"), found).into());
-    }
-    let mut text = std::fs::read_to_string(&path).map_err(io)?;
+    let mut text = wcal_core::files::read_text(&path).map_err(io)?;
     let wrong = |e: toml::de::Error| InputError::new("session.toml", "TOML", e.message().to_owned());
     let mut content: Table = text.parse().map_err(wrong)?;
     for (table, key, value) in entries {

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+use wcal_core::text::NotUtf8;
 
 /// An error of a file's content, located as closely as possible.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -86,6 +87,28 @@ impl fmt::Display for InputError {
 }
 
 impl std::error::Error for InputError {}
+
+/// The error of a file that is no UTF-8 text.
+pub(crate) fn not_utf8(file: &str, found: NotUtf8) -> InputError {
+    InputError::new(file, "UTF-8 text", found.found).hint(found.way_out)
+}
+
+/// The same of a table, which an import may read.
+pub(crate) fn not_utf8_table(file: &str, found: NotUtf8) -> InputError {
+    match found.option {
+        Some(option) => {
+            not_utf8(file, found).hint(format!("{}; wcal import reads it with {option}", found.way_out))
+        }
+        None => not_utf8(file, found),
+    }
+}
+
+/// Columns of a table as listed in messages: the first of them, and how many there are.
+pub(crate) fn listed(columns: &[String]) -> String {
+    const MOST: usize = 30;
+    let names = columns[..columns.len().min(MOST)].join(", ");
+    if columns.len() > MOST { format!("{names}, ... ({} in all)", columns.len()) } else { names }
+}
 
 /// Why a session could not be read or written.
 #[derive(Debug, thiserror::Error)]

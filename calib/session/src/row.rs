@@ -1,10 +1,11 @@
 //! Cells of one row, typed and checked.
 
-use crate::error::{InputError, quote};
+use crate::error::{InputError, not_utf8_table, quote};
 use crate::table::Column;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use wcal_core::Role;
+use wcal_core::text::LATIN_1;
 
 /// One row of a table.
 pub(crate) struct Row<'a> {
@@ -30,7 +31,8 @@ impl Row<'_> {
     fn text(&self, index: usize) -> Outcome<&str> {
         let bytes = self.record.get(index).unwrap_or_default();
         let name = || self.columns.get(index).map_or("", String::as_str);
-        let text = std::str::from_utf8(bytes).map_err(|_| self.error(name(), "UTF-8 text", "other bytes"))?;
+        let text = std::str::from_utf8(bytes)
+            .map_err(|_| not_utf8_table(self.file, LATIN_1).at(self.line).field(name()))?;
         Ok(text.trim())
     }
 

@@ -7,7 +7,9 @@ use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
+use wcal_core::format::is_newer;
 use wcal_core::provenance::sha256_hex;
+use wcal_core::ranges::{self, OutOfRange};
 use wcal_core::{
     AxisData, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData, WhiskerData,
     WhiskerRow,
@@ -62,12 +64,19 @@ struct Files {
 /// [`SessionError::Io`].
 pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     let folder = if folder.is_file() { folder.parent().unwrap_or(folder) } else { folder };
+    if folder.exists() && !folder.is_dir() {
+        return Err(
+            InputError::new(&folder.display().to_string(), "a session folder", "a pipe or device").into()
+        );
+    }
     const NAME: &str = "session.toml";
     let path = folder.join(NAME);
-    let bytes = std::fs::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let bytes = wcal_core::files::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
     let meta = document::parse(NAME, &bytes)?;
     let root = Section::root(NAME, &meta);
     check_format(&root)?;
+    let wrong = |e: OutOfRange| InputError::new(NAME, e.expected, e.found).field(e.key);
+    ranges::check(&meta, &[whisker_meta::SESSION_RANGES]).map_err(wrong)?;
     let mut warnings = Vec::new();
     let mut inputs =
         vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Description }];
@@ -139,12 +148,10 @@ fn check_format(root: &Section<'_>) -> Result<(), InputError> {
         return Ok(());
     }
     let error = root.error("format", format!("{SESSION_FORMAT:?}"), quote(&format));
-    let version = format.strip_prefix("wcal-session/").and_then(|v| v.parse::<u32>().ok());
-    Err(match version {
-        Some(version) if version > 1 => {
-            error.hint("the session was written in a newer format; update wcal to read it")
-        }
-        _ => error,
+    Err(if is_newer(SESSION_FORMAT, &format) {
+        error.hint("the session was written in a newer format; update wcal to read it")
+    } else {
+        error
     })
 }
 

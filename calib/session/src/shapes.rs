@@ -10,15 +10,14 @@ use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{
     ErrorColumn, GrooveDocument, PairDocument, PairErrors, SHAPES_FORMAT, ShapesSource, SharedParameter,
 };
-use wcal_core::{InputFile, Purpose, Role};
+use wcal_core::{InputFile, Purpose, Role, format};
 
-/// Largest file that is read: some thousand pairs.
-const MAX_BYTES: u64 = 1 << 28;
 /// Most pairs: a session has some hundred poses.
 const MAX_PAIRS: usize = 20_000;
 /// Most errors that pairs share: the parameters of two cameras, of tags and light are some fifty.
@@ -82,12 +81,7 @@ pub(crate) fn read(
     purpose: Purpose,
 ) -> Result<(SessionShapes, InputFile), SessionError> {
     let io = |e| SessionError::io("reading", path, e);
-    let size = std::fs::metadata(path).map_err(io)?.len();
-    if size > MAX_BYTES {
-        let found = format!("{size} bytes");
-        return Err(InputError::new(name, format!("at most {MAX_BYTES} bytes"), found).into());
-    }
-    let bytes = std::fs::read(path).map_err(io)?;
+    let bytes = read_within(path, MAX_DOCUMENT_BYTES).map_err(io)?;
     let document = parsed(name, &bytes)?;
     let covariance: Vec<Vec<f64>> = document
         .shared_covariance
@@ -144,9 +138,8 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
     let document: Shapes = serde_json::from_slice(bytes).map_err(|e| {
         InputError::new(name, "shapes.json as stereo-shape writes it", e.to_string()).at(e.line())
     })?;
-    if document.format != SHAPES_FORMAT {
-        let found = quote(&document.format);
-        return Err(InputError::new(name, format!("{SHAPES_FORMAT:?}"), found).field("format"));
+    if let Err(why) = format::expect(SHAPES_FORMAT, Some(&document.format)) {
+        return Err(InputError::new(name, "shapes.json of this version", why).field("format"));
     }
     if document.pairs.len() > MAX_PAIRS {
         let found = document.pairs.len().to_string();

@@ -1,14 +1,21 @@
 //! CSV tables: streamed, hashed while read, every cell known by file, line and column.
 
-use crate::error::{InputError, SessionError, quote};
+use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
 use crate::row::Row;
 use crate::units::split_unit;
 use csv::ByteRecord;
 use sha2::{Digest, Sha256};
+use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
+use wcal_core::text::{LATIN_1, other_than_text};
 use wcal_core::{InputFile, Purpose};
+
+/// Longest line that is read, bytes: what is longer was never written as a table.
+const MAX_LINE: u64 = 1 << 22;
+/// Most columns of a table.
+const MAX_COLUMNS: usize = 10_000;
 
 /// Marks the rows of simulated data; a mark is no covariate.
 pub const SIMULATED_COLUMN: &str = "simulated";
@@ -33,14 +40,14 @@ pub(crate) struct Table {
 impl Table {
     /// Opens `path` and reads the header; messages and rows call the file `name`.
     pub(crate) fn open(path: &Path, name: &str) -> Result<Self, SessionError> {
-        let opened = File::open(path).and_then(|file| {
+        let opened = wcal_core::files::open(path).and_then(|file| {
             let mut file = BufReader::with_capacity(1 << 16, file);
-            let wide = matches!(file.fill_buf()?, [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
-            Ok((file, wide))
+            let other = other_than_text(file.fill_buf()?);
+            Ok((file, other))
         });
-        let (file, wide) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
-        if wide {
-            return Err(InputError::new(name, "UTF-8 text", "UTF-16 text").hint("save as CSV UTF-8").into());
+        let (file, other) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
+        if let Some(other) = other {
+            return Err(not_utf8_table(name, other).into());
         }
         let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
         let mut record = ByteRecord::new();
@@ -87,7 +94,7 @@ impl Table {
             let hint = format!("rename {near:?} if its values fit the name {name:?}");
             return Err(self.no_column(name, &format!("a column {near:?}")).hint(hint));
         }
-        Err(self.no_column(name, &format!("the columns {}", self.columns.join(", "))))
+        Err(self.no_column(name, &format!("the columns {}", listed(&self.columns))))
     }
 
     fn no_column(&self, name: &str, found: &str) -> InputError {
@@ -153,10 +160,13 @@ impl Table {
 }
 
 fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
+    if record.len() > MAX_COLUMNS {
+        let expected = format!("at most {MAX_COLUMNS} columns");
+        return Err(InputError::new(name, expected, record.len().to_string()).at(1));
+    }
     let mut columns: Vec<String> = Vec::with_capacity(record.len());
     for field in record {
-        let text = std::str::from_utf8(field)
-            .map_err(|_| InputError::new(name, "UTF-8 text", "other bytes").at(1))?;
+        let text = std::str::from_utf8(field).map_err(|_| not_utf8_table(name, LATIN_1).at(1))?;
         columns.push(text.trim_start_matches('\u{feff}').trim().to_owned());
     }
     if columns.len() == 1 {
@@ -168,26 +178,19 @@ fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
                     format!("fields separated by {called}"),
                 )
                 .at(1)
-                .hint("save as CSV with commas between fields and a dot for decimals"));
+                .hint("wcal import makes a session's table of any other; or save it with commas between fields and a dot for decimals"));
             }
         }
     }
+    let mut first: HashMap<&str, usize> = HashMap::new();
     for (index, column) in columns.iter().enumerate() {
-        if columns[..index].contains(column) {
-            let found = format!(
-                "column {} and column {} both named {}",
-                first(&columns, column),
-                index + 1,
-                quote(column)
-            );
+        if let Some(before) = first.insert(column, index) {
+            let found =
+                format!("column {} and column {} both named {}", before + 1, index + 1, quote(column));
             return Err(InputError::new(name, "every column named once", found).at(1).field(column.clone()));
         }
     }
     Ok(columns)
-}
-
-fn first(columns: &[String], name: &str) -> usize {
-    columns.iter().position(|c| c == name).map_or(0, |i| i + 1)
 }
 
 fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> SessionError {
@@ -213,12 +216,25 @@ impl Lines {
     fn next_record(&mut self, record: &mut ByteRecord) -> std::io::Result<bool> {
         loop {
             self.text.clear();
-            if self.file.read_until(b'\n', &mut self.text)? == 0 {
+            let read = (&mut self.file).take(MAX_LINE + 1).read_until(b'\n', &mut self.text)?;
+            if read == 0 {
                 return Ok(false);
+            }
+            if read as u64 > MAX_LINE {
+                let line = self.line + 1;
+                let found = format!("line {line}: expected at most {MAX_LINE} bytes, found more");
+                return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, found));
             }
             self.digest.update(&self.text);
             self.line += 1;
             let text = self.text.trim_ascii_end();
+            if text.contains(&b'\r') {
+                let line = self.line;
+                let found = format!(
+                    "line {line}: expected lines that end in LF or CR LF, found CR alone (wcal import reads them)"
+                );
+                return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, found));
+            }
             if !text.is_empty() {
                 split_line(text, b',', record);
                 return Ok(true);

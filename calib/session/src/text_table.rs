@@ -1,9 +1,13 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
-use crate::error::{InputError, SessionError, quote};
+use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
 use crate::table::split_line;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
+use wcal_core::text::{Encoding, decoded};
+
+/// Lines that are looked at to tell another separator.
+const LOOK: usize = 20;
 
 /// What stands between fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -19,6 +23,15 @@ pub enum Separator {
     Whitespace,
 }
 
+impl Separator {
+    /// Each with its character, its name in a sentence, and the option of `wcal import` that takes it.
+    const ALL: [(Self, char, &'static str, &'static str); 3] = [
+        (Self::Comma, ',', "commas", "--separator comma"),
+        (Self::Semicolon, ';', "semicolons", "--separator semicolon"),
+        (Self::Tab, '\t', "tabs", "--separator tab"),
+    ];
+}
+
 /// How a foreign table is laid out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TextTableLayout {
@@ -28,6 +41,8 @@ pub struct TextTableLayout {
     pub columns: Option<Vec<String>>,
     /// Separator.
     pub separator: Separator,
+    /// Encoding of the text.
+    pub encoding: Encoding,
     /// Decimals are written with a comma.
     pub decimal_comma: bool,
 }
@@ -44,22 +59,25 @@ pub struct TextTable {
     /// Line in the file and cells.
     pub rows: Vec<(usize, Vec<String>)>,
     decimal_comma: bool,
+    /// The separator that its lines have in place of the stated one.
+    hint: Option<String>,
 }
 
-/// Reads a foreign table.
+/// Reads a foreign table; its lines end in LF, CR LF or CR.
 ///
 /// # Errors
-/// A file that cannot be read, is not UTF-8, has no row, or has a row whose number of fields differs from the header's.
+/// A file that cannot be read, is in another encoding, has no row, or has a row whose number of fields differs from the header's.
 pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
     let file = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|e| SessionError::io("reading", path, e))?;
+    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
     let sha256 = sha256_hex(&bytes);
-    let text =
-        std::str::from_utf8(&bytes).map_err(|_| InputError::new(&file, "UTF-8 text", "other bytes"))?;
-    let text = text.trim_start_matches('\u{feff}');
+    let mut text = decoded(&bytes, layout.encoding).map_err(|other| not_utf8_table(&file, other))?;
+    if text.contains('\r') && !text.contains('\n') {
+        text = text.replace('\r', "\n");
+    }
     let start = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
-    let records = split(&text[start..], layout.separator, layout.skip_lines);
-    let mut records = records.into_iter();
+    let text = &text[start..];
+    let mut records = split(text, layout.separator, layout.skip_lines).into_iter();
     let columns = match &layout.columns {
         Some(names) => names.clone(),
         None => {
@@ -70,9 +88,35 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
         }
     };
     let rows: Vec<_> = records.collect();
-    let table = TextTable { file, sha256, columns, rows, decimal_comma: layout.decimal_comma };
+    let hint = other_separator(text, layout.separator);
+    let table = TextTable { file, sha256, columns, rows, decimal_comma: layout.decimal_comma, hint };
     table.check_widths()?;
     Ok(table)
+}
+
+/// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
+fn other_separator(text: &str, stated: Separator) -> Option<String> {
+    let lines = || text.lines().filter(|line| !line.trim().is_empty()).take(LOOK);
+    let counts = |mark: char| lines().map(move |line| line.matches(mark).count());
+    let own = Separator::ALL.iter().find(|s| s.0 == stated)?.1;
+    let (_, mark, called, option) =
+        *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
+            let first = counts(*mark).next().unwrap_or(0);
+            first > 0 && counts(*mark).all(|n| n == first)
+        })?;
+    // Decimal commas stand in the rows and not in the header.
+    let decimals = lines().skip(1).any(|line| line.split(mark).any(is_decimal_comma));
+    if counts(own).next() != Some(0) || (counts(own).any(|n| n > 0) && !decimals) {
+        return None;
+    }
+    let decimals = if decimals && own == ',' { " --decimal-comma" } else { "" };
+    Some(format!("fields are separated by {called}; wcal import reads them with {option}{decimals}"))
+}
+
+/// `1,5` and `-0,25`.
+fn is_decimal_comma(cell: &str) -> bool {
+    let cell = cell.trim();
+    cell.matches(',').count() == 1 && cell.replace(',', ".").parse::<f64>().is_ok()
 }
 
 fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<String>)> {
@@ -104,10 +148,11 @@ impl TextTable {
         let wanted = self.columns.len();
         match self.rows.iter().find(|(_, cells)| cells.len() != wanted) {
             Some((line, cells)) => {
-                let expected = format!("{wanted} fields ({})", self.columns.join(", "));
+                let expected = format!("{wanted} fields ({})", listed(&self.columns));
                 let error =
                     InputError::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
-                Err(error.hint("check the separator, the lines to skip and the column names"))
+                let usual = "check the separator, the lines to skip and the column names";
+                Err(error.hint(self.hint.as_deref().unwrap_or(usual)))
             }
             None => Ok(()),
         }
@@ -119,8 +164,12 @@ impl TextTable {
     /// Where there is no such column; the message lists those that there are.
     pub fn column(&self, name: &str) -> Result<usize, InputError> {
         self.columns.iter().position(|c| c == name).ok_or_else(|| {
-            let found = format!("the columns {}", self.columns.join(", "));
-            InputError::new(&self.file, format!("a column {name}"), found).field(name)
+            let found = format!("the columns {}", listed(&self.columns));
+            let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
+            match &self.hint {
+                Some(hint) => error.hint(hint),
+                None => error,
+            }
         })
     }
 

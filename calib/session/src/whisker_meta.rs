@@ -7,6 +7,7 @@ use crate::warning::{SessionWarning, WarningKind};
 use nalgebra::Vector3;
 use std::path::Path;
 use wcal_core::observation::RestShape;
+use wcal_core::ranges::{OutOfRange, Range};
 use wcal_core::{FbgSpec, InputFile, MomentAxes, Trajectory, WhiskerSpec};
 
 /// Wavelengths that interrogators of this kind can read, nm.
@@ -14,6 +15,13 @@ pub(crate) const WAVELENGTH_NM: (f64, f64) = (1400.0, 1700.0);
 
 /// Root of a rest shape may lie this far from the base frame's origin, mm.
 const ROOT_TOLERANCE_MM: f64 = 0.05;
+
+/// Numbers that a session may state beside those of `[whisker]`.
+pub(crate) const SESSION_RANGES: &[Range] = &[
+    Range::real("trajectory.origin_mm", -1e5, 1e5),
+    Range::real("temperature_pm_per_degc", -1e4, 1e4),
+    Range::real("reference_temperature_pm_per_degc", -1e4, 1e4),
+];
 
 /// What `session.toml` says of a whisker.
 pub(crate) struct WhiskerMeta {
@@ -68,9 +76,9 @@ fn spec(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerSpec, SessionError> {
-    let length_mm = section.number_in("length_mm", 1.0, 2000.0)?;
-    let straight_mm = section.number_in("straight_mm", 0.0, 2000.0)?;
-    let arc_radius_mm = section.number_in("arc_radius_mm", 0.5, 1e6)?;
+    let length_mm = section.number("length_mm")?;
+    let straight_mm = section.number("straight_mm")?;
+    let arc_radius_mm = section.number("arc_radius_mm")?;
     let inline = section.vectors("rest_shape")?;
     let polyline = match (inline, shape_file) {
         (Some(points), _) => Some(points),
@@ -90,14 +98,22 @@ fn spec(
         }
         None => straight_arc(section, length_mm, straight_mm, arc_radius_mm)?,
     };
-    Ok(WhiskerSpec {
-        diameter_mm: section.required_in("diameter_mm", 0.005, 10.0)?,
-        youngs_gpa: section.required_in("youngs_gpa", 0.001, 1500.0)?,
-        shear_gpa: section.required_in("shear_gpa", 0.0003, 1000.0)?,
-        density_kg_m3: section.number_in("density_kg_m3", 50.0, 25_000.0)?,
+    let required = |key: &str| section.number(key)?.ok_or_else(|| section.error(key, "a number", "nothing"));
+    let whisker = WhiskerSpec {
+        diameter_mm: required("diameter_mm")?,
+        youngs_gpa: required("youngs_gpa")?,
+        shear_gpa: required("shear_gpa")?,
+        density_kg_m3: section.number("density_kg_m3")?,
         rest_shape,
         gravity_direction: section.unit_vector("gravity_direction")?,
-    })
+    };
+    // The shape's keys may stand in a table of their own; the last part is the name in the file.
+    let wrong = |e: OutOfRange| {
+        let key = e.key.rsplit('.').next().unwrap_or_default();
+        section.error(key, e.expected, e.found).hint("check the unit in the key's name")
+    };
+    whisker.check().map_err(wrong)?;
+    Ok(whisker)
 }
 
 fn straight_arc(
@@ -109,10 +125,6 @@ fn straight_arc(
     let needed = |key: &str| section.error(key, "a number, or a rest_shape", "nothing");
     let length_mm = length_mm.ok_or_else(|| needed("length_mm"))?;
     let straight_mm = straight_mm.ok_or_else(|| needed("straight_mm"))?;
-    if straight_mm > length_mm {
-        let expected = format!("at most length_mm = {length_mm}");
-        return Err(section.error("straight_mm", expected, format!("{straight_mm}")));
-    }
     // A wholly straight wire has no arc; any radius describes it.
     let no_arc = (straight_mm >= length_mm).then_some(length_mm);
     let arc_radius_mm = arc_radius_mm.or(no_arc).ok_or_else(|| needed("arc_radius_mm"))?;

@@ -80,7 +80,7 @@ pub fn to_bytes(columns: &[(&str, Column)], about: &[(&str, String)]) -> Result<
 /// # Errors
 /// Where the file is no such table.
 pub fn read(path: &Path) -> Result<BTreeMap<String, Column>, ParquetError> {
-    let file = std::fs::File::open(path).map_err(|e| ParquetError::General(e.to_string()))?;
+    let file = wcal_core::files::open(path).map_err(|e| ParquetError::General(e.to_string()))?;
     let mut columns: BTreeMap<String, Column> = BTreeMap::new();
     for row in SerializedFileReader::new(file)?.get_row_iter(None)? {
         for (name, field) in row?.get_column_iter() {

@@ -123,7 +123,7 @@ impl Dataset {
     /// Where a value cannot be written as JSON.
     pub(crate) fn made_from(&self, mesh: &Mesh) -> Result<String, SimError> {
         let fault = |e: serde_json::Error| SimError::Value {
-            what: "dataset",
+            what: "dataset".to_owned(),
             expected: "values that JSON can hold".to_owned(),
             found: e.to_string(),
         };

@@ -27,7 +27,7 @@ pub enum SimError {
     #[error("{what}: expected {expected}, found {found}")]
     Value {
         /// Which.
-        what: &'static str,
+        what: String,
         /// What it may be.
         expected: String,
         /// What it is.
@@ -65,6 +65,12 @@ pub enum SimError {
         /// How.
         detail: String,
     },
+}
+
+impl From<wcal_core::ranges::OutOfRange> for SimError {
+    fn from(e: wcal_core::ranges::OutOfRange) -> Self {
+        Self::Value { what: e.key, expected: e.expected, found: e.found }
+    }
 }
 
 impl SimError {

@@ -19,6 +19,7 @@ pub mod read;
 pub mod recipe;
 pub mod rod_engine;
 pub mod shard;
+pub mod stl;
 pub mod sweep;
 mod test_objects;
 

@@ -6,6 +6,7 @@
 
 use crate::SimError;
 use crate::grid::Grid;
+use crate::stl::{MAX_TRIANGLES, Stl};
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
 use parry3d_f64::query::{PointProjection, PointQueryWithLocation};
@@ -17,8 +18,8 @@ use wcal_rod::ClosestPoint;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
-/// Largest number of triangles that is read.
-const MAX_TRIANGLES: usize = 5_000_000;
+/// Longest side of several bodies together, mm.
+const APART_MM: f64 = 10_000.0;
 /// Way from a known place below which the grid would tell no more, mm.
 const CLOSE_MM: f64 = 0.7;
 /// Depth up to which a point inside is found, mm.
@@ -67,7 +68,12 @@ impl Mesh {
         let high_mm = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size_mm = (high_mm - low_mm).max();
         if !(SIZE_MM[0]..=SIZE_MM[1]).contains(&size_mm) {
-            return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+            // Bodies far apart, as the solids of one file may lie, are of the right unit where the largest is.
+            let largest_mm =
+                pieces(points.len(), &triangles).iter().map(|p| size_of(&points, p)).fold(0.0, f64::max);
+            if !(size_mm <= APART_MM && (SIZE_MM[0]..=SIZE_MM[1]).contains(&largest_mm)) {
+                return Err(refuse("a longest side of 3 to 2000 mm", format!("{size_mm:.4} mm")));
+            }
         }
         let mut notes = topology(&triangles);
         if notes.is_empty() && volume_mm3(&points, &triangles) < 0.0 {
@@ -104,15 +110,14 @@ impl Mesh {
     /// As [`Self::new`], or where the file cannot be read.
     pub fn read(path: &Path) -> Result<Self, SimError> {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let file = std::fs::File::open(path).map_err(SimError::io("opening", path))?;
-        let stl =
-            stl_io::read_stl(&mut std::io::BufReader::new(file)).map_err(SimError::io("reading", path))?;
-        let mut points: Vec<Vector3<f64>> = stl
-            .vertices
-            .iter()
-            .map(|v| Vector3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2])))
-            .collect();
-        let triangles: Vec<[u32; 3]> = stl.faces.iter().map(|f| f.vertices.map(|k| k as u32)).collect();
+        let bytes = wcal_core::files::read(path).map_err(SimError::io("reading", path))?;
+        let wrong = |found| SimError::Io {
+            action: "reading",
+            path: path.to_owned(),
+            cause: std::io::Error::new(std::io::ErrorKind::InvalidData, found),
+        };
+        let Stl { points, triangles, notes, .. } = Stl::parse(&bytes).map_err(wrong)?;
+        let mut points: Vec<Vector3<f64>> = points.iter().map(|v| Vector3::from(v.map(f64::from))).collect();
         let low = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
         let high = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));
         let size = (high - low).max();
@@ -122,6 +127,7 @@ impl Mesh {
             points.iter_mut().for_each(|p| *p *= 1e3);
         }
         let mut mesh = Self::new(&name, &points, &triangles)?;
+        mesh.notes.extend(notes);
         if metres {
             let note = format!(
                 "expected millimetres, found an object of {size:.4} mm: taken as metres, {:.1} mm",
@@ -311,6 +317,14 @@ fn merged(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> (Vec<Vector3<f64>>
     let triangles: Vec<[u32; 3]> =
         triangles.iter().map(|t| t.map(|k| place[k as usize])).filter(|t| area(t) > 0.0).collect();
     (kept, triangles)
+}
+
+/// Longest side of the box around some triangles, mm.
+fn size_of(points: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
+    let corners = || triangles.iter().flatten().map(|k| points[*k as usize]);
+    let Some(first) = corners().next() else { return 0.0 };
+    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+    (high - low).max()
 }
 
 /// Triangles that hang together by their corners.

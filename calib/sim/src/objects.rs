@@ -78,7 +78,7 @@ pub fn built_in(name: &str) -> Result<Mesh, SimError> {
         ])),
         "wedge" => prism(&[[-30.0, -20.0], [40.0, -20.0], [-30.0, 30.0]], 60.0),
         _ => crate::test_objects::parts(name).ok_or_else(|| SimError::Value {
-            what: "built-in object",
+            what: "built-in object".to_owned(),
             expected: format!(
                 "one of {}, or of the test objects {}",
                 NAMES.join(", "),

@@ -89,7 +89,7 @@ impl PhysicsPlan {
                 return Ok(());
             }
             let (expected, found) = (format!("{least} <= low <= high <= {most}"), format!("[{low}, {high}]"));
-            Err(SimError::Value { what, expected, found })
+            Err(SimError::Value { what: String::from(what), expected, found })
         };
         within("friction", self.friction, 0.0, 2.0)?;
         within("current_mm_s", self.current_mm_s, 0.0, 1000.0)?;
@@ -99,7 +99,7 @@ impl PhysicsPlan {
         }
         if self.medium == Medium::None && (self.weight || self.current_mm_s[1] > 0.0) {
             return Err(SimError::Value {
-                what: "medium",
+                what: "medium".to_owned(),
                 expected: "\"air\" or \"water\" where weight or current_mm_s is given".to_owned(),
                 found: "\"none\"".to_owned(),
             });

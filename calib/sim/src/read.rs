@@ -86,7 +86,7 @@ impl Table {
 /// # Errors
 /// Where the file cannot be read or is not such a table.
 pub fn table(path: &Path) -> Result<Table, SimError> {
-    let file = std::fs::File::open(path).map_err(SimError::io("reading", path))?;
+    let file = wcal_core::files::open(path).map_err(SimError::io("reading", path))?;
     let broken = |detail: String| SimError::Shard { path: path.to_owned(), detail };
     let columns = columns(file).map_err(|e| broken(e.to_string()))?;
     Ok(Table { path: path.to_owned(), columns })

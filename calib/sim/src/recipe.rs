@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::format::is_newer;
 
 /// Name of the file.
 const FILE: &str = "recipe.json";
@@ -54,7 +55,7 @@ impl Recipe {
     /// That of a folder; none where it has none.
     fn read(folder: &Path) -> Result<Option<Self>, SimError> {
         let path = folder.join(FILE);
-        let text = match std::fs::read_to_string(&path) {
+        let text = match wcal_core::files::read_text(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             other => other.map_err(SimError::io("reading", &path))?,
         };
@@ -147,6 +148,10 @@ impl Dataset {
     pub fn check_folder(&self, folder: &Path) -> Result<(), SimError> {
         let own = Recipe::of(self)?;
         let mut differences = match Recipe::read(folder)? {
+            Some(found) if is_newer(FORMAT, &found.format) => {
+                let detail = format!("expected {FORMAT}, found {} of a newer wcal", found.format);
+                return Err(SimError::Shard { path: folder.join(FILE), detail });
+            }
             // What was written by Debug text cannot be compared: refused by name, whatever it says.
             Some(found) if found.format != FORMAT => {
                 return Err(SimError::EarlierRecipe {

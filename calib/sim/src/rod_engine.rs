@@ -78,7 +78,7 @@ impl RodEngine {
     /// Where its rest shape cannot be used.
     pub fn new(whisker: &WhiskerSpec, links: usize) -> Result<Self, SimError> {
         let refuse = |e: wcal_rod::RodError| SimError::Value {
-            what: "whisker",
+            what: "whisker".to_owned(),
             expected: "a wire that can be bent".to_owned(),
             found: e.to_string(),
         };

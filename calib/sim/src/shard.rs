@@ -26,8 +26,10 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::document::from_json;
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
+use wcal_core::ranges::Range;
 use wcal_rod::Contact;
 
 /// Version of the tables.
@@ -63,6 +65,8 @@ pub struct Manifest {
     pub sha256: BTreeMap<String, String>,
 }
 
+const RANGES: &[Range] = &[Range::real("core_s", 0.0, 1e12), Range::whole("", 0.0, 1e12)];
+
 /// Ending of the table with the rod on MuJoCo's sweeps.
 pub const ROD: &str = "rod";
 /// Share of the friction cone below which a contact counts as sticking.
@@ -97,8 +101,9 @@ pub fn done(folder: &Path, name: &str, made_from: &str, sweeps: [u64; 2]) -> Res
 /// # Errors
 /// Where the manifest cannot be read.
 pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
-    let text = std::fs::read_to_string(path).map_err(SimError::io("reading", path))?;
-    serde_json::from_str(&text).map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
+    let text = wcal_core::files::read_text(path).map_err(SimError::io("reading", path))?;
+    from_json(&text, FORMAT, &[RANGES])
+        .map_err(|e| SimError::Shard { path: path.to_owned(), detail: e.to_string() })
 }
 
 /// Compares the tables with their checksums.
@@ -108,7 +113,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest, SimError> {
 pub fn check(folder: &Path, manifest: &Manifest) -> Result<(), SimError> {
     for (table, expected) in &manifest.sha256 {
         let path = folder.join(table);
-        let bytes = std::fs::read(&path).map_err(SimError::io("reading", &path))?;
+        let bytes = wcal_core::files::read(&path).map_err(SimError::io("reading", &path))?;
         let found = sha256_hex(&bytes);
         if found != *expected {
             return Err(SimError::Shard {

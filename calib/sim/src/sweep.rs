@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::f64::consts::FRAC_PI_2;
+use wcal_core::ranges::{self, Range};
 use wcal_rod::{ClosestPoint, Contact, Surface};
 
 /// How sweeps are drawn (docs/src/system.md: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
@@ -70,6 +71,22 @@ impl Turn {
     }
 }
 
+/// More make a sweep of hours.
+const MAX_STEPS: f64 = 1e6;
+
+/// Numbers that a plan may state; what a sweep takes follows from several of them.
+const RANGES: &[Range] = &[
+    Range::real("speed_mm_s", 0.01, 1e4),
+    Range::real("acceleration_mm_s2", 0.0, 1e4),
+    Range::real("rate_hz", 1e-3, 1e5),
+    Range::real("gap_mm", 0.5, 2000.0),
+    Range::real("lead_mm", 0.5, 2000.0),
+    Range::real("most_mm", 0.1, 1e4),
+    Range::real("tail_mm", 1e-3, 1e4),
+    Range::real("step_mm", 1e-3, 100.0),
+    Range::real("most_strain", 1e-6, 1.0),
+];
+
 impl Default for SweepPlan {
     fn default() -> Self {
         Self {
@@ -90,41 +107,43 @@ impl Default for SweepPlan {
 }
 
 impl SweepPlan {
+    /// From a plan file.
+    ///
+    /// # Errors
+    /// Where it is no such file, or a value cannot be.
+    pub fn from_toml(text: &str) -> Result<Self, SimError> {
+        let plan: Self = toml::from_str(text).map_err(|e| SimError::Value {
+            what: "sweep plan".to_owned(),
+            expected: "the keys of a plan".to_owned(),
+            found: e.to_string().trim().to_owned(),
+        })?;
+        plan.check()?;
+        Ok(plan)
+    }
+
     /// # Errors
     /// Where a value cannot be.
     pub fn check(&self) -> Result<(), SimError> {
-        let range = |what, r: [f64; 2], least: f64| {
-            if r[0] >= least && r[1] >= r[0] && r[1].is_finite() {
-                return Ok(());
-            }
-            Err(SimError::Value {
-                what,
-                expected: format!("{least} <= low <= high"),
-                found: format!("{r:?}"),
-            })
-        };
-        range("speed_mm_s", self.speed_mm_s, 0.01)?;
-        range("gap_mm", self.gap_mm, 0.5)?;
-        range("lead_mm", self.lead_mm, 0.5)?;
-        let positive = [
-            ("rate_hz", self.rate_hz),
-            ("most_mm", self.max_travel_mm),
-            ("tail_mm", self.tail_mm),
-            ("step_mm", self.step_mm),
-            ("most_strain", self.max_strain),
-        ];
-        for (what, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(SimError::Value {
-                    what,
-                    expected: "above 0".to_owned(),
-                    found: value.to_string(),
-                });
+        ranges::check_value(self, &[RANGES])?;
+        for (what, r) in [("speed_mm_s", self.speed_mm_s), ("gap_mm", self.gap_mm), ("lead_mm", self.lead_mm)]
+        {
+            if !(r[1] >= r[0]) {
+                let expected = "low <= high".to_owned();
+                return Err(SimError::Value { what: what.to_owned(), expected, found: format!("{r:?}") });
             }
         }
-        if !(self.acceleration_mm_s2 >= 0.0) {
-            let (expected, found) = ("0 or more".to_owned(), self.acceleration_mm_s2.to_string());
-            return Err(SimError::Value { what: "acceleration_mm_s2", expected, found });
+        // Samples and equilibria of one sweep.
+        let samples = self.max_travel_mm / self.speed_mm_s[0] * self.rate_hz;
+        let steps = self.max_travel_mm / self.step_mm;
+        for (what, count) in [("rate_hz", samples), ("step_mm", steps)] {
+            if !(count <= MAX_STEPS) {
+                let expected = format!("at most {MAX_STEPS} samples and steps of the base in a sweep");
+                return Err(SimError::Value {
+                    what: what.to_owned(),
+                    expected,
+                    found: format!("{count:.0}"),
+                });
+            }
         }
         self.physics.check()
     }

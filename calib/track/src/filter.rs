@@ -33,7 +33,7 @@ use crate::inverse::{InverseSolution, StaticInverse};
 use grid_cell::GridCell;
 use nalgebra::{Matrix3, Vector3};
 pub use object_step::ObjectStep;
-pub use settings::{BayesSettings, FilterBank};
+pub use settings::{BayesSettings, FILTER_RANGES, FilterBank};
 use transition::{KnownStep, TransitionModel};
 
 /// Posterior of the contact.

@@ -2,11 +2,12 @@
 
 use crate::classes::{ClassSpread, ObjectClasses};
 use crate::error::TrackError;
-use crate::inverse::{InverseGrid, StaticInverse};
-use crate::network::{FeatureExtractor, NetworkConfig, WhiskerNet, knots};
+use crate::filter::FILTER_RANGES;
+use crate::inverse::{GRID_RANGES, InverseGrid, StaticInverse};
+use crate::network::{FeatureExtractor, NETWORK_RANGES, NetworkConfig, WhiskerNet, knots};
 use crate::sd_factors::SdFactors;
 use crate::tracker::Tracker;
-use crate::train::{Pass, TrainSettings};
+use crate::train::{Pass, TRAINING_RANGES, TrainSettings};
 use crate::train_model::TrainingCost;
 use crate::two_contacts::reliability::PlattMap;
 use burn::store::{ModuleSnapshot, SafetensorsStore};
@@ -17,12 +18,29 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::document::from_json;
 use wcal_core::files::{FileError, write_atomic};
-use wcal_core::observation::WhiskerSpec;
+use wcal_core::observation::{WHISKER_RANGES, WhiskerSpec};
 use wcal_core::provenance::sha256_hex;
+use wcal_core::ranges::Range;
 
 /// Version of the card.
 pub const FORMAT: &str = "wcal-model/1";
+
+/// Numbers of a card itself: factors on standard deviations, and the maps of probabilities.
+const RANGES: &[Range] = &[
+    Range::real("sd_factors", 0.0, 1e6),
+    Range::whole("objects", 0.0, 1e9),
+    Range::whole("epoch", 0.0, 1e9),
+    Range::whole("cores", 0.0, 1e6),
+    Range::whole("sweeps_trained", 0.0, 1e15),
+    Range::real("at_mm", 0.0, 1e6),
+    Range::real("factors", 0.0, 1e6),
+    Range::real("several_maps.slope", -1e6, 1e6),
+    Range::real("several_maps.offset", -1e6, 1e6),
+];
+/// Everything else tells how the network came to be: counts, losses, seconds.
+const REST: &[Range] = &[Range::real("", -1e18, 1e18)];
 
 /// What a model is and where it comes from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -192,7 +210,7 @@ pub fn save(folder: &Path, net: &WhiskerNet, card: &mut Card) -> Result<(), Trac
     let mut store =
         SafetensorsStore::from_file(&part).clear_metadata().metadata("producer", "wcal").overwrite(true);
     net.save_into(&mut store).map_err(TrackError::file("writing", &weights))?;
-    let bytes = std::fs::read(&part).map_err(TrackError::file("reading", &part))?;
+    let bytes = wcal_core::files::read(&part).map_err(TrackError::file("reading", &part))?;
     write_atomic(&weights, &bytes).map_err(refused)?;
     std::fs::remove_file(&part).map_err(TrackError::file("removing", &part))?;
     card.weights_sha256 = sha256_hex(&bytes);
@@ -212,11 +230,11 @@ pub fn read_card(folder: &Path) -> Result<Card, TrackError> {
 /// Card and weights.
 fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
     let path = folder.join("model.json");
-    let text = std::fs::read_to_string(&path).map_err(TrackError::file("reading", &path))?;
-    let card: Card = serde_json::from_str(&text).map_err(TrackError::file("reading", &path))?;
-    if card.format != FORMAT {
-        return Err(TrackError::value(format!("{}: format", path.display()), FORMAT, card.format));
-    }
+    let text = wcal_core::files::read_text(&path).map_err(TrackError::file("reading", &path))?;
+    let ranges = [RANGES, NETWORK_RANGES, GRID_RANGES, TRAINING_RANGES, FILTER_RANGES, WHISKER_RANGES, REST];
+    let card: Card = from_json(&text, FORMAT, &ranges).map_err(TrackError::file("reading", &path))?;
+    card.network.check().map_err(TrackError::file("reading", &path))?;
+    card.whisker.check().map_err(TrackError::file("reading", &path))?;
     let filters = card.training.filters();
     if card.network.check_filters(&filters).is_err() {
         let count = |two: bool| if two { "two" } else { "one" };
@@ -225,13 +243,38 @@ fn read_files(folder: &Path) -> Result<(Card, Vec<u8>), TrackError> {
         return Err(TrackError::value(what, format!("{expected}, as the network weighs"), found));
     }
     let weights = folder.join("model.safetensors");
-    let bytes = std::fs::read(&weights).map_err(TrackError::file("reading", &weights))?;
+    let bytes = wcal_core::files::read(&weights).map_err(TrackError::file("reading", &weights))?;
     let found = sha256_hex(&bytes);
     if found != card.weights_sha256 {
         let what = format!("{}: SHA-256", weights.display());
         return Err(TrackError::value(what, card.weights_sha256, found));
     }
+    check_finite(&bytes).map_err(TrackError::file("reading", &weights))?;
     Ok((card, bytes))
+}
+
+/// Refuses weights that are no numbers: every answer would be none.
+///
+/// A safetensors file: the length of its header (u64), the header (JSON: name, type and place of each tensor), the numbers, all little-endian.
+fn check_finite(bytes: &[u8]) -> Result<(), String> {
+    let cut_off = "expected weights in the safetensors format, found a file that is cut off";
+    let (length, rest) = bytes.split_first_chunk::<8>().ok_or(cut_off)?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| cut_off)?;
+    let (header, numbers) = rest.split_at_checked(length).ok_or(cut_off)?;
+    let header: serde_json::Value = serde_json::from_slice(header).map_err(|e| e.to_string())?;
+    for (name, about) in header.as_object().ok_or(cut_off)?.iter().filter(|(name, _)| *name != "__metadata__")
+    {
+        if about["dtype"] != "F32" {
+            return Err(format!("{name}: expected numbers of type F32, found {}", about["dtype"]));
+        }
+        let at = |k: usize| about["data_offsets"][k].as_u64().and_then(|at| usize::try_from(at).ok());
+        let part = at(0).zip(at(1)).and_then(|(from, to)| numbers.get(from..to)).ok_or(cut_off)?;
+        let finite = |four: &[u8]| f32::from_le_bytes([four[0], four[1], four[2], four[3]]).is_finite();
+        if let Some(k) = part.chunks_exact(4).position(|four| !finite(four)) {
+            return Err(format!("{name}, number {}: expected a finite weight, found NaN or infinity", k + 1));
+        }
+    }
+    Ok(())
 }
 
 /// Reads a model; its card is checked against the weights.

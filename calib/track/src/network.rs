@@ -17,7 +17,7 @@ mod widest;
 
 pub use attention_bias::attention_bias;
 pub(crate) use config::PLACE_SCALE_MM;
-pub use config::{COMMON_INPUTS, NetworkConfig};
+pub use config::{COMMON_INPUTS, NETWORK_RANGES, NetworkConfig};
 pub use features::{FeatureExtractor, INITIAL_LOG_FLOOR, Token, knot_weights, knots};
 pub use kv_cache::KvCache;
 pub use model::{Output, Prediction, WhiskerNet};

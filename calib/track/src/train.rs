@@ -28,7 +28,7 @@ mod window;
 
 use loss::loss;
 pub(crate) use sensor_errors::{SensorErrors, uniform};
-pub use settings::{Pass, TrainSettings, best};
+pub use settings::{Pass, TRAINING_RANGES, TrainSettings, best};
 
 /// Sweep series by their use.
 #[derive(Debug, Clone, Copy)]

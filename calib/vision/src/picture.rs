@@ -51,7 +51,7 @@ impl Picture {
 
     fn decode(path: &Path, colours_allowed: bool) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let bytes = std::fs::read(path).map_err(|source| VisionError::Io {
+        let bytes = wcal_core::files::read(path).map_err(|source| VisionError::Io {
             action: "read",
             path: name.clone(),
             source,

@@ -5,6 +5,9 @@ use crate::rigid::pose_from_rows;
 use nalgebra::{Isometry3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
+use wcal_core::document::{DocumentError, from_toml};
+use wcal_core::observation::WHISKER_RANGES;
+use wcal_core::rig_devices::{RIG_FORMAT, RIG_RANGES};
 
 #[derive(Deserialize)]
 struct RigFile {
@@ -98,7 +101,7 @@ impl Rig {
     /// Where the file is missing, no TOML, or a field is missing or out of range.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+        let text = wcal_core::files::read_text(path).map_err(|source| VisionError::Io {
             action: "read",
             path: name.clone(),
             source,
@@ -111,25 +114,20 @@ impl Rig {
     /// # Errors
     /// As [`Rig::read`].
     pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
-        let file: RigFile = toml::from_str(text)
-            .map_err(|e| VisionError::content(name, "a rig with [whisker] and [[tags]]", e.to_string()))?;
-        let positive = |field: &str, value: f64| {
-            if value.is_finite() && value > 0.0 {
-                Ok(value)
-            } else {
-                Err(VisionError::content(name, format!("{field} > 0"), value.to_string()))
-            }
-        };
+        let file: RigFile =
+            from_toml(text, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES]).map_err(|e| match e {
+                DocumentError::Range(e) => {
+                    VisionError::content(name, format!("{}: {}", e.key, e.expected), e.found)
+                }
+                other => VisionError::content(name, "a rig with [whisker] and [[tags]]", other.to_string()),
+            })?;
         let w = file.whisker;
-        let length_mm = positive("whisker.length_mm", w.length_mm)?;
+        let length_mm = w.length_mm;
         let whisker = RigWhisker {
-            diameter_mm: positive("whisker.diameter_mm", w.diameter_mm)?,
+            diameter_mm: w.diameter_mm,
             length_mm,
             straight_mm: w.straight_mm.unwrap_or(length_mm),
-            arc_curvature_per_mm: match w.arc_radius_mm {
-                Some(r) => 1.0 / positive("whisker.arc_radius_mm", r)?,
-                None => 0.0,
-            },
+            arc_curvature_per_mm: w.arc_radius_mm.map_or(0.0, |radius_mm| 1.0 / radius_mm),
         };
         let tags = file
             .tags
@@ -145,13 +143,7 @@ impl Rig {
                         )
                     })?),
                 };
-                Ok(RigTag {
-                    id: t.id,
-                    size_mm: positive("tags.size_mm", t.size_mm)?,
-                    family: t.family,
-                    body: t.body,
-                    base_from_tag,
-                })
+                Ok(RigTag { id: t.id, size_mm: t.size_mm, family: t.family, body: t.body, base_from_tag })
             })
             .collect::<Result<Vec<_>, VisionError>>()?;
         if !tags.iter().any(|t| t.base_from_tag.is_some()) {
@@ -165,16 +157,6 @@ impl Rig {
                 width_along_wire_mm: g.width_along_wire_mm.unwrap_or(0.0),
             })
         });
-        if let Some(g) = &groove {
-            if !(g.half_angle_deg > 0.0 && g.half_angle_deg < 90.0) {
-                let found = g.half_angle_deg.to_string();
-                return Err(VisionError::content(name, "groove.half_angle_deg between 0 and 90", found));
-            }
-            if !(g.width_along_wire_mm >= 0.0 && g.width_along_wire_mm.is_finite()) {
-                let found = g.width_along_wire_mm.to_string();
-                return Err(VisionError::content(name, "groove.width_along_wire_mm >= 0", found));
-            }
-        }
         if let Some(g) = &groove
             && !tags.iter().any(|t| t.id == g.tag)
         {

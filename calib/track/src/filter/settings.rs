@@ -1,6 +1,7 @@
 //! Parameters of the Bayes filters below a network; `filter` and `filter::transition` have the equations that they enter.
 
 use serde::{Deserialize, Serialize};
+use wcal_core::ranges::Range;
 
 /// Largest number of hypotheses for the coefficient of friction.
 const MAX_FRICTIONS: usize = 3;
@@ -112,6 +113,73 @@ pub struct BayesSettings {
     /// Share of a speed's weight that moves to each neighbour in one second.
     pub speed_change_per_s: f64,
 }
+
+/// Numbers that the settings may state: sizes, shares and probabilities as they are named above.
+pub const FILTER_RANGES: &[Range] = &[
+    Range::real("onset_nmm", 0.0, 1e3),
+    Range::real("noise_nmm", 1e-9, 1e3),
+    Range::real("constraint_sd_mm", 1e-9, 1e3),
+    Range::real("rule_mm", 1e-9, 1e3),
+    Range::real("constraint_sd_share", 0.0, 1e3),
+    Range::real("rule_share", 0.0, 1e3),
+    Range::real("friction", 0.0, 10.0),
+    Range::real("friction_sd", 1e-9, 10.0),
+    Range::real("turn_share", 0.0, 1e3),
+    Range::real("edge", 0.0, 1e3),
+    Range::real("outlier_fraction", 0.0, 1.0),
+    Range::real("wide", 0.0, 1.0),
+    Range::real("outlier_sd_mm", 1e-9, 1e3),
+    Range::real("wide_mm", 1e-9, 1e3),
+    Range::real("outlier_sd_share", 0.0, 1e3),
+    Range::real("wide_share", 0.0, 1e3),
+    Range::real("perturbed_fraction", 0.0, 1.0),
+    Range::real("unsteady_share", 0.0, 1.0),
+    Range::real("reset_fraction", 0.0, 1.0),
+    Range::real("changed_share", 0.0, 1.0),
+    Range::real("tip_uniform_fraction", 0.0, 1.0),
+    Range::real("turn_any", 0.0, 1.0),
+    Range::real("sharp_fraction", 0.0, 1.0),
+    Range::real("sharp_share", 0.0, 1.0),
+    Range::real("jump_per_mm", 0.0, 1e3),
+    Range::real("spring_per_mm", 0.0, 1e3),
+    Range::real("jump_back_fraction", 0.0, 1.0),
+    Range::real("spring_back", 0.0, 1.0),
+    Range::real("jump_anywhere_fraction", 0.0, 1.0),
+    Range::real("spring_anywhere", 0.0, 1.0),
+    Range::real("jump_to_tip_fraction", 0.0, 1.0),
+    Range::real("spring_to_tip", 0.0, 1.0),
+    Range::real("jump_at_tip_fraction", 0.0, 1.0),
+    Range::real("spring_at_tip", 0.0, 1.0),
+    Range::real("speed_mm_s", 1e-6, 1e5),
+    Range::whole("speeds", 1.0, 200.0),
+    Range::real("speed_change_per_s", 0.0, 1e3),
+    Range::real("constant_velocity", 0.0, 1e3),
+    Range::real("steady", 0.0, 1e3),
+    Range::real("perturbed", 0.0, 1e3),
+    Range::real("unsteady", 0.0, 1e3),
+    Range::real("reset", 0.0, 1e3),
+    Range::real("changed", 0.0, 1e3),
+    Range::real("reset_mean", 0.0, 1e3),
+    Range::real("changed_mean", 0.0, 1e3),
+    Range::real("tip_constant_velocity", 0.0, 1e3),
+    Range::real("tip_steady", 0.0, 1e3),
+    Range::real("tip_perturbed", 0.0, 1e3),
+    Range::real("tip_unsteady", 0.0, 1e3),
+    Range::real("tip_reset", 0.0, 1e3),
+    Range::real("tip_changed", 0.0, 1e3),
+    Range::real("turn", 0.0, 1e3),
+    Range::real("bend", 0.0, 1e3),
+    Range::real("sharp_turn", 0.0, 1e3),
+    Range::real("sharp", 0.0, 1e3),
+    Range::real("first_contact_at", 1e-6, 10.0),
+    Range::real("touch_at", 1e-6, 10.0),
+    Range::real("jump_path_mm", 1e-6, 1e3),
+    Range::real("spring_mm", 1e-6, 1e3),
+    Range::real("jump_off_mm", 1e-6, 1e3),
+    Range::real("spring_off_mm", 1e-6, 1e3),
+    Range::real("jump_turn_rad", 0.0, 1e3),
+    Range::real("spring_turn", 0.0, 1e3),
+];
 
 impl BayesSettings {
     /// For objects with friction: three coefficients as hypotheses, and larger uncertainties of constraint and moments, which friction along

@@ -3,6 +3,7 @@
 use crate::error::TrackError;
 use crate::filter::FilterBank;
 use serde::{Deserialize, Serialize};
+use wcal_core::ranges::Range;
 
 /// Inputs that do not belong to a node; they come first.
 pub const COMMON_INPUTS: usize = 9;
@@ -35,6 +36,21 @@ pub struct NetworkConfig {
     #[serde(default)]
     pub two_filters: bool,
 }
+
+/// Numbers that a configuration may state.
+pub const NETWORK_RANGES: &[Range] = &[
+    Range::whole("network.inputs", 1.0, 65_536.0),
+    Range::whole("network.nodes", 0.0, 4096.0),
+    Range::whole("network.encoder", 1.0, 4096.0),
+    Range::whole("network.layers", 1.0, 64.0),
+    Range::whole("network.heads", 1.0, 64.0),
+    Range::whole("network.width", 1.0, 4096.0),
+    Range::whole("network.feed_forward", 1.0, 16_384.0),
+    Range::real("network.dropout", 0.0, 0.99),
+    Range::whole("network.context", 2.0, 8192.0),
+];
+/// The paper's network has 1.2 million, and the largest here is tried in days.
+const MAX_PARAMETERS: usize = 20_000_000;
 
 impl NetworkConfig {
     /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
@@ -119,7 +135,20 @@ impl NetworkConfig {
                 format!("{self:?}"),
             ));
         }
+        let parameters = self.parameters();
+        if parameters > MAX_PARAMETERS {
+            let expected = format!("sizes that make at most {MAX_PARAMETERS} parameters");
+            return Err(TrackError::value("network", expected, format!("about {parameters}")));
+        }
         Ok(())
+    }
+
+    /// Parameters, biases and norms left out.
+    fn parameters(&self) -> usize {
+        let layer = self.width * (4 * self.width + 2 * self.feed_forward);
+        self.encoder * (self.inputs + self.encoder + self.width)
+            + self.layers * layer
+            + self.width * self.outputs()
     }
 
     /// # Errors

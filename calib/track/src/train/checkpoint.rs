@@ -47,7 +47,7 @@ pub(super) fn resume(
     if !state_file.exists() {
         return Ok(fresh);
     }
-    let text = std::fs::read_to_string(&state_file).map_err(TrackError::file("reading", &state_file))?;
+    let text = wcal_core::files::read_text(&state_file).map_err(TrackError::file("reading", &state_file))?;
     let made: CheckpointState =
         serde_json::from_str(&text).map_err(TrackError::file("reading", &state_file))?;
     if made.network != *network || made.settings != *settings {

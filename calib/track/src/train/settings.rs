@@ -2,6 +2,24 @@
 
 use crate::filter::{BayesSettings, FilterBank};
 use serde::{Deserialize, Serialize};
+use wcal_core::ranges::Range;
+
+/// Numbers that a training may state.
+pub const TRAINING_RANGES: &[Range] = &[
+    Range::whole("training.epochs", 0.0, 1e6),
+    Range::whole("training.batch", 1.0, 65_536.0),
+    Range::whole("training.window", 1.0, 65_536.0),
+    Range::real("training.rate", 0.0, 10.0),
+    Range::whole("training.patience", 0.0, 1e6),
+    Range::whole("training.passes_per_draw", 0.0, 1e6),
+    Range::whole("training.reuse", 0.0, 1e6),
+    Range::real("training.speed_known", 0.0, 1.0),
+    Range::real("training.time_factor", 1e-3, 1e3),
+    Range::real("training.noise_nmm", 0.0, 1e3),
+    Range::real("training.gain", 0.0, 1.0),
+    Range::real("training.drift_nmm_s", 0.0, 1e3),
+    Range::whole("training.seed", 0.0, 1.9e19),
+];
 
 /// How a network is trained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -8,9 +8,25 @@ use crate::stereo::StereoCameras;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use wcal_core::document::from_json;
+use wcal_core::ranges::{self, Range};
 
 /// Format tag of `stereo.json`.
 pub const STEREO_FORMAT: &str = "wcal-stereo/1";
+
+/// Numbers that cameras may have, whichever program calibrated them; a picture has 16 px at least, and a lens of 1 px focal length sees all.
+const RANGES: &[Range] = &[
+    Range::whole("image_size_px", 16.0, 65_536.0),
+    Range::real("K", -1e6, 1e6),
+    Range::real("coefficients", -1e5, 1e5),
+    Range::real("right_from_left", -1e6, 1e6),
+    Range::real("square_mm", 0.0, 1e5),
+    Range::whole("board.columns", 0.0, 1000.0),
+    Range::whole("board.rows", 0.0, 1000.0),
+    Range::whole("held_out.corners", 0.0, 1e9),
+    Range::whole("provenance.seed", 0.0, 1.9e19),
+    Range::real("", -1e18, 1e18),
+];
 
 /// Lens distortion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -129,11 +145,8 @@ impl StereoDocument {
     /// # Errors
     /// Where it is no such document, or not physical.
     pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
-        let document: Self = serde_json::from_str(text)
+        let document: Self = from_json(text, STEREO_FORMAT, &[RANGES])
             .map_err(|e| VisionError::content(name, "a stereo.json document", e.to_string()))?;
-        if document.format != STEREO_FORMAT {
-            return Err(VisionError::content(name, format!("format \"{STEREO_FORMAT}\""), document.format));
-        }
         document.stereo_cameras().map_err(|why| VisionError::content(name, "physical cameras", why))?;
         Ok(document)
     }
@@ -143,6 +156,8 @@ impl StereoDocument {
     /// # Errors
     /// A sentence.
     pub fn stereo_cameras(&self) -> Result<StereoCameras, String> {
+        // Cameras of other programs come without a stereo.json.
+        ranges::check_value(self, &[RANGES]).map_err(|e| e.to_string())?;
         if self.cameras.len() != 2 {
             return Err(format!("2 cameras expected, {} found", self.cameras.len()));
         }
@@ -170,9 +185,9 @@ impl StereoDocument {
                 distortion,
             };
             let p = camera.parameters();
-            if p.iter().any(|v| !v.is_finite()) || p[0] <= 0.0 || p[1] <= 0.0 {
+            if p.iter().any(|v| !v.is_finite()) || !(p[0] >= 1.0 && p[1] >= 1.0) {
                 return Err(format!(
-                    "camera {}: positive focal lengths expected, {} and {} found",
+                    "camera {}: K: focal lengths of 1 px or more expected, {} and {} found",
                     c.name, p[0], p[1]
                 ));
             }

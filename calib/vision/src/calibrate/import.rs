@@ -115,7 +115,7 @@ pub fn read_cameras(paths: &[PathBuf]) -> Result<StereoDocument, VisionError> {
     let texts = paths
         .iter()
         .map(|path| {
-            std::fs::read_to_string(path).map_err(|source| VisionError::Io {
+            wcal_core::files::read_text(path).map_err(|source| VisionError::Io {
                 action: "read",
                 path: path.display().to_string(),
                 source,

@@ -7,9 +7,58 @@ pub use cameras::{CameraErrors, CameraScenario};
 use super::faults::ScheduledFault;
 use super::unit::UnitSpec;
 use serde::Deserialize;
+use wcal_core::document::from_toml;
+use wcal_core::observation::WHISKER_RANGES;
+use wcal_core::ranges::Range;
 
 /// `format` of the scenario file.
 pub const FORMAT: &str = "wcal-scenario/1";
+
+/// Numbers that a scenario may state, where a wrong one would stop or drown the bench.
+const RANGES: &[Range] = &[
+    Range::whole("seed", 0.0, 1.9e19),
+    Range::real("speed", 1e-3, 1e3),
+    Range::whole("baud", 300.0, 1e7),
+    Range::real("microstep_um", 1e-6, 1e3),
+    Range::whole("limit_steps", 1.0, 1e12),
+    Range::real("max_speed_mm_s", 1e-3, 1e4),
+    Range::real("acceleration_mm_s2", 1e-2, 1e6),
+    Range::real("start_mm", -1e5, 1e5),
+    Range::real("zero_mm", -1e5, 1e5),
+    Range::whole("steps_per_trajectory", -1e9, 1e9),
+    Range::real("interrogator.rate_hz", 0.1, 1e5),
+    Range::real("noise_pm", 0.0, 1e6),
+    Range::whole("split_bytes", 0.0, 1e9),
+    Range::whole("buffer", 1.0, 1e8),
+    Range::real("nominal_nm", 400.0, 2500.0),
+    Range::real("reference_nominal_nm", 400.0, 2500.0),
+    Range::real("trajectory.origin_mm", -1e4, 1e4),
+    Range::real("trajectory.direction", -1e3, 1e3),
+    Range::whole("trajectory.id", 0.0, 4e9),
+    Range::real("backlash_um", 0.0, 1e6),
+    Range::real("start_degc", -273.0, 1e3),
+    Range::real("swing_period_s", 1e-3, 1e9),
+    Range::real("creep_s", 0.0, 1e9),
+    Range::real("lag_ms", 0.0, 1e5),
+    Range::whole("cameras.count", 0.0, 2.0),
+    Range::real("cameras.rate_hz", 1e-2, 1e3),
+    Range::whole("size_px", 16.0, 4096.0),
+    Range::real("skew_ms", -1e5, 1e5),
+    Range::whole("moving_binning", 1.0, 4096.0),
+    Range::real("exposure", 1e-6, 1e6),
+    Range::real("blur_px", 0.0, 100.0),
+    Range::real("noise_dn", 0.0, 1e3),
+    Range::real("uneven_light", -1.0, 1.0),
+    Range::whole("board_views", 0.0, 1000.0),
+    Range::whole("board_corners", 2.0, 200.0),
+    Range::real("board_square_mm", 1e-2, 1e4),
+    Range::real("board_scale", 1e-3, 1e3),
+    Range::real("fault.at_s", 0.0, 1e9),
+    Range::real("fault.seconds", 0.0, 1e9),
+    Range::whole("fault.count", 0.0, 1e12),
+];
+/// Sizes of effects and faults.
+const REST: &[Range] = &[Range::real("", -1e9, 1e9)];
 
 /// A whole scenario; every part has defaults.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -68,21 +117,9 @@ impl Scenario {
     /// # Errors
     /// Field, what was expected and what was found.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let scenario: Self = toml::from_str(text).map_err(|e| e.to_string())?;
-        let positive = [
-            ("speed", scenario.speed),
-            ("interrogator.rate_hz", scenario.interrogator.rate_hz),
-            ("whisker.diameter_mm", scenario.whisker.diameter_mm),
-            ("stage.unit.microstep_um", scenario.stage.unit.microstep_um),
-            ("cameras.rate_hz", scenario.cameras.rate_hz),
-            ("cameras.exposure", scenario.cameras.exposure),
-            ("cameras.board_square_mm", scenario.cameras.board_square_mm),
-            ("cameras.errors.board_scale", scenario.cameras.errors.board_scale),
-        ];
+        let scenario: Self =
+            from_toml(text, FORMAT, &[RANGES, WHISKER_RANGES, REST]).map_err(|e| e.to_string())?;
         let camera_sizes = scenario.cameras.size_px;
-        if camera_sizes.iter().any(|s| !(16..=4096).contains(s)) {
-            return Err(format!("cameras.size_px: expected 16 to 4096 px, found {camera_sizes:?}"));
-        }
         let binning = scenario.cameras.moving_binning;
         if binning == 0 || camera_sizes.iter().any(|s| s % binning != 0) {
             return Err(format!(
@@ -92,11 +129,9 @@ impl Scenario {
         if ![0, 2].contains(&scenario.cameras.count) {
             return Err(format!("cameras.count: expected 0 or 2, found {}", scenario.cameras.count));
         }
-        if scenario.format != FORMAT {
-            return Err(format!("format: expected {FORMAT}, found {}", scenario.format));
-        }
-        if let Some((name, value)) = positive.iter().find(|(_, v)| !(*v > 0.0 && v.is_finite())) {
-            return Err(format!("{name}: expected a number above 0, found {value}"));
+        let w = &scenario.whisker;
+        if w.straight_mm > w.length_mm || w.shear_gpa >= w.youngs_gpa {
+            return Err(format!("whisker: expected straight_mm within length_mm and G below E, found {w:?}"));
         }
         if let Some(t) = scenario.trajectory.iter().find(|t| norm(t.direction) < 1e-6) {
             return Err(format!("trajectory {}: expected a direction, found a zero vector", t.id));

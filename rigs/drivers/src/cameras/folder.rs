@@ -78,7 +78,7 @@ impl Camera for FolderCamera {
             let kind = DeviceErrorKind::Protocol;
             DeviceError::new(kind, format!("camera {}", path.display()), "read", "a P5 picture", found)
         };
-        let bytes = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
+        let bytes = wcal_core::files::read(path).map_err(|e| bad(e.to_string()))?;
         let (width_px, height_px, grey) = parse_pgm(&bytes).map_err(bad)?;
         let taken_s = *number as f64 * self.period_s;
         Ok(CameraFrame {

@@ -1,0 +1,153 @@
+//! Text as other programs write it: which encoding it has, and which way leads to UTF-8.
+
+const SAVE: &str = "save it as UTF-8";
+/// Bytes that are read to recognise what they are.
+const START: usize = 4096;
+
+/// What stands where UTF-8 text was expected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("expected UTF-8 text, found {found} ({way_out})")]
+pub struct NotUtf8 {
+    /// What it is.
+    pub found: &'static str,
+    /// What to do.
+    pub way_out: &'static str,
+    /// Option of `wcal import` that reads a table so, where there is one.
+    pub option: Option<&'static str>,
+}
+
+/// The other encodings that are read on request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Encoding {
+    /// UTF-8, with or without a byte order mark.
+    #[default]
+    Utf8,
+    /// Latin-1 (ISO 8859-1) and what Windows-1252 adds to it.
+    Latin1,
+    /// UTF-16, by its byte order mark; little-endian without one.
+    Utf16,
+}
+
+/// What the first bytes of a file are that is no UTF-8 text by its beginning; none where it may be.
+#[must_use]
+pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
+    let start = &bytes[..bytes.len().min(START)];
+    let sheet = "save the sheet as CSV UTF-8";
+    let says = |found, way_out| Some(NotUtf8 { found, way_out, option: None });
+    let utf16 = || Some(NotUtf8 { found: "UTF-16 text", way_out: SAVE, option: Some("--encoding utf-16") });
+    match start {
+        [b'P', b'K', 3, 4, ..] => says("a spreadsheet (.xlsx, .ods) or another zip archive", sheet),
+        [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet),
+        [0x1f, 0x8b, ..] => says("a gzip archive", "unpack it first"),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => utf16(),
+        _ if !start.contains(&0) => None,
+        // Western text in UTF-16 without a mark: every other byte is zero.
+        _ if start.chunks_exact(2).filter(|pair| pair.contains(&0)).count() * 5 > start.len() * 2
+            && start.iter().filter(|byte| **byte == 0).count() * 5 < start.len() * 3 =>
+        {
+            utf16()
+        }
+        _ => says("binary data", "expected is a file of text"),
+    }
+}
+
+/// UTF-8 text without its byte order mark.
+///
+/// # Errors
+/// What the bytes are instead.
+pub fn utf8(bytes: &[u8]) -> Result<&str, NotUtf8> {
+    if let Some(other) = other_than_text(bytes) {
+        return Err(other);
+    }
+    let text = std::str::from_utf8(bytes).map_err(|_| LATIN_1)?;
+    Ok(text.strip_prefix('\u{feff}').unwrap_or(text))
+}
+
+/// Bytes that are text, and not in UTF-8.
+pub const LATIN_1: NotUtf8 =
+    NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, option: Some("--encoding latin1") };
+
+/// Text in a stated encoding.
+///
+/// # Errors
+/// Where the bytes are in another one.
+pub fn decoded(bytes: &[u8], encoding: Encoding) -> Result<String, NotUtf8> {
+    let odd = NotUtf8 { found: "no UTF-16 text", way_out: "state another --encoding", option: None };
+    match encoding {
+        Encoding::Utf8 => utf8(bytes).map(str::to_owned),
+        Encoding::Latin1 => match other_than_text(bytes) {
+            Some(other) => Err(other),
+            None => Ok(bytes.iter().map(|byte| latin1(*byte)).collect()),
+        },
+        Encoding::Utf16 => {
+            let (bytes, big) = match bytes {
+                [0xfe, 0xff, rest @ ..] => (rest, true),
+                [0xff, 0xfe, rest @ ..] => (rest, false),
+                _ => (bytes, false),
+            };
+            let wide = if big { u16::from_be_bytes } else { u16::from_le_bytes };
+            if bytes.len() % 2 == 1 {
+                return Err(odd);
+            }
+            let units = bytes.chunks_exact(2).map(|pair| wide([pair[0], pair[1]]));
+            let text: String = char::decode_utf16(units).collect::<Result<_, _>>().map_err(|_| odd)?;
+            // UTF-8 taken for UTF-16 becomes letters of other scripts and no line ends.
+            if text.contains('\n') || text.contains('\r') { Ok(text) } else { Err(odd) }
+        }
+    }
+}
+
+/// A byte as a character; 0x80 to 0x9f are control characters in Latin-1 and signs in Windows-1252.
+fn latin1(byte: u8) -> char {
+    const WINDOWS: [char; 32] = [
+        '\u{20ac}', '\u{81}', '\u{201a}', '\u{192}', '\u{201e}', '\u{2026}', '\u{2020}', '\u{2021}',
+        '\u{2c6}', '\u{2030}', '\u{160}', '\u{2039}', '\u{152}', '\u{8d}', '\u{17d}', '\u{8f}', '\u{90}',
+        '\u{2018}', '\u{2019}', '\u{201c}', '\u{201d}', '\u{2022}', '\u{2013}', '\u{2014}', '\u{2dc}',
+        '\u{2122}', '\u{161}', '\u{203a}', '\u{153}', '\u{9d}', '\u{17e}', '\u{178}',
+    ];
+    match byte {
+        0x80..=0x9f => WINDOWS[usize::from(byte - 0x80)],
+        _ => char::from(byte),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn utf16(text: &str, mark: bool) -> Vec<u8> {
+        let units = mark.then_some(0xfeff).into_iter().chain(text.encode_utf16());
+        units.flat_map(u16::to_le_bytes).collect()
+    }
+
+    #[test]
+    fn each_encoding_is_named_and_read_on_request() {
+        let text = "Force (N),T (\u{b0}C)\n1,2\n";
+        assert_eq!(utf8(format!("\u{feff}{text}").as_bytes()), Ok(text));
+        let latin: Vec<u8> = text.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect();
+        assert_eq!(utf8(&latin), Err(LATIN_1));
+        assert_eq!(decoded(&latin, Encoding::Latin1).as_deref(), Ok(text));
+        for wide in [utf16(text, true), utf16(text, false)] {
+            assert_eq!(utf8(&wide).unwrap_err().found, "UTF-16 text");
+            assert_eq!(decoded(&wide, Encoding::Utf16).unwrap().trim_start_matches('\u{feff}'), text);
+            assert!(decoded(&wide, Encoding::Latin1).is_err(), "each byte a letter, every other one zero");
+        }
+        let swapped: Vec<u8> = utf16(text, true).chunks(2).flat_map(|pair| [pair[1], pair[0]]).collect();
+        assert_eq!(decoded(&swapped, Encoding::Utf16).as_deref(), Ok(text));
+        assert!(decoded(text.as_bytes(), Encoding::Utf16).is_err());
+        assert_eq!(decoded(b"\x80\x99", Encoding::Latin1).as_deref(), Ok("\u{20ac}\u{2122}"));
+    }
+
+    #[test]
+    fn archives_and_other_bytes_are_named() {
+        for (bytes, found) in [
+            (&b"PK\x03\x04xl/workbook"[..], ".xlsx"),
+            (b"\xd0\xcf\x11\xe0\xa1\xb1", ".xls"),
+            (b"\x1f\x8b\x08", "gzip"),
+            (b"\x00\x01\x02\x03\x00\x00\x00\x07", "binary"),
+        ] {
+            assert!(utf8(bytes).unwrap_err().found.contains(found), "{found}");
+        }
+        assert_eq!(utf8(b""), Ok(""));
+    }
+}

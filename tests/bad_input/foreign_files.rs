@@ -1,0 +1,304 @@
+//! Tables and meshes as other programs write them: read, or named with the option that reads them.
+
+use super::*;
+
+const TEXT: &str =
+    "Force (N),Signal (mV/V),Temp (\u{b0}C)\n0,-0.00001,21.3\n500,0.20026,21.3\n1000,0.40095,21.31\n";
+const COLUMNS: &[&str] = &[
+    "--kind",
+    "transducer",
+    "--stimulus",
+    "Force (N)",
+    "--response",
+    "Signal (mV/V)",
+    "--model",
+    "linear",
+    "--out",
+    "s",
+];
+
+fn latin1(text: &str) -> Vec<u8> {
+    text.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect()
+}
+
+fn utf16(text: &str) -> Vec<u8> {
+    [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
+}
+
+/// Decimal commas in a table of semicolons.
+fn german(text: &str) -> String {
+    text.replace(',', ";").replace('.', ",")
+}
+
+#[test]
+fn a_table_in_another_form_is_named_with_the_option_that_reads_it() {
+    let crlf = TEXT.replace('\n', "\r\n");
+    let tabs = TEXT.replace(',', "\t");
+    let cases: Vec<(&str, Vec<u8>, &[&str], &[&str])> = vec![
+        ("tabs", tabs.clone().into_bytes(), &["--separator tab"], &["--separator", "tab"]),
+        (
+            "semicolons",
+            TEXT.replace(',', ";").into_bytes(),
+            &["--separator semicolon"],
+            &["--separator", "semicolon"],
+        ),
+        (
+            "decimal commas",
+            german(TEXT).into_bytes(),
+            &["--separator semicolon --decimal-comma"],
+            &["--separator", "semicolon", "--decimal-comma"],
+        ),
+        ("latin-1", latin1(TEXT), &["Latin-1", "--encoding latin1"], &["--encoding", "latin1"]),
+        (
+            "latin-1 behind the header",
+            [
+                b"Force (N),Signal (mV/V),note\n0,1,ok\n1,2,".to_vec(),
+                latin1("\u{b5}"),
+                b"\n2,3,ok\n".to_vec(),
+            ]
+            .concat(),
+            &["Latin-1", "--encoding latin1"],
+            &["--encoding", "latin1"],
+        ),
+        ("UTF-16", utf16(&crlf), &["UTF-16", "--encoding utf-16"], &["--encoding", "utf-16"]),
+    ];
+    for (name, bytes, says, options) in cases {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("t.csv"), bytes).unwrap();
+        let import = [&["import", "t.csv"], COLUMNS].concat();
+        judge(&wcal(place.path(), &import), 1, says).unwrap_or_else(|why| panic!("{name}: {why}"));
+        assert_eq!(listing(place.path()), ["t.csv"], "{name}");
+        judge(&wcal(place.path(), &[&import, options].concat()), 0, &["3 rows"])
+            .unwrap_or_else(|why| panic!("{name} with {options:?}: {why}"));
+    }
+}
+
+#[test]
+fn what_needs_no_option_is_read() {
+    let cases = [
+        ("as it is", TEXT.as_bytes().to_vec()),
+        ("byte order mark", format!("\u{feff}{TEXT}").into_bytes()),
+        ("CR LF", TEXT.replace('\n', "\r\n").into_bytes()),
+        ("CR", TEXT.replace('\n', "\r").into_bytes()),
+    ];
+    let mut points = Vec::new();
+    for (name, bytes) in cases {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("t.csv"), bytes).unwrap();
+        judge(&wcal(place.path(), &[&["import", "t.csv"], COLUMNS].concat()), 0, &["3 rows"])
+            .unwrap_or_else(|why| panic!("{name}: {why}"));
+        points.push(fs::read_to_string(place.path().join("s/points.csv")).unwrap());
+    }
+    assert!(points.windows(2).all(|pair| pair[0] == pair[1]), "{points:?}");
+    // A column whose name holds a semicolon is one column.
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("t.csv"), "a;b\n1\n2\n3\n").unwrap();
+    let one =
+        ["import", "t.csv", "--kind", "transducer", "--response", "a;b", "--model", "constant", "--out", "s"];
+    judge(&wcal(place.path(), &one), 0, &["3 rows"]).unwrap();
+}
+
+#[test]
+fn sheets_and_archives_are_named_wherever_a_text_is_wanted() {
+    for (bytes, says) in [
+        (&b"PK\x03\x04\x14\x00\x06\x00"[..], &["spreadsheet", "CSV UTF-8"][..]),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", &[".xls", "CSV UTF-8"]),
+        (b"\x1f\x8b\x08\x00", &["gzip", "unpack"]),
+    ] {
+        let place = tempfile::tempdir().unwrap();
+        let session = place.path().join("session");
+        fs::create_dir(&session).unwrap();
+        Base::Whisker.write(&session);
+        fs::write(place.path().join("t.csv"), bytes).unwrap();
+        judge(&wcal(place.path(), &[&["import", "t.csv"], COLUMNS].concat()), 1, says).unwrap();
+        fs::write(session.join("points.csv"), bytes).unwrap();
+        judge(&wcal(place.path(), &["doctor", "session"]), 1, says).unwrap();
+        fs::write(place.path().join("plan.toml"), bytes).unwrap();
+        judge(&wcal(place.path(), &["plan-check", "plan.toml", "--rig", "plan.toml"]), 1, says).unwrap();
+    }
+}
+
+/// A session's own tables have one form; the way to it is named.
+#[test]
+fn a_sessions_table_in_another_form_names_the_way_out() {
+    let base = tempfile::tempdir().unwrap();
+    Base::Transducer.write(base.path());
+    let table = fs::read_to_string(base.path().join("points.csv")).unwrap();
+    for (name, bytes, says) in [
+        ("tabs", table.replace(',', "\t").into_bytes(), "tabs"),
+        ("CR", table.replace('\n', "\r").into_bytes(), "CR alone"),
+        ("UTF-16", utf16(&table), "UTF-16"),
+    ] {
+        let place = tempfile::tempdir().unwrap();
+        Base::Transducer.write(place.path());
+        fs::write(place.path().join("points.csv"), bytes).unwrap();
+        judge(&wcal(place.path(), &["doctor", "."]), 1, &[says, "wcal import"])
+            .unwrap_or_else(|why| panic!("{name}: {why}"));
+    }
+}
+
+#[test]
+fn a_table_of_many_columns_is_refused_within_seconds() {
+    let place = tempfile::tempdir().unwrap();
+    Base::Transducer.write(place.path());
+    let header: Vec<String> = (0..300_000).map(|k| format!("c{k}")).collect();
+    let row = vec!["1"; 300_000].join(",");
+    fs::write(place.path().join("points.csv"), format!("{}\n{row}\n", header.join(","))).unwrap();
+    judge(&limits::limited(place.path(), &["doctor", "."]), 1, &["columns", "300000"]).unwrap();
+    fs::write(place.path().join("points.csv"), vec![b'1'; 20_000_000]).unwrap();
+    judge(&limits::limited(place.path(), &["doctor", "."]), 1, &["points.csv", "at most"]).unwrap();
+}
+
+/// An ASCII box; corners as text.
+fn solid(name: &str, x0: f64, size: f64) -> String {
+    let corner = |k: usize| {
+        let at = |bit: usize| if k >> bit & 1 == 1 { size } else { 0.0 };
+        format!("{} {} {}", x0 + at(0), at(1), at(2))
+    };
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let mut text = format!("solid {name}\n");
+    for [a, b, c, d] in faces {
+        for triangle in [[a, b, c], [a, c, d]] {
+            let [p, q, r] = triangle.map(corner);
+            text += &format!(
+                "facet normal 0 0 0\nouter loop\nvertex {p}\nvertex {q}\nvertex {r}\nendloop\nendfacet\n"
+            );
+        }
+    }
+    text + &format!("endsolid {name}\n")
+}
+
+/// The same box in binary.
+fn binary(text: &str, header: &str) -> Vec<u8> {
+    let numbers: Vec<[f32; 3]> = text
+        .lines()
+        .filter_map(|line| line.strip_prefix("vertex "))
+        .map(|line| line.split(' ').map(|n| n.parse().unwrap()).collect::<Vec<f32>>().try_into().unwrap())
+        .collect();
+    let mut bytes = format!("{header:<80}").into_bytes();
+    bytes.extend(u32::try_from(numbers.len() / 3).unwrap().to_le_bytes());
+    for triangle in numbers.chunks(3) {
+        bytes.extend([0; 12]);
+        bytes.extend(triangle.iter().flatten().flat_map(|x| x.to_le_bytes()));
+        bytes.extend([0; 2]);
+    }
+    bytes
+}
+
+/// The sweeps over a mesh, as its shard's tables say.
+fn swept(mesh: &[u8]) -> Result<Vec<u8>, String> {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("m.stl"), mesh).unwrap();
+    let run = wcal(place.path(), &["simulate", "--meshes", "m.stl", "--sweeps", "2", "--out", "o"]);
+    judge(&run, 0, &[])?;
+    let names = listing(&place.path().join("o"));
+    let samples = names.iter().find(|name| name.ends_with(".samples.parquet")).unwrap();
+    Ok(fs::read(place.path().join("o").join(samples)).unwrap())
+}
+
+#[test]
+fn a_mesh_is_read_as_programs_write_it() {
+    let plain = solid("a", 0.0, 40.0);
+    let expected = swept(plain.as_bytes()).unwrap();
+    let same = [
+        ("no name", plain.replace("solid a", "solid").into_bytes()),
+        ("capitals", plain.to_uppercase().into_bytes()),
+        ("tabs and a byte order mark", format!("\u{feff}{}", plain.replace(' ', "\t")).into_bytes()),
+        ("binary", binary(&plain, "made by a scanner")),
+        ("binary that begins with solid", binary(&plain, "solid a exported by CAD")),
+    ];
+    for (name, bytes) in same {
+        assert!(
+            swept(&bytes).unwrap_or_else(|why| panic!("{name}: {why}")) == expected,
+            "{name}: other sweeps"
+        );
+    }
+    // Every solid counts: another one beside the first is another object.
+    let two = plain.clone() + &solid("b", 100.0, 40.0);
+    assert!(swept(two.as_bytes()).unwrap() != expected, "the second solid is read");
+    let error = swept(&binary(&plain, "solid a")[..400]).unwrap_err();
+    assert!(error.contains("expected 12 triangles") && error.contains("cut off"), "{error}");
+}
+
+#[test]
+fn formats_of_other_versions_are_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
+    let simulate = ["simulate", "--object", "can", "--sweeps", "1", "--whisker", "w.toml", "--out", "o"];
+    let keys = "[whisker]\ndiameter_mm = 0.3\nlength_mm = 60.0\nstraight_mm = 30.0\narc_radius_mm = 20.0\n";
+    for (format, code) in [
+        ("", 0),
+        ("format = \"wcal-whisker/1\"\n", 0),
+        ("format = \"wcal-session/1\"\n", 0),
+        ("format = \"wcal-whisker/9\"\n", 1),
+        ("format = \"wcal-plan/1\"\n", 1),
+        ("format = 1\n", 1),
+    ] {
+        write("w.toml", &format!("{format}{keys}"));
+        let says: &[&str] = if code == 1 { &["w.toml", "wcal-whisker/1"] } else { &[] };
+        judge(&wcal(place.path(), &simulate), code, says).unwrap_or_else(|why| panic!("{format:?}: {why}"));
+        let _ = fs::remove_dir_all(place.path().join("o"));
+    }
+    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
+    let verify = fs::read_to_string(place.path().join("v/verify.json")).unwrap();
+    write("v/verify.json", &verify.replace("wcal-verify/", "wcal-verify/7"));
+    judge(&wcal(place.path(), &["report", "v"]), 1, &["verify.json", "wcal-verify/7", "update wcal"])
+        .unwrap();
+}
+
+#[test]
+fn a_whisker_of_metres_or_with_exchanged_moduli_is_named() {
+    let place = tempfile::tempdir().unwrap();
+    let good = "[whisker]\ndiameter_mm = 0.3\nlength_mm = 60.0\nstraight_mm = 30.0\narc_radius_mm = 20.0\nyoungs_gpa = 75.0\nshear_gpa = 28.2\n";
+    let run = || {
+        wcal(
+            place.path(),
+            &["simulate", "--object", "can", "--sweeps", "1", "--whisker", "w.toml", "--out", "o"],
+        )
+    };
+    for (from, to, says) in [
+        (
+            "length_mm = 60.0",
+            "length_mm = 0.06",
+            "length_mm: expected a number between 1 and 2000, found 0.06 (in m?)",
+        ),
+        (
+            "diameter_mm = 0.3",
+            "diameter_mm = 300",
+            "diameter_mm: expected a number between 0.005 and 10, found 300 (in um?)",
+        ),
+        ("youngs_gpa = 75.0", "youngs_gpa = 75e9", "(in Pa?)"),
+        ("shear_gpa = 28.2", "shear_gpa = 282", "less than youngs_gpa = 75"),
+        ("straight_mm = 30.0", "straight_mm = 61", "at most length_mm = 60"),
+    ] {
+        fs::write(place.path().join("w.toml"), good.replace(from, to)).unwrap();
+        judge(&run(), 1, &["w.toml", says]).unwrap();
+    }
+    // Control: other wires are wires.
+    for (from, to) in [("75.0", "3.2"), ("28.2", "1.2")].map(|(a, b)| (a, b)) {
+        fs::write(place.path().join("w.toml"), good.replace("28.2", "1.2").replace(from, to)).unwrap();
+        judge(&run(), 0, &[]).unwrap();
+        fs::remove_dir_all(place.path().join("o")).unwrap();
+    }
+}
+
+/// `wcal report notes.json` writes notes.html only in place of a page of its own.
+#[test]
+fn a_page_takes_no_other_files_place() {
+    let place = tempfile::tempdir().unwrap();
+    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
+    fs::copy(place.path().join("v/report.json"), place.path().join("v/notes.json")).unwrap();
+    let page = place.path().join("v/notes.html");
+    let mine = "<!DOCTYPE html>\n<html lang=\"en\"><head><title>my notes</title></head></html>\n";
+    fs::write(&page, mine).unwrap();
+    judge(&wcal(place.path(), &["report", "v/notes.json"]), 1, &["notes.html", "another file"]).unwrap();
+    assert_eq!(fs::read_to_string(&page).unwrap(), mine);
+    fs::remove_file(&page).unwrap();
+    // Twice: the second time over the first page.
+    for _ in 0..2 {
+        judge(&wcal(place.path(), &["report", "v/notes.json"]), 0, &[]).unwrap();
+    }
+    assert_eq!(fs::read(&page).unwrap(), fs::read(place.path().join("v/report.html")).unwrap());
+}

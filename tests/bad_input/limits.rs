@@ -1,0 +1,44 @@
+//! Runs of the program under limits: a minute, and 8 GB of address space. What goes past them would stop a bench or a machine.
+
+use super::*;
+
+/// `wcal ARGUMENTS` under the limits, nothing on its input. Exit code 124: it ran past the minute.
+pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
+    let script = "ulimit -v 8000000; exec timeout 60 \"$0\" \"$@\" < /dev/null";
+    let program = env!("CARGO_BIN_EXE_wcal");
+    Command::new("sh").args(["-c", script, program]).args(arguments).current_dir(folder).output().unwrap()
+}
+
+/// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no memory.
+pub fn sound(output: &Output) -> Result<String, String> {
+    let text =
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let end: String = text.chars().rev().take(600).collect::<Vec<_>>().into_iter().rev().collect();
+    match output.status.code() {
+        _ if text.contains("panicked") => Err(format!("a panic: {end}")),
+        Some(0 | 1 | 3 | 4) => Ok(text),
+        Some(124) => Err(format!("longer than a minute: {end}")),
+        other => Err(format!("exit code {other:?}: {end}")),
+    }
+}
+
+/// Works through cases with the machine's processors; the faults that were found.
+pub fn in_parallel<T: Sync>(cases: &[T], judge: impl Fn(&T) -> Result<(), String> + Sync) -> Vec<String> {
+    let next = std::sync::atomic::AtomicUsize::new(0);
+    let wrong = std::sync::Mutex::new(Vec::new());
+    let workers = std::thread::available_parallelism().map_or(2, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                while let Some(case) = cases.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
+                    if let Err(why) = judge(case) {
+                        wrong.lock().unwrap().push(why);
+                    }
+                }
+            });
+        }
+    });
+    let mut wrong = wrong.into_inner().unwrap();
+    wrong.sort();
+    wrong
+}

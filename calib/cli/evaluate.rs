@@ -1,6 +1,5 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
-mod bounds;
 mod document;
 pub mod report;
 mod several;
@@ -14,7 +13,6 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::progress::Progress;
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
-use bounds::TableBounds;
 use clap::Args;
 use document::document;
 use serde_json::{Value, json};
@@ -25,7 +23,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use text::{print, print_tables, print_told};
 use wcal_sim::read::manifests;
-use wcal_sim::{Mesh, SweepPlan, objects};
+use wcal_sim::{Mesh, objects};
 use wcal_track::classes::coverage_by_class;
 use wcal_track::evaluate::{Method, ObjectScores, score_objects};
 use wcal_track::filter::BayesSettings;
@@ -157,22 +155,18 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         methods.iter().map(|m| cost(&m.1)).sum(),
         tables::cost(&card, args) + test_objects::cost(args),
     );
-    let table = TableBounds::new(&fine, [&sets[0].1, &sets[1].1]);
-    let bounds = [false, true].map(|known| table.simulated(&SweepPlan::default(), known));
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
     for (k, (set, all_series)) in sets.iter().enumerate() {
         let meshes = meshes(all_series.keys(), args)?;
         for (name, method) in &methods {
             work.next(&format!("{name}, {set} objects"), count(k) * cost(method));
-            let bounds = bounds[usize::from(method.speed_known())].as_ref();
             let run = |c: &SweepSeries| method.run(c);
-            rows.push((set, name, score_objects(&run, all_series, &meshes, bounds)?));
+            rows.push((set, name, score_objects(&run, all_series, &meshes)?));
         }
     }
     work.next("time of one sample", STREAMING);
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
-    document["bound"] = json!({"transition": table.densities(), "noise_nmm": settings.noise_nmm});
     work.next("two contacts", (count(0) + count(1)) * TWO_CONTACTS);
     let of = |given_truth: bool| {
         [0, 1].map(|k| contact_evidence(&fine, sets[k].1.values().flatten(), settings, given_truth))

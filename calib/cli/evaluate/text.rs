@@ -1,6 +1,5 @@
 //! What a person reads of an evaluation in the terminal.
 
-use super::bounds::over_bound_text;
 use super::document::{mean, method, stated};
 use super::tables::slope_s;
 use serde_json::Value;
@@ -57,8 +56,6 @@ pub(super) fn print_tables(document: &Value) {
         real["verdict"],
         real["accepted"]
     );
-    let bounds = ["seen", "unseen"].map(|set| over_bound_text(&real["bound"][set]));
-    println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
     let covers = &real["coverage90"];
     println!(
         "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
@@ -150,6 +147,5 @@ pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
             "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
             mean(r, |o| o.detection.f1)
         );
-        println!("{:29} surface / contact: {}", "", over_bound_text(&row["bound"]));
     }
 }

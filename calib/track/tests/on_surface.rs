@@ -101,8 +101,7 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             several_maps: [PlattMap::default(); 2],
             device: device.clone(),
         };
-        let rows =
-            score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes, None);
+        let rows = score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes);
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64
     };

@@ -169,7 +169,7 @@ fn the_bayes_filter_follows_with_the_right_speed_only() {
     let median = |all_series: &BTreeMap<String, Vec<SweepSeries>>| {
         let settings = BayesSettings::default();
         let method = Method::Bayes(fine(), true, &settings);
-        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes, None).unwrap();
+        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
     };
     let mut hurried = all_series().clone();
@@ -401,7 +401,7 @@ fn training_learns_and_goes_on_where_it_stopped() {
 fn the_shipped_models_beat_the_static_inverse_by_far() {
     let meshes = ["ball", "can"].map(|n| (n.to_owned(), objects::built_in(n).unwrap())).into();
     let contact_mm = |method: Method<'_>| {
-        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series(), &meshes, None).unwrap();
+        let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series(), &meshes).unwrap();
         rows.iter().map(|r| r.followed.true_contact_rmse_mm).sum::<f64>() / rows.len() as f64
     };
     for name in ["tracker", "tracker_small"] {

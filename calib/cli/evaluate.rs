@@ -2,7 +2,6 @@
 
 mod document;
 pub mod report;
-mod several;
 mod tables;
 mod test_objects;
 mod text;
@@ -16,7 +15,6 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use document::document;
 use serde_json::{Value, json};
-use several::{print_several, several_probability};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -176,8 +174,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = [0, 1].map(|k| sets[k].1.values().flatten());
-    document["several_probability"] = several_probability(&tracker, &card, seen, unseen);
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
     if !card.sd_factors_by_class.is_empty() {
@@ -223,7 +219,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
         print_told(&document);
-        print_several(&document);
         print_tables(&document);
         test_objects::print(&document);
     }

@@ -85,12 +85,6 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &[surface, true_contact],
         ),
         table(
-            &document["several_probability"]["as_stated"]["bins"],
-            "Several contacts on unseen objects: stated probability against observed share",
-            &["from", "to", "samples"],
-            &[("stated", "stated"), ("observed", "observed")],
-        ),
-        table(
             &document["speed"],
             "Speed",
             &["mm_s"],

@@ -79,12 +79,10 @@ pub(super) fn print_tables(document: &Value) {
         println!(
             "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
         );
-        let bounds = ["seen", "unseen"].map(|set| over_bound_text(&of["bound"][set]));
-        println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
     }
     for r in faces["methods"].as_array().into_iter().flatten() {
         let [set, name] = ["set", "method"].map(|k| r[k].as_str().unwrap_or(""));
-        println!("  {set:7} {name:21} {:>19}   {}", stated(r, "rmse_mm"), over_bound_text(&r["bound"]));
+        println!("  {set:7} {name:21} {:>19}", stated(r, "rmse_mm"));
     }
     let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
     for r in rows("ablations") {

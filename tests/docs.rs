@@ -15,23 +15,29 @@ fn repository(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// Every page by its path in the repository.
-fn pages() -> BTreeMap<String, String> {
-    let mut names: Vec<String> =
-        ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"].map(str::to_owned).to_vec();
-    let mut folders = vec!["docs/src".to_owned()];
+/// Files of the repository, by path; what a build writes and what git keeps are none.
+fn files() -> Vec<String> {
+    let (mut names, mut folders) = (Vec::new(), vec![String::new()]);
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(repository(&folder)).unwrap() {
             let entry = entry.unwrap();
-            let name = format!("{folder}/{}", entry.file_name().to_string_lossy());
-            if entry.path().is_dir() {
-                folders.push(name)
-            } else if name.ends_with(".md") {
-                names.push(name)
+            let name = format!("{folder}{}", entry.file_name().to_string_lossy());
+            if !entry.file_type().unwrap().is_dir() {
+                names.push(name);
+            } else if name == ".ci"
+                || !(name.starts_with('.') || ["target", "native"].contains(&name.as_str()))
+            {
+                folders.push(name + "/");
             }
         }
     }
-    names.into_iter().map(|n| (n.clone(), fs::read_to_string(repository(&n)).unwrap())).collect()
+    names
+}
+
+/// Every page by its path in the repository: the book, and what stands beside code and data.
+fn pages() -> BTreeMap<String, String> {
+    let pages = files().into_iter().filter(|n| n.ends_with(".md"));
+    pages.map(|n| (n.clone(), fs::read_to_string(repository(&n)).unwrap())).collect()
 }
 
 /// The page without its fenced blocks, and those blocks' lines.
@@ -181,6 +187,86 @@ fn every_file_that_a_page_names_is_there() {
         ["calib/nowhere/lib.rs"],
         "negative control"
     );
+}
+
+/// Source files that a page names without a folder of `ROOTS`, and that no file of the repository is called by.
+fn missing_sources(page: &str, files: &[String]) -> Vec<String> {
+    let (prose, _) = parts(page);
+    let spans = prose.split('`').skip(1).step_by(2).filter_map(|s| s.split([' ', ':']).next());
+    let bare =
+        |s: &&str| s.ends_with(".rs") && !s.contains(['*', '<']) && !ROOTS.iter().any(|r| s.starts_with(r));
+    let lacking = |s: &&str| {
+        let inner = format!("/{s}");
+        !files.iter().any(|f| f == s || f.ends_with(&inner))
+    };
+    spans.filter(bare).filter(lacking).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_source_file_that_a_page_names_by_its_last_part_is_there() {
+    let files = files();
+    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
+        assert_eq!(missing_sources(&page, &files), Vec::<String>::new(), "{name}");
+    }
+    let bad = "`method/fit.rs`, `nowhere/fit.rs`, `lost.rs` and `fit.rs:12`";
+    assert_eq!(missing_sources(bad, &files), ["nowhere/fit.rs", "lost.rs"], "negative control");
+}
+
+/// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME` and so on.
+fn targets() -> BTreeSet<String> {
+    let metadata = Command::new(env!("CARGO"))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .unwrap();
+    let metadata: serde_json::Value = serde_json::from_slice(&metadata.stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap().iter();
+    let all = packages.flat_map(|p| p["targets"].as_array().unwrap());
+    all.map(|t| format!("--{} {}", t["kind"][0].as_str().unwrap(), t["name"].as_str().unwrap())).collect()
+}
+
+/// Targets of `cargo` and of the Makefile that a page names and that are not there. A name in capitals stands for any.
+fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<String>) -> Vec<String> {
+    let (prose, mut code) = parts(page);
+    code.extend(prose.split('`').skip(1).step_by(2).map(str::to_owned));
+    let mut missing = Vec::new();
+    for line in code {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        // Programs of ours have options of these names too.
+        let of_cargo = words.contains(&"cargo") || line.starts_with("--");
+        for pair in words.windows(2).filter(|_| of_cargo) {
+            let target = pair.join(" ");
+            if ["--example", "--test", "--bench", "--bin"].contains(&pair[0])
+                && pair[1].contains(|c: char| c.is_lowercase())
+                && !targets.contains(&target)
+            {
+                missing.push(target);
+            }
+        }
+        if let ["make", target, ..] = words[..]
+            && !make.contains(target)
+        {
+            missing.push(format!("make {target}"));
+        }
+    }
+    missing
+}
+
+#[test]
+fn every_target_that_a_page_names_is_there() {
+    let targets = targets();
+    let makefile = fs::read_to_string(repository("Makefile")).unwrap();
+    let make: BTreeSet<String> = makefile
+        .lines()
+        .filter(|l| !l.starts_with([' ', '\t', '#', '.']) && !l.contains('='))
+        .filter_map(|l| Some(l.split_once(':')?.0.to_owned()))
+        .collect();
+    for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
+        assert_eq!(missing_targets(&page, &targets, &make), Vec::<String>::new(), "{name}");
+    }
+    let bad = "`cargo run --example brew_tea -- --draws 2`, `make tea`, `wcal verify --bench bench`\n```sh\ncargo test --test docs --bench tea\nmake docs\n```\n`--test NAME`";
+    let found = missing_targets(bad, &targets, &make);
+    assert_eq!(found, ["--bench tea", "--example brew_tea", "make tea"], "negative control");
 }
 
 /// Keys of a TOML document, those of its tables too.

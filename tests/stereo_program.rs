@@ -59,7 +59,7 @@ fn made() -> &'static Made {
         std::fs::copy(fixture("scene/SIMULATED"), folder.join("scene/SIMULATED")).unwrap();
         let cameras = at("calibration/stereo.json");
         let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras];
-        let more = ["--rig", &rig(), "--out", &at("shapes"), "--overlays", "--report"];
+        let more = ["--rig", &rig(), "--out", &at("shapes"), "--report"];
         let (code, output, text) = wcal(&[&shape[..], &more].concat());
         let shapes =
             std::fs::read(folder.join("shapes/shapes.json")).unwrap_or_else(|e| panic!("{e}: {text}"));
@@ -116,7 +116,6 @@ fn scene_pictures_become_shapes_with_the_reason_of_each_rejected_pair() {
         assert_eq!(pair["status"], if broken { "rejected" } else { "ok" }, "{pair}");
         assert_eq!(broken, pair["why"].as_str().unwrap().contains("zero bytes"), "{pair}");
     }
-    assert!(Path::new(&made.at("shapes/overlay-t1-right.png")).exists());
     let report = std::fs::read_to_string(made.at("shapes/report.html")).unwrap();
     let outside = report.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
     assert!(report.contains("<canvas") && report.contains("zero bytes") && !outside.contains("://"));
@@ -200,7 +199,7 @@ fn fit_whisker_refuses_other_documents_and_targets_that_no_wire_can_have() {
     }
 }
 
-/// Calibrated from rendered pictures, the other tools' files and the overlays say so; from others they do not.
+/// Calibrated from rendered pictures, the other tools' files say so; from others they do not.
 #[test]
 fn files_for_other_programs_say_where_pictures_are_rendered() {
     let (place, made) = (tempfile::tempdir().unwrap(), made());

@@ -57,8 +57,6 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     let scores = good(&[&evaluate[..], &["--out", &path("evaluation"), "--json"]].concat());
     // The objects set aside: two draws, the network with and without the base's speed, the filter with it.
     assert_eq!(scores["test_objects"]["rows"].as_array().unwrap().len(), 6, "{scores}");
-    let several = &scores["several_probability"]["uncalibrated"];
-    assert!(several["samples"].as_u64().unwrap() > 20 && several["brier"].is_number(), "{several}");
     assert_eq!(scores["simulated"], true);
     // Six methods on the unseen object and on the sweep kept back.
     assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");

@@ -1,9 +1,7 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
-mod bounds;
 mod document;
 pub mod report;
-mod several;
 mod tables;
 mod test_objects;
 mod text;
@@ -15,18 +13,16 @@ use crate::progress::Progress;
 use crate::simulate::{MAX_SWEEPS, within};
 use crate::train::burn_device;
 use anyhow::{Context, ensure};
-use bounds::TableBounds;
 use clap::Args;
 use document::document;
 use serde_json::{Value, json};
-use several::{print_several, several_probability};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use text::{print, print_tables, print_told};
 use wcal_sim::read::manifests;
-use wcal_sim::{Mesh, SweepPlan, objects};
+use wcal_sim::{Mesh, objects};
 use wcal_track::classes::coverage_by_class;
 use wcal_track::evaluate::{Method, ObjectScores, score_objects};
 use wcal_track::filter::BayesSettings;
@@ -160,22 +156,18 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         methods.iter().map(|m| cost(&m.1)).sum(),
         tables::cost(&card, args) + test_objects::cost(args),
     );
-    let table = TableBounds::new(&fine, [&sets[0].1, &sets[1].1]);
-    let bounds = [false, true].map(|known| table.simulated(&SweepPlan::default(), known));
     let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
     for (k, (set, all_series)) in sets.iter().enumerate() {
         let meshes = meshes(all_series.keys(), args)?;
         for (name, method) in &methods {
             work.next(&format!("{name}, {set} objects"), count(k) * cost(method));
-            let bounds = bounds[usize::from(method.speed_known())].as_ref();
             let run = |c: &SweepSeries| method.run(c);
-            rows.push((set, name, score_objects(&run, all_series, &meshes, bounds)?));
+            rows.push((set, name, score_objects(&run, all_series, &meshes)?));
         }
     }
     work.next("time of one sample", STREAMING);
     let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
     let mut document = document(&rows, &streaming, &card.weights_sha256, args);
-    document["bound"] = json!({"transition": table.densities(), "noise_nmm": settings.noise_nmm});
     work.next("two contacts", (count(0) + count(1)) * TWO_CONTACTS);
     let of = |given_truth: bool| {
         [0, 1].map(|k| contact_evidence(&fine, sets[k].1.values().flatten(), settings, given_truth))
@@ -185,8 +177,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     document["two_contacts"] = json!(two_contacts(&seen, &unseen));
     let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
     document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = [0, 1].map(|k| sets[k].1.values().flatten());
-    document["several_probability"] = several_probability(&tracker, &card, seen, unseen);
     let [seen, unseen] = of(true);
     document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
     if !card.sd_factors_by_class.is_empty() {
@@ -232,7 +222,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         print(&rows);
         println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
         print_told(&document);
-        print_several(&document);
         print_tables(&document);
         test_objects::print(&document);
     }

@@ -20,7 +20,6 @@ use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
 use wcal_vision::shape::drawing::{drawing, residuals};
 use wcal_vision::shape::folder::{ShapesResult, shapes_of_pairs};
-use wcal_vision::shape::overlay::overlay_png;
 use wcal_vision::stereo::StereoCameras;
 
 /// Arguments of `wcal stereo-shape`.
@@ -51,15 +50,12 @@ pub struct StereoShapeArgs {
     /// cables and texture in them are not taken for the wire
     #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
     pub background: Option<Vec<String>>,
-    /// Folder for shapes.json, the overlays and the report; of a session for overlays and report
+    /// Folder for shapes.json and the report; of a session for the report
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Write over what is no earlier result
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Draw what was found into the pictures (overlay-*.png in --out)
-    #[arg(long, requires = "out")]
-    pub overlays: bool,
     /// Write report.html: pictures with what was found, residuals, and the shapes in space, to be turned; no network needed
     #[arg(long, requires = "out")]
     pub report: bool,
@@ -72,6 +68,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-shape",
     document: "shapes.json",
     says: "wcal-shapes/",
+    // Pictures of earlier versions, which would be stale.
     files: &["report.html", "report.json", "overlay-*.png"],
     kept: &[],
     resumes: false,
@@ -167,7 +164,7 @@ impl Shaper {
     }
 }
 
-/// `shapes.json`, overlays and report into the output folder, where one was asked for.
+/// `shapes.json` and report into the output folder, where one was asked for.
 fn put_results(
     args: &StereoShapeArgs,
     shaper: &Shaper,
@@ -177,9 +174,6 @@ fn put_results(
 ) -> anyhow::Result<()> {
     let Some(mut out) = out else { return Ok(()) };
     out.put("shapes.json", serde_json::to_string(&result.document)?);
-    if args.overlays {
-        put_overlays(result, files, &mut out)?;
-    }
     if args.report {
         put_report(args, shaper, result, files, &mut out)?;
     }
@@ -231,24 +225,6 @@ fn empty_scene(source: &str, size_px: [usize; 2], files: &mut Vec<PathBuf>) -> a
     );
     files.extend(listed);
     Ok(mean)
-}
-
-/// Overlays of every usable pair: `overlay-NAME-left.png` and `-right.png`.
-fn put_overlays(
-    result: &ShapesResult,
-    files: &[PairFiles],
-    out: &mut OutputFolder<'_>,
-) -> anyhow::Result<()> {
-    for ((pair, fit), file) in result.document.pairs.iter().zip(&result.fits).zip(files) {
-        let Some(fit) = fit else { continue };
-        for (camera, source) in [&file.left, &file.right].into_iter().enumerate() {
-            let Some(source) = source else { continue };
-            let simulated = result.document.provenance.simulated;
-            let png = overlay_png(&Picture::read(source)?, camera, &result.stereo, fit, pair, simulated)?;
-            out.put(&format!("overlay-{}-{}.png", pair.name, ["left", "right"][camera]), png);
-        }
-    }
-    Ok(())
 }
 
 /// `report.html`: the shapes in space, and every usable pair.

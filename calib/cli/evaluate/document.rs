@@ -1,6 +1,5 @@
 //! `evaluation.json`: errors with their intervals, mean over objects and object by object.
 
-use super::bounds::over_bound;
 use super::{EvaluateArgs, FORMAT};
 use crate::picture_output::provenance;
 use serde_json::{Value, json};
@@ -42,7 +41,7 @@ pub(super) fn document(
         "format": FORMAT, "simulated": true, "quick": args.quick, "model": model, "calibration": null,
         "simulation": {"method": best, "seen_mean_mm": mean(of("seen", best), |o| o.all.rmse_mm),
             "unseen_mean_mm": mean(of("unseen", best), |o| o.all.rmse_mm),
-            "bound": both_bounds(of("seen", best), of("unseen", best)), "interval95": both_means(of("seen", best), of("unseen", best)),
+            "interval95": both_means(of("seen", best), of("unseen", best)),
             "objects": objects},
         "bootstrap": {"level": 0.95, "means": "whole objects are drawn again", "object": "whole sweeps are drawn again"},
         "methods": methods, "streaming": streaming,
@@ -56,7 +55,7 @@ pub(super) fn method(set: &str, name: &str, r: &[ObjectScores]) -> Value {
         "true_contact_rmse_mm": mean(r, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(r, |o| o.all.p95_mm),
         "followed_rmse_mm": mean(r, |o| o.followed.rmse_mm),
         "followed_true_contact_rmse_mm": mean(r, |o| o.followed.true_contact_rmse_mm),
-        "detection_f1": mean(r, |o| o.detection.f1), "bound": over_bound(r), "interval95": intervals(r)})
+        "detection_f1": mean(r, |o| o.detection.f1), "interval95": intervals(r)})
 }
 
 /// 95 % intervals of the two means.
@@ -65,16 +64,11 @@ pub(super) fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Valu
     json!({"seen_mean_mm": mean_interval95(seen, of), "unseen_mean_mm": mean_interval95(unseen, of)})
 }
 
-/// Errors of the two sets compared with their bounds.
-pub(super) fn both_bounds(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Value {
-    json!({"seen": over_bound(seen), "unseen": over_bound(unseen)})
-}
-
 /// An object's row in evaluation.json.
 pub(super) fn object(o: &ObjectScores, set: &str) -> Value {
     json!({"name": o.name, "set": set, "rmse_mm": o.all.rmse_mm, "true_contact_rmse_mm": o.all.true_contact_rmse_mm,
         "along_track_mm": o.all.along_track_mm, "p95_mm": o.all.p95_mm, "coverage90": o.all.coverage90,
-        "followed": o.followed, "detection": o.detection, "bound": o.bound, "sweeps": o.sweeps.len(),
+        "followed": o.followed, "detection": o.detection, "sweeps": o.sweeps.len(),
         "interval95": {"rmse_mm": object_interval95(&o.sweeps, |s| s.surface),
             "true_contact_rmse_mm": object_interval95(&o.sweeps, |s| s.contact),
             "along_track_mm": object_interval95(&o.sweeps, |s| s.along)}})

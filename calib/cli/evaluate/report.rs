@@ -35,22 +35,18 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
     let surface = ("rmse_mm", "surface, mm");
     let [true_contact, followed] =
         [("true_contact_rmse_mm", "true contact, mm"), ("followed_rmse_mm", "followed, mm")];
-    let [over_surface, over_contact] = [
-        ("/bound/surface_error_over_bound", "surface error / bound"),
-        ("/bound/contact_error_over_bound", "contact error / bound"),
-    ];
     let tables = [
         table(
             &document["methods"],
             "Methods: mean over objects of the RMSE",
             &["set", "method"],
-            &[surface, followed, true_contact, over_surface, over_contact],
+            &[surface, followed, true_contact],
         ),
         table(
             &document["faces"]["methods"],
             "Upright objects, filter and network on the same sweeps",
             &["set", "method"],
-            &[surface, true_contact, over_surface, over_contact],
+            &[surface, true_contact],
         ),
         table(
             &document["simulation"]["objects"],
@@ -74,7 +70,7 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &document["ablations"],
             "Ablations on the VIRTUAL real bench, unseen objects",
             &["name"],
-            &[surface, followed, true_contact, over_surface, over_contact],
+            &[surface, followed, true_contact],
         ),
         table(
             &document["noise"],
@@ -87,12 +83,6 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             "Test objects, which chose no design (SIMULATED)",
             &["turns", "method", "speed_known"],
             &[surface, true_contact],
-        ),
-        table(
-            &document["several_probability"]["as_stated"]["bins"],
-            "Several contacts on unseen objects: stated probability against observed share",
-            &["from", "to", "samples"],
-            &[("stated", "stated"), ("observed", "observed")],
         ),
         table(
             &document["speed"],
@@ -125,13 +115,6 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
         "In brackets: 95 % intervals by bootstrap, over whole objects for means and over whole sweeps for one object.".to_owned(),
         "The virtual real bench is a simulation with other physics; nothing of it was used in training.".to_owned(),
     ];
-    if document["bound"].is_object() {
-        notes.push(
-            "Error / bound: RMS error over the posterior Cramer-Rao bound (Tichavsky's recursion) where a single contact touches; how contacts \
-             slide is taken from the same sweeps, and when the wire touches, jumps or slips counts as known."
-                .to_owned(),
-        );
-    }
     if document["quick"] == true {
         notes.insert(
             0,

@@ -3,7 +3,6 @@
 mod on_bench;
 mod upright;
 
-use super::bounds::{SeriesByObject, TableBounds, over_bound};
 use super::document::mean;
 use super::virtual_bench::{STREAM_NOISES, VirtualBench};
 use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
@@ -21,6 +20,8 @@ use wcal_track::model_file::Card;
 use wcal_track::{StaticInverse, SweepSeries, Tracker};
 
 type Meshes = BTreeMap<String, Mesh>;
+/// Series by object.
+type SeriesByObject = BTreeMap<String, Vec<SweepSeries>>;
 
 /// Speeds of table II, mm/s.
 const SPEEDS_MM_S: [f64; 5] = [4.0, 6.0, 8.0, 10.0, 12.0];
@@ -157,12 +158,11 @@ impl Maker<'_> {
                 let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
                 let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
                 let all_series = self.all_series(meshes, &order)?;
-                Ok(MeanError::of(&self.score_simulated(&plan, &all_series, meshes)?))
+                Ok(MeanError::of(&self.score_simulated(&all_series, meshes)?))
             };
             let constant = run([speed, speed], 0.0)?;
             let random = run(RANDOM.map(|r| r * speed), RANDOM_MM_S2)?;
             rows.push(json!({"mm_s": speed, "constant_mm": constant.mean_mm, "random_mm": random.mean_mm,
-                "bound": {"constant": constant.bound, "random": random.bound},
                 "interval95": {"constant_mm": constant.interval95, "random_mm": random.interval95}}));
         }
         Ok(Value::Array(rows))
@@ -182,7 +182,7 @@ impl Maker<'_> {
             let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
             let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
             let simulated = self.all_series(&mesh, &order)?;
-            let simulation = MeanError::of(&self.score_simulated(&plan, &simulated, &mesh)?);
+            let simulation = MeanError::of(&self.score_simulated(&simulated, &mesh)?);
             let in_medium = |medium: Medium| -> anyhow::Result<MeanError> {
                 let all_series = self.sweeps_on_bench(bench, &mesh, medium)?;
                 Ok(MeanError::of(&self.score_measured(bench, by, &all_series, &mesh)?))
@@ -190,7 +190,6 @@ impl Maker<'_> {
             let (air, water) = (in_medium(Medium::Air)?, in_medium(Medium::Water)?);
             rows.push(json!({"name": name, "seen": self.card.objects.training.contains(&name),
                 "simulation_mm": simulation.mean_mm, "air_mm": air.mean_mm, "water_mm": water.mean_mm,
-                "bound": {"simulation": simulation.bound, "air": air.bound, "water": water.bound},
                 "interval95": {"simulation_mm": simulation.interval95, "air_mm": air.interval95, "water_mm": water.interval95}}));
         }
         Ok(Value::Array(rows))
@@ -199,30 +198,23 @@ impl Maker<'_> {
     /// The network with the base's speed known, on moments as the rod engine makes them.
     fn score_simulated(
         &self,
-        plan: &SweepPlan,
         all_series: &SeriesByObject,
         meshes: &Meshes,
     ) -> anyhow::Result<Vec<ObjectScores>> {
-        let bounds = TableBounds::new(self.curve, [all_series]).simulated(plan, true);
         let run = |c: &SweepSeries| Method::Network(self.tracker, true).run(c);
-        Ok(score_objects(&run, all_series, meshes, bounds.as_ref())?)
+        Ok(score_objects(&run, all_series, meshes)?)
     }
 }
 
-/// Mean over objects of the RMSE (mm) with its 95 % interval, and compared with its bound.
+/// Mean over objects of the RMSE (mm) with its 95 % interval.
 struct MeanError {
     mean_mm: f64,
     interval95: Option<[f64; 2]>,
-    bound: Value,
 }
 
 impl MeanError {
     fn of(rows: &[ObjectScores]) -> Self {
-        Self {
-            mean_mm: mean(rows, |o| o.all.rmse_mm),
-            interval95: mean_interval95(rows, |s| s.surface),
-            bound: over_bound(rows),
-        }
+        Self { mean_mm: mean(rows, |o| o.all.rmse_mm), interval95: mean_interval95(rows, |s| s.surface) }
     }
 }
 

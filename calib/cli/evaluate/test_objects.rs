@@ -3,7 +3,6 @@
 //! No setting may be chosen by looking at this table (fixtures/test_objects/README.md).
 
 use super::EvaluateArgs;
-use super::bounds::{TableBounds, over_bound, over_bound_text};
 use super::document::{intervals, mean, object, stated};
 use super::work::{SWEEP, Work, cost as cost_of};
 use serde_json::{Value, json};
@@ -71,19 +70,16 @@ pub fn table(
                 all.insert(name.clone(), series);
             }
         }
-        let table = TableBounds::new(&tracker.inverse, [&all]);
-        let bounds = [false, true].map(|known| table.simulated(plan, known));
         for (name, known, method) in &methods {
             work.next(
                 &format!("test objects, {turns}, {name}"),
                 cost_of(method) * (TEST_NAMES.len() * sweeps) as f64,
             );
-            let bounds = bounds[usize::from(*known)].as_ref();
-            let scores = score_objects(&|c: &SweepSeries| method.run(c), &all, &meshes, bounds)?;
+            let scores = score_objects(&|c: &SweepSeries| method.run(c), &all, &meshes)?;
             let covers = mean(&scores, |o| o.all.coverage90.unwrap_or(f64::NAN));
             rows.push(json!({"turns": turns, "method": name, "speed_known": known, "rmse_mm": mean(&scores, |o| o.all.rmse_mm),
                 "true_contact_rmse_mm": mean(&scores, |o| o.all.true_contact_rmse_mm), "coverage90": covers,
-                "bound": over_bound(&scores), "interval95": intervals(&scores),
+                "interval95": intervals(&scores),
                 "objects": scores.iter().map(|o| object(o, "test")).collect::<Vec<Value>>()}));
         }
     }
@@ -106,6 +102,5 @@ pub fn print(document: &Value) {
             stated(r, "true_contact_rmse_mm"),
             r["coverage90"].as_f64().unwrap_or(f64::NAN)
         );
-        println!("{:35} {}", "", over_bound_text(&r["bound"]));
     }
 }

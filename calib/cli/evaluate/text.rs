@@ -1,6 +1,5 @@
 //! What a person reads of an evaluation in the terminal.
 
-use super::bounds::over_bound_text;
 use super::document::{mean, method, stated};
 use super::tables::slope_s;
 use serde_json::Value;
@@ -57,8 +56,6 @@ pub(super) fn print_tables(document: &Value) {
         real["verdict"],
         real["accepted"]
     );
-    let bounds = ["seen", "unseen"].map(|set| over_bound_text(&real["bound"][set]));
-    println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
     let covers = &real["coverage90"];
     println!(
         "  its 90 % regions cover: seen {:.3}, unseen {:.3}",
@@ -82,12 +79,10 @@ pub(super) fn print_tables(document: &Value) {
         println!(
             "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
         );
-        let bounds = ["seen", "unseen"].map(|set| over_bound_text(&of["bound"][set]));
-        println!("  seen: {}; unseen: {}", bounds[0], bounds[1]);
     }
     for r in faces["methods"].as_array().into_iter().flatten() {
         let [set, name] = ["set", "method"].map(|k| r[k].as_str().unwrap_or(""));
-        println!("  {set:7} {name:21} {:>19}   {}", stated(r, "rmse_mm"), over_bound_text(&r["bound"]));
+        println!("  {set:7} {name:21} {:>19}", stated(r, "rmse_mm"));
     }
     let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
     for r in rows("ablations") {
@@ -150,6 +145,5 @@ pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
             "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
             mean(r, |o| o.detection.f1)
         );
-        println!("{:29} surface / contact: {}", "", over_bound_text(&row["bound"]));
     }
 }

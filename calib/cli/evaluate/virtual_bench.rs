@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_calibration::{CalibrationModel, WhiskerCalibration, read_calibration};
+use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, verify_document::Verdict};
@@ -25,7 +25,6 @@ use wcal_plant::session::draw_on;
 use wcal_plant::{Design, Kind, Request, Want};
 use wcal_sim::SweepPlan;
 use wcal_sim::physics::{Medium, PhysicsPlan};
-use wcal_track::sweep_bound::SweepKnowledge;
 use wcal_track::{SweepSeries, Tare};
 
 /// The bench.
@@ -50,15 +49,6 @@ pub struct VirtualBench {
     pub verified: Option<CalibrationModel>,
     /// The tracker on the groove of the calibration session, whose motion is known, beside its bound.
     pub groove: Option<GrooveTracking>,
-}
-
-/// A series as a calibration sees it.
-#[derive(Debug)]
-pub struct Measured {
-    /// Its moments through the calibration, the zero taken at the start.
-    pub series: SweepSeries,
-    /// By how much one standard deviation of each common unknown makes the moments of every sample too large, N mm.
-    pub shared_nmm: Vec<Vec<[f64; 2]>>,
 }
 
 /// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
@@ -170,7 +160,8 @@ impl VirtualBench {
         SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
     }
 
-    /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user would get.
+    /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user
+    /// would get, the zero taken at the start.
     pub fn through(
         &self,
         series: &SweepSeries,
@@ -178,7 +169,7 @@ impl VirtualBench {
         seed: u64,
         noise: Noise,
         folder: &Path,
-    ) -> anyhow::Result<Measured> {
+    ) -> anyhow::Result<SweepSeries> {
         let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
         std::fs::write(&path, self.readings(series, seed, noise))
             .with_context(|| path.display().to_string())?;
@@ -189,22 +180,7 @@ impl VirtualBench {
         for (instant, row) in seen.samples.iter_mut().zip(&rows) {
             instant.moment_nmm = tare.zeroed(instant.t_s, row.sensed.moment_nmm);
         }
-        let shared_nmm = rows.into_iter().map(|row| row.sensed.shared_nmm).collect();
-        Ok(Measured { series: seen, shared_nmm })
-    }
-
-    /// What is known of moments through a calibration: white noise of the averaged samples, and a zero that wanders as the slow part of the
-    /// noise does (an Ornstein-Uhlenbeck process of variance s^2 and time T: 2 s^2 / T a second).
-    #[must_use]
-    pub fn knowledge(&self, by: &CalibrationModel, unknown_speed: Option<([f64; 2], f64)>) -> SweepKnowledge {
-        let slow_nmm = by.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
-        // White noise relates to the slow one as their wavelengths do.
-        let white_nmm = slow_nmm * self.bench.sample_sd_pm / AVERAGED.sqrt() / self.bench.noise_pm;
-        SweepKnowledge {
-            zero_sd_nmm: slow_nmm,
-            drift_nmm2_per_s: 2.0 * slow_nmm * slow_nmm / SLOW_S,
-            ..SweepKnowledge::of_noise(white_nmm, unknown_speed)
-        }
+        Ok(seen)
     }
 
     /// Table of readings with noise: white over the samples, and slow as that from point to point in the session, each as its kind has it.

@@ -1,4 +1,4 @@
-//! Nonlinear least squares by Levenberg and Marquardt: the one loop of this workspace.
+//! Nonlinear least squares by Levenberg and Marquardt: the loop that the fits of this workspace share.
 //!
 //! min over x of F(x) = sum_i r_i(x)^2. With J = dr/dx the step d at damping lambda solves
 //!

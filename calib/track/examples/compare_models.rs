@@ -48,8 +48,7 @@ fn main() -> Result<(), Failure> {
         for known in [true, false] {
             for ((tracker, _), name) in all.iter().zip(models) {
                 let method = Method::Network(tracker, known);
-                let score =
-                    |k: usize| score_objects(&|c: &SweepSeries| method.run(c), &series[k], &sets[k], None);
+                let score = |k: usize| score_objects(&|c: &SweepSeries| method.run(c), &series[k], &sets[k]);
                 let rows = [score(0)?, score(1)?];
                 let speed = if known { "known" } else { "not known" };
                 let [seen, unseen] = [0, 1].map(|k| mean(&rows[k]));

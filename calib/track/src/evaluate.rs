@@ -4,7 +4,6 @@ use crate::error::TrackError;
 use crate::filter::{BayesFilter, BayesSettings, FilterBank};
 use crate::inverse::StaticInverse;
 use crate::score::{Detection, EstimateError, Scores, SweepSums, detection, scores};
-use crate::sweep_bound::ContactBound;
 use crate::sweep_series::SweepSeries;
 use crate::tracker::{Sample, Tracker};
 use nalgebra::{Matrix3, Vector3};
@@ -133,65 +132,10 @@ pub struct ObjectScores {
     pub followed: Scores,
     /// Contact or not.
     pub detection: Detection,
-    /// Errors where there is a bound, with that bound; none where no bound was computed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub bound: Option<ErrorAndBound>,
     /// Errors sweep by sweep, for intervals.
     #[serde(skip)]
     pub sweeps: Vec<SweepSums>,
 }
-
-/// RMS errors over an object where there is a regular bound (`ContactBound::is_regular`), and RMS bounds there, mm.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct ErrorAndBound {
-    /// Samples whose bound is regular, and the share of all samples with a bound.
-    pub samples: usize,
-    /// See `samples`.
-    pub regular_share: f64,
-    /// Distance from the surface.
-    pub surface_mm: f64,
-    /// Bound of it: across the surface.
-    pub surface_bound_mm: f64,
-    /// Distance from the true contact.
-    pub contact_mm: f64,
-    /// Bound of it.
-    pub contact_bound_mm: f64,
-    /// Medians of the two, which a few lost contacts do not make.
-    pub contact_median_mm: f64,
-    /// See `contact_median_mm`.
-    pub contact_bound_median_mm: f64,
-}
-
-impl ErrorAndBound {
-    /// Of estimates; none without a regular bound.
-    fn of(compared: &[ComparedEstimate]) -> Option<Self> {
-        let bounded = || compared.iter().filter_map(|c| Some((c.error, c.bound?)));
-        let both: Vec<(EstimateError, ContactBound)> =
-            bounded().filter(|(_, bound)| bound.is_regular()).collect();
-        let n = both.len();
-        let rms = |of: fn(&(EstimateError, ContactBound)) -> f64| {
-            (both.iter().map(|b| of(b).powi(2)).sum::<f64>() / n as f64).sqrt()
-        };
-        let median = |of: fn(&(EstimateError, ContactBound)) -> f64| {
-            let mut each: Vec<f64> = both.iter().map(of).collect();
-            each.sort_by(f64::total_cmp);
-            each[n / 2]
-        };
-        (n > 0).then(|| Self {
-            samples: n,
-            regular_share: n as f64 / bounded().count() as f64,
-            surface_mm: rms(|b| b.0.surface_mm),
-            surface_bound_mm: rms(|b| b.1.surface_mm()),
-            contact_mm: rms(|b| b.0.error_mm.norm()),
-            contact_bound_mm: rms(|b| b.1.contact_mm()),
-            contact_median_mm: median(|b| b.0.error_mm.norm()),
-            contact_bound_median_mm: median(|b| b.1.contact_mm()),
-        })
-    }
-}
-
-/// Bounds of the series over each object: one a sample, none without a single contact.
-pub type BoundsByObject = BTreeMap<String, Vec<Vec<Option<ContactBound>>>>;
 
 /// Travel of the base after which the motion can have determined a new contact, mm.
 pub const SETTLING_MM: f64 = 2.0;
@@ -199,28 +143,16 @@ pub const SETTLING_MM: f64 = 2.0;
 /// Contact or not, at every sample: called and true.
 pub type Calls = Vec<(bool, bool)>;
 
-/// An estimate compared with the true contact.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ComparedEstimate {
-    /// Its error.
-    pub error: EstimateError,
-    /// Whether the contact has been tracked for a while.
-    pub followed: bool,
-    /// The bound there, where one is known.
-    pub bound: Option<ContactBound>,
-}
-
-/// Errors of a series' estimates where there is contact; `bounds` are empty or one a sample.
+/// Errors of a series' estimates where there is contact, and whether the contact has been followed for a while.
 #[must_use]
 pub fn compare_with_truth(
     series: &SweepSeries,
     mesh: &Mesh,
     estimates: &[Estimate],
-    bounds: &[Option<ContactBound>],
-) -> (Vec<ComparedEstimate>, Calls) {
+) -> (Vec<(EstimateError, bool)>, Calls) {
     let (mut compared, mut calls) = (Vec::new(), Vec::new());
     let (mut since_mm, mut before): (f64, Option<Vector3<f64>>) = (0.0, None);
-    for (k, (now, estimate)) in series.samples.iter().zip(estimates).enumerate() {
+    for (now, estimate) in series.samples.iter().zip(estimates) {
         calls.push((estimate.contact, now.contact.is_some()));
         if ["onset", "jump", "slip"].contains(&now.event.as_str()) {
             since_mm = now.travel_mm;
@@ -234,8 +166,7 @@ pub fn compare_with_truth(
         let surface_mm = series.surface_distance_mm(mesh, now.travel_mm, &estimate.point_mm);
         let off = estimate.point_mm - truth.point_mm;
         let error = EstimateError::new(surface_mm, off, &path, estimate.covariance_mm2.as_ref());
-        let followed = now.travel_mm - since_mm >= SETTLING_MM;
-        compared.push(ComparedEstimate { error, followed, bound: bounds.get(k).copied().flatten() });
+        compared.push((error, now.travel_mm - since_mm >= SETTLING_MM));
     }
     (compared, calls)
 }
@@ -270,7 +201,7 @@ pub fn regions(
         .collect()
 }
 
-/// Who estimates over objects, from a series to its estimates; their errors are set against the bounds, where there are any.
+/// Who estimates over objects, from a series to its estimates.
 ///
 /// # Errors
 /// Where an object's mesh is missing.
@@ -278,7 +209,6 @@ pub fn score_objects(
     run: &(dyn Fn(&SweepSeries) -> Vec<Estimate> + Sync),
     all_series: &BTreeMap<String, Vec<SweepSeries>>,
     meshes: &BTreeMap<String, Mesh>,
-    bounds: Option<&BoundsByObject>,
 ) -> Result<Vec<ObjectScores>, TrackError> {
     all_series
         .iter()
@@ -286,27 +216,18 @@ pub fn score_objects(
             let mesh = meshes
                 .get(name)
                 .ok_or_else(|| TrackError::value("meshes", name.clone(), "no such object"))?;
-            let bounds = bounds.and_then(|b| b.get(name)).map_or(&[][..], Vec::as_slice);
-            let one = |(k, series): (usize, &SweepSeries)| {
-                let bounds = bounds.get(k).map_or(&[][..], Vec::as_slice);
-                compare_with_truth(series, mesh, &run(series), bounds)
-            };
-            let parts: Vec<_> = all_series.par_iter().enumerate().map(one).collect();
-            let compared: Vec<ComparedEstimate> = parts.iter().flat_map(|p| p.0.iter().copied()).collect();
+            let one = |series: &SweepSeries| compare_with_truth(series, mesh, &run(series));
+            let parts: Vec<_> = all_series.par_iter().map(one).collect();
+            let compared = || parts.iter().flat_map(|p| &p.0);
             let calls: Vec<(bool, bool)> = parts.iter().flat_map(|p| p.1.iter().copied()).collect();
-            let all: Vec<EstimateError> = compared.iter().map(|c| c.error).collect();
-            let followed: Vec<EstimateError> =
-                compared.iter().filter(|c| c.followed).map(|c| c.error).collect();
-            let sums = |p: &(Vec<ComparedEstimate>, Calls)| {
-                SweepSums::of(&p.0.iter().map(|c| (c.error, c.followed)).collect::<Vec<_>>())
-            };
+            let all: Vec<EstimateError> = compared().map(|c| c.0).collect();
+            let followed: Vec<EstimateError> = compared().filter(|c| c.1).map(|c| c.0).collect();
             Ok(ObjectScores {
                 name: name.clone(),
                 all: scores(&all),
                 followed: scores(&followed),
                 detection: detection(&calls),
-                bound: ErrorAndBound::of(&compared),
-                sweeps: parts.iter().map(sums).filter(|s| s.surface.count > 0.0).collect(),
+                sweeps: parts.iter().map(|p| SweepSums::of(&p.0)).filter(|s| s.surface.count > 0.0).collect(),
             })
         })
         .collect()

@@ -26,7 +26,6 @@ pub mod segments;
 pub mod sliding;
 pub mod stream;
 pub mod surface;
-pub mod sweep_bound;
 pub mod sweep_series;
 mod tare;
 pub mod tracker;

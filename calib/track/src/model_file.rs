@@ -9,7 +9,6 @@ use crate::sd_factors::SdFactors;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TRAINING_RANGES, TrainSettings};
 use crate::train_model::TrainingCost;
-use crate::two_contacts::reliability::PlattMap;
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 use rand::SeedableRng;
@@ -63,10 +62,6 @@ pub struct Card {
     /// errors of the gains, by the network's own spread. A stream's regions are stated with them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sd_on_bench: Option<[SdFactors; 2]>,
-    /// Maps that calibrate the probability of several contacts, from held-out objects: base's speed not known, and known. Cards from before
-    /// them state the network's own probability.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub several_maps: Option<[PlattMap; 2]>,
     /// Factors by class of object.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sd_factors_by_class: BTreeMap<String, ClassSpread>,
@@ -292,7 +287,6 @@ pub fn load(folder: &Path, device: &Device) -> Result<(Tracker, Card), TrackErro
         inverse,
         filters: card.training.filters(),
         sd_factors: card.sd_factors.map(SdFactors::constant),
-        several_maps: card.several_maps.unwrap_or_default(),
         device: device.clone(),
     };
     tracker.check()?;

@@ -3,17 +3,11 @@
 //! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
 //! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on the Bayes filter's posterior.
 
-mod attention;
 mod attention_bias;
 mod config;
-mod dense;
 pub mod features;
-mod fused;
-mod kernels;
 mod kv_cache;
 pub mod model;
-mod product;
-mod widest;
 
 pub use attention_bias::attention_bias;
 pub(crate) use config::PLACE_SCALE_MM;

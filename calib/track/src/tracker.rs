@@ -5,7 +5,7 @@
 //! ```text
 //! w_k ~ exp(f_k) (b_k + sigmoid(g) (b'_k - b_k) + exp(e - 4) / K),   sum w = 1
 //! p = sum w_k p_k + o,   C = f(t)^2 (sum w_k (p_k - p)(p_k - p)^T + s_min^2 I),   t = sqrt(trace)        (`sd_factors`)
-//! n ~ sum w_k n_k,   P(contact) = sigmoid,   P(several | contact) = sigmoid(a l + b), l the network's logit        (`two_contacts::reliability`)
+//! n ~ sum w_k n_k,   P(contact), P(several | contact): sigmoids
 //! ```
 //!
 //! so that the answer stays on what the moments allow; the network corrects the filters' posterior.
@@ -20,7 +20,6 @@ use crate::network::{
 };
 use crate::sd_factors::SdFactors;
 use crate::sweep_series::SWEEP_STEP_S;
-use crate::two_contacts::reliability::PlattMap;
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// A trained network with what it needs to answer.
@@ -36,8 +35,6 @@ pub struct Tracker {
     pub filters: FilterBank,
     /// Factors on the stated standard deviations: base's speed not known, and known.
     pub sd_factors: [SdFactors; 2],
-    /// Maps of the probability of several contacts: base's speed not known, and known.
-    pub several_maps: [PlattMap; 2],
     /// Where it runs.
     pub device: Device,
 }
@@ -115,7 +112,7 @@ impl Tracker {
         let k = self.config.nodes;
         let off = &out[k..k + 3];
         let contact = 1.0 / (1.0 + (-out[k + 3]).exp());
-        let several = self.several_maps[usize::from(base_known)].of_logit(f64::from(out[k + 4])) as f32;
+        let several = (1.0 / (1.0 + (-f64::from(out[k + 4])).exp())) as f32;
         if k == 0 {
             // The paper's head states no spread.
             let point_mm = [0, 1, 2].map(|i| off[i] * PLACE_SCALE_MM as f32);

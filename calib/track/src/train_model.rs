@@ -13,7 +13,6 @@ use crate::sweep_series;
 use crate::sweep_series::SweepSeries;
 use crate::tracker::Tracker;
 use crate::train::{Pass, TrainSettings, TrainingData, train};
-use crate::two_contacts::reliability::{PlattMap, map_that_holds, several_calls};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -134,7 +133,6 @@ pub fn train_model(
         inverse,
         filters: settings.filters(),
         sd_factors: [1.0; 2].map(SdFactors::constant),
-        several_maps: [PlattMap::default(); 2],
         device: device.clone(),
     };
     // A network without knots states no spread.
@@ -171,7 +169,6 @@ pub fn train_model(
         whisker: request.whisker.clone(),
         sd_factors,
         sd_on_bench: (!shifted_sweeps.is_empty()).then_some(on_bench),
-        several_maps: several_maps(&tracker, &held_out),
         sd_factors_by_class: spread_by_class(&held_out_regions, sd_factors, &request.classes),
         object_classes: request.classes.clone(),
         training: request.settings,
@@ -199,24 +196,6 @@ fn refuse_test_objects(folder: &Path) -> Result<(), TrackError> {
     let found = set_aside.into_iter().collect::<Vec<_>>().join(", ");
     let expected = "none of the test objects, which no training may see (fixtures/test_objects)";
     Err(TrackError::value(format!("{}: objects", folder.display()), expected, found))
-}
-
-/// Maps of the probability of several contacts from sweeps over held-out objects, base's speed not known and known; none where neither is better
-/// than the network's own probability on objects that were not in its fit.
-#[must_use]
-pub fn several_maps(tracker: &Tracker, held_out: &[SweepSeries]) -> Option<[PlattMap; 2]> {
-    let objects: BTreeSet<&String> = held_out.iter().map(|c| &c.object).collect();
-    let of = |known: bool| {
-        let calls = |name: &&String| {
-            let own = held_out.iter().filter(|c| c.object == **name);
-            several_calls(tracker, own, known)
-        };
-        map_that_holds(&objects.iter().map(calls).collect::<Vec<_>>())
-    };
-    match [of(false), of(true)] {
-        [None, None] => None,
-        maps => Some(maps.map(Option::unwrap_or_default)),
-    }
 }
 
 /// SHA-256 of the weights of a model from which a training may start: the sweeps held out for evaluation must not be in its training.

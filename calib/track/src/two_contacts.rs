@@ -8,10 +8,7 @@
 //! two contacts  <=>  log p(m_t | m_1 .. m_{t-1}, one contact) < limit,   limit = argmax F1 on other sweeps
 //! ```
 //!
-//! and with the true count of the sample before, the share of two in each bin of (count before, evidence). [`reliability`] judges and
-//! calibrates the network's own probability of several contacts.
-
-pub mod reliability;
+//! and with the true count of the sample before, the share of two in each bin of (count before, evidence).
 
 use crate::filter::{BayesFilter, BayesSettings};
 use crate::inverse::StaticInverse;

@@ -33,7 +33,7 @@ fn all_series(plan: &SweepPlan) -> BTreeMap<String, Vec<SweepSeries>> {
 fn followed_mm(all_series: &BTreeMap<String, Vec<SweepSeries>>, settings: &BayesSettings) -> f64 {
     let inverse = StaticInverse::new(&WhiskerSpec::nominal(), InverseGrid::default()).unwrap();
     let method = Method::Bayes(&inverse, true, settings);
-    let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes(), None).unwrap();
+    let rows = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes()).unwrap();
     rows.iter().map(|r| r.followed.true_contact_median_mm).sum::<f64>() / rows.len() as f64
 }
 

@@ -13,7 +13,6 @@ use wcal_track::model_file::preset;
 use wcal_track::network::NetworkConfig;
 use wcal_track::sd_factors::SdFactors;
 use wcal_track::train::{TrainSettings, TrainingData, train};
-use wcal_track::two_contacts::reliability::PlattMap;
 use wcal_track::{InverseGrid, StaticInverse, SweepSeries, Tracker};
 
 type Meshes = BTreeMap<String, Mesh>;
@@ -98,11 +97,9 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
             inverse,
             filters,
             sd_factors: [1.0; 2].map(SdFactors::constant),
-            several_maps: [PlattMap::default(); 2],
             device: device.clone(),
         };
-        let rows =
-            score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes, None);
+        let rows = score_objects(&|c: &SweepSeries| Method::Network(&tracker, true).run(c), &judged, &meshes);
         let rows = rows.unwrap();
         rows.iter().map(|r| r.all.rmse_mm).sum::<f64>() / rows.len() as f64
     };

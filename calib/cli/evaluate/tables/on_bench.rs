@@ -1,34 +1,22 @@
 //! The tracker on the virtual real bench, and what each part of it buys there.
 
-use super::super::bounds::{TableBounds, over_bound, unknown_speed};
-use super::super::document::{both_bounds, both_means, intervals, mean, object};
-use super::super::virtual_bench::{Measured, STREAM_NOISES, VirtualBench};
+use super::super::document::{both_means, intervals, mean, object};
+use super::super::virtual_bench::{STREAM_NOISES, VirtualBench};
 use super::super::work::ABLATION;
 use super::{Maker, Meshes, SeriesByObject};
 use crate::track::filters_for;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use wcal_calibration::CalibrationModel;
 use wcal_plant::noise::Noise;
 use wcal_sim::physics::Medium;
 use wcal_track::bootstrap::worst_interval95;
-use wcal_track::evaluate::{BoundsByObject, Estimate, Method, ObjectScores, score_objects};
+use wcal_track::evaluate::{Estimate, Method, ObjectScores, score_objects};
 use wcal_track::filter::BayesSettings;
 use wcal_track::generate_sweeps::SweepRequest;
-use wcal_track::sweep_bound::SweepKnowledge;
 use wcal_track::{SweepSeries, Tracker};
 
 /// Time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
 const DAMPING_S: f64 = 0.24;
-
-/// Errors that the samples of each sweep share, by object: `Measured::shared_nmm`.
-type SharedByObject = BTreeMap<String, Vec<Vec<Vec<[f64; 2]>>>>;
-
-/// Sweeps as a calibration sees them, with what it knows of its own errors.
-struct MeasuredSweeps {
-    series: SeriesByObject,
-    shared_nmm: SharedByObject,
-}
 
 impl Maker<'_> {
     pub(super) fn sweeps_on_bench(
@@ -52,19 +40,8 @@ impl Maker<'_> {
     ) -> anyhow::Result<Vec<ObjectScores>> {
         let tracker = self.on_stream(by);
         let measured = self.measured(bench, by, true_series, Noise::Gaussian)?;
-        let table = TableBounds::new(self.curve, [true_series]);
-        let bounds = bench_bounds(bench, by, &table, &[&measured.shared_nmm], true);
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
-        Ok(score_objects(&run, &measured.series, meshes, bounds.as_ref())?)
-    }
-
-    fn through(
-        &self,
-        bench: &VirtualBench,
-        by: &CalibrationModel,
-        all_series: &SeriesByObject,
-    ) -> anyhow::Result<SeriesByObject> {
-        Ok(self.measured(bench, by, all_series, Noise::Gaussian)?.series)
+        Ok(score_objects(&run, &measured, meshes)?)
     }
 
     fn measured(
@@ -73,16 +50,10 @@ impl Maker<'_> {
         by: &CalibrationModel,
         all_series: &SeriesByObject,
         noise: Noise,
-    ) -> anyhow::Result<MeasuredSweeps> {
-        let (mut series, mut shared_nmm) = (SeriesByObject::new(), SharedByObject::new());
-        for (name, all) in all_series {
-            let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, noise, self.folder);
-            let each = all.iter().map(one).collect::<anyhow::Result<Vec<Measured>>>()?;
-            let (own, shared) = each.into_iter().map(|m| (m.series, m.shared_nmm)).unzip();
-            series.insert(name.clone(), own);
-            shared_nmm.insert(name.clone(), shared);
-        }
-        Ok(MeasuredSweeps { series, shared_nmm })
+    ) -> anyhow::Result<SeriesByObject> {
+        let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, noise, self.folder);
+        let of = |all: &Vec<SweepSeries>| all.iter().map(one).collect::<anyhow::Result<Vec<SweepSeries>>>();
+        all_series.iter().map(|(name, all)| Ok((name.clone(), of(all)?))).collect()
     }
 
     /// The tracker with the measurement noise of a calibration and the standard deviations of a stream, as `wcal track` has it.
@@ -101,8 +72,8 @@ impl Maker<'_> {
         let truth = self.sweeps_on_bench(bench, unseen, Medium::Air)?;
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
         let row = |noise: Noise| {
-            let measured = self.measured(bench, by, &truth, noise)?.series;
-            let rows = score_objects(&run, &measured, unseen, None)?;
+            let measured = self.measured(bench, by, &truth, noise)?;
+            let rows = score_objects(&run, &measured, unseen)?;
             Ok(json!({"noise": noise.name(), "rmse_mm": mean(&rows, |o| o.all.rmse_mm),
                 "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm),
                 "coverage90": mean(&rows, |o| o.all.coverage90.unwrap_or(f64::NAN)), "interval95": intervals(&rows)}))
@@ -126,18 +97,13 @@ impl Maker<'_> {
         ];
         let measured_of = |t: &SeriesByObject| self.measured(bench, by, t, Noise::Gaussian);
         let (measured_seen, measured) = (measured_of(&true_seen)?, measured_of(&true_unseen)?);
-        let table = TableBounds::new(self.curve, [&true_seen, &true_unseen]);
-        let shared = [&measured_seen.shared_nmm, &measured.shared_nmm];
-        let bounds = [false, true].map(|known| bench_bounds(bench, by, &table, &shared, known));
         let of = |method: &Method<'_>, meshes: &Meshes, all_series: &SeriesByObject| {
-            let bounds = bounds[usize::from(method.speed_known())].as_ref();
-            score_objects(&|c: &SweepSeries| method.run(c), all_series, meshes, bounds)
+            score_objects(&|c: &SweepSeries| method.run(c), all_series, meshes)
         };
         let score = |meshes: &Meshes, all_series: &SeriesByObject, known: bool| {
             of(&Method::Network(&tracker, known), meshes, all_series)
         };
-        let rows_seen = score(seen, &measured_seen.series, true)?;
-        let measured = measured.series;
+        let rows_seen = score(seen, &measured_seen, true)?;
         let rows_unseen = score(unseen, &measured, true)?;
         let every: Vec<&ObjectScores> = rows_seen.iter().chain(&rows_unseen).collect();
         let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
@@ -154,7 +120,6 @@ impl Maker<'_> {
         let real = json!({
             "coverage90": {"seen": covers(&rows_seen), "unseen": covers(&rows_unseen)},
             "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
-            "bound": both_bounds(&rows_seen, &rows_unseen), "transition": table.densities(),
             "interval95": interval95, "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
             "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
             "objects": objects,
@@ -171,44 +136,29 @@ impl Maker<'_> {
         let row = |name: &str, rows: Vec<ObjectScores>| {
             json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
                 "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm),
-                "bound": over_bound(&rows), "interval95": intervals(&rows)})
+                "interval95": intervals(&rows)})
         };
-        // Moments of another calibration or another wire have other bounds, exact ones that of the engine's accuracy.
         let network = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
-        let other = |all_series: &SeriesByObject| score_objects(&network, all_series, unseen, None);
-        let exact = table.simulated(&VirtualBench::plan(Medium::Air), true);
+        let other = |all_series: &SeriesByObject| score_objects(&network, all_series, unseen);
         let filter = Method::Bayes(&tracker.inverse, true, &multi_mu);
         let mut ablations = vec![
             row("effects-accepted", rows_unseen),
-            row("effects-not-accepted", other(&self.through(bench, &bench.map, &true_unseen)?)?),
-            row("moments-without-error", score_objects(&network, &true_unseen, unseen, exact.as_ref())?),
+            row(
+                "effects-not-accepted",
+                other(&self.measured(bench, &bench.map, &true_unseen, Noise::Gaussian)?)?,
+            ),
+            row("moments-without-error", other(&true_unseen)?),
             row("speed-not-known", score(unseen, &measured, false)?),
-            row("horizon-1", score_objects(&later, &measured, unseen, bounds[1].as_ref())?),
+            row("horizon-1", score_objects(&later, &measured, unseen)?),
             row("damping-bias", other(&damped(&measured))?),
             row("bayes-filter", of(&filter, unseen, &measured)?),
         ];
         for (name, map) in &bench.maps {
-            let rows = other(&self.through(bench, map, &true_unseen)?)?;
+            let rows = other(&self.measured(bench, map, &true_unseen, Noise::Gaussian)?)?;
             ablations.push(row(&format!("map-{name}"), rows));
         }
         Ok((real, Value::Array(ablations)))
     }
-}
-
-/// Bounds of sweeps on the bench: its noise, its zero that wanders, and what the calibration's readings share.
-fn bench_bounds(
-    bench: &VirtualBench,
-    by: &CalibrationModel,
-    table: &TableBounds<'_>,
-    shared_nmm: &[&SharedByObject],
-    speed_known: bool,
-) -> Option<BoundsByObject> {
-    let speed = unknown_speed(&VirtualBench::plan(Medium::Air), speed_known);
-    let noise = bench.knowledge(by, speed);
-    table.by(&|name, k| {
-        let shared = shared_nmm.iter().find_map(|s| s.get(name)?.get(k));
-        SweepKnowledge { shared_nmm: shared.cloned().unwrap_or_default(), ..noise.clone() }
-    })
 }
 
 /// The moments that a cable with damped joints would have: damping and stiffness of all its joints have one ratio.

@@ -1,12 +1,11 @@
 //! Table I as the paper draws it: objects upright, four faces in turn, sweeps with a contact jump left out.
 
-use super::super::bounds::TableBounds;
-use super::super::document::{both_bounds, both_means, mean, method as method_row, object};
+use super::super::document::{both_means, mean, method as method_row, object};
 use super::{Maker, Meshes, RATE_HZ, SeriesByObject};
 use serde_json::{Value, json};
 use wcal_sim::{SweepPlan, Turn};
 use wcal_track::SweepSeries;
-use wcal_track::evaluate::{BoundsByObject, Method, ObjectScores, score_objects};
+use wcal_track::evaluate::{Method, ObjectScores, score_objects};
 use wcal_track::filter::BayesSettings;
 use wcal_track::generate_sweeps::SweepRequest;
 
@@ -42,14 +41,10 @@ impl Maker<'_> {
             all.iter().map(|(n, all)| (n.clone(), all.iter().take(fewer).cloned().collect())).collect()
         };
         let few_series = all_series.each_ref().map(shortened);
-        let table = TableBounds::new(self.curve, [&all_series[0], &all_series[1]]);
-        let bounds = [false, true].map(|known| table.simulated(&plan, known));
-        // The first sweeps over each object are the same in both sets, and so are their bounds.
         let score =
             |method: &Method<'_>, all: &[SeriesByObject; 2]| -> anyhow::Result<[Vec<ObjectScores>; 2]> {
-                let bounds: Option<&BoundsByObject> = bounds[usize::from(method.speed_known())].as_ref();
                 let run = |c: &SweepSeries| method.run(c);
-                let of = |k: usize| score_objects(&run, &all[k], meshes[k], bounds);
+                let of = |k: usize| score_objects(&run, &all[k], meshes[k]);
                 Ok([of(0)?, of(1)?])
             };
         let network = |known: bool| Method::Network(self.tracker, known);
@@ -69,16 +64,15 @@ impl Maker<'_> {
             }
         }
         document["methods"] = Value::Array(rows);
-        document["transition"] = table.densities();
         Ok(document)
     }
 }
 
-/// Means, their bounds and the objects' rows.
+/// Means and the objects' rows.
 fn table_of([seen, unseen]: &[Vec<ObjectScores>; 2]) -> Value {
     let objects = seen.iter().map(|o| object(o, "seen"));
     let objects = objects.chain(unseen.iter().map(|o| object(o, "unseen")));
     let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
-    json!({"seen_mean_mm": means(seen), "unseen_mean_mm": means(unseen), "bound": both_bounds(seen, unseen),
+    json!({"seen_mean_mm": means(seen), "unseen_mean_mm": means(unseen),
         "interval95": both_means(seen, unseen), "objects": objects.collect::<Vec<Value>>()})
 }

@@ -1,4 +1,4 @@
-//! The least-squares problem of the crate `levenberg-marquardt`; a place where the rod has no solution has no residuals.
+//! The rest geometry as a least-squares problem; a place where the rod has no solution has no residuals.
 //!
 //! Residuals d_ki / sd_ki of each point's two transverse distances, (L_k - L) / sd_Lk of each length; Jacobian by central differences
 //! (f(x + h) - f(x - h)) / 2 h, error O(h^2): an exact one would have to go through each wire's equilibrium.
@@ -6,23 +6,25 @@
 use super::lines::{GuessedShape, distances};
 use super::model::RestModel;
 use crate::RodError;
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::{DMatrix, DVector, Dyn, Owned};
+use nalgebra::{DMatrix, DVector, Dyn};
+use std::cell::OnceCell;
+use wcal_core::least_squares::{Damping, Ending, Linearised, NormalEquations, minimise};
 use wcal_core::observation::WhiskerSpec;
 
 /// Standard deviation of the length that a pair states, where it states none, mm.
 const LENGTH_SD_MM: f64 = 0.05;
+/// Share of the sum of squares below which a further step is not worth a Jacobian: far below the standard deviations.
+const LEAST_DECREASE: f64 = 1e-9;
 
+#[derive(Clone, Copy)]
 struct Problem<'a> {
     nominal: &'a WhiskerSpec,
     model: RestModel,
-    difference_steps: Vec<f64>,
     shapes: &'a [GuessedShape<'a>],
-    values: DVector<f64>,
 }
 
-impl Problem<'_> {
-    fn residuals_at(&self, v: &DVector<f64>) -> Option<DVector<f64>> {
+impl<'a> Problem<'a> {
+    fn residuals(&self, v: &DVector<f64>) -> Option<DVector<f64>> {
         if !self.model.is_admissible(v) {
             return None;
         }
@@ -37,35 +39,47 @@ impl Problem<'_> {
         }
         Some(DVector::from_vec(all))
     }
+
+    fn jacobian(&self, v: &DVector<f64>) -> Option<DMatrix<f64>> {
+        let moved = |k: usize, step: f64| {
+            let mut moved = v.clone();
+            moved[k] += step;
+            self.residuals(&moved)
+        };
+        let column = |(k, step): (usize, f64)| Some((moved(k, step)? - moved(k, -step)?) / (2.0 * step));
+        let columns: Option<Vec<DVector<f64>>> =
+            self.model.difference_steps().into_iter().enumerate().map(column).collect();
+        Some(DMatrix::from_columns(&columns?))
+    }
+
+    fn at(self, v: &DVector<f64>) -> Option<AtPlace<'a>> {
+        let residuals = self.residuals(v)?;
+        Some(AtPlace { problem: self, values: v.clone(), residuals, normal: OnceCell::new() })
+    }
 }
 
-impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
-    type ParameterStorage = Owned<f64, Dyn>;
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
+/// Residuals at a place; the Jacobian, which costs two solutions an unknown, only where a step starts from it.
+struct AtPlace<'a> {
+    problem: Problem<'a>,
+    values: DVector<f64>,
+    residuals: DVector<f64>,
+    normal: OnceCell<Option<NormalEquations<Dyn>>>,
+}
 
-    fn set_params(&mut self, x: &DVector<f64>) {
-        self.values = x.clone();
+impl Linearised for AtPlace<'_> {
+    type Step = DVector<f64>;
+
+    fn cost(&self) -> f64 {
+        self.residuals.norm_squared()
     }
 
-    fn params(&self) -> DVector<f64> {
-        self.values.clone()
-    }
-
-    fn residuals(&self) -> Option<DVector<f64>> {
-        self.residuals_at(&self.values)
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let mut columns = Vec::with_capacity(self.difference_steps.len());
-        for (k, step) in self.difference_steps.iter().enumerate() {
-            let mut up = self.values.clone();
-            up[k] += step;
-            let mut down = self.values.clone();
-            down[k] -= step;
-            columns.push((self.residuals_at(&up)? - self.residuals_at(&down)?) / (2.0 * step));
-        }
-        Some(DMatrix::from_columns(&columns))
+    fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        let normal = || {
+            let jacobian = self.problem.jacobian(&self.values)?;
+            let (matrix, descent) = (jacobian.tr_mul(&jacobian), -jacobian.tr_mul(&self.residuals));
+            Some(NormalEquations { cost: self.cost(), matrix, descent })
+        };
+        self.normal.get_or_init(normal).as_ref()?.step(damping)
     }
 }
 
@@ -76,18 +90,16 @@ pub(super) fn solve(
     start: &DVector<f64>,
     shapes: &[GuessedShape<'_>],
 ) -> Result<(DVector<f64>, f64), RodError> {
-    let problem =
-        Problem { nominal, model, difference_steps: model.difference_steps(), shapes, values: start.clone() };
-    // Steps far below the standard deviations are not worth a Jacobian.
-    let method = LevenbergMarquardt::new().with_patience(20).with_ftol(1e-9).with_xtol(1e-8);
-    let (problem, report) = method.minimize(problem);
-    if !report.termination.was_successful() {
-        return Err(RodError::RestFit(format!(
-            "the fit of a {} did not converge: {:?}",
-            model.name(),
-            report.termination
-        )));
+    let problem = Problem { nominal, model, shapes };
+    let failed =
+        |why: &str| RodError::RestFit(format!("the fit of a {} did not converge: {why}", model.name()));
+    let first = problem.at(start).ok_or_else(|| failed("the rod has no solution at its start"))?;
+    let small = |_: &DVector<f64>, [before, after]: [f64; 2]| before - after <= LEAST_DECREASE * before;
+    let damping = Damping { max_steps: 100, ..Damping::default() };
+    let found = minimise((start.clone(), first), &damping, |v| problem.at(v), |v, _, step| v + step, small);
+    match found.ending {
+        Ending::Converged | Ending::Stalled => Ok((found.place, found.at.cost())),
+        Ending::Singular => Err(failed("the lines do not determine its unknowns")),
+        Ending::Exhausted => Err(failed("its steps ran out")),
     }
-    // The library's objective is half the sum.
-    Ok((problem.values, 2.0 * report.objective_function))
 }

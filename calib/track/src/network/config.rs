@@ -88,7 +88,7 @@ impl NetworkConfig {
     }
 
     /// As `small`, of a third of its parameters (101 thousand on 33 knots with two filters): two layers in place of three, each of half the
-    /// size. Heads are as wide as a vector of the kernels (16), and so is every width a multiple of it.
+    /// size.
     #[must_use]
     pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> Self {
         Self {
@@ -181,15 +181,12 @@ mod tests {
     const NODES: usize = 129;
 
     #[test]
-    fn compact_has_a_third_of_the_parameters_and_vectors_that_are_full() {
+    fn compact_has_a_third_of_the_parameters() {
         let (inputs, knots) = (FeatureExtractor::width(NODES, true), knots(NODES).len());
         let sizes = [NetworkConfig::compact, NetworkConfig::small].map(|of| of(inputs, knots, true));
         let [compact, small] =
             sizes.map(|sizes| WhiskerNet::new(&sizes, &Device::flex()).unwrap().num_params());
         println!("{compact} and {small} parameters");
         assert!(3 * compact <= small && 4 * compact > small, "{compact} {small}");
-        let [sizes, _] = sizes;
-        let full = [sizes.encoder, sizes.width, sizes.feed_forward, sizes.width / sizes.heads * 16];
-        assert!(full.iter().all(|n| n.is_multiple_of(16)) && sizes.width / sizes.heads == 16, "{sizes:?}");
     }
 }

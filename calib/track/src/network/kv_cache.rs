@@ -1,10 +1,8 @@
 //! Attention of a stream's last token over those that it remembers: keys and values of earlier tokens are kept, so that a token costs one row.
 //!
-//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context` tokens: the last row of `attention`.
+//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context` tokens: the last row of what `WhiskerNet::forward` computes.
 
 use super::attention_bias::time_bias_slope;
-use super::kernels::{exp, sum};
-use super::widest::{Kernel, Simd, mul_add, widest};
 
 /// What a stream remembers: keys and values by layer, and the tokens' times, s.
 #[derive(Debug, Clone, Default)]
@@ -43,61 +41,29 @@ impl KvCache {
             }
         }
         let now = self.times_s.last().copied().unwrap_or_default();
-        widest(LastQuery {
-            heads,
-            query: &qkv[..width],
-            keys: &keys[keys.len() - seen..],
-            values: &values[values.len() - seen..],
-            ages_s: self.times_s.iter().map(|t| (now - t) as f32).collect(),
-            weights: vec![0.0; self.times_s.len()],
-            out: vec![0.0; width],
-        })
-    }
-}
-
-/// Tokens below which nothing is dropped.
-const MIN_KEPT: usize = 16;
-
-/// The last token's query over all keys.
-struct LastQuery<'a> {
-    heads: usize,
-    query: &'a [f32],
-    keys: &'a [f32],
-    values: &'a [f32],
-    ages_s: Vec<f32>,
-    /// Room for a head's weights.
-    weights: Vec<f32>,
-    out: Vec<f32>,
-}
-
-impl Kernel for LastQuery<'_> {
-    type Out = Vec<f32>;
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> Vec<f32> {
-        let Self { heads, query, keys, values, ages_s, mut weights, mut out } = self;
-        let width = query.len();
+        let ages_s: Vec<f32> = self.times_s.iter().map(|t| (now - t) as f32).collect();
+        let (keys, values) = (&keys[keys.len() - seen..], &values[values.len() - seen..]);
+        let mut out = vec![0.0; width];
         let of_head = width / heads;
-        let scale = 1.0 / (of_head as f32).sqrt();
-        for head in 0..heads {
-            let (from, to) = (head * of_head, (head + 1) * of_head);
-            let (query, slope) = (&query[from..to], time_bias_slope(head, heads));
-            let mut largest = f32::NEG_INFINITY;
-            for ((weight, key), age_s) in weights.iter_mut().zip(keys.chunks_exact(width)).zip(&ages_s) {
-                let product = sum(simd, [query, &key[from..to]], |q, k| simd.mul_f32s(q, k), |q, k| q * k);
-                *weight = mul_add::<S>(product, scale, -slope * age_s);
-                largest = largest.max(*weight);
-            }
-            weights.iter_mut().for_each(|w| *w = exp::<S>(*w - largest));
-            let each = 1.0 / weights.iter().sum::<f32>();
-            let out = &mut out[from..to];
+        for (head, out) in out.chunks_exact_mut(of_head).enumerate() {
+            let part = head * of_head..(head + 1) * of_head;
+            let (query, slope) = (&qkv[part.clone()], time_bias_slope(head, heads));
+            let score = |(key, age_s): (&[f32], &f32)| {
+                let product: f32 = query.iter().zip(&key[part.clone()]).map(|(q, k)| q * k).sum();
+                product / (of_head as f32).sqrt() - slope * age_s
+            };
+            let mut weights: Vec<f32> = keys.chunks_exact(width).zip(&ages_s).map(score).collect();
+            // Softmax, the maximum subtracted against overflow.
+            let largest = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            weights.iter_mut().for_each(|w| *w = (*w - largest).exp());
+            let total: f32 = weights.iter().sum();
             for (weight, value) in weights.iter().zip(values.chunks_exact(width)) {
-                let share = weight * each;
-                for (out, value) in out.iter_mut().zip(&value[from..to]) {
-                    *out = mul_add::<S>(*value, share, *out);
-                }
+                out.iter_mut().zip(&value[part.clone()]).for_each(|(o, v)| *o += weight / total * v);
             }
         }
         out
     }
 }
+
+/// Tokens below which nothing is dropped.
+const MIN_KEPT: usize = 16;

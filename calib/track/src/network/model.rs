@@ -2,11 +2,12 @@
 
 use super::config::NetworkConfig;
 use super::kv_cache::KvCache;
-use super::{dense, fused};
 use crate::error::TrackError;
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
-use burn::tensor::activation::softmax;
+use burn::tensor::activation::gelu;
+use burn::tensor::module::attention;
+use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// One layer: attention and feed-forward part, each after a normalisation.
@@ -102,40 +103,36 @@ impl WhiskerNet {
     /// A batch of series: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
     #[must_use]
     pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
-        let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
+        let mut x = self.encoded(inputs);
         for block in &self.blocks {
-            let normed = fused::norm(&block.before_attention, x.clone());
-            let qkv = dense::linear(&block.query_key_value, normed);
-            let attended = if fused::supports(&qkv, self.width(), self.heads) {
-                fused::attend(qkv, bias.clone(), self.heads)
-            } else {
-                let (q, k, v) = self.split(qkv);
-                attend(q, k, v, bias.clone())
-            };
-            x = dense::dropout(&self.dropout, x, dense::linear(&block.out, attended));
-            x = dense::dropout(&self.dropout, x.clone(), block.feed(x));
+            let [batch, time, width] = x.dims();
+            let qkv = block.query_key_value.forward(block.before_attention.forward(x.clone()));
+            let (q, k, v) = self.split(qkv);
+            let attended = attention(q, k, v, None, Some(bias.clone()), AttentionModuleOptions::default());
+            let attended = attended.swap_dims(1, 2).reshape([batch, time, width]);
+            x = x + self.dropout.forward(block.out.forward(attended));
+            x = x.clone() + self.dropout.forward(block.feed(x));
         }
-        dense::linear(&self.head, fused::norm(&self.norm, x))
-    }
-
-    fn width(&self) -> usize {
-        self.encode_out.weight.dims()[1]
+        self.head.forward(self.norm.forward(x))
     }
 
     /// One token of a stream, inputs `[1, 1, inputs]`; keys and values are cached for up to `context` tokens.
     pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, cache: &mut KvCache) -> Output {
         let device = inputs.device();
         cache.advance(t_s, context);
-        let mut x = dense::linear(&self.encode_out, fused::gelu(dense::linear(&self.encode, inputs)));
+        let mut x = self.encoded(inputs);
         for (layer, block) in self.blocks.iter().enumerate() {
-            let normed = fused::norm(&block.before_attention, x.clone());
-            let qkv = to_vec(dense::linear(&block.query_key_value, normed));
-            let attended = cache.attend(layer, &qkv, self.heads);
-            let attended = Tensor::from_data(TensorData::new(attended, [1, 1, self.width()]), &device);
-            x = x + dense::linear(&block.out, attended);
+            let qkv = block.query_key_value.forward(block.before_attention.forward(x.clone()));
+            let attended = cache.attend(layer, &to_vec(qkv), self.heads);
+            let attended = Tensor::from_data(TensorData::new(attended, x.dims()), &device);
+            x = x + block.out.forward(attended);
             x = x.clone() + block.feed(x);
         }
-        dense::linear(&self.head, fused::norm(&self.norm, x))
+        self.head.forward(self.norm.forward(x))
+    }
+
+    fn encoded(&self, inputs: Tensor<3>) -> Tensor<3> {
+        self.encode_out.forward(gelu(self.encode.forward(inputs)))
     }
 
     /// Queries, keys and values by head: `[batch, heads, time, width / heads]`.
@@ -152,16 +149,8 @@ impl WhiskerNet {
 
 impl Block {
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        let widened = dense::linear(&self.widen, fused::norm(&self.before_feed, x));
-        dense::linear(&self.narrow, fused::gelu(widened))
+        self.narrow.forward(gelu(self.widen.forward(self.before_feed.forward(x))))
     }
-}
-
-/// Scaled dot products with a bias, `[batch, time, width]`.
-fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>, bias: Tensor<4>) -> Tensor<3> {
-    let [batch, heads, time, width] = q.dims();
-    let scores = q.matmul(k.swap_dims(2, 3)) / (width as f64).sqrt() + bias;
-    softmax(scores, 3).matmul(v).swap_dims(1, 2).reshape([batch, time, heads * width])
 }
 
 /// A tensor's numbers in order.

@@ -144,7 +144,6 @@ mod tests {
     use crate::model_file::preset;
     use crate::sd_factors::SdFactors;
     use crate::tracker::{Sample, Tracker};
-    use crate::two_contacts::reliability::PlattMap;
     use std::collections::BTreeMap;
     use wcal_sim::objects;
 
@@ -179,8 +178,7 @@ mod tests {
             let sd_factors = [1.0; 2].map(SdFactors::constant);
             let (inverse, device) = (inverse.clone(), device.clone());
             let filters = settings.filters();
-            let several_maps = [PlattMap::default(); 2];
-            let tracker = Tracker { config, net, inverse, filters, sd_factors, several_maps, device };
+            let tracker = Tracker { config, net, inverse, filters, sd_factors, device };
             let mut touching = 0;
             for (k, answer) in
                 tracker.track_series(&samples).iter().enumerate().filter(|(k, _)| lost[*k] > 0.0)

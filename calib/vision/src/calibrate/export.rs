@@ -1,4 +1,4 @@
-//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `imports` reads them.
+//! Cameras for other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `import` reads them.
 
 use crate::calibrate::document::StereoDocument;
 use crate::calibrate::import::KALIBR_COEFFICIENTS;

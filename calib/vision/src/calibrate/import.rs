@@ -1,4 +1,4 @@
-//! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `exchange` writes them.
+//! Cameras of other tools: OpenCV (YAML), Kalibr (camchain YAML) and ROS (camera_info YAML). `export` writes them.
 
 use crate::calibrate::document::{
     BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,

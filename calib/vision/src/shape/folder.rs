@@ -44,7 +44,7 @@ struct Loaded {
     tags: PairTags,
 }
 
-/// Everything that `stereo-shape` found, for the document and for overlays.
+/// Everything that `stereo-shape` found, for the document and for the report.
 pub struct ShapesResult {
     /// `shapes.json`.
     pub document: ShapesDocument,

@@ -8,7 +8,6 @@ pub mod drawing;
 pub mod folder;
 pub mod groove;
 pub mod joint;
-pub mod overlay;
 mod pair_errors;
 pub mod pair_fit;
 mod shared_errors;

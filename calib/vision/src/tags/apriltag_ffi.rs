@@ -1,4 +1,4 @@
-//! A safe interface to the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of the project with `unsafe` code.
+//! A safe interface to the AprilTag C library (3.4.5, bundled by apriltag-sys). The only module of this crate with `unsafe` code.
 #![allow(unsafe_code)]
 
 use crate::error::VisionError;

@@ -14,6 +14,8 @@ pub enum Pattern {
         marker_mm: f64,
         /// OpenCV's dictionary name, e.g. `DICT_4X4_50`.
         dictionary: String,
+        /// Laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a light one.
+        legacy: bool,
     },
     /// A grid of AprilTags; columns and rows count tags, the square is the tag's side.
     AprilGrid {
@@ -21,7 +23,35 @@ pub enum Pattern {
         gap_mm: f64,
         /// Family, e.g. `tag36h11`.
         family: String,
+        /// How the tags are numbered.
+        order: TagOrder,
     },
+}
+
+/// How upright tags are numbered over a grid; by default as in Kalibr's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TagOrder {
+    /// Column by column, not row by row.
+    pub by_columns: bool,
+    /// The first tag is at the right.
+    pub from_right: bool,
+    /// The first tag is at the top.
+    pub from_top: bool,
+}
+
+impl TagOrder {
+    /// All eight, the default one first.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (0..8).map(|k| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 })
+    }
+}
+
+impl std::fmt::Display for TagOrder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let line = if self.by_columns { "columns" } else { "rows" };
+        let (upper, right) = (if self.from_top { "upper" } else { "lower" }, if self.from_right { "right" } else { "left" });
+        write!(f, "{line}-from-{upper}-{right}")
+    }
 }
 
 /// Board as stated by the user.

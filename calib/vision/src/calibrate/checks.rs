@@ -252,11 +252,12 @@ pub(crate) fn weak_geometry(
             }
         }
     }
-    if state.right_from_left.translation.x > 0.0 {
-        let t = state.right_from_left.translation.vector;
-        if t.x.abs() >= t.y.abs().max(t.z.abs()) {
-            warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
-        }
+    // Each camera sees the other on the wrong side: one that is mounted upside down makes them differ.
+    let in_right = state.right_from_left.translation.vector;
+    let in_left = state.right_from_left.inverse().translation.vector;
+    let beside = |t: &Vector3<f64>| t.x.abs() >= t.y.abs().max(t.z.abs());
+    if in_right.x > 0.0 && in_left.x < 0.0 && beside(&in_right) && beside(&in_left) {
+        warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
     }
     warnings
 }

@@ -7,7 +7,7 @@ use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use rayon::prelude::*;
-use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::document::StereoDocument;
 use wcal_vision::calibrate::folders::calibrate_folders;
@@ -131,7 +131,7 @@ fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
     let board = |marker_mm: f64, dictionary: &str| Board {
         size: BoardSize { columns: 9, rows: 6 },
         square_mm: 6.0,
-        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into() },
+        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into(), legacy: false },
     };
     assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
     // Negative controls: markers of another dictionary, markers larger than their squares.
@@ -148,7 +148,7 @@ fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
     let board = |gap_mm: f64| Board {
         size: BoardSize { columns: 5, rows: 4 },
         square_mm: 9.0,
-        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into() },
+        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into(), order: TagOrder::default() },
     };
     assert_as_drawn(&calibrated(folder.path(), &board(3.0)).unwrap());
     // Negative control: a gap stated wrongly fits no cameras, or not well.

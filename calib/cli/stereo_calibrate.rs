@@ -62,7 +62,7 @@ pub struct StereoCalibrateArgs {
     pub legacy_charuco: bool,
     /// How an AprilGrid's upright tags are numbered; Kalibr's begin at the lower left and run along the rows
     #[arg(long, value_name = "ORDER", default_value = "rows-from-lower-left",
-          value_parser = PossibleValuesParser::new(TagOrder::all().map(|o| o.to_string())))]
+          value_parser = PossibleValuesParser::new(TagOrder::all().map(|o| o.0)))]
     pub tag_order: String,
     /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for fields up to nearly 180 degrees
     #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
@@ -136,7 +136,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         PatternName::Aprilgrid => Pattern::AprilGrid {
             gap_mm: marker()?,
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
-            order: TagOrder::all().find(|o| o.to_string() == args.tag_order).unwrap_or_default(),
+            order: TagOrder::all().find(|o| o.0 == args.tag_order).map(|o| o.1).unwrap_or_default(),
         },
     };
     let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;

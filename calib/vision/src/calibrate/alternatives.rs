@@ -93,13 +93,13 @@ fn tag_layouts(stated: &TagGrid) -> Vec<(String, TagGrid)> {
     let with = |size: BoardSize, order: TagOrder| TagGrid { size, order, ..stated.clone() };
     let mut found = Vec::new();
     for size in [stated.size, turned] {
-        for order in TagOrder::all().filter(|o| (size, *o) != (stated.size, stated.order)) {
+        for (name, order) in TagOrder::all().filter(|o| (size, o.1) != (stated.size, stated.order)) {
             let mut changes = Vec::new();
             if size != stated.size {
                 changes.push(format!("columns and rows exchanged (--board {size})"));
             }
             if order != stated.order {
-                changes.push(format!("tags numbered otherwise (--tag-order {order})"));
+                changes.push(format!("tags numbered otherwise (--tag-order {name})"));
             }
             found.push((changes.join(" and "), with(size, order)));
         }

@@ -40,17 +40,22 @@ pub struct TagOrder {
 }
 
 impl TagOrder {
-    /// All eight, the default one first.
-    pub fn all() -> impl Iterator<Item = Self> {
-        (0..8).map(|k| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 })
-    }
-}
+    const NAMES: [&str; 8] = [
+        "rows-from-lower-left",
+        "rows-from-upper-left",
+        "rows-from-lower-right",
+        "rows-from-upper-right",
+        "columns-from-lower-left",
+        "columns-from-upper-left",
+        "columns-from-lower-right",
+        "columns-from-upper-right",
+    ];
 
-impl std::fmt::Display for TagOrder {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let line = if self.by_columns { "columns" } else { "rows" };
-        let (upper, right) = (if self.from_top { "upper" } else { "lower" }, if self.from_right { "right" } else { "left" });
-        write!(f, "{line}-from-{upper}-{right}")
+    /// All eight with their names, the default one first.
+    pub fn all() -> impl Iterator<Item = (&'static str, Self)> {
+        let order =
+            |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
+        Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))
     }
 }
 

@@ -8,6 +8,7 @@ pub mod drawing;
 pub mod folder;
 pub mod groove;
 pub mod joint;
+mod other_pose;
 pub mod overlay;
 mod pair_errors;
 pub mod pair_fit;

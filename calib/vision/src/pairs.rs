@@ -41,7 +41,7 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
         let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         // macOS writes a file of its own beside each picture: `._NAME`.
         let hidden = name.starts_with('.') && !pattern.starts_with('.');
-        let picture = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm"].contains(&extension.as_str());
+        let picture = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm"].contains(&extension.as_str());
         if picture && !hidden && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
             files.push(file);
         }

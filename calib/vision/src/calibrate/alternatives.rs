@@ -7,7 +7,7 @@ use crate::calibrate::noise::CornerNoise;
 
 /// Another board, and how to state it.
 pub(crate) struct Alternative {
-    /// Completes "the pictures fit ...".
+    /// Completes "with ... RMS is".
     pub says: String,
     pub board: MarkerBoard,
 }
@@ -25,6 +25,11 @@ pub(crate) fn alternatives(stated: &MarkerBoard, noise: &CornerNoise) -> Vec<Alt
         }
     };
     found.into_iter().map(|(says, markers)| Alternative { says, board: MarkerBoard::of(markers) }).collect()
+}
+
+/// Without the digits of rounding.
+fn rounded(mm: f64) -> f64 {
+    (mm * 1e6).round() / 1e6
 }
 
 fn exchanged(size: BoardSize) -> BoardSize {
@@ -58,21 +63,16 @@ fn tag_sizes(stated: &TagGrid, noise: &CornerNoise) -> Vec<(String, TagGrid)> {
     let (side, gap) = (stated.side_mm, stated.gap_mm);
     let with = |side_mm: f64, gap_mm: f64| TagGrid { side_mm, gap_mm, ..stated.clone() };
     let mut found = Vec::new();
+    let pitch = "is the distance of the tags' centres";
     if side > gap {
-        let says = format!(
-            "tags of {0:.4} mm (--square-mm {0:.4}): the stated {side} mm are the distance of the tags' centres",
-            side - gap
-        );
-        found.push((says, with(side - gap, gap)));
+        let other = rounded(side - gap);
+        found.push((format!("tags of {other} mm (--square-mm {other}; the stated {side} mm {pitch})"), with(other, gap)));
     } else {
-        let says = format!(
-            "gaps of {0:.4} mm (--marker-mm {0:.4}): the stated {gap} mm are the distance of the tags' centres",
-            gap - side
-        );
-        found.push((says, with(side, gap - side)));
+        let other = rounded(gap - side);
+        found.push((format!("gaps of {other} mm (--marker-mm {other}; the stated {gap} mm {pitch})"), with(side, other)));
     }
-    let share = gap * side;
-    let says = format!("gaps of {share:.4} mm (--marker-mm {share:.4}): the stated {gap} is the gap's share of the side");
+    let share = rounded(gap * side);
+    let says = format!("gaps of {share} mm (--marker-mm {share}; the stated {gap} is a share of the side)");
     found.push((says, with(side, share)));
     found.push((format!("side and gap exchanged (--square-mm {gap} --marker-mm {side})"), with(gap, side)));
     // Half the side from the centre in both directions, in distances of the tags.

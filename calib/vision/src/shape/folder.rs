@@ -18,7 +18,7 @@ use crate::tags::base_pose::{
 };
 use crate::tags::detection::{Search, Tag, find_tags};
 use crate::tags::once::each_once;
-use crate::tags::pose as tag_pose;
+use crate::tags::pose::{self as tag_pose, TAG_MISFIT_PX};
 use crate::tags::size::{TagSizes, tag_sizes};
 use nalgebra::{Point3, Vector6};
 use rayon::prelude::*;
@@ -33,9 +33,6 @@ const UNSEEN_MM: f64 = 3.0;
 const NEAR_ROOT_MM: f64 = 6.0;
 /// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
-
-/// A corner is good to hundredths of a pixel: whole pixels are no noise.
-const TAG_MISFIT_PX: f64 = 1.0;
 
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;

@@ -11,7 +11,7 @@ use crate::calibrate::initial::median;
 use crate::rig::{Rig, RigTag};
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{PairTags, observations_of};
-use crate::tags::pose::{TagObservation, body_pose, minimise, residual_rms_px};
+use crate::tags::pose::{TAG_MISFIT_PX, TagObservation, body_pose, minimise, residual_rms_px};
 use nalgebra::{DVector, Vector3};
 
 /// Share of the side from which a difference matters: half of a tenth of a millimetre on a tag of 15 mm, as calipers read it.
@@ -20,8 +20,6 @@ const MATTERS: f64 = 0.003;
 const BEYOND_SD: f64 = 6.0;
 /// Pairs that have to agree against a single one.
 const OTHERS: usize = 2;
-/// RMS of the corners beyond which they are no square of any size in both cameras, px.
-const NO_SQUARE_PX: f64 = 1.0;
 
 /// A side measured in one pair, mm.
 #[derive(Debug, Clone, Copy)]
@@ -80,7 +78,7 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
         let tag = &rig.tags[k];
         found.rig.tags[k].size_mm = mm;
         found.warnings.push(format!(
-            "tag size: {} {} has a side of {mm:.3} +- {sd:.3} mm as both cameras see it, the rig states {} mm; {mm:.3} mm is taken",
+            "tag size: {} {} has a side of {mm:.3} mm (sd {sd:.4}) as both cameras see it, the rig states {} mm; {mm:.3} mm is taken",
             tag.family, tag.id, tag.size_mm
         ));
     }
@@ -120,7 +118,7 @@ fn side(stereo: &StereoCameras, tag: &RigTag, seen: &[TagObservation]) -> Option
     }
     let pose = minimise(stereo, &sized(mm), start.left_from_body)?;
     let off_px = residual_rms_px(stereo, &sized(mm), &pose.left_from_body);
-    if !(off_px < NO_SQUARE_PX && mm > 0.0) {
+    if !(off_px < TAG_MISFIT_PX && mm > 0.0) {
         return None;
     }
     // Scatter beyond the corners' stated noise counts as noise: 16 coordinates, a pose and the side.

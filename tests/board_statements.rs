@@ -5,7 +5,7 @@
 #[path = "support/drawn_boards.rs"]
 mod drawn_boards;
 
-use drawn_boards::{Print, april_grid, chessboard, tilted, write_pairs};
+use drawn_boards::{Print, april_grid, chessboard, grid_of, tilted, write_pairs};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
@@ -105,6 +105,16 @@ fn tags_that_are_turned_against_their_numbers_are_named_with_the_order_that_fits
     let stated = grid("4x3", "26", "7.8");
     is_named(folder.path(), &stated, &["does not fit", &format!("--tag-order {name}")]);
     passes(folder.path(), &[&stated[..], &["--tag-order", name]].concat());
+}
+
+#[test]
+fn a_tag_that_is_printed_twice_counts_once() {
+    let numbers = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 5];
+    let folder = pictured(&grid_of(TagOrder::default(), numbers), &tilted(1.0), &right_from_left());
+    let (code, text, document) = calibrate(folder.path(), &grid("4x3", "26", "7.8"));
+    assert!(code == 3 && text.contains("tag 5 is seen 2 times: counted once"), "{text}");
+    assert!(!text.contains("does not fit"), "{text}");
+    assert!((baseline_mm(&document.unwrap()) - BASELINE_MM).abs() < 0.3);
 }
 
 const CHESS: [&str; 4] = ["--board", "7x6", "--square-mm", "14"];

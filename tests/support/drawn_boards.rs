@@ -30,13 +30,18 @@ pub fn chessboard([columns, rows]: [usize; 2], stretch: f64) -> Print {
 
 /// 4 x 3 upright tags of 26 mm with gaps of 7.8 mm, numbered in this order.
 pub fn april_grid(order: TagOrder) -> Print {
-    let tags: Vec<_> = (0..12).map(|k| draw_tag("tag36h11", k).unwrap()).collect();
+    grid_of(order, std::array::from_fn(|k| k as u32))
+}
+
+/// The same with tags of other numbers.
+pub fn grid_of(order: TagOrder, numbers: [u32; 12]) -> Print {
+    let tags = numbers.map(|number| draw_tag("tag36h11", number).unwrap());
     Box::new(move |x, y| {
         let (u, v) = (x / 33.8 + 1.5, y / 33.8 + 1.0);
         if !(-0.7..3.7).contains(&u) || !(-0.7..2.7).contains(&v) {
             return None;
         }
-        let (column, row) = (u.round(), v.round());
+        let (column, row) = (u.round().clamp(0.0, 3.0), v.round().clamp(0.0, 2.0));
         let i = if order.from_right { 3.0 - column } else { column } as usize;
         let j = if order.from_top { row } else { 2.0 - row } as usize;
         let tag = &tags[if order.by_columns { 3 * i + j } else { 4 * j + i }];
@@ -56,7 +61,8 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
             let t = f64::from(k);
             let tilt = Vector3::new(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.0);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll * (0.9 * (2.3 * t).sin() + 0.07));
-            let place = Vector3::new(28.0 + 8.0 * (1.3 * t).sin(), 8.0 * (2.1 * t).cos(), 285.0 + 25.0 * (0.7 * t).sin());
+            let place =
+                Vector3::new(25.0 + 12.0 * (1.3 * t).sin(), 9.0 * (2.1 * t).cos(), 240.0 + 20.0 * (0.7 * t).sin());
             Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt) * turn)
         })
         .collect()
@@ -111,10 +117,10 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     };
     (0..WIDTH * HEIGHT)
         .map(|p| {
-            // A uniform draw of 3 DN on either side: sd 1.7 DN.
+            // A uniform draw of 6 DN on either side: sd 3.5 DN.
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let draw = (state >> 40) as f64 / (1u64 << 24) as f64;
-            (blurred(p) + 6.0 * draw - 3.0).round().clamp(0.0, 255.0) as u8
+            (blurred(p) + 12.0 * draw - 6.0).round().clamp(0.0, 255.0) as u8
         })
         .collect()
 }

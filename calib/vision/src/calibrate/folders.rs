@@ -114,12 +114,15 @@ fn marker_board<'a>(
     let others = move |noise: &CornerNoise| {
         let statement = |other: Alternative| {
             // Tags are read without their places, markers' corners with them.
-            let views = match (&seen, other.board.corners_by_number()) {
-                (Some(seen), true) => Ok(seen.clone()),
+            let views = match &seen {
+                Some(seen) if own.corners_by_number() => Ok(seen.clone()),
                 _ => marker_pairs(files, &other.board).views,
             };
             Statement { says: other.says, points: other.board.points, places: other.board.places, views }
         };
+        if own.corners_by_number() && seen.is_none() {
+            return Vec::new();
+        }
         alternatives(&own, noise).into_iter().map(statement).collect()
     };
     Ok(Found {

@@ -69,6 +69,8 @@ fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
 
 /// Width to which pictures are reduced where only the board's size is in question, px.
 const PROBE_PX: usize = 800;
+/// The same for the finder that takes seconds where there is no board, and the fourth of it at half the width.
+const SECTORS_PROBE_PX: usize = 400;
 
 /// Coarse corners of one side's picture, or why it is of no use.
 type CornerReader<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
@@ -168,11 +170,13 @@ pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), Visi
         }
         Ok(!probes.is_empty())
     };
-    let stated = |finder: Finder| {
-        let found = |picture: &Picture| find_chessboard(picture, size, finder).is_ok_and(|f| f.is_some());
+    let stated = |finder: Finder, width_px: usize| {
+        let found = |picture: &Picture| {
+            find_chessboard(&picture.reduced(width_px), size, finder).is_ok_and(|f| f.is_some())
+        };
         probes.par_iter().any(found)
     };
-    if stated(Finder::Classic) {
+    if stated(Finder::Classic, PROBE_PX) {
         return Ok(());
     }
     let refused = |found: String| {
@@ -198,7 +202,7 @@ pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), Visi
             }
         }
     }
-    if stated(Finder::Sectors) {
+    if stated(Finder::Sectors, SECTORS_PROBE_PX) {
         return Ok(());
     }
     if let Some(seen) = other {

@@ -34,6 +34,9 @@ const NEAR_ROOT_MM: f64 = 6.0;
 /// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
 
+/// Rounds in which pairs that mix two poses are left out: each makes what the others have in common clearer.
+const ROUNDS: usize = 3;
+
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;
 
@@ -79,8 +82,12 @@ pub fn shapes_of_pairs(
         }
     }
     let (mut document, mut fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &times, progress);
-    let other_poses = pairs_of_other_poses(&document.pairs);
-    if !other_poses.is_empty() {
+    // What the pairs have in common is found again without those that mix two poses.
+    for _ in 0..ROUNDS {
+        let other_poses = pairs_of_other_poses(&document.pairs);
+        if other_poses.is_empty() {
+            break;
+        }
         for (k, why) in other_poses {
             loaded[k] = Err(why);
         }

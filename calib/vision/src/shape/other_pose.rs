@@ -6,7 +6,7 @@ use wcal_core::shapes_document::PairDocument;
 /// Standard deviations of a length beyond which a wire does not have it.
 const BEYOND_SD: f64 = 6.0;
 /// Differences of length that all pairs may have, as a share: the wire's end in other light.
-const LENGTH_SHARE: f64 = 2e-3;
+const LENGTH_SHARE: f64 = 1e-3;
 /// Sd of a length beyond which the wire's end was not seen, mm.
 const END_UNSEEN_MM: f64 = 0.3;
 /// Pairs of one length that outvote a single one whose groove is not seen.

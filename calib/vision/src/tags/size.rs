@@ -14,8 +14,8 @@ use crate::tags::base_pose::{PairTags, observations_of};
 use crate::tags::pose::{TAG_MISFIT_PX, TagObservation, body_pose, minimise, residual_rms_px};
 use nalgebra::{DVector, Vector3};
 
-/// Share of the side from which a difference matters: half of a tenth of a millimetre on a tag of 15 mm, as calipers read it.
-const MATTERS: f64 = 0.003;
+/// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a caliper reads of a print.
+const MATTERS: f64 = 0.002;
 /// Standard deviations from which a difference is none of noise.
 const BEYOND_SD: f64 = 6.0;
 /// Pairs that have to agree against a single one.

@@ -123,20 +123,28 @@ const CHESS: [&str; 4] = ["--board", "7x6", "--square-mm", "14"];
 fn a_stretched_print_is_named_or_said_to_be_undecided() {
     let square = pictured(&chessboard([7, 6], 1.0), &tilted(1.0), &right_from_left());
     passes(square.path(), &CHESS);
-    let long = chessboard([7, 6], 1.02);
-    let rolled = pictured(&long, &tilted(1.0), &right_from_left());
+    let rolled = pictured(&chessboard([7, 6], 1.02), &tilted(1.0), &right_from_left());
     is_named(rolled.path(), &CHESS, &["does not fit", "longer along its columns", "own noise"]);
-    // Boards that are all held upright: fx and fy take the stretch up, and no residual shows it.
-    let upright = pictured(&long, &tilted(0.0), &right_from_left());
+    // Boards that are all held upright: fx and fy take most of the stretch up, and the residuals hardly show it.
+    let upright = pictured(&chessboard([7, 6], 1.01), &tilted(0.0), &right_from_left());
     is_named(upright.path(), &CHESS, &["fy/fx is 1.0", "longer along its columns"]);
+}
+
+/// Boards that are only shifted: no tilt tells the focal length from the distance.
+#[test]
+fn boards_that_are_all_parallel_are_not_taken_in_silence() {
+    let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.03, 0.0));
+    let flat: Vec<_> = tilted(1.0).iter().map(|pose| Isometry3::from_parts(pose.translation, tilt)).collect();
+    let folder = pictured(&chessboard([7, 6], 1.0), &flat, &right_from_left());
+    is_named(folder.path(), &CHESS, &["nearly parallel", "tilt them"]);
 }
 
 #[test]
 fn a_camera_upside_down_and_a_board_that_looks_alike_after_half_a_turn_are_taken() {
     let unique = pictured(&chessboard([7, 6], 1.0), &tilted(1.0), &upside_down());
     passes(unique.path(), &CHESS);
-    let alike = ["--board", "6x6", "--square-mm", "14"];
-    let print = chessboard([6, 6], 1.0);
+    let alike = ["--board", "7x7", "--square-mm", "14"];
+    let print = chessboard([7, 7], 1.0);
     passes(pictured(&print, &tilted(1.0), &right_from_left()).path(), &alike);
     let (code, text, document) = calibrate(pictured(&print, &tilted(1.0), &upside_down()).path(), &alike);
     assert!(code == 3 && text.contains("alike after half a turn") && !text.contains("swapped"), "{text}");

@@ -417,7 +417,9 @@ fn a_tag_side_that_is_stated_wrongly_is_named_and_the_shapes_stay_right() {
     let both = [(SIDE, "size_mm = 10.1"), (SIDE, "size_mm = 10.1")];
     let base = [(SIDE, "size_mm = 12.5")];
     let held = [("size_mm = 10.0\nbody = \"rig\"", "size_mm = 9.0\nbody = \"rig\"")];
-    for (changes, named, all) in [(&both[..], &["0", "1"][..], true), (&base, &["0"], false), (&held, &["1"], false)] {
+    for (changes, named, all) in
+        [(&both[..], &["0", "1"][..], true), (&base, &["0"], false), (&held, &["1"], false)]
+    {
         let (_place, rig) = rig_with(changes);
         let (code, text, shapes) = shapes_with(&left, &right, &rig);
         assert_eq!(code, 3, "{text}");
@@ -428,7 +430,8 @@ fn a_tag_side_that_is_stated_wrongly_is_named_and_the_shapes_stay_right() {
         assert!(!text.contains("rig tag turns"), "{text}");
         assert_eq!(text.contains("the cameras' scale is right"), all, "{text}");
         for name in ["rest", "t1", "t5"] {
-            let off: Vec<f64> = tip(&shapes, name).iter().zip(tip(&control, name)).map(|(a, b)| a - b).collect();
+            let off: Vec<f64> =
+                tip(&shapes, name).iter().zip(tip(&control, name)).map(|(a, b)| a - b).collect();
             assert!(off.iter().all(|d| d.abs() < 0.02), "{changes:?}, {name}: {off:?} mm");
         }
     }

@@ -60,9 +60,13 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
         .map(|k| {
             let t = f64::from(k);
             let tilt = Vector3::new(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.0);
-            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll * (0.9 * (2.3 * t).sin() + 0.07));
-            let place =
-                Vector3::new(25.0 + 12.0 * (1.3 * t).sin(), 9.0 * (2.1 * t).cos(), 240.0 + 20.0 * (0.7 * t).sin());
+            let turn =
+                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll * (0.9 * (2.3 * t).sin() + 0.07));
+            let place = Vector3::new(
+                24.0 + 15.0 * (1.3 * t).sin(),
+                14.0 * (2.1 * t).cos(),
+                240.0 + 20.0 * (0.7 * t).sin(),
+            );
             Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt) * turn)
         })
         .collect()
@@ -100,7 +104,12 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     let mut sharp = vec![0.0; WIDTH * HEIGHT];
     for (p, value) in sharp.iter_mut().enumerate() {
         let (x, y) = ((p % WIDTH) as f64, (p / WIDTH) as f64);
-        let ends = [level(x - 0.5, y - 0.5), level(x + 0.5, y - 0.5), level(x - 0.5, y + 0.5), level(x + 0.5, y + 0.5)];
+        let ends = [
+            level(x - 0.5, y - 0.5),
+            level(x + 0.5, y - 0.5),
+            level(x - 0.5, y + 0.5),
+            level(x + 0.5, y + 0.5),
+        ];
         *value = ends[0];
         if ends.iter().any(|e| *e != ends[0]) {
             let step = |s: usize| (s as f64 + 0.5) / SUB as f64 - 0.5;
@@ -117,10 +126,10 @@ fn drawn(print: &Print, camera_from_board: &Isometry3<f64>, seed: u64) -> Vec<u8
     };
     (0..WIDTH * HEIGHT)
         .map(|p| {
-            // A uniform draw of 6 DN on either side: sd 3.5 DN.
+            // A uniform draw of 10 DN on either side: sd 5.8 DN.
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let draw = (state >> 40) as f64 / (1u64 << 24) as f64;
-            (blurred(p) + 12.0 * draw - 6.0).round().clamp(0.0, 255.0) as u8
+            (blurred(p) + 20.0 * draw - 10.0).round().clamp(0.0, 255.0) as u8
         })
         .collect()
 }

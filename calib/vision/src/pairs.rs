@@ -41,7 +41,8 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
         let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         // macOS writes a file of its own beside each picture: `._NAME`.
         let hidden = name.starts_with('.') && !pattern.starts_with('.');
-        let picture = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm"].contains(&extension.as_str());
+        let picture =
+            ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm"].contains(&extension.as_str());
         if picture && !hidden && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
             files.push(file);
         }
@@ -93,7 +94,11 @@ fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
         };
         Some(side(0)?.intersection(&side(1)?).count())
     };
-    (0..places).rev().filter_map(|place| Some((pairs(place)?, place))).max_by_key(|found| found.0).map(|f| f.1)
+    (0..places)
+        .rev()
+        .filter_map(|place| Some((pairs(place)?, place)))
+        .max_by_key(|found| found.0)
+        .map(|f| f.1)
 }
 
 /// Pairs two lists of files: equal names first, then equal numbers. Files without partner are kept, with `None`.

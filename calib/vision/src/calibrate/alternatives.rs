@@ -18,7 +18,9 @@ const MISCOUNT: i64 = 2;
 /// Every alternative to a stated board. `noise` knows the tags' extent beside their distance from the pictures.
 pub(crate) fn alternatives(stated: &MarkerBoard, noise: &CornerNoise) -> Vec<Alternative> {
     let found: Vec<(String, Markers)> = match stated.markers() {
-        Markers::Charuco(board) => charuco(board).into_iter().map(|(s, b)| (s, Markers::Charuco(b))).collect(),
+        Markers::Charuco(board) => {
+            charuco(board).into_iter().map(|(s, b)| (s, Markers::Charuco(b))).collect()
+        }
         Markers::Tags(grid) => {
             let all = tag_sizes(grid, noise).into_iter().chain(tag_layouts(grid));
             all.map(|(s, g)| (s, Markers::Tags(g))).collect()
@@ -66,10 +68,16 @@ fn tag_sizes(stated: &TagGrid, noise: &CornerNoise) -> Vec<(String, TagGrid)> {
     let pitch = "is the distance of the tags' centres";
     if side > gap {
         let other = rounded(side - gap);
-        found.push((format!("tags of {other} mm (--square-mm {other}; the stated {side} mm {pitch})"), with(other, gap)));
+        found.push((
+            format!("tags of {other} mm (--square-mm {other}; the stated {side} mm {pitch})"),
+            with(other, gap),
+        ));
     } else {
         let other = rounded(gap - side);
-        found.push((format!("gaps of {other} mm (--marker-mm {other}; the stated {gap} mm {pitch})"), with(side, other)));
+        found.push((
+            format!("gaps of {other} mm (--marker-mm {other}; the stated {gap} mm {pitch})"),
+            with(side, other),
+        ));
     }
     let share = rounded(gap * side);
     let says = format!("gaps of {share} mm (--marker-mm {share}; the stated {gap} is a share of the side)");
@@ -80,7 +88,9 @@ fn tag_sizes(stated: &TagGrid, noise: &CornerNoise) -> Vec<(String, TagGrid)> {
     let share = extents.iter().sum::<f64>() / extents.len().max(1) as f64;
     if share > 0.0 && share < 1.0 {
         let (beside, of) = (side * (1.0 / share - 1.0), gap / (1.0 / share - 1.0));
-        let says = format!("gaps of {beside:.3} mm beside tags of {side} mm, or tags of {of:.3} mm beside gaps of {gap} mm");
+        let says = format!(
+            "gaps of {beside:.3} mm beside tags of {side} mm, or tags of {of:.3} mm beside gaps of {gap} mm"
+        );
         found.push((says, with(side, beside)));
     }
     found.retain(|(_, grid)| grid.side_mm > 0.0 && grid.gap_mm > 0.0);
@@ -111,7 +121,10 @@ fn tag_layouts(stated: &TagGrid) -> Vec<(String, TagGrid)> {
         let columns = stated.size.columns as i64 + by;
         if columns >= 2 {
             let size = BoardSize { columns: columns as usize, rows: stated.size.rows };
-            found.push((format!("{columns} columns of tags, not {}", stated.size.columns), with(size, stated.order)));
+            found.push((
+                format!("{columns} columns of tags, not {}", stated.size.columns),
+                with(size, stated.order),
+            ));
         }
     }
     found

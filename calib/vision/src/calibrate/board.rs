@@ -53,8 +53,7 @@ impl TagOrder {
 
     /// All eight with their names, the default one first.
     pub fn all() -> impl Iterator<Item = (&'static str, Self)> {
-        let order =
-            |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
+        let order = |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
         Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))
     }
 }

@@ -195,8 +195,7 @@ pub fn continues_beyond(
     points: &[Vector2<f64>],
 ) -> Option<&'static str> {
     let (c, r) = (board.columns as i64, board.rows as i64);
-    let indices: Vec<_> =
-        (0..r * c).map(|k| Vector2::new((k % c) as f64, (k / c) as f64)).collect();
+    let indices: Vec<_> = (0..r * c).map(|k| Vector2::new((k % c) as f64, (k / c) as f64)).collect();
     let homography = homography(&indices, points)?;
     let at = |x: f64, y: f64| {
         let p = homography * nalgebra::Vector3::new(x, y, 1.0);

@@ -42,9 +42,8 @@ pub fn calibrate_folders(
     let solving = found.stated.views.as_ref().map_or(0, Vec::len);
     progress(&format!("{solving} pairs show the board; solving"));
     let points = found.stated.points.clone();
-    let (mut solution, noise) =
-        calibrate_as_stated(found.stated, (found.image_size, lens), &*found.others)
-            .map_err(|e| with_rejections(e, &found.rejected))?;
+    let (mut solution, noise) = calibrate_as_stated(found.stated, (found.image_size, lens), &*found.others)
+        .map_err(|e| with_rejections(e, &found.rejected))?;
     solution.warnings.append(&mut found.remarks);
     let mut document = document(board, found.image_size, &points, &solution, found.refinement, found.chosen);
     document.corner_noise_px = noise.rms_px.is_finite().then_some(noise.rms_px);
@@ -78,7 +77,8 @@ fn chessboard<'a>(
     }
     let (refined, refinement, chosen) =
         choose_refinement(&points, board.size, &views, (image_size, lens), progress)?;
-    let stated = Statement { says: String::new(), points, places: grid_places(board.size), views: Ok(refined) };
+    let stated =
+        Statement { says: String::new(), points, places: grid_places(board.size), views: Ok(refined) };
     // A plain chessboard has its squares and nothing else to be wrong, but the print.
     Ok(Found { stated, image_size, rejected, remarks, refinement, chosen, others: Box::new(|_| Vec::new()) })
 }

@@ -14,13 +14,15 @@ const BOARD_MARKERS: usize = 4;
 
 /// The pattern that one of the pictures shows, with the options that state it; none where nothing is recognised.
 pub(crate) fn other_pattern(pictures: &[Picture], stated: &Board) -> Option<String> {
-    pictures.iter().find_map(|p| tags(p, stated).or_else(|| markers(p, stated)).or_else(|| squares(p, stated)))
+    pictures
+        .iter()
+        .find_map(|p| tags(p, stated).or_else(|| markers(p, stated)).or_else(|| squares(p, stated)))
 }
 
 fn tags(picture: &Picture, stated: &Board) -> Option<String> {
-    let others = FAMILIES.into_iter().filter(
-        |f| !matches!(&stated.pattern, Pattern::AprilGrid { family, .. } if family == f),
-    );
+    let others = FAMILIES
+        .into_iter()
+        .filter(|f| !matches!(&stated.pattern, Pattern::AprilGrid { family, .. } if family == f));
     others.into_iter().find_map(|family| {
         let found = detect_tags(picture, family, Search::Halved).ok()?;
         let ids: BTreeSet<u32> = found.iter().filter(|t| t.hamming == 0).map(|t| t.id).collect();

@@ -28,11 +28,8 @@ pub(crate) fn half_turned(
     let errors = |relative: &Isometry3<f64>| -> Vec<[f64; 2]> {
         let one = |w: usize, reversed: bool| {
             let pose = relative * left.camera_from_board[w];
-            let seen: Box<dyn Iterator<Item = _>> = if reversed {
-                Box::new(sides[1][w].iter().rev())
-            } else {
-                Box::new(sides[1][w].iter())
-            };
+            let seen: Box<dyn Iterator<Item = _>> =
+                if reversed { Box::new(sides[1][w].iter().rev()) } else { Box::new(sides[1][w].iter()) };
             let off: Vec<_> = seen
                 .zip(points)
                 .map(|(c, p)| Some((*c)? - right.camera.project(&(pose * Point3::from(*p)).coords)?))

@@ -163,7 +163,8 @@ impl TagGrid {
             .flat_map(|k| {
                 let TagOrder { by_columns, from_right, from_top } = self.order;
                 let (i, j) = if by_columns { (k / rows, k % rows) } else { (k % columns, k / columns) };
-                let signed = |step: usize, positive: bool| if positive { step as f64 } else { -(step as f64) };
+                let signed =
+                    |step: usize, positive: bool| if positive { step as f64 } else { -(step as f64) };
                 let cell = Vector2::new(signed(i, !from_right), signed(j, from_top));
                 let centre = cell.push(0.0) * (self.side_mm + self.gap_mm);
                 let corners = tag_corners(self.side_mm);
@@ -212,14 +213,9 @@ impl Charuco {
         let dictionary: Ptr<Dictionary> =
             get_predefined_dictionary_i32(self.dictionary).doing("getPredefinedDictionary")?;
         let (across, down) = (c as i32 + 1, (r + 1 + above) as i32);
-        let layout = CharucoBoard::create(
-            across,
-            down,
-            self.square_mm as f32,
-            self.marker_mm as f32,
-            &dictionary,
-        )
-        .doing("CharucoBoard")?;
+        let layout =
+            CharucoBoard::create(across, down, self.square_mm as f32, self.marker_mm as f32, &dictionary)
+                .doing("CharucoBoard")?;
         let mat = picture.to_mat()?;
         let (marker_corners, ids) = detect(&mat, &dictionary)?;
         let mut out = vec![None; c * r];
@@ -278,7 +274,9 @@ impl TagGrid {
         for (id, mut tags) in seen {
             if tags.len() > 1 {
                 remarks.push(format!("tag {id} is seen {} times: counted once", tags.len()));
-                let Some(expected) = grid.as_ref().and_then(|h| mapped(h, &places[4 * id].cell)) else { continue };
+                let Some(expected) = grid.as_ref().and_then(|h| mapped(h, &places[4 * id].cell)) else {
+                    continue;
+                };
                 let off = |t: &Tag| (t.middle_px() - expected).norm();
                 tags.sort_by(|a, b| off(a).total_cmp(&off(b)));
             }

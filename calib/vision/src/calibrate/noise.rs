@@ -80,10 +80,8 @@ fn scatter(places: &[GridPlace], offsets: &[Vector2<f64>], corners: &Corners) ->
     if seen.len() < FEWEST {
         return None;
     }
-    let predicted: Vec<Vector2<f64>> = seen
-        .iter()
-        .map(|(p, _)| mapped(&h, &(p.cell + offsets[p.kind])))
-        .collect::<Option<_>>()?;
+    let predicted: Vec<Vector2<f64>> =
+        seen.iter().map(|(p, _)| mapped(&h, &(p.cell + offsets[p.kind]))).collect::<Option<_>>()?;
     let centre = predicted.iter().sum::<Vector2<f64>>() / predicted.len() as f64;
     let reach = predicted.iter().map(|q| (q - centre).amax()).fold(f64::MIN_POSITIVE, f64::max);
     let design = DMatrix::from_fn(seen.len(), TERMS, |k, t| {

@@ -133,7 +133,8 @@ fn stretched(points: &[Vector3<f64>], solution: &StereoSolution) -> (f64, f64) {
 }
 
 fn print_stretched(factor: f64) -> String {
-    let (along, percent) = if factor > 1.0 { ("columns", factor - 1.0) } else { ("rows", 1.0 / factor - 1.0) };
+    let (along, percent) =
+        if factor > 1.0 { ("columns", factor - 1.0) } else { ("rows", 1.0 / factor - 1.0) };
     format!("a print that is {:.2} % longer along its {along} than across", 100.0 * percent)
 }
 

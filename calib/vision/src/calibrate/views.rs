@@ -131,7 +131,11 @@ pub(crate) fn usable(
 }
 
 /// Coarse corners of the whole board, or why there are none.
-pub(crate) fn whole_board(picture: &Picture, size: BoardSize, side: &str) -> Result<Vec<Vector2<f64>>, String> {
+pub(crate) fn whole_board(
+    picture: &Picture,
+    size: BoardSize,
+    side: &str,
+) -> Result<Vec<Vector2<f64>>, String> {
     let find = |finder: Finder| find_chessboard(picture, size, finder).map_err(|e| e.to_string());
     let whole = |points: Vec<Vector2<f64>>| match continues_beyond(picture, size, &points) {
         None => Ok(points),
@@ -157,32 +161,31 @@ const PROBES: usize = 3;
 pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), VisionError> {
     let size = board.size;
     let read = |path: &PathBuf| Some(Picture::read(path).ok()?.reduced(PROBE_PX));
-    let probes = probes(files);
+    let reduced = probes(files, PROBE_PX);
     let shows = |picture: &Picture, size: BoardSize| -> Result<bool, VisionError> {
         let found = find_chessboard(picture, size, Finder::Classic)?;
         Ok(found.is_some_and(|points| continues_beyond(picture, size, &points).is_none()))
     };
     let all_show = |size: BoardSize| -> Result<bool, VisionError> {
-        for picture in &probes {
+        for picture in &reduced {
             if !shows(picture, size)? {
                 return Ok(false);
             }
         }
-        Ok(!probes.is_empty())
+        Ok(!reduced.is_empty())
     };
     let stated = |finder: Finder, width_px: usize| {
         let found = |picture: &Picture| {
             find_chessboard(&picture.reduced(width_px), size, finder).is_ok_and(|f| f.is_some())
         };
-        probes.par_iter().any(found)
+        reduced.par_iter().any(found)
     };
     if stated(Finder::Classic, PROBE_PX) {
         return Ok(());
     }
-    let refused = |found: String| {
-        Err(VisionError::result("find the board", format!("{size} inner corners"), found))
-    };
-    let other = other_pattern(&probes, board);
+    let refused =
+        |found: String| Err(VisionError::result("find the board", format!("{size} inner corners"), found));
+    let other = other_pattern(&reduced, board);
     let (c, r) = (size.columns as i64, size.rows as i64);
     let others = [
         (c - 1, r),
@@ -198,7 +201,10 @@ pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), Visi
         for (columns, rows) in others.into_iter().filter(|(c, r)| c.min(r) >= &3) {
             let other = BoardSize { columns: columns as usize, rows: rows as usize };
             if all_show(other)? {
-                return refused(format!("a whole board of {other} in {} pictures: wrong board size?", probes.len()));
+                return refused(format!(
+                    "a whole board of {other} in {} pictures: wrong board size?",
+                    reduced.len()
+                ));
             }
         }
     }
@@ -208,22 +214,26 @@ pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), Visi
     if let Some(seen) = other {
         return refused(format!("{seen} in their place"));
     }
-    let anywhere = |file: &PairFiles| {
+    // A picture that cannot be read may show it: its own reason is said later.
+    let perhaps = |file: &PairFiles| {
         let picture = file.left.as_ref().and_then(read);
-        picture.is_some_and(|p| find_chessboard(&p, size, Finder::Classic).is_ok_and(|f| f.is_some()))
+        picture.is_none_or(|p| find_chessboard(&p, size, Finder::Classic).is_ok_and(|f| f.is_some()))
     };
-    if files.par_iter().any(anywhere) {
+    // Small squares of a large board are lost in reduced pictures: the probes once more as they are.
+    let whole =
+        |picture: &Picture| find_chessboard(picture, size, Finder::Sectors).is_ok_and(|f| f.is_some());
+    if files.par_iter().any(perhaps) || probes(files, usize::MAX).par_iter().any(whole) {
         return Ok(());
     }
     refused(format!("none in {} pictures, and none of another pattern that is known", files.len()))
 }
 
-/// Some left pictures, reduced.
-fn probes(files: &[PairFiles]) -> Vec<Picture> {
+/// Some left pictures, reduced to a width.
+fn probes(files: &[PairFiles], width_px: usize) -> Vec<Picture> {
     let count = PROBES.min(files.len());
     (0..count)
         .filter_map(|k| files[k * files.len() / count].left.as_ref())
-        .filter_map(|path| Some(Picture::read(path).ok()?.reduced(PROBE_PX)))
+        .filter_map(|path| Some(Picture::read(path).ok()?.reduced(width_px)))
         .collect()
 }
 
@@ -234,7 +244,7 @@ pub(crate) struct MarkerPairs {
     /// Pairs with enough corners, or why there are too few.
     pub views: Result<Vec<BoardView>, VisionError>,
     pub rejected: Vec<RejectedView>,
-    /// On single pictures.
+    /// On the corners, with the number of pictures that they hold for.
     pub remarks: Vec<String>,
 }
 
@@ -252,7 +262,7 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
             let mut side = |k: usize, name: &str| {
                 let (corners, more) =
                     markers::corners(board, &pictures[k]).map_err(|w| format!("{name} picture: {w}"))?;
-                remarks.extend(more.into_iter().map(|m| format!("{}, {name} picture: {m}", f.name)));
+                remarks.extend(more);
                 Ok::<_, String>(corners)
             };
             let view = side(0, "left")
@@ -262,12 +272,15 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
         .collect();
     let with_corners = found.iter().filter(|f| f.0.is_ok()).filter_map(|f| f.1);
     let size = common_size(with_corners).or_else(|| common_size(found.iter().filter_map(|f| f.1)));
-    let (mut views, mut rejected, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut views, mut rejected) = (Vec::new(), Vec::new());
+    let mut remarks: BTreeMap<String, usize> = BTreeMap::new();
     for (file, (view, own)) in files.iter().zip(found) {
         let why = match view {
             Ok((view, more)) if own == size => {
                 views.push(view);
-                remarks.extend(more);
+                for remark in more {
+                    *remarks.entry(remark).or_default() += 1;
+                }
                 continue;
             }
             Ok(_) => "size differs from other pairs".into(),
@@ -282,12 +295,13 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
         let expected = "at least 3 pairs that show the board in both pictures";
         Err(VisionError::result("calibrate two cameras", expected, found))
     };
+    let remarks = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)")).collect();
     MarkerPairs { size, views, rejected, remarks }
 }
 
 /// Adds to a refusal what the pictures show in place of the stated board.
 pub(crate) fn with_guess(error: VisionError, files: &[PairFiles], board: &Board) -> VisionError {
-    match (error, other_pattern(&probes(files), board)) {
+    match (error, other_pattern(&probes(files, PROBE_PX), board)) {
         (VisionError::Result { action, expected, found }, Some(seen)) => {
             VisionError::Result { action, expected, found: format!("{found}; the pictures show {seen}") }
         }

@@ -17,12 +17,8 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
     let seen = |p: &&PairDocument| p.status == "ok" && p.length_sd_mm < END_UNSEEN_MM;
     let mut found = Vec::new();
     for (k, pair) in pairs.iter().enumerate().filter(|(_, p)| seen(p)) {
-        let others: Vec<f64> = pairs
-            .iter()
-            .enumerate()
-            .filter(|(j, p)| *j != k && seen(p))
-            .map(|(_, p)| p.length_mm)
-            .collect();
+        let others: Vec<f64> =
+            pairs.iter().enumerate().filter(|(j, p)| *j != k && seen(p)).map(|(_, p)| p.length_mm).collect();
         let typical = median(&others);
         let spread = 1.4826 * median(&others.iter().map(|l| (l - typical).abs()).collect::<Vec<_>>());
         let off = (pair.length_mm - typical).abs();

@@ -10,7 +10,8 @@ use crate::tags::pose::body_pose;
 pub(crate) fn each_once(stereo: &StereoCameras, rig: &Rig, mut tags: PairTags) -> (PairTags, Vec<String>) {
     let mut remarks = Vec::new();
     for known in &rig.tags {
-        let is_it = |(_, t): &&(usize, crate::tags::detection::Tag)| t.id == known.id && t.family == known.family;
+        let is_it =
+            |(_, t): &&(usize, crate::tags::detection::Tag)| t.id == known.id && t.family == known.family;
         let seen: [PairTags; 2] =
             [0, 1].map(|camera| tags.iter().filter(is_it).filter(|t| t.0 == camera).cloned().collect());
         if seen.iter().all(|s| s.len() < 2) {

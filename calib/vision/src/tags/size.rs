@@ -41,8 +41,7 @@ pub(crate) struct TagSizes {
 
 /// Measures all tags of a rig in all pairs. A side that contradicts the rig's is replaced by what the pictures show, with a warning.
 pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> TagSizes {
-    let mut found =
-        TagSizes { rig: rig.clone(), warnings: Vec::new(), elsewhere: vec![None; pairs.len()] };
+    let mut found = TagSizes { rig: rig.clone(), warnings: Vec::new(), elsewhere: vec![None; pairs.len()] };
     let mut changed = Vec::new();
     for (k, tag) in rig.tags.iter().enumerate() {
         let sides: Vec<Option<Side>> =
@@ -142,8 +141,8 @@ fn triangulated(stereo: &StereoCameras, [left, right]: [&TagObservation; 2]) -> 
     let places: Vec<Vector3<f64>> = (0..4)
         .map(|k| {
             let a = stereo.cameras[0].undistort(&left.tag.corners_px[k])?.push(1.0);
-            let b = left_from_right.rotation
-                * stereo.cameras[1].undistort(&right.tag.corners_px[k])?.push(1.0);
+            let b =
+                left_from_right.rotation * stereo.cameras[1].undistort(&right.tag.corners_px[k])?.push(1.0);
             // a u - (c + b v) across both lines is least.
             let (aa, ab, bb) = (a.dot(&a), a.dot(&b), b.dot(&b));
             let determinant = aa * bb - ab * ab;

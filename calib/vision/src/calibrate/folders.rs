@@ -102,7 +102,8 @@ fn marker_board<'a>(
     board: &Board,
     markers: &MarkerBoard,
 ) -> Result<Found<'a>, VisionError> {
-    let MarkerPairs { size, views, rejected, remarks } = marker_pairs(files, markers);
+    let MarkerPairs { size, views, rejected, mut remarks, marker_share } = marker_pairs(files, markers);
+    remarks.extend(markers.contradicts(marker_share));
     let Some(image_size) = size else {
         return Err(views.err().map_or_else(
             || VisionError::result("calibrate two cameras", "pictures", "none"),

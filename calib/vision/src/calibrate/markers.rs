@@ -4,7 +4,7 @@ use crate::calibrate::board::{Board, Pattern, TagOrder, board_points};
 use crate::calibrate::chessboard::BoardSize;
 use crate::calibrate::corner::fit_corner;
 use crate::calibrate::homography::{homography, mapped};
-use crate::calibrate::initial::Corners;
+use crate::calibrate::initial::{Corners, median};
 use crate::calibrate::noise::GridPlace;
 use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
@@ -33,6 +33,9 @@ pub(crate) enum Markers {
     Charuco(Charuco),
     Tags(TagGrid),
 }
+
+/// Difference of the markers' share of their squares that is none of blur and threshold: a pixel on a marker of 25 px.
+const SHARE_OFF: f64 = 0.04;
 
 /// A ChArUco board.
 #[derive(Debug, Clone)]
@@ -143,6 +146,18 @@ impl MarkerBoard {
         &self.markers
     }
 
+    /// What is wrong with the stated sides where the pictures show markers of another share of their squares.
+    pub(crate) fn contradicts(&self, marker_share: f64) -> Option<String> {
+        let Markers::Charuco(Charuco { square_mm, marker_mm, .. }) = &self.markers else { return None };
+        let stated = marker_mm / square_mm;
+        ((marker_share / stated - 1.0).abs() > SHARE_OFF).then(|| {
+            format!(
+                "the pictures show markers of {marker_share:.3} of their square's side, stated are {marker_mm} of {square_mm} mm ({stated:.3}): \
+                 one of --square-mm and --marker-mm is wrong; the scale follows --square-mm"
+            )
+        })
+    }
+
     /// Whether corners are found by the markers' numbers alone, wherever these lie on the board.
     pub(crate) fn corners_by_number(&self) -> bool {
         matches!(self.markers, Markers::Tags(_))
@@ -174,21 +189,32 @@ impl TagGrid {
     }
 }
 
-/// Corners of the board in a picture, with remarks on them, or why there are too few.
+/// What a picture shows of a board with markers.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// One entry a point of the board.
+    pub corners: Corners,
+    /// What is to be said of them.
+    pub remarks: Vec<String>,
+    /// Side of the markers in squares (ChArUco); none where too few corners tell.
+    pub marker_share: Option<f64>,
+}
+
+/// Corners of the board in a picture, or why there are too few.
 ///
 /// # Errors
 /// A sentence.
-pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<(Corners, Vec<String>), String> {
-    let (found, remarks) = match &board.markers {
-        Markers::Charuco(charuco) => charuco.corners(picture).map(|c| (c, Vec::new())),
+pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<Seen, String> {
+    let found = match &board.markers {
+        Markers::Charuco(charuco) => charuco.corners(picture),
         Markers::Tags(grid) => grid.corners(&board.places, picture),
     }
     .map_err(|e| e.to_string())?;
-    let count = found.iter().flatten().count();
+    let count = found.corners.iter().flatten().count();
     if count < 8 {
         return Err(format!("expected at least 8 corners of the board, found {count}"));
     }
-    Ok((found, remarks))
+    Ok(found)
 }
 
 type Detected = (Vector<Vector<Point2f>>, Vector<i32>);
@@ -206,7 +232,7 @@ pub(crate) fn marker_ids(picture: &Picture, dictionary: i32) -> Result<Vec<i32>,
 }
 
 impl Charuco {
-    fn corners(&self, picture: &Picture) -> Result<Corners, VisionError> {
+    fn corners(&self, picture: &Picture) -> Result<Seen, VisionError> {
         let BoardSize { columns: c, rows: r } = self.size;
         // The older layout is today's with a row of squares more, of which the first row is not there.
         let above = usize::from(self.legacy);
@@ -220,7 +246,7 @@ impl Charuco {
         let (marker_corners, ids) = detect(&mat, &dictionary)?;
         let mut out = vec![None; c * r];
         if ids.is_empty() {
-            return Ok(out);
+            return Ok(Seen { corners: out, ..Seen::default() });
         }
         let missing = (above * across as usize / 2) as i32;
         let ids: Vector<i32> = ids.iter().map(|id| id + missing).collect();
@@ -249,17 +275,30 @@ impl Charuco {
                 .map(|f| f.position_px)
                 .or(Some(here));
         }
-        Ok(out)
+        let marker_share = self.marker_share(&out, &marker_corners);
+        Ok(Seen { corners: out, marker_share, ..Seen::default() })
+    }
+
+    /// Median side of the markers, in squares, by the homography of the board's corners.
+    fn marker_share(&self, corners: &Corners, markers: &Vector<Vector<Point2f>>) -> Option<f64> {
+        let seen = grid_places(self.size).into_iter().zip(corners).filter_map(|(p, c)| Some((p.cell, (*c)?)));
+        let (cells, at): (Vec<_>, Vec<_>) = seen.unzip();
+        let back = homography(&cells, &at)?.try_inverse()?;
+        let on_board = |p: Point2f| mapped(&back, &Vector2::new(f64::from(p.x), f64::from(p.y)));
+        let sides: Vec<f64> = markers
+            .iter()
+            .filter_map(|marker| {
+                let ends: Vec<_> = marker.iter().map(on_board).collect::<Option<_>>()?;
+                Some((0..4).map(|k| (ends[(k + 1) % 4] - ends[k]).norm()).sum::<f64>() / 4.0)
+            })
+            .collect();
+        Some(median(&sides)).filter(|share| share.is_finite())
     }
 }
 
 impl TagGrid {
     /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the others put it.
-    fn corners(
-        &self,
-        places: &[GridPlace],
-        picture: &Picture,
-    ) -> Result<(Corners, Vec<String>), VisionError> {
+    fn corners(&self, places: &[GridPlace], picture: &Picture) -> Result<Seen, VisionError> {
         let mut seen: BTreeMap<usize, Vec<Tag>> = BTreeMap::new();
         for tag in find_tags(picture, &self.family, None, Search::Whole)? {
             if tag.refined && (tag.id as usize) < self.count {
@@ -284,6 +323,6 @@ impl TagGrid {
                 *slot = Some(corner);
             }
         }
-        Ok((out, remarks))
+        Ok(Seen { corners: out, remarks, marker_share: None })
     }
 }

@@ -5,6 +5,7 @@ use crate::calibrate::bundle::BoardView;
 use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard};
 use crate::calibrate::document::RejectedView;
 use crate::calibrate::guess::other_pattern;
+use crate::calibrate::initial::median;
 use crate::calibrate::markers::{self, MarkerBoard};
 use crate::calibrate::refinement::View;
 use crate::error::VisionError;
@@ -246,11 +247,13 @@ pub(crate) struct MarkerPairs {
     pub rejected: Vec<RejectedView>,
     /// On the corners, with the number of pictures that they hold for.
     pub remarks: Vec<String>,
+    /// Side of the markers in squares; NaN where nothing tells.
+    pub marker_share: f64,
 }
 
 /// Corners of a board with markers in all pairs.
 pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPairs {
-    type Found = (Result<(BoardView, Vec<String>), String>, Option<[usize; 2]>);
+    type Found = (Result<(BoardView, Vec<String>, Vec<f64>), String>, Option<[usize; 2]>);
     let found: Vec<Found> = files
         .par_iter()
         .map(|f| {
@@ -258,26 +261,28 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
                 Ok(pictures) => pictures,
                 Err(why) => return (Err(why), None),
             };
-            let mut remarks = Vec::new();
+            let (mut remarks, mut shares) = (Vec::new(), Vec::new());
             let mut side = |k: usize, name: &str| {
-                let (corners, more) =
+                let seen =
                     markers::corners(board, &pictures[k]).map_err(|w| format!("{name} picture: {w}"))?;
-                remarks.extend(more);
-                Ok::<_, String>(corners)
+                remarks.extend(seen.remarks);
+                shares.extend(seen.marker_share);
+                Ok::<_, String>(seen.corners)
             };
             let view = side(0, "left")
                 .and_then(|left| Ok(BoardView { name: f.name.clone(), left, right: side(1, "right")? }));
-            (view.map(|v| (v, remarks)), Some([pictures[0].width, pictures[0].height]))
+            (view.map(|v| (v, remarks, shares)), Some([pictures[0].width, pictures[0].height]))
         })
         .collect();
     let with_corners = found.iter().filter(|f| f.0.is_ok()).filter_map(|f| f.1);
     let size = common_size(with_corners).or_else(|| common_size(found.iter().filter_map(|f| f.1)));
-    let (mut views, mut rejected) = (Vec::new(), Vec::new());
+    let (mut views, mut rejected, mut shares) = (Vec::new(), Vec::new(), Vec::new());
     let mut remarks: BTreeMap<String, usize> = BTreeMap::new();
     for (file, (view, own)) in files.iter().zip(found) {
         let why = match view {
-            Ok((view, more)) if own == size => {
+            Ok((view, more, one)) if own == size => {
                 views.push(view);
+                shares.extend(one);
                 for remark in more {
                     *remarks.entry(remark).or_default() += 1;
                 }
@@ -296,7 +301,7 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
         Err(VisionError::result("calibrate two cameras", expected, found))
     };
     let remarks = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)")).collect();
-    MarkerPairs { size, views, rejected, remarks }
+    MarkerPairs { size, views, rejected, remarks, marker_share: median(&shares) }
 }
 
 /// Adds to a refusal what the pictures show in place of the stated board.

@@ -130,6 +130,12 @@ fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
     write_pairs(folder.path(), &charuco());
     let board = |marker_mm: f64, dictionary: &str| charuco_board([9, 6], marker_mm, dictionary, false);
     assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
+    // The square's side as the marker's, another marker: the ratio of both contradicts the pictures.
+    for (marker_mm, contradicted) in [(4.4, false), (4.5, false), (3.2, true), (5.5, true)] {
+        let warnings = calibrated(folder.path(), &board(marker_mm, "DICT_4X4_50")).unwrap().warnings;
+        let found = warnings.iter().any(|w| w.contains("one of --square-mm and --marker-mm is wrong"));
+        assert_eq!(found, contradicted, "{marker_mm}: {warnings:?}");
+    }
     // Negative controls: markers of another dictionary, markers larger than their squares.
     let why = calibrated(folder.path(), &board(4.4, "DICT_6X6_250")).unwrap_err();
     assert!(why.contains("found 0"), "{why}");

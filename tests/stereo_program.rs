@@ -373,3 +373,106 @@ fn known_moments_give_the_stiffness_and_a_wrong_one_is_named() {
         wcal(&["fit-whisker", shapes, "--rig", rig, "--moments", &at("moments"), "--out", &at("stiff")]);
     assert!(code == 1 && text.contains("known moments"), "{text}");
 }
+
+/// A rig with other lines, in a folder of its own.
+fn rig_with(changes: &[(&str, &str)]) -> (tempfile::TempDir, String) {
+    let place = tempfile::tempdir().unwrap();
+    let mut text = std::fs::read_to_string(rig()).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replacen(from, to, 1);
+    }
+    let path = place.path().join("rig.toml");
+    std::fs::write(&path, text).unwrap();
+    let rig = path.display().to_string();
+    (place, rig)
+}
+
+/// Shapes of two folders with a rig.
+fn shapes_with(left: &str, right: &str, rig: &str) -> (i32, String, Value) {
+    let cameras = made().at("calibration/stereo.json");
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("out").display().to_string();
+    let (code, _, text) =
+        wcal(&["stereo-shape", left, right, "--cameras", &cameras, "--rig", rig, "--out", &out]);
+    let shapes = std::fs::read(Path::new(&out).join("shapes.json"));
+    (code, text, shapes.map_or(Value::Null, |s| serde_json::from_slice(&s).unwrap()))
+}
+
+/// End of the centre line of a pair, mm.
+fn tip(shapes: &Value, name: &str) -> Vec<f64> {
+    let pair = shapes["pairs"].as_array().unwrap().iter().find(|p| p["name"] == name).unwrap();
+    let line = pair["centreline_mm"].as_array().unwrap_or_else(|| panic!("{pair}"));
+    line.last().unwrap().as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn a_tag_side_that_is_stated_wrongly_is_named_and_the_shapes_stay_right() {
+    let scene = fixture("scene");
+    let (left, right) = (scene.join("left").display().to_string(), scene.join("right").display().to_string());
+    let (code, text, control) = shapes_with(&left, &right, &rig());
+    assert!(code == 0 && !text.contains("tag size"), "{text}");
+    const SIDE: &str = "size_mm = 10.0";
+    let both = [(SIDE, "size_mm = 10.1"), (SIDE, "size_mm = 10.1")];
+    let base = [(SIDE, "size_mm = 12.5")];
+    let held = [("size_mm = 10.0\nbody = \"rig\"", "size_mm = 9.0\nbody = \"rig\"")];
+    for (changes, named, all) in
+        [(&both[..], &["0", "1"][..], true), (&base, &["0"], false), (&held, &["1"], false)]
+    {
+        let (_place, rig) = rig_with(changes);
+        let (code, text, shapes) = shapes_with(&left, &right, &rig);
+        assert_eq!(code, 3, "{text}");
+        for id in ["0", "1"] {
+            let line = format!("tag size: tag36h11 {id} has a side of ");
+            assert_eq!(text.contains(&line), named.contains(&id), "{changes:?}: {text}");
+        }
+        assert!(!text.contains("rig tag turns"), "{text}");
+        assert_eq!(text.contains("the cameras' scale is right"), all, "{text}");
+        for name in ["rest", "t1", "t5"] {
+            let off: Vec<f64> =
+                tip(&shapes, name).iter().zip(tip(&control, name)).map(|(a, b)| a - b).collect();
+            assert!(off.iter().all(|d| d.abs() < 0.02), "{changes:?}, {name}: {off:?} mm");
+        }
+    }
+}
+
+#[test]
+fn a_pair_that_mixes_two_poses_is_left_out_by_its_length() {
+    let place = tempfile::tempdir().unwrap();
+    let [left, right] = ["left", "right"].map(|side| {
+        let to = place.path().join(side);
+        copy_folder(&fixture("scene").join(side), &to);
+        to
+    });
+    // Without a rig tag only the wire tells that the pictures show two poses.
+    let text = std::fs::read_to_string(rig()).unwrap();
+    let rig = place.path().join("rig.toml").display().to_string();
+    std::fs::write(&rig, &text[..text.find("[[tags]]\nid = 1").unwrap()]).unwrap();
+    std::fs::copy(left.join("rest.png"), left.join("x.png")).unwrap();
+    std::fs::copy(right.join("t5.png"), right.join("x.png")).unwrap();
+    let [left, right] = [left, right].map(|p| p.display().to_string());
+    let (code, text, shapes) = shapes_with(&left, &right, &rig);
+    assert_eq!(code, 3, "{text}");
+    for pair in shapes["pairs"].as_array().unwrap() {
+        let mixed = pair["name"] == "x";
+        assert_eq!(pair["status"], if mixed { "rejected" } else { "ok" }, "{pair}");
+        assert_eq!(mixed, pair["why"].as_str().unwrap().contains("mm in the other pairs"), "{pair}");
+    }
+}
+
+#[test]
+fn a_tag_that_a_rig_states_twice_counts_once_or_is_refused() {
+    let scene = fixture("scene");
+    let (left, right) = (scene.join("left").display().to_string(), scene.join("right").display().to_string());
+    let text = std::fs::read_to_string(rig()).unwrap();
+    let second = &text[text.find("[[tags]]\nid = 1").unwrap()..text.find("[groove]").unwrap()];
+    let (_place, twice) = rig_with(&[("[groove]", &format!("{second}[groove]"))]);
+    let (code, text, shapes) = shapes_with(&left, &right, &twice);
+    assert!(code == 3 && text.contains("tag36h11 1 is stated twice: counted once"), "{text}");
+    let (_, _, control) = shapes_with(&left, &right, &rig());
+    assert_eq!(tip(&shapes, "t1"), tip(&control, "t1"));
+    let other = second.replace("10.0", "8.0");
+    let (_place, contradictory) = rig_with(&[("[groove]", &format!("{other}[groove]"))]);
+    let (code, text, _) = shapes_with(&left, &right, &contradictory);
+    assert!(code == 1 && text.contains("one [[tags]] entry for tag36h11 1") && text.contains("8"), "{text}");
+}

@@ -8,7 +8,7 @@ use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::calibrate::import::read_cameras;
@@ -57,6 +57,13 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
+    /// The ChArUco board is laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a light one
+    #[arg(long)]
+    pub legacy_charuco: bool,
+    /// How an AprilGrid's upright tags are numbered; Kalibr's begin at the lower left and run along the rows
+    #[arg(long, value_name = "ORDER", default_value = "rows-from-lower-left",
+          value_parser = PossibleValuesParser::new(TagOrder::all().map(|o| o.0)))]
+    pub tag_order: String,
     /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for fields up to nearly 180 degrees
     #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
     pub lens: String,
@@ -124,10 +131,12 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
                 .dictionary
                 .clone()
                 .context("--dictionary is needed for ChArUco boards, e.g. DICT_4X4_50")?,
+            legacy: args.legacy_charuco,
         },
         PatternName::Aprilgrid => Pattern::AprilGrid {
             gap_mm: marker()?,
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
+            order: TagOrder::all().find(|o| o.0 == args.tag_order).map(|o| o.1).unwrap_or_default(),
         },
     };
     let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
@@ -163,6 +172,10 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         document.rms_px,
         document.held_out.epipolar_mean_px,
         document.held_out.epipolar_p95_px
+    );
+    eprintln!(
+        "stereo-calibrate: the scale follows the stated {} mm: no picture of the board shows an error common to all its sizes",
+        args.square_mm
     );
     if args.json {
         println!("{text}");

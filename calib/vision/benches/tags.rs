@@ -11,7 +11,7 @@ const FAMILY: &str = "tag36h11";
 fn bench(c: &mut Criterion) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/apriltag_images");
     let pictures = ["33369213973_9d9bb4cc96_c", "34085369442_304b6bafd9_c", "34139872896_defdb2f8d9_c"]
-        .map(|name| Picture::read_as_grey(&folder.join(format!("{name}.jpg"))).expect("photograph"));
+        .map(|name| Picture::read(&folder.join(format!("{name}.jpg"))).expect("photograph"));
     let ours = |search| {
         let found =
             pictures.iter().map(|p| find_tags(black_box(p), FAMILY, None, search).expect("tags").len());

@@ -1,7 +1,7 @@
-//! Pairs the pictures of two folders (or `*` patterns) by the number in their names, or by the whole name where it is the same.
+//! Pairs the pictures of two folders (or `*` patterns) by the number in their names that varies, or by the whole name where it is the same.
 
 use crate::error::VisionError;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The two files of a pair.
@@ -39,8 +39,11 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
         let file = entry.map_err(io)?.path();
         let name = file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        let picture = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm"].contains(&extension.as_str());
-        if picture && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
+        // macOS writes a file of its own beside each picture: `._NAME`.
+        let hidden = name.starts_with('.') && !pattern.starts_with('.');
+        let picture =
+            ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "pgm", "ppm", "pnm"].contains(&extension.as_str());
+        if picture && !hidden && file.is_file() && matches_pattern(pattern.as_bytes(), name.as_bytes()) {
             files.push(file);
         }
     }
@@ -73,11 +76,29 @@ fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The last number in a name.
-fn number(name: &str) -> Option<u64> {
-    let trimmed = name.trim_end_matches(|c: char| !c.is_ascii_digit());
-    let digits: String = trimmed.chars().rev().take_while(char::is_ascii_digit).collect();
-    digits.chars().rev().collect::<String>().parse().ok()
+/// The numbers in a name, the last one first.
+fn numbers(name: &str) -> Vec<u64> {
+    name.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok()).collect()
+}
+
+/// Place of the number that tells the pairs, counted from a name's end: of those in which no two files of a side agree (a camera's own number
+/// does not vary) the one with the most pairs; the last one of these. None where there is no such place.
+fn varying_place(sides: [&[PathBuf]; 2]) -> Option<usize> {
+    let all = sides.map(|side| side.iter().map(|f| numbers(&stem(f))).collect::<Vec<_>>());
+    let places = all.iter().flatten().map(Vec::len).max().unwrap_or(0);
+    let pairs = |place: usize| -> Option<usize> {
+        let side = |k: usize| -> Option<BTreeSet<u64>> {
+            let found: Vec<u64> = all[k].iter().filter_map(|n| n.get(place).copied()).collect();
+            let distinct: BTreeSet<u64> = found.iter().copied().collect();
+            (distinct.len() == found.len()).then_some(distinct)
+        };
+        Some(side(0)?.intersection(&side(1)?).count())
+    };
+    (0..places)
+        .rev()
+        .filter_map(|place| Some((pairs(place)?, place)))
+        .max_by_key(|found| found.0)
+        .map(|f| f.1)
 }
 
 /// Pairs two lists of files: equal names first, then equal numbers. Files without partner are kept, with `None`.
@@ -86,12 +107,14 @@ fn number(name: &str) -> Option<u64> {
 /// Where two files of one side carry the same number and no partner of the same name.
 pub fn pair_files(left: &[PathBuf], right: &[PathBuf]) -> Result<Vec<PairFiles>, VisionError> {
     let same_name = left.iter().any(|l| right.iter().any(|r| stem(l) == stem(r)));
+    let place = varying_place([left, right]).unwrap_or(0);
     let key = |path: &PathBuf| -> (u64, String) {
         let name = stem(path);
-        match number(&name) {
-            Some(n) if !same_name => (n, String::new()),
-            n => (n.unwrap_or(0), name),
+        let numbers = numbers(&name);
+        if same_name {
+            return (numbers.first().copied().unwrap_or(0), name);
         }
+        numbers.get(place).map_or((0, name), |n| (*n, String::new()))
     };
     let mut pairs: BTreeMap<(u64, String), PairFiles> = BTreeMap::new();
     for (is_left, file) in left.iter().map(|f| (true, f)).chain(right.iter().map(|f| (false, f))) {

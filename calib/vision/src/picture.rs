@@ -33,23 +33,11 @@ impl Picture {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a grey PNG, JPEG or PNM.
-    ///
-    /// # Errors
-    /// Where the file is missing, empty, cut off, not a picture, 16-bit or coloured.
-    pub fn read(path: &Path) -> Result<Self, VisionError> {
-        Self::decode(path, false)
-    }
-
     /// Reads a PNG, JPEG or PNM; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
     ///
     /// # Errors
     /// Where the file is missing, empty, cut off, not a picture or 16-bit.
-    pub fn read_as_grey(path: &Path) -> Result<Self, VisionError> {
-        Self::decode(path, true)
-    }
-
-    fn decode(path: &Path, colours_allowed: bool) -> Result<Self, VisionError> {
+    pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
         let bytes = wcal_core::files::read(path).map_err(|source| VisionError::Io {
             action: "read",
@@ -68,7 +56,7 @@ impl Picture {
         let data = match decoded {
             DynamicImage::ImageLuma8(grey) => grey.into_raw(),
             DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) | DynamicImage::ImageLumaA8(_) => {
-                grey_values(&name, decoded.into_rgb8().as_raw(), colours_allowed)?
+                grey_values(decoded.into_rgb8().as_raw())
             }
             _ => return Err(VisionError::content(name, "8 bits a pixel", "16-bit or floating-point values")),
         };
@@ -233,19 +221,14 @@ impl Picture {
 }
 
 /// Grey values of red, green and blue ones.
-fn grey_values(name: &str, rgb: &[u8], colours_allowed: bool) -> Result<Vec<u8>, VisionError> {
+fn grey_values(rgb: &[u8]) -> Vec<u8> {
     let pixels = rgb.chunks_exact(3);
-    if colours_allowed {
-        let grey = |p: &[u8]| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
-        return Ok(pixels.map(|p| grey(p).round() as u8).collect());
-    }
     // A grey camera's picture that was stored as colour has equal channels (JPEG may round by one).
-    let coloured = pixels.clone().filter(|p| p[0].abs_diff(p[1]) > 2 || p[1].abs_diff(p[2]) > 2).count();
-    if coloured > 0 {
-        let found = format!("a coloured one ({coloured} coloured pixels)");
-        return Err(VisionError::content(name.to_owned(), "a grey picture", found));
+    if pixels.clone().all(|p| p[0].abs_diff(p[1]) <= 2 && p[1].abs_diff(p[2]) <= 2) {
+        return pixels.map(|p| p[1]).collect();
     }
-    Ok(pixels.map(|p| p[1]).collect())
+    let grey = |p: &[u8]| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
+    pixels.map(|p| grey(p).round() as u8).collect()
 }
 
 /// Decoders fill the missing part of a truncated file with grey; the end markers reveal it.

@@ -92,6 +92,8 @@ pub struct Rig {
     pub tags: Vec<RigTag>,
     /// Groove, where described by a tag.
     pub groove: Option<RigGroove>,
+    /// What the file says twice.
+    pub remarks: Vec<String>,
 }
 
 impl Rig {
@@ -146,6 +148,7 @@ impl Rig {
                 Ok(RigTag { id: t.id, size_mm: t.size_mm, family: t.family, body: t.body, base_from_tag })
             })
             .collect::<Result<Vec<_>, VisionError>>()?;
+        let (tags, remarks) = each_once(name, tags)?;
         if !tags.iter().any(|t| t.base_from_tag.is_some()) {
             return Err(VisionError::content(name, "a tag with base_from_tag (on the base)", "none"));
         }
@@ -166,6 +169,30 @@ impl Rig {
                 "none",
             ));
         }
-        Ok(Self { whisker, tags, groove })
+        Ok(Self { whisker, tags, groove, remarks })
     }
+}
+
+/// Counts a tag that is stated twice once.
+fn each_once(name: &str, stated: Vec<RigTag>) -> Result<(Vec<RigTag>, Vec<String>), VisionError> {
+    let (mut tags, mut remarks): (Vec<RigTag>, _) = (Vec::new(), Vec::new());
+    for tag in stated {
+        match tags.iter().find(|t| t.id == tag.id && t.family == tag.family) {
+            None => tags.push(tag),
+            Some(same) if *same == tag => {
+                remarks.push(format!("{name}: tag {} {} is stated twice: counted once", tag.family, tag.id));
+            }
+            Some(other) => {
+                return Err(VisionError::content(
+                    name,
+                    format!("one [[tags]] entry for {} {}", tag.family, tag.id),
+                    format!(
+                        "two that differ (side {} and {} mm, body {} and {})",
+                        other.size_mm, tag.size_mm, other.body, tag.body
+                    ),
+                ));
+            }
+        }
+    }
+    Ok((tags, remarks))
 }

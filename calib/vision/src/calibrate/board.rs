@@ -14,6 +14,8 @@ pub enum Pattern {
         marker_mm: f64,
         /// OpenCV's dictionary name, e.g. `DICT_4X4_50`.
         dictionary: String,
+        /// Laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a light one.
+        legacy: bool,
     },
     /// A grid of AprilTags; columns and rows count tags, the square is the tag's side.
     AprilGrid {
@@ -21,7 +23,39 @@ pub enum Pattern {
         gap_mm: f64,
         /// Family, e.g. `tag36h11`.
         family: String,
+        /// How the tags are numbered.
+        order: TagOrder,
     },
+}
+
+/// How upright tags are numbered over a grid; by default as in Kalibr's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TagOrder {
+    /// Column by column, not row by row.
+    pub by_columns: bool,
+    /// The first tag is at the right.
+    pub from_right: bool,
+    /// The first tag is at the top.
+    pub from_top: bool,
+}
+
+impl TagOrder {
+    const NAMES: [&str; 8] = [
+        "rows-from-lower-left",
+        "rows-from-upper-left",
+        "rows-from-lower-right",
+        "rows-from-upper-right",
+        "columns-from-lower-left",
+        "columns-from-upper-left",
+        "columns-from-lower-right",
+        "columns-from-upper-right",
+    ];
+
+    /// All eight with their names, the default one first.
+    pub fn all() -> impl Iterator<Item = (&'static str, Self)> {
+        let order = |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
+        Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))
+    }
 }
 
 /// Board as stated by the user.

@@ -4,7 +4,7 @@ use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
 use crate::calibrate::initial::{Corners, MonoEstimate, board_pose, both_rms, consensus, median};
 use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 
 /// Explains a pair that contradicts the others by trying the usual mistakes.
 pub(crate) fn explain_view(
@@ -89,10 +89,10 @@ pub(crate) fn explain_disagreement(
         ));
     }
     let best = causes.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).filter(|b| b.0 < 0.3 * now);
-    let why = best.map_or_else(
-        || "board moved between left and right, wrong pairing, or mirrored pictures".to_string(),
-        |b| b.1,
-    );
+    let untilted = mono.iter().find_map(|m| parallel(&m.camera_from_board));
+    let why = best.map(|b| b.1).or(untilted).unwrap_or_else(|| {
+        "board moved between left and right, wrong pairing, or mirrored pictures".to_string()
+    });
     VisionError::result(
         "calibrate two cameras",
         format!(
@@ -117,11 +117,13 @@ pub(crate) fn refuse_unphysical(
     solution: &BundleSolution,
     views: &[BoardView],
 ) -> Result<(), VisionError> {
+    let parallel =
+        parallel(&solution.state.left_from_board).map_or_else(String::new, |why| format!("; {why}"));
     let refuse = |expected: String, found: String| {
         Err(VisionError::result(
             "accept the calibration",
             expected,
-            format!("{found} (RMS {:.3} px all the same)", solution.rms_px()),
+            format!("{found} (RMS {:.3} px all the same){parallel}", solution.rms_px()),
         ))
     };
     if !solution.converged {
@@ -202,6 +204,26 @@ fn mean_depth(points: &[Vector3<f64>], state: &BundleState) -> f64 {
     depths.iter().sum::<f64>() / depths.len().max(1) as f64
 }
 
+/// Angle between boards that tells the focal length from the distance, degrees.
+const TILT_DEG: f64 = 20.0;
+
+/// Largest angle between two boards' normals, degrees. Parallel boards have one vanishing line, so that they show parallel by any focal length.
+fn tilt_spread_deg(camera_from_board: &[Isometry3<f64>]) -> f64 {
+    let normals: Vec<Vector3<f64>> = camera_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
+    normals
+        .iter()
+        .flat_map(|a| normals.iter().map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()))
+        .fold(0.0, f64::max)
+}
+
+/// Why boards without tilt determine no camera.
+fn parallel(camera_from_board: &[Isometry3<f64>]) -> Option<String> {
+    let spread = tilt_spread_deg(camera_from_board);
+    (spread < TILT_DEG).then(|| {
+        format!("all boards are nearly parallel ({spread:.1} deg at most): nothing tells focal length from distance; tilt them by {TILT_DEG} deg")
+    })
+}
+
 /// Remarks on geometry that leaves parameters weak.
 pub(crate) fn weak_geometry(
     points: &[Vector3<f64>],
@@ -213,14 +235,9 @@ pub(crate) fn weak_geometry(
     if views.len() < 8 {
         warnings.push(format!("only {} views: 8 or more average the corners' errors better", views.len()));
     }
-    let normals: Vec<Vector3<f64>> =
-        state.left_from_board.iter().map(|p| p.rotation * Vector3::z()).collect();
-    let spread = normals
-        .iter()
-        .flat_map(|a| normals.iter().map(move |b| a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()))
-        .fold(0.0, f64::max);
-    if spread < 20.0 {
-        warnings.push(format!("few tilts: the boards' normals differ by at most {spread:.1} deg; 20 deg or more fix the focal length"));
+    let spread = tilt_spread_deg(&state.left_from_board);
+    if spread < TILT_DEG {
+        warnings.push(format!("few tilts: the boards' normals differ by at most {spread:.1} deg; {TILT_DEG} deg or more fix the focal length"));
     }
     let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
     let depths: Vec<f64> = state
@@ -252,11 +269,12 @@ pub(crate) fn weak_geometry(
             }
         }
     }
-    if state.right_from_left.translation.x > 0.0 {
-        let t = state.right_from_left.translation.vector;
-        if t.x.abs() >= t.y.abs().max(t.z.abs()) {
-            warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
-        }
+    // Each camera sees the other on the wrong side: one that is mounted upside down makes them differ.
+    let in_right = state.right_from_left.translation.vector;
+    let in_left = state.right_from_left.inverse().translation.vector;
+    let beside = |t: &Vector3<f64>| t.x.abs() >= t.y.abs().max(t.z.abs());
+    if in_right.x > 0.0 && in_left.x < 0.0 && beside(&in_right) && beside(&in_left) {
+        warnings.push("swapped cameras, or both mirrored left to right? the right camera is to the left of the left one".into());
     }
     warnings
 }

@@ -1,15 +1,13 @@
 //! Finds a chessboard's inner corners, in an order that the pattern itself fixes, and refines them.
 //!
-//! ```text
-//! homography   h = argmin |A h| over |h| = 1: eigenvector of A^T A with the smallest eigenvalue       (direct linear transformation)
-//! ```
-//! Source: Hartley and Zisserman, Multiple View Geometry, 2nd ed., 4.1. Beyond the outer corners the grid's homography predicts the squares'
+//! Beyond the outer corners the grid's homography predicts the squares'
 //! middles: alternating contrast there, compared with that inside, means a larger board than stated.
 
 use crate::calibrate::corner::{Corner, fit_corner};
+use crate::calibrate::homography::homography;
 use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
-use nalgebra::{DMatrix, Vector2};
+use nalgebra::Vector2;
 use opencv::core::{Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
 use opencv::{calib3d, imgproc};
 use rayon::prelude::*;
@@ -197,9 +195,10 @@ pub fn continues_beyond(
     points: &[Vector2<f64>],
 ) -> Option<&'static str> {
     let (c, r) = (board.columns as i64, board.rows as i64);
-    let homography = grid_homography(board, points)?;
+    let indices: Vec<_> = (0..r * c).map(|k| Vector2::new((k % c) as f64, (k / c) as f64)).collect();
+    let homography = homography(&indices, points)?;
     let at = |x: f64, y: f64| {
-        let p = &homography * nalgebra::DVector::from_row_slice(&[x, y, 1.0]);
+        let p = homography * nalgebra::Vector3::new(x, y, 1.0);
         (p[0] / p[2], p[1] / p[2])
     };
     // Contrast between the diagonals of a corner's four squares, with the sign of its place in the grid; with `out` of the
@@ -233,30 +232,4 @@ pub fn continues_beyond(
     ];
     // Outside a true board lies its uniform margin or something that does not alternate with the squares: no contrast, against all of it.
     sides.into_iter().find_map(|(name, out, cells)| (typical(cells, out)? / inside > 0.6).then_some(name))
-}
-
-/// Homography from grid indices to pixels, by the direct linear transformation.
-fn grid_homography(board: BoardSize, points: &[Vector2<f64>]) -> Option<DMatrix<f64>> {
-    let n = points.len();
-    let centre = points.iter().sum::<Vector2<f64>>() / n as f64;
-    let scale = points.iter().map(|p| (p - centre).norm()).sum::<f64>() / n as f64;
-    let mut a = DMatrix::<f64>::zeros(2 * n, 9);
-    for (k, p) in points.iter().enumerate() {
-        let (x, y) = ((k % board.columns) as f64, (k / board.columns) as f64);
-        let q = (p - centre) / scale;
-        let rows = [
-            [x, y, 1.0, 0.0, 0.0, 0.0, -q.x * x, -q.x * y, -q.x],
-            [0.0, 0.0, 0.0, x, y, 1.0, -q.y * x, -q.y * y, -q.y],
-        ];
-        for (d, row) in rows.iter().enumerate() {
-            for (col, value) in row.iter().enumerate() {
-                a[(2 * k + d, col)] = *value;
-            }
-        }
-    }
-    let eigen = (a.transpose() * a).symmetric_eigen();
-    let smallest = eigen.eigenvalues.imin();
-    let h = DMatrix::from_row_iterator(3, 3, eigen.eigenvectors.column(smallest).iter().copied());
-    let back = DMatrix::from_row_slice(3, 3, &[scale, 0.0, centre.x, 0.0, scale, centre.y, 0.0, 0.0, 1.0]);
-    Some(back * h)
 }

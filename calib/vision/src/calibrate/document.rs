@@ -107,6 +107,9 @@ pub struct StereoDocument {
     pub right_from_left_sd: Vec<f64>,
     /// Per-corner RMS over both cameras, px.
     pub rms_px: f64,
+    /// The corners' own noise, per-corner RMS that no regular grid seen by a smooth lens explains, px; none where too few corners tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corner_noise_px: Option<f64>,
     /// Per-corner RMS of every view used, left and right, px.
     pub per_view_rms_px: Vec<[f64; 2]>,
     /// Names of the views used.

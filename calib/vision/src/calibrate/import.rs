@@ -90,6 +90,7 @@ pub fn imported(
         right_from_left,
         right_from_left_sd: Vec::new(),
         rms_px: 0.0,
+        corner_noise_px: None,
         per_view_rms_px: Vec::new(),
         views: Vec::new(),
         rejected_views: Vec::new(),

@@ -3,6 +3,7 @@
 //! In the order of the work: corners ([`chessboard`], [`corner`], [`refinement`], or [`markers`]), one camera alone (`initial`), both
 //! together ([`bundle`], [`solution`]), what may be wrong (`checks`, [`reference`]), the document ([`document`], [`export`], [`import`]).
 
+mod alternatives;
 pub mod board;
 pub mod bundle;
 mod checks;
@@ -11,9 +12,15 @@ pub mod corner;
 pub mod document;
 pub mod export;
 pub mod folders;
+mod guess;
+mod half_turn;
+mod homography;
 pub mod import;
 pub(crate) mod initial;
 pub mod markers;
+mod noise;
 pub mod reference;
 mod refinement;
 pub mod solution;
+mod statements;
+mod views;

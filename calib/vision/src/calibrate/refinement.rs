@@ -21,6 +21,14 @@ pub(crate) struct View {
     pub coarse: [Vec<Vector2<f64>>; 2],
 }
 
+impl View {
+    /// Corners as the finder gave them.
+    pub fn coarse_corners(&self) -> BoardView {
+        let [left, right] = [0, 1].map(|k| self.coarse[k].iter().copied().map(Some).collect());
+        BoardView { name: self.name.clone(), left, right }
+    }
+}
+
 /// Methods of refinement that are tried on a chessboard.
 const CANDIDATES: [Refinement; 4] =
     [Refinement::Model(0.3), Refinement::Model(0.5), Refinement::Model(0.7), Refinement::Gradient(5)];

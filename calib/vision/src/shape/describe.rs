@@ -12,7 +12,7 @@ pub(crate) fn describe(document: &mut PairDocument, fit: &PairFit, uncertain: Op
     document.left_from_base = rows(&fit.left_from_base).to_vec();
     document.length_mm = fit.length_mm;
     document.length_sd_mm = fit.length_sd_mm;
-    document.warnings.clone_from(&fit.warnings);
+    document.warnings.extend(fit.warnings.iter().cloned());
     let shape = fit.model.shape(&fit.state);
     let jacobian = fit.model.jacobian(&fit.state);
     for (_, i, f) in places(fit) {

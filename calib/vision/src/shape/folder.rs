@@ -7,6 +7,7 @@ use crate::shape::curve_fit::Prior;
 use crate::shape::describe::{describe, tag_document};
 use crate::shape::groove::find_groove;
 use crate::shape::joint::{Joint, ROOT_CLAMPED, uncertainties};
+use crate::shape::other_pose::pairs_of_other_poses;
 use crate::shape::pair_errors::{Shared, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
 use crate::shape::shared_errors::{camera_errors, shared_errors};
@@ -16,7 +17,9 @@ use crate::tags::base_pose::{
     FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
 };
 use crate::tags::detection::{Search, Tag, find_tags};
-use crate::tags::pose as tag_pose;
+use crate::tags::once::each_once;
+use crate::tags::pose::{self as tag_pose, TAG_MISFIT_PX};
+use crate::tags::size::{TagSizes, tag_sizes};
 use nalgebra::{Point3, Vector6};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -31,8 +34,8 @@ const NEAR_ROOT_MM: f64 = 6.0;
 /// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
 
-/// A corner is good to hundredths of a pixel: whole pixels are no noise.
-const TAG_MISFIT_PX: f64 = 1.0;
+/// Rounds in which pairs that mix two poses are left out: each makes what the others have in common clearer.
+const ROUNDS: usize = 3;
 
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;
@@ -42,6 +45,7 @@ struct Loaded {
     name: String,
     pictures: [Picture; 2],
     tags: PairTags,
+    remarks: Vec<String>,
 }
 
 /// Everything that `stereo-shape` found, for the document and for the report.
@@ -68,9 +72,45 @@ pub fn shapes_of_pairs(
 ) -> ShapesResult {
     let times = StageClock::default();
     let load = |f| load(stereo, rig, f, background, &times);
-    let loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
-    let tags: Vec<PairTags> =
-        loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect();
+    let mut loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
+    let TagSizes { rig: as_seen, mut warnings, elsewhere } =
+        times.time(Stage::Tags, || tag_sizes(stereo, rig, &tags_of(&loaded)));
+    warnings.splice(0..0, rig.remarks.clone());
+    for (pair, why) in loaded.iter_mut().zip(elsewhere) {
+        if let Some(why) = why {
+            *pair = Err(why);
+        }
+    }
+    let (mut document, mut fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &times, progress);
+    // What the pairs have in common is found again without those that mix two poses.
+    for _ in 0..ROUNDS {
+        let other_poses = pairs_of_other_poses(&document.pairs);
+        if other_poses.is_empty() {
+            break;
+        }
+        for (k, why) in other_poses {
+            loaded[k] = Err(why);
+        }
+        (document, fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &times, &|_| {});
+    }
+    document.warnings.splice(0..0, warnings);
+    ShapesResult { document, fits, stereo: stereo.clone(), times }
+}
+
+fn tags_of(loaded: &[Result<Loaded, String>]) -> Vec<PairTags> {
+    loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect()
+}
+
+/// Fits all pairs that could be read.
+fn shapes_of_loaded(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    files: &[PairFiles],
+    loaded: &[Result<Loaded, String>],
+    times: &StageClock,
+    progress: &(dyn Fn(&str) + Sync),
+) -> (ShapesDocument, Vec<Option<PairFit>>) {
+    let tags = tags_of(loaded);
     let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
     let mut warnings = Vec::new();
     let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
@@ -84,7 +124,7 @@ pub fn shapes_of_pairs(
                     Some(Ok(fit)) => Some(fit),
                     Some(Err(why)) => return Err(why.clone()),
                 };
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, &times);
+                let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, times);
                 // Once a pair, also where it is fitted again.
                 if start.is_none() && root_sd == ROOT_CLAMPED {
                     progress(&l.name);
@@ -142,6 +182,7 @@ pub fn shapes_of_pairs(
             PairDocument { name: files[k].name.clone(), point: files[k].point, ..PairDocument::default() };
         if let Ok(l) = &loaded[k] {
             document.tags = l.tags.iter().map(|(camera, t)| tag_document(*camera, t)).collect();
+            document.warnings.clone_from(&l.remarks);
         }
         let fit = match &fits[k] {
             Err(why) => {
@@ -183,7 +224,7 @@ pub fn shapes_of_pairs(
         warnings,
         ..ShapesDocument::default()
     };
-    ShapesResult { document, fits: fits.into_iter().map(Result::ok).collect(), stereo: stereo.clone(), times }
+    (document, fits.into_iter().map(Result::ok).collect())
 }
 
 /// In most pairs the curve from the stated root is not the wire: another root has far more evidence, its first millimetres are seen in neither
@@ -268,7 +309,8 @@ fn load(
         Some(empty) => std::array::from_fn(|k| pictures[k].less(&empty[k])),
         None => pictures,
     };
-    Ok(Loaded { name: files.name.clone(), pictures, tags })
+    let (tags, remarks) = each_once(stereo, rig, tags);
+    Ok(Loaded { name: files.name.clone(), pictures, tags, remarks })
 }
 
 /// Standard deviations of the root, and an earlier fit to continue from.

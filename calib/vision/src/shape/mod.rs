@@ -8,6 +8,7 @@ pub mod drawing;
 pub mod folder;
 pub mod groove;
 pub mod joint;
+mod other_pose;
 mod pair_errors;
 pub mod pair_fit;
 mod shared_errors;

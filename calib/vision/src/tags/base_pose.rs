@@ -9,7 +9,7 @@ use crate::calibrate::initial::median;
 use crate::rig::{Rig, RigTag};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::Tag;
-use crate::tags::pose::{BodyPose, TagObservation, body_pose};
+use crate::tags::pose::{BodyPose, TAG_MISFIT_PX, TagObservation, body_pose, residual_rms_px};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector2, Vector3};
 use std::collections::BTreeMap;
 
@@ -118,6 +118,10 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPo
         .map(|tags| {
             let observations = observations_of(known, tags);
             let pose = body_pose(stereo, &observations)?;
+            // A tag that was at two places says nothing of the rig's orientation.
+            if residual_rms_px(stereo, &observations, &pose.left_from_body) > TAG_MISFIT_PX {
+                return None;
+            }
             Some(RigPose { left_from_tag: pose.left_from_body, information: pose.information, observations })
         })
         .collect();

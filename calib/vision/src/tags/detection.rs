@@ -26,6 +26,14 @@ pub struct Tag {
     pub refined: bool,
 }
 
+impl Tag {
+    /// Mean of the corners, px.
+    #[must_use]
+    pub fn middle_px(&self) -> Vector2<f64> {
+        self.corners_px.iter().sum::<Vector2<f64>>() / 4.0
+    }
+}
+
 /// Cells (bits) along the side between the detected corners; the outermost ring is of one colour, its outside neighbour of the other.
 fn cells_along_side(family: &str) -> f64 {
     match family {

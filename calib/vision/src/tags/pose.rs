@@ -18,6 +18,9 @@ use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 /// Floor of a corner's standard deviation, px: printing, flatness and the blur's shape, which the pixels' scatter does not include.
 pub const CORNER_FLOOR_PX: f64 = 0.01;
 
+/// RMS of a tag's corners beyond which they have no pose that both cameras share, px: a corner is good to hundredths, whole pixels are no noise.
+pub const TAG_MISFIT_PX: f64 = 1.0;
+
 /// The pose of a body that carries tags, in the left camera's frame.
 #[derive(Debug, Clone)]
 pub struct BodyPose {

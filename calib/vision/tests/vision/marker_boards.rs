@@ -7,7 +7,7 @@ use opencv::aruco::{CharucoBoard, get_predefined_dictionary_i32};
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use rayon::prelude::*;
-use wcal_vision::calibrate::board::{Board, Pattern};
+use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::document::StereoDocument;
 use wcal_vision::calibrate::folders::calibrate_folders;
@@ -128,17 +128,77 @@ fn assert_as_drawn(document: &StereoDocument) {
 fn a_charuco_board_that_is_partly_hidden_calibrates_both_cameras() {
     let folder = tempfile::tempdir().unwrap();
     write_pairs(folder.path(), &charuco());
-    let board = |marker_mm: f64, dictionary: &str| Board {
-        size: BoardSize { columns: 9, rows: 6 },
-        square_mm: 6.0,
-        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into() },
-    };
+    let board = |marker_mm: f64, dictionary: &str| charuco_board([9, 6], marker_mm, dictionary, false);
     assert_as_drawn(&calibrated(folder.path(), &board(4.4, "DICT_4X4_50")).unwrap());
+    // The square's side as the marker's, another marker: the ratio of both contradicts the pictures.
+    for (marker_mm, contradicted) in [(4.4, false), (4.5, false), (3.2, true), (5.5, true)] {
+        let warnings = calibrated(folder.path(), &board(marker_mm, "DICT_4X4_50")).unwrap().warnings;
+        let found = warnings.iter().any(|w| w.contains("one of --square-mm and --marker-mm is wrong"));
+        assert_eq!(found, contradicted, "{marker_mm}: {warnings:?}");
+    }
     // Negative controls: markers of another dictionary, markers larger than their squares.
     let why = calibrated(folder.path(), &board(4.4, "DICT_6X6_250")).unwrap_err();
     assert!(why.contains("found 0"), "{why}");
     assert!(calibrated(folder.path(), &board(6.5, "DICT_4X4_50")).unwrap_err().contains("smaller"));
     assert!(calibrated(folder.path(), &board(4.4, "DICT_9X9")).unwrap_err().contains("DICT_4X4_50"));
+}
+
+fn charuco_board([columns, rows]: [usize; 2], marker_mm: f64, dictionary: &str, legacy: bool) -> Board {
+    Board {
+        size: BoardSize { columns, rows },
+        square_mm: 6.0,
+        pattern: Pattern::Charuco { marker_mm, dictionary: dictionary.into(), legacy },
+    }
+}
+
+/// A board of 9 x 6 squares as OpenCV drew it before 4.6: the first square is light, the markers' numbers run through the light squares.
+fn legacy_charuco() -> Print {
+    let dictionary = get_predefined_dictionary_i32(0).unwrap();
+    const SIDE: usize = 44;
+    let markers: Vec<Vec<u8>> = (0..27)
+        .map(|id| {
+            let mut mat = Mat::default();
+            opencv::aruco::draw_marker(&dictionary, id, SIDE as i32, &mut mat, 1).unwrap();
+            mat.data_bytes().unwrap().to_vec()
+        })
+        .collect();
+    Box::new(move |p| {
+        let (u, v) = (p.x / 6.0 + 4.5, p.y / 6.0 + 3.0);
+        if !(0.0..9.0).contains(&u) || !(0.0..6.0).contains(&v) {
+            return 255.0;
+        }
+        let (column, row) = (u as usize, v as usize);
+        if (column + row) % 2 == 1 {
+            return 0.0;
+        }
+        let within = |d: f64| ((d.fract() - 0.5) * 6.0 / 4.4 + 0.5) * SIDE as f64;
+        let (x, y) = (within(u), within(v));
+        let inside = (0.0..SIDE as f64).contains(&x) && (0.0..SIDE as f64).contains(&y);
+        let before = (0..row).map(|r| 5 - r % 2).sum::<usize>() + column / 2;
+        if inside { f64::from(markers[before][y as usize * SIDE + x as usize]) } else { 255.0 }
+    })
+}
+
+#[test]
+fn charuco_boards_of_another_layout_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pairs(folder.path(), &legacy_charuco());
+    let stated = |size: [usize; 2], legacy: bool| charuco_board(size, 4.4, "DICT_4X4_50", legacy);
+    let named = |board: &Board| match calibrated(folder.path(), board) {
+        Ok(document) => document.warnings.join(" "),
+        Err(why) => why,
+    };
+    let as_drawn = calibrated(folder.path(), &stated([8, 5], true)).unwrap();
+    assert_as_drawn(&as_drawn);
+    assert!(!as_drawn.warnings.iter().any(|w| w.contains("does not fit")), "{:?}", as_drawn.warnings);
+    let why = named(&stated([8, 5], false));
+    assert!(why.contains("does not fit") && why.contains("--legacy-charuco"), "{why}");
+    let why = named(&stated([5, 8], false));
+    assert!(why.contains("does not fit") && why.contains("--board 8x5"), "{why}");
+    // Another dictionary's numbers: the right one is told.
+    let other = charuco_board([8, 5], 4.4, "DICT_5X5_50", true);
+    let why = named(&other);
+    assert!(why.contains("--pattern charuco --dictionary DICT_4X4_50"), "{why}");
 }
 
 #[test]
@@ -148,7 +208,7 @@ fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
     let board = |gap_mm: f64| Board {
         size: BoardSize { columns: 5, rows: 4 },
         square_mm: 9.0,
-        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into() },
+        pattern: Pattern::AprilGrid { gap_mm, family: "tag36h11".into(), order: TagOrder::default() },
     };
     assert_as_drawn(&calibrated(folder.path(), &board(3.0)).unwrap());
     // Negative control: a gap stated wrongly fits no cameras, or not well.

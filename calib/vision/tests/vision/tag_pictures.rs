@@ -27,7 +27,7 @@ fn found_in_the_photographs(search: Search) -> (usize, usize, usize) {
     let (mut found, mut listed, mut all) = (0, 0, 0);
     for name in ["33369213973_9d9bb4cc96_c", "34085369442_304b6bafd9_c", "34139872896_defdb2f8d9_c"] {
         let folder = common::fixture("apriltag_images");
-        let picture = Picture::read_as_grey(&folder.join(format!("{name}.jpg"))).unwrap();
+        let picture = Picture::read(&folder.join(format!("{name}.jpg"))).unwrap();
         let tags = find_tags(&picture, "tag36h11", None, search).unwrap();
         all += tags.iter().filter(|t| t.id == 0).count();
         let text = std::fs::read_to_string(folder.join(format!("{name}.txt"))).unwrap();

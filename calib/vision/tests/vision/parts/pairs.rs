@@ -26,6 +26,33 @@ fn pairs_by_equal_names() {
     assert!(pairs.iter().all(|p| p.left.is_some() && p.right.is_some()));
 }
 
+/// The camera's own number stands last, first or in between; a run's number, or a clock of each camera, stands beside the frame's.
+#[test]
+fn pairs_by_the_number_that_varies() {
+    for (left, right) in [
+        (
+            ["IMG_00049_0.png", "IMG_00050_0.png", "IMG_00051_0.png"],
+            ["IMG_00051_1.png", "IMG_00049_1.png", "IMG_00050_1.png"],
+        ),
+        (["cam0_7.png", "cam0_8.png", "cam0_9.png"], ["cam1_9.png", "cam1_7.png", "cam1_8.png"]),
+        (
+            ["1_cam0_x2.png", "2_cam0_x2.png", "3_cam0_x2.png"],
+            ["3_cam1_x2.png", "1_cam1_x2.png", "2_cam1_x2.png"],
+        ),
+        (["a5_t100.png", "a6_t200.png", "a7_t300.png"], ["b7_t301.png", "b5_t101.png", "b6_t201.png"]),
+    ] {
+        let pairs = pair_files(&paths(&left), &paths(&right)).unwrap();
+        let found: Vec<_> =
+            pairs.iter().map(|p| (p.left.clone().unwrap(), p.right.clone().unwrap())).collect();
+        let expected = [right[1], right[2], right[0]];
+        let expected: Vec<_> = left.into_iter().zip(expected).map(|(l, r)| (l.into(), r.into())).collect();
+        assert_eq!(found, expected);
+    }
+    // A single pair has nothing that varies: what is equal counts.
+    let one = pair_files(&paths(&["IMG_00049_0.png"]), &paths(&["IMG_00049_1.png"])).unwrap();
+    assert_eq!(one.len(), 1);
+}
+
 #[test]
 fn two_files_of_one_number_are_refused() {
     assert!(pair_files(&paths(&["a1.png", "b1.png"]), &paths(&["c1.png"])).is_err());

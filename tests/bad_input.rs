@@ -6,6 +6,8 @@
 mod broken;
 #[path = "bad_input/calibrations.rs"]
 mod calibrations;
+#[path = "bad_input/gratings.rs"]
+mod gratings;
 #[path = "bad_input/imports.rs"]
 mod imports;
 #[path = "bad_input/tracking.rs"]

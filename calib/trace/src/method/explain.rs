@@ -160,7 +160,7 @@ fn alike(a: &Weights, b: &Weights) -> bool {
 /// Runs the search under the noise that the readings themselves show.
 pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Explained> {
     let mut judge = Judge::new(system, options.seed);
-    let mut weights = Weights::independent(judge.inputs.known.clone());
+    let mut weights = Weights::independent(judge.inputs.own(0.0));
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
     let mut options = *options;

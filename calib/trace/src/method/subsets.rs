@@ -34,8 +34,11 @@ pub fn best_subsets(
             Some(here)
         })
         .collect();
-    let gram = DMatrix::from_fn(columns.len(), columns.len(), |i, j| columns[i].dot(columns[j]));
-    let along = DVector::from_iterator(columns.len(), columns.iter().map(|v| v.dot(residual)));
+    let mut matrix = DMatrix::zeros(residual.len(), columns.len());
+    for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
+        to.copy_from(from);
+    }
+    let (gram, along) = (matrix.tr_mul(&matrix), matrix.tr_mul(residual));
     let mut found: Vec<Subset> = Vec::new();
     let mut members = Vec::new();
     combine(

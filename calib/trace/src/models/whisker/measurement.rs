@@ -7,6 +7,7 @@ use super::physical::PhysicalModel;
 use super::pictures::Pictures;
 use super::predictions::{Predictions, by_labels, predict};
 use super::seatings::spread_of_zeros;
+use super::stage_clock;
 use super::system::WhiskerSystem;
 use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
@@ -29,6 +30,8 @@ use wcal_core::verify_document::{
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
+/// Change of the stage's clock from which the search is made again, s.
+const CLOCK_CHANGED_S: f64 = 2e-4;
 /// Searches under another weight of the pictures.
 const MAX_RESCALED: usize = 3;
 /// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
@@ -60,6 +63,11 @@ fn weighed(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerS
     } else {
         system.with_own_share((own * chi).clamp(MIN_OWN_SHARE, 1.0)).with_picture_scale(sd)
     }
+}
+
+/// Whether an effect delays the readings behind the stage.
+fn is_lag(system: &WhiskerSystem, effect: usize) -> bool {
+    system.catalogue()[effect].id() == "time-lag"
 }
 
 /// Scatter of the pictures about a fit over what counts of their errors.
@@ -114,9 +122,11 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        let known = Weights::independent(self.noise_inputs().known);
+        let known = Weights::independent(self.noise_inputs().own(0.0));
         let base = declared(&self, &known, options.search.seed)?;
         let system = self.whitened(&base.fit);
+        let set_s = stage_clock::aligned(&system, &base, false);
+        let system = system.with_stage_clock(set_s);
         let system = match system.pictures() {
             Some(_) => {
                 let base = declared(&system, &known, options.search.seed)?;
@@ -127,17 +137,22 @@ impl SessionModel for WhiskerSystem {
         let mut explained = explain(&system, &options.search)?;
         // An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
         let mut system = system;
-        for _ in 0..if system.pictures().is_some() { MAX_RESCALED } else { 1 } {
+        let again_at_most = if system.pictures().is_some() || system.is_read_in_motion() { MAX_RESCALED } else { 1 };
+        for _ in 0..again_at_most {
             let fit = &explained.found.accepted().fit;
             let whitened = system.clone().whitened(fit);
             let again = weighed(whitened, fit, &system);
             let own = |s: &WhiskerSystem| s.pictures().map_or(1.0, Pictures::own_share);
+            let lagged = fit.terms.iter().any(|t| is_lag(&system, t.effect));
+            let set_s = stage_clock::aligned(&again, explained.found.accepted(), lagged);
+            let again = again.with_stage_clock(set_s);
+            let moved = (set_s - system.stage_clock_s()).abs() > CLOCK_CHANGED_S;
             let changes = [
                 again.whitening_change(&system),
                 ratio(again.picture_scale(), system.picture_scale()),
                 ratio(own(&again), own(&system)),
             ];
-            if changes.iter().all(|c| *c <= WHITENING_CHANGED) {
+            if !moved && changes.iter().all(|c| *c <= WHITENING_CHANGED) {
                 break;
             }
             explained = explain(&again, &options.search)?;
@@ -156,6 +171,7 @@ impl SessionModel for WhiskerSystem {
         FloorStatement {
             floor: NoiseFloor {
                 wavelength_pm: floor.map(|f| f.sd_pm),
+                moving_wavelength_pm: floor.and_then(|f| f.moving_pm),
                 moment_nmm: floor.filter(|_| gain > 0.0).map(|f| f.sd_pm / gain),
                 contact_mm: self.pictures().map(|p| p.contact_floor_mm()),
                 source: floor.map_or("none", |f| f.source).to_owned(),

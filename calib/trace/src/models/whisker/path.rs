@@ -31,6 +31,8 @@ pub struct Reading {
     pub shift_pm: [f64; 2],
     /// Known part of the noise: sample sd over root samples, pm.
     pub sample_sd_pm: [f64; 2],
+    /// Samples averaged, where the session says so.
+    pub samples: Option<u32>,
     /// Trajectory identifier (0 at rest without one).
     pub group: u32,
     /// Replicate number.
@@ -39,6 +41,8 @@ pub struct Reading {
     pub holdout: bool,
     /// Seating of the whisker: 0 in the first session.
     pub seating: u32,
+    /// The stage sped up or slowed down, or its answer came late: where it was is not known well enough.
+    pub unsteady: bool,
 }
 
 /// A moment on the path: a reading, or an arrival between readings.
@@ -108,14 +112,53 @@ fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
     row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
 }
 
+/// Averages of more different lengths than this ratio have variances of their own.
+const AVERAGED_ALIKE: f64 = 1.5;
+
+/// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
+/// number is missing. Each reading: samples, loaded, settled.
+#[must_use]
+pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
+    let of = |settled: bool| -> Vec<f64> {
+        let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
+        let mut all: Vec<f64> = kept.filter_map(|r| r.0).map(f64::from).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    };
+    let settled = of(true);
+    let sizes = if settled.is_empty() { of(false) } else { settled };
+    let Some(typical) = sizes.get(sizes.len() / 2) else { return Vec::new() };
+    let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
+    let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else { return Vec::new() };
+    let least = variances.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = variances.iter().copied().fold(0.0, f64::max);
+    if most > AVERAGED_ALIKE * least { variances } else { Vec::new() }
+}
+
+/// The same of readings on a path.
+#[must_use]
+pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
+    averaged(&readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect::<Vec<_>>())
+}
+
 /// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
 #[must_use]
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
-    let mut read: Vec<(f64, f64)> =
-        rows.iter().map(|r| Some((r.t_s?, temperature_of(r, fbg)?))).collect::<Option<_>>()?;
+    let sizes: Vec<_> =
+        rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
+    let variances = or_alike(averaged(&sizes), rows.len());
+    let mut read: Vec<(f64, f64, f64)> = rows
+        .iter()
+        .zip(variances)
+        .map(|(r, variance)| Some((r.t_s?, temperature_of(r, fbg)?, variance)))
+        .collect::<Option<_>>()?;
     read.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (t_s, degc): (Vec<f64>, Vec<f64>) = read.into_iter().unzip();
-    RandomWalkModel::of(&t_s, &degc)
+    let column = |f: fn(&(f64, f64, f64)) -> f64| read.iter().map(f).collect::<Vec<f64>>();
+    RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))
+}
+
+fn or_alike(variances: Vec<f64>, n: usize) -> Vec<f64> {
+    if variances.is_empty() { vec![1.0; n] } else { variances }
 }
 
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
@@ -165,19 +208,23 @@ impl WhiskerPath {
                     temperature_loo_degc: temperature_of(r, fbg).unwrap_or(0.0),
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
+                    samples: r.samples,
                     group: r.trajectory.unwrap_or(0),
                     replicate: r.replicate.unwrap_or(0),
                     holdout: r.sealed,
                     seating: r.seating,
+                    unsteady: false,
                 }
             })
             .collect();
         if let Some(walk) = walk.filter(|_| temperature && time) {
             let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
-            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read)) {
+            let variances = or_alike(averaged_readings(&readings), readings.len());
+            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read, &variances)) {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
         }
+        mark_unsteady(&mut readings);
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
             time,
@@ -198,9 +245,57 @@ impl WhiskerPath {
     }
 }
 
+/// Fewest readings of a stroke whose speed is known.
+const MIN_STROKE: usize = 4;
+/// Difference from the stroke's speed from which a reading was taken on a ramp, or beside a late answer of the stage.
+const STEADY: f64 = 0.05;
+/// A stage that is unsteady more often than this is moved by hand: no reading is better than the others.
+const MAX_UNSTEADY: f64 = 0.4;
+
+/// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
+/// speed, which is wrong on a ramp and where an answer came late.
+fn mark_unsteady(readings: &mut [Reading]) {
+    let mut start = 0;
+    while start < readings.len() {
+        let first = (readings[start].line, readings[start].velocity_mm_s.signum(), readings[start].seating);
+        let same = |r: &Reading| r.velocity_mm_s != 0.0 && (r.line, r.velocity_mm_s.signum(), r.seating) == first;
+        let length = readings[start..].iter().take_while(|r| same(r)).count();
+        let stroke = &mut readings[start..start + length];
+        let mut speeds: Vec<f64> = stroke.iter().map(|r| r.velocity_mm_s.abs()).collect();
+        speeds.sort_by(f64::total_cmp);
+        let off = |r: &Reading| (r.velocity_mm_s.abs() / speeds[length / 2] - 1.0).abs() > STEADY;
+        let count = stroke.iter().filter(|r| off(r)).count() as f64;
+        if length >= MIN_STROKE && count <= MAX_UNSTEADY * length as f64 {
+            stroke.iter_mut().for_each(|r| r.unsteady = off(r));
+        }
+        start += length.max(1);
+    }
+}
+
+/// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady one's place is interpolated.
+fn places(readings: &[Reading]) -> Vec<f64> {
+    let same_stroke = |a: &Reading, b: &Reading| {
+        a.line == b.line && a.velocity_mm_s * b.velocity_mm_s > 0.0 && a.seating == b.seating
+    };
+    let of = |i: usize| {
+        let r = &readings[i];
+        let steady = |r: &&Reading| !r.unsteady;
+        let before = readings[..i].iter().rev().take_while(|b| same_stroke(b, r)).find(steady);
+        let after = readings[i + 1..].iter().take_while(|b| same_stroke(b, r)).find(steady);
+        match (before, after) {
+            (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
+                a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
+            }
+            _ => r.x_mm,
+        }
+    };
+    (0..readings.len()).map(of).collect()
+}
+
 /// A settled reading ends a dwell: its arrival is a node of its own. Changing lines, the groove leaves the wire.
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
+    let places_mm = places(readings);
     for (i, r) in readings.iter().enumerate() {
         // Between seatings the whisker was free.
         if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
@@ -214,7 +309,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
             nodes.push(Node {
                 t_s: arrival,
                 line: r.line,
-                x_mm: r.x_mm,
+                x_mm: places_mm[i],
                 rest: r.rest,
                 moving: false,
                 reading: None,
@@ -223,7 +318,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         nodes.push(Node {
             t_s: r.t_s,
             line: r.line,
-            x_mm: r.x_mm,
+            x_mm: places_mm[i],
             rest: r.rest,
             moving: r.velocity_mm_s != 0.0,
             reading: Some(i),

@@ -2,13 +2,13 @@
 
 use super::physical::PhysicalModel;
 use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolability, prediction_rows};
+use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
 use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
 use crate::verify::{Verification, VerifyOptions, verify};
-use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
 use wcal_core::{InputFile, ResidualRecord, Unsealing};
@@ -76,31 +76,7 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             "{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing."
         ));
     }
-    copied_rows(&data.rows)
-}
-
-/// Rows that repeat another in every column, clock included. Without a clock, rounded readings agree by chance: then copies are no evidence.
-fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
-    if rows.iter().any(|r| r.t_s.is_none()) && rows.iter().any(|r| r.replicate.is_none()) {
-        return None;
-    }
-    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
-    for r in rows {
-        // The point is the row's name and the line its place: neither was measured.
-        let row = WhiskerRow {
-            point: 0,
-            line: 0,
-            role: Role::Calibration,
-            source: String::new(),
-            pair: None,
-            ..r.clone()
-        };
-        *seen.entry(format!("{row:?}")).or_default() += 1;
-    }
-    let copies: usize = seen.values().map(|c| c - 1).sum();
-    (copies >= 3).then(|| {
-        format!("{copies} readings repeat another in every column, the clock included; copied rows are no replicates.")
-    })
+    None
 }
 
 /// Verifies a whisker session.
@@ -113,13 +89,19 @@ pub fn verify_whisker(
     inputs: &[InputFile],
     options: &VerifyOptions,
 ) -> Result<Verified, TraceError> {
-    if let Some(reason) = unusable(data) {
+    let refused = |reason: String| {
         let mut document = VerifyDocument::refused(session, "whisker", reason, options.search.seed);
         document.inputs = inputs.to_vec();
-        return Ok(Verified::Refused(Box::new(document)));
+        Ok(Verified::Refused(Box::new(document)))
+    };
+    if let Some(reason) = unusable(data) {
+        return refused(reason);
     }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
+    if let Some(reason) = sensitivity::of_system(&model) {
+        return refused(reason);
+    }
     let v = verify(model, &data.holdout, options).map_err(|e| e.of_session(session))?;
     let Verification { mut document, model: system, whole, explained, conclusion, unsealed, .. } = v;
     document.session = session.to_owned();

@@ -133,6 +133,8 @@ pub struct SearchResult {
     pub refitted: Vec<Hypothesis>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
+    /// Effects that the fitted readings ask for, and that lower the left-out error by less than its uncertainty.
+    pub within_model_error: Vec<usize>,
 }
 
 impl SearchResult {

@@ -18,6 +18,7 @@ use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
 use crate::method::noise::{Estimated, Noise};
+use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
@@ -315,6 +316,9 @@ impl SessionModel for WhiskerSystem {
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
         notes.extend(cross_check(self, found));
+        notes.extend(model_error(self, found));
+        notes.extend(unsteady(self));
+        notes.extend(clock(self));
         notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
         notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
         notes
@@ -338,6 +342,52 @@ fn witness_note(s: &SecondWitness) -> String {
         )
     });
     format!("{used}{gains}.")
+}
+
+/// What the readings ask for and what is left, where neither is beyond the model's own error.
+fn model_error(system: &WhiskerSystem, found: &SearchResult) -> Vec<String> {
+    let ids: Vec<&str> = found.within_model_error.iter().map(|&e| system.catalogue()[e].id()).collect();
+    let dropped = (!ids.is_empty()).then(|| {
+        format!(
+            "Within model error: the fitted readings ask for {}, which lowers the error of trajectories left out by less than its uncertainty; not \
+             named.",
+            ids.join(", ")
+        )
+    });
+    let test = &found.last_test;
+    let driver = test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL);
+    let left = driver.map(|d| {
+        format!(
+            "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
+            d.covariate,
+            d.shape,
+            100.0 * d.gain / found.best.fit.ssr
+        )
+    });
+    dropped.into_iter().chain(left).collect()
+}
+
+/// Readings in motion that do not count.
+fn unsteady(system: &WhiskerSystem) -> Option<String> {
+    let count = system.path.readings.iter().filter(|r| r.unsteady).count();
+    (count > 0).then(|| {
+        format!(
+            "{count} readings in motion do not count: the stage's speed was not that of its stroke there (a ramp, or an answer that came late), so \
+             its position is not known well enough."
+        )
+    })
+}
+
+/// By how much the stage's clock was set.
+fn clock(system: &WhiskerSystem) -> Option<String> {
+    let set_s = system.stage_clock_s();
+    (set_s != 0.0).then(|| {
+        format!(
+            "The stage's clock is set by {:.2} ms against the interrogator's, within the {:.1} ms that stamps of its answers leave open.",
+            1e3 * set_s,
+            1e3 * stage_clock::CLOCK_SD_S
+        )
+    })
 }
 
 /// What the group lasso keeps on the declared model's residual.

@@ -406,6 +406,10 @@ impl MeasurementModel for WhiskerSystem {
         out
     }
 
+    fn judged_left_out(&self) -> bool {
+        true
+    }
+
     fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
         let stamped = self.effects[effect].needs().contains(&Need::Motion) && parameter == "lag_s";
         if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }

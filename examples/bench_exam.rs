@@ -30,7 +30,8 @@ fn options() -> anyhow::Result<Options> {
     // The program lies beside the folder of the examples.
     let beside = std::env::current_exe()?.parent().and_then(Path::parent).map(|p| p.join("wcal"));
     let wcal = beside.context("no folder beside the example")?;
-    let mut o = Options { draws: 24, seed: 1, plan: "both".into(), speed: 16.0, wcal, keep: None, json: None };
+    let mut o =
+        Options { draws: 24, seed: 1, plan: "both".into(), speed: 16.0, wcal, keep: None, json: None };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().with_context(|| format!("{word}: expected a value, found the end"));
@@ -74,7 +75,14 @@ const EFFECTS: [Effect; 6] = [
         parameter: "backlash_mm",
         per_key: 1e-3,
     },
-    Effect { id: "time-lag", key: "lag_ms", rich: [8.0, 80.0], paper: None, parameter: "lag_s", per_key: 1e-3 },
+    Effect {
+        id: "time-lag",
+        key: "lag_ms",
+        rich: [8.0, 80.0],
+        paper: None,
+        parameter: "lag_s",
+        per_key: 1e-3,
+    },
     Effect {
         id: "zero-drift",
         key: "zero_drift_pm_per_min",
@@ -196,7 +204,10 @@ fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     let rig = std::fs::read_to_string(root.join("rigs/virtual/rig.toml"))?;
     // The cameras stand at the end of the file; this exam has none.
     let rig = rig.split("[[camera]]").next().unwrap_or_default();
-    std::fs::write(folder.join("rig.toml"), rig.replace("rate_hz = 2000.0", &format!("rate_hz = {:.1}", d.rate_hz)))?;
+    std::fs::write(
+        folder.join("rig.toml"),
+        rig.replace("rate_hz = 2000.0", &format!("rate_hz = {:.1}", d.rate_hz)),
+    )?;
     let mut child = Command::new(&o.wcal)
         .args(["virtual-bench", "--scenario", "scenario.toml"])
         .current_dir(folder)
@@ -211,12 +222,25 @@ fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     std::fs::write(folder.join("bench.json"), line)?;
     let plan = root.join("rigs/plans").join(format!("{}.toml", d.plan));
     let run = |arguments: &[&str]| -> anyhow::Result<Option<i32>> {
-        let status = Command::new(&o.wcal).args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null());
+        let status = Command::new(&o.wcal)
+            .args(arguments)
+            .current_dir(folder)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
         Ok(status.status()?.code())
     };
     let plan = plan.display().to_string();
     let swept = run(&[
-        "stage-sweep", "--rig", "rig.toml", "--plan", &plan, "--bench", "bench.json", "--home", "--out", "session",
+        "stage-sweep",
+        "--rig",
+        "rig.toml",
+        "--plan",
+        &plan,
+        "--bench",
+        "bench.json",
+        "--home",
+        "--out",
+        "session",
     ])?;
     drop(bench);
     ensure!(matches!(swept, Some(0 | 3)), "the sweep ended with {swept:?}");
@@ -237,7 +261,9 @@ struct Score {
 
 fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     let verdict = v["verdict"].as_str().unwrap_or("none");
-    let list = |x: &Value| -> Vec<String> { x.as_array().into_iter().flatten().filter_map(|s| Some(s.as_str()?.to_owned())).collect() };
+    let list = |x: &Value| -> Vec<String> {
+        x.as_array().into_iter().flatten().filter_map(|s| Some(s.as_str()?.to_owned())).collect()
+    };
     let effects = v["effects"].as_array().cloned().unwrap_or_default();
     let mut named: Vec<String> = effects.iter().filter_map(|e| Some(e["id"].as_str()?.to_owned())).collect();
     named.sort_unstable();
@@ -321,7 +347,13 @@ fn main() -> anyhow::Result<ExitCode> {
             Err(why) => eprintln!("{k}: no answer: {why:#}"),
         }
     }
-    println!("\nSIMULATED, {} answers of {} draws, seed {}, {:.0} s", scores.len(), o.draws, o.seed, start.elapsed().as_secs_f64());
+    println!(
+        "\nSIMULATED, {} answers of {} draws, seed {}, {:.0} s",
+        scores.len(),
+        o.draws,
+        o.seed,
+        start.elapsed().as_secs_f64()
+    );
     let mut rows = Vec::new();
     let share = |of: &dyn Fn(&&Score) -> bool, hit: &dyn Fn(&&Score) -> bool| {
         let part: Vec<&Score> = scores.iter().filter(|s| of(s)).collect();
@@ -334,14 +366,25 @@ fn main() -> anyhow::Result<ExitCode> {
         rows.push(row(&format!("  of these: {kind}"), "", hits, of, |_, _| false));
     }
     let (hits, of) = share(&|_| true, &|s| s.wrong_name);
-    rows.push(row("a wrong or additional name, with confidence", "<= 0.02", hits, of, |_, high| high <= 0.02));
+    rows.push(row("a wrong or additional name, with confidence", "<= 0.02", hits, of, |_, high| {
+        high <= 0.02
+    }));
     let inside: Vec<bool> = scores.iter().flat_map(|s| s.covered.iter().copied()).collect();
-    rows.push(row("95 % intervals that hold the truth", ">= 0.92", inside.iter().filter(|i| **i).count(), inside.len(), |low, _| low >= 0.92));
+    rows.push(row(
+        "95 % intervals that hold the truth",
+        ">= 0.92",
+        inside.iter().filter(|i| **i).count(),
+        inside.len(),
+        |low, _| low >= 0.92,
+    ));
     let floors: Vec<f64> = scores.iter().flat_map(|s| s.floors.iter().copied()).collect();
     let near = floors.iter().filter(|f| (1.0 / 1.3..=1.3).contains(*f)).count();
     rows.push(row("floors within 1.3 of the truth", "all", near, floors.len(), |low, _| low >= 0.93));
     if let Some(path) = &o.json {
-        std::fs::write(path, serde_json::to_vec_pretty(&json!({ "seed": o.seed, "draws": o.draws, "rows": rows }))?)?;
+        std::fs::write(
+            path,
+            serde_json::to_vec_pretty(&json!({ "seed": o.seed, "draws": o.draws, "rows": rows }))?,
+        )?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -93,8 +93,7 @@ fn a_lag_is_named_alone_and_nothing_where_no_row_was_read_in_motion() {
     assert!(low < 0.060 && 0.060 < high && high - low < 0.01, "{low} {high}");
     floors(&v);
     // Control: the settled rows alone cannot show it.
-    let settled =
-        edited("lag", |names, cells| cells[place(names, "dwell_s")].parse::<f64>().unwrap() > 0.0);
+    let settled = edited("lag", |names, cells| cells[place(names, "dwell_s")].parse::<f64>().unwrap() > 0.0);
     let v = verified(settled.path());
     assert_eq!(v["verdict"], "adequate", "{} {}", v["reason"], v["effects"]);
 }

@@ -18,7 +18,8 @@ fn session(place: &Path, edit: impl Fn(&mut Vec<Vec<String>>)) {
     }
     let path = place.join("s/points.csv");
     let text = fs::read_to_string(&path).unwrap();
-    let mut rows: Vec<Vec<String>> = text.lines().map(|l| l.split(',').map(str::to_owned).collect()).collect();
+    let mut rows: Vec<Vec<String>> =
+        text.lines().map(|l| l.split(',').map(str::to_owned).collect()).collect();
     edit(&mut rows);
     let lines: Vec<String> = rows.iter().map(|r| r.join(",")).collect();
     fs::write(path, lines.join("\n") + "\n").unwrap();
@@ -48,7 +49,11 @@ fn scatter(k: usize) -> f64 {
 fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
     type Edit = fn(&mut Vec<Vec<String>>);
     let cases: [(&str, Edit, &str); 5] = [
-        ("one constant", |r| set(r, "fbg_1_nm", |_, _| Some(1545.24)), "No sensitivity: fbg_1 reads the same"),
+        (
+            "one constant",
+            |r| set(r, "fbg_1_nm", |_, _| Some(1545.24)),
+            "No sensitivity: fbg_1 reads the same",
+        ),
         (
             "both constant",
             |r| {
@@ -78,7 +83,10 @@ fn gratings_that_do_not_follow_the_load_are_named_and_never_verified() {
         }
         let written = fs::read_to_string(place.path().join("v/verify.json")).unwrap();
         assert!(written.contains("\"refused\""), "{name}: {written}");
-        assert!(!place.path().join("g").exists() && !place.path().join("v/calibration.json").exists(), "{name}");
+        assert!(
+            !place.path().join("g").exists() && !place.path().join("v/calibration.json").exists(),
+            "{name}"
+        );
     }
 }
 
@@ -105,7 +113,9 @@ fn overflow_values_and_pasted_rows_are_left_out_and_counted() {
     let place = tempfile::tempdir().unwrap();
     session(place.path(), |rows| {
         let at = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"].map(|name| column(rows, name));
-        for (row, (c, value)) in [(40, (0, "9.9E37")), (90, (1, "1e38")), (200, (2, "-127")), (201, (0, "-9.91E+37"))] {
+        for (row, (c, value)) in
+            [(40, (0, "9.9E37")), (90, (1, "1e38")), (200, (2, "-127")), (201, (0, "-9.91E+37"))]
+        {
             rows[row][at[c]] = value.to_owned();
         }
         // One sweep pasted again at the end, once as it is and once with point numbers of its own.
@@ -131,5 +141,6 @@ fn overflow_values_and_pasted_rows_are_left_out_and_counted() {
         let at = column(rows, "fbg_1_nm");
         rows.iter_mut().skip(1).for_each(|r| r[at] = "9.9E37".to_owned());
     });
-    judge(&wcal(lost.path(), &["doctor", "s"]), 1, &["fbg_1_nm", "overflow values in 360 of 360 rows"]).unwrap();
+    judge(&wcal(lost.path(), &["doctor", "s"]), 1, &["fbg_1_nm", "overflow values in 360 of 360 rows"])
+        .unwrap();
 }

@@ -221,7 +221,9 @@ pub(crate) fn read_rows(
         copies.binary_search(&(place - 1)).is_err()
     });
     warnings.extend(left_out.warnings(name, copied, rows.len())?);
-    warnings.extend(stuck(&rows).map(|column| SessionWarning::new(name, WarningKind::Stuck { column, rows: rows.len() })));
+    warnings.extend(
+        stuck(&rows).map(|column| SessionWarning::new(name, WarningKind::Stuck { column, rows: rows.len() })),
+    );
     warnings.extend(clock.warning(name));
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })

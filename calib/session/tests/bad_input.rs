@@ -199,7 +199,10 @@ fn copied_replicates_count_once() {
         (data.rows.len(), examine(&session))
     };
     let (rows, findings) = copied(&|_, row| row.to_owned());
-    assert!(rows == 3 && findings.iter().any(|f| f.message.contains("6 row(s) repeat an earlier row")), "{findings:?}");
+    assert!(
+        rows == 3 && findings.iter().any(|f| f.message.contains("6 row(s) repeat an earlier row")),
+        "{findings:?}"
+    );
     // Control: the same values at times of their own were read again; a coarse instrument does that.
     let later = |i: usize, row: &str| {
         let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();

@@ -10,7 +10,7 @@
 
 use super::fit::{Fit, fit};
 use super::hypothesis::Hypothesis;
-use super::linear::stack_with;
+use super::linear::{stack_with, transposed_product};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -22,7 +22,8 @@ const RIDGE: f64 = 1e-9;
 
 /// Squares of what each group's readings leave when the group is not in the fit.
 fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap<u32, f64>> {
-    let (n, q, channels, m) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols(), fit.tangents.len());
+    let (n, q, channels, m) =
+        (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols(), fit.tangents.len());
     let mut jacobian = DMatrix::zeros(n * channels, q * channels + m);
     for c in 0..channels {
         jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&fit.design);
@@ -39,14 +40,15 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
         }
     }
     let residual = stack_with(&fit.residual, &nothing);
-    let whole = jacobian.tr_mul(&jacobian) + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
+    let whole = transposed_product(&jacobian, &jacobian)
+        + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
     let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (i, group) in system.groups().iter().enumerate() {
         members.entry(*group).or_default().extend((0..channels).map(|c| c * n + i));
     }
     let of_group = |(group, rows): (&u32, &Vec<usize>)| {
         let (own, r) = (jacobian.select_rows(rows), residual.select_rows(rows));
-        let without = (&whole - own.tr_mul(&own)).cholesky()?;
+        let without = (&whole - transposed_product(&own, &own)).cholesky()?;
         let left_out = &r + &own * without.solve(&own.tr_mul(&r));
         Some((*group, left_out.norm_squared()))
     };

@@ -56,6 +56,12 @@ impl Basis {
     }
 }
 
+/// `a' b` as one blocked product: nalgebra's `tr_mul` goes column by column.
+#[must_use]
+pub fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    a.transpose() * b
+}
+
 /// The joint span of many directions by the Cholesky factor of their Gram matrix: `D = Q R`, Q orthonormal, in the order of the directions.
 pub struct JointSpan {
     directions: DMatrix<f64>,
@@ -78,7 +84,7 @@ impl JointSpan {
         for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
             to.copy_from(from);
         }
-        let mut left = matrix.tr_mul(&matrix);
+        let mut left = transposed_product(&matrix, &matrix);
         let mut rows: Vec<nalgebra::RowDVector<f64>> = Vec::new();
         let mut independent = Vec::new();
         for k in 0..columns.len() {
@@ -92,7 +98,8 @@ impl JointSpan {
             rows.push(row);
             independent.push(k);
         }
-        let factor = if rows.is_empty() { DMatrix::zeros(0, columns.len()) } else { DMatrix::from_rows(&rows) };
+        let factor =
+            if rows.is_empty() { DMatrix::zeros(0, columns.len()) } else { DMatrix::from_rows(&rows) };
         Self { directions: matrix, independent, factor }
     }
 
@@ -111,13 +118,13 @@ impl JointSpan {
     /// What vectors of the span, columns of `coordinates`, have along every direction.
     #[must_use]
     pub fn along(&self, coordinates: &DMatrix<f64>) -> DMatrix<f64> {
-        self.factor.tr_mul(coordinates)
+        transposed_product(&self.factor, coordinates)
     }
 
     /// Coordinates of the parts of `vectors` in the span.
     #[must_use]
     pub fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
-        let along = self.directions.tr_mul(vectors).select_rows(&self.independent);
+        let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
         let triangle = self.factor.select_columns(&self.independent);
         triangle.transpose().solve_lower_triangular(&along).unwrap_or(along)
     }

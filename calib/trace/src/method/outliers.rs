@@ -114,8 +114,7 @@ fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bo
     let posed = system.noise_inputs().posed;
     let at_rest = counted.iter().filter(|&&i| !posed[i]).count();
     let rest_flagged = flagged.iter().filter(|&&i| !posed[i]).count();
-    let stretch =
-        neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
+    let stretch = neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
     let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
     !(stretch || resting)
 }

@@ -1,5 +1,6 @@
 //! Stage 6, all subsets: which sets of effects explain most in the projected linear model, from the Gram matrix of their signatures.
 
+use super::linear::transposed_product;
 use super::signature::Signature;
 use nalgebra::{DMatrix, DVector};
 
@@ -38,7 +39,7 @@ pub fn best_subsets(
     for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
         to.copy_from(from);
     }
-    let (gram, along) = (matrix.tr_mul(&matrix), matrix.tr_mul(residual));
+    let (gram, along) = (transposed_product(&matrix, &matrix), matrix.tr_mul(residual));
     let mut found: Vec<Subset> = Vec::new();
     let mut members = Vec::new();
     combine(

@@ -138,7 +138,8 @@ impl SessionModel for WhiskerSystem {
         let mut explained = explain(&system, &options.search)?;
         // An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
         let mut system = system;
-        let again_at_most = if system.pictures().is_some() || system.is_read_in_motion() { MAX_RESCALED } else { 1 };
+        let again_at_most =
+            if system.pictures().is_some() || system.is_read_in_motion() { MAX_RESCALED } else { 1 };
         for _ in 0..again_at_most {
             let fit = &explained.found.accepted().fit;
             let whitened = system.clone().whitened(fit);
@@ -355,7 +356,8 @@ fn model_error(system: &WhiskerSystem, found: &SearchResult) -> Vec<String> {
         )
     });
     let test = &found.last_test;
-    let driver = test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL);
+    let driver =
+        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL);
     let left = driver.map(|d| {
         format!(
             "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",

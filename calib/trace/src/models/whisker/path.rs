@@ -129,7 +129,9 @@ pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
     let sizes = if settled.is_empty() { of(false) } else { settled };
     let Some(typical) = sizes.get(sizes.len() / 2) else { return Vec::new() };
     let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
-    let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else { return Vec::new() };
+    let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
+        return Vec::new();
+    };
     let least = variances.iter().copied().fold(f64::INFINITY, f64::min);
     let most = variances.iter().copied().fold(0.0, f64::max);
     if most > AVERAGED_ALIKE * least { variances } else { Vec::new() }
@@ -224,7 +226,9 @@ impl WhiskerPath {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
         }
-        mark_unsteady(&mut readings);
+        if time {
+            mark_unsteady(&mut readings);
+        }
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
             time,
@@ -252,14 +256,25 @@ const STEADY: f64 = 0.05;
 /// A stage that is unsteady more often than this is moved by hand: no reading is better than the others.
 const MAX_UNSTEADY: f64 = 0.4;
 
+/// Ratios of the speed between two readings and their own from which both belong to one motion.
+const ONE_MOTION: [f64; 2] = [0.3, 2.0];
+
+/// Whether two neighbours were read in one motion: passes one after the other have the way back and the dwells between them.
+fn one_motion(a: &Reading, b: &Reading) -> bool {
+    let same = a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
+    let fastest =
+        if a.velocity_mm_s.abs() > b.velocity_mm_s.abs() { a.velocity_mm_s } else { b.velocity_mm_s };
+    let ratio = (b.x_mm - a.x_mm) / ((b.t_s - a.t_s) * fastest);
+    same && (ONE_MOTION[0]..=ONE_MOTION[1]).contains(&ratio)
+}
+
 /// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
 /// speed, which is wrong on a ramp and where an answer came late.
 fn mark_unsteady(readings: &mut [Reading]) {
     let mut start = 0;
     while start < readings.len() {
-        let first = (readings[start].line, readings[start].velocity_mm_s.signum(), readings[start].seating);
-        let same = |r: &Reading| r.velocity_mm_s != 0.0 && (r.line, r.velocity_mm_s.signum(), r.seating) == first;
-        let length = readings[start..].iter().take_while(|r| same(r)).count();
+        let more = readings[start..].windows(2).take_while(|w| one_motion(&w[0], &w[1])).count();
+        let length = 1 + more;
         let stroke = &mut readings[start..start + length];
         let mut speeds: Vec<f64> = stroke.iter().map(|r| r.velocity_mm_s.abs()).collect();
         speeds.sort_by(f64::total_cmp);
@@ -268,21 +283,23 @@ fn mark_unsteady(readings: &mut [Reading]) {
         if length >= MIN_STROKE && count <= MAX_UNSTEADY * length as f64 {
             stroke.iter_mut().for_each(|r| r.unsteady = off(r));
         }
-        start += length.max(1);
+        start += length;
     }
 }
 
 /// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady one's place is interpolated.
 fn places(readings: &[Reading]) -> Vec<f64> {
-    let same_stroke = |a: &Reading, b: &Reading| {
-        a.line == b.line && a.velocity_mm_s * b.velocity_mm_s > 0.0 && a.seating == b.seating
-    };
+    // Number of the motion that each reading belongs to.
+    let mut motions = vec![0; readings.len()];
+    for i in 1..readings.len() {
+        motions[i] = motions[i - 1] + usize::from(!one_motion(&readings[i - 1], &readings[i]));
+    }
     let of = |i: usize| {
         let r = &readings[i];
-        let steady = |r: &&Reading| !r.unsteady;
-        let before = readings[..i].iter().rev().take_while(|b| same_stroke(b, r)).find(steady);
-        let after = readings[i + 1..].iter().take_while(|b| same_stroke(b, r)).find(steady);
-        match (before, after) {
+        let steady = |k: &usize| !readings[*k].unsteady;
+        let before = (0..i).rev().take_while(|&k| motions[k] == motions[i]).find(steady);
+        let after = (i + 1..readings.len()).take_while(|&k| motions[k] == motions[i]).find(steady);
+        match (before.map(|k| &readings[k]), after.map(|k| &readings[k])) {
             (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
                 a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
             }
@@ -325,4 +342,59 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         });
     }
     nodes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Reading, mark_unsteady, places};
+
+    fn reading(t_s: f64, x_mm: f64, velocity_mm_s: f64) -> Reading {
+        Reading {
+            line: Some(0),
+            x_mm,
+            rest: false,
+            direction: 1.0,
+            velocity_mm_s,
+            t_s,
+            dwell_s: 0.0,
+            rise_degc: 0.0,
+            temperature_loo_degc: 0.0,
+            shift_pm: [0.0; 2],
+            sample_sd_pm: [0.0; 2],
+            samples: Some(10),
+            group: 1,
+            replicate: 0,
+            holdout: false,
+            seating: 0,
+            unsteady: false,
+        }
+    }
+
+    fn marked(mut readings: Vec<Reading>) -> (Vec<usize>, Vec<f64>) {
+        mark_unsteady(&mut readings);
+        ((0..readings.len()).filter(|&i| readings[i].unsteady).collect(), places(&readings))
+    }
+
+    #[test]
+    fn a_late_answer_of_the_stage_is_marked_and_its_place_interpolated() {
+        // 2 mm/s, read every 0.1 s; the fourth answer came late: the stage seems to have stood back.
+        let mut stroke: Vec<Reading> =
+            (0..8).map(|k| reading(0.1 * f64::from(k), 0.2 * f64::from(k), 2.0)).collect();
+        assert!(marked(stroke.clone()).0.is_empty(), "a steady stroke");
+        (stroke[3].x_mm, stroke[3].velocity_mm_s) = (0.5, 1.0);
+        let (unsteady, places) = marked(stroke);
+        assert_eq!(unsteady, [3]);
+        assert!((places[3] - 0.6).abs() < 1e-12, "{places:?}");
+    }
+
+    #[test]
+    fn passes_at_several_speeds_and_a_stage_moved_by_hand_are_left_alone() {
+        // Each reading is of a pass of its own, with the way back in between.
+        let passes =
+            [(10.0, 1.0, 2.0), (20.0, 2.0, 8.0), (30.0, 3.0, 2.0), (40.0, 4.0, 8.0), (50.0, 5.0, 2.0)];
+        assert!(marked(passes.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
+        let by_hand =
+            [(0.0, 0.0, 1.0), (0.1, 0.12, 1.4), (0.2, 0.28, 1.8), (0.3, 0.43, 1.2), (0.4, 0.52, 0.7)];
+        assert!(marked(by_hand.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
+    }
 }

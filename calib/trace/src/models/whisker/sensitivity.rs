@@ -81,7 +81,8 @@ fn frozen(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
             continue;
         }
         // The response outside the runs says how far the reading should have moved within one.
-        let x = DMatrix::from_fn(outside.len(), 3, |k, j| if j == 0 { 1.0 } else { moments[outside[k]][j - 1] });
+        let x =
+            DMatrix::from_fn(outside.len(), 3, |k, j| if j == 0 { 1.0 } else { moments[outside[k]][j - 1] });
         let y = DVector::from_fn(outside.len(), |k, _| raw(system, outside[k], g));
         let Ok(b) = x.clone().svd(true, true).solve(&y, 1e-9) else { continue };
         let scatter = robust_sd((&y - &x * &b).as_slice());
@@ -89,7 +90,8 @@ fn frozen(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
         let should = |i: &usize| b[1] * moments[*i][0] + b[2] * moments[*i][1];
         let moved = |r: &std::ops::Range<usize>| {
             let values: Vec<f64> = r.clone().map(|i| should(&i)).collect();
-            values.iter().copied().fold(f64::NEG_INFINITY, f64::max) - values.iter().copied().fold(f64::INFINITY, f64::min)
+            values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+                - values.iter().copied().fold(f64::INFINITY, f64::min)
         };
         if let Some(run) = runs.iter().find(|r| moved(r) > limit) {
             let point = |i: usize| system.row(i).point;
@@ -147,7 +149,9 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
         .collect();
     if !dead.is_empty() {
         let names = dead.join(" and ");
-        return Some(format!("No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."));
+        return Some(format!(
+            "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
+        ));
     }
     (load.len() == 2 && response_p(&y, &load, 1, dof) > RESPONSE_LEVEL).then(|| {
         "The gratings have rank 1: both follow one direction of the load alike, so two moments cannot be told from them.".to_owned()
@@ -193,5 +197,9 @@ fn robust_sd(values: &[f64]) -> f64 {
 
 fn clipped(values: Vec<f64>) -> Vec<f64> {
     let (centre, reach) = (median(values.clone()), CLIP * robust_sd(&values));
-    if reach > 0.0 { values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect() } else { values }
+    if reach > 0.0 {
+        values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect()
+    } else {
+        values
+    }
 }

@@ -228,7 +228,8 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        let (pictures, picture_scale, stage_clock_s) = (self.pictures, self.picture_scale, self.stage_clock_s);
+        let (pictures, picture_scale, stage_clock_s) =
+            (self.pictures, self.picture_scale, self.stage_clock_s);
         let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
         Self { pictures, picture_scale, stage_clock_s, ..same }
     }

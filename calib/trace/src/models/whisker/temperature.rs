@@ -154,7 +154,12 @@ mod tests {
             let walk = RandomWalkModel::of(&t, &readings, &variances).unwrap();
             sds.push(walk.noise_sd());
             let level = |v: &[f64]| -> Vec<f64> {
-                RandomWalkModel::of(&t, &readings, v).unwrap().smooth(&t, &readings, v).iter().map(|l| l.by_all).collect()
+                RandomWalkModel::of(&t, &readings, v)
+                    .unwrap()
+                    .smooth(&t, &readings, v)
+                    .iter()
+                    .map(|l| l.by_all)
+                    .collect()
             };
             weighed += rms(&level(&variances), &truth);
             unweighed += rms(&level(&alike(&readings)), &truth);
@@ -169,7 +174,12 @@ mod tests {
     }
 
     fn smoothed(t_s: &[f64], readings: &[f64]) -> Vec<f64> {
-        RandomWalkModel::of(t_s, readings, &alike(readings)).unwrap().smooth(t_s, readings, &alike(readings)).iter().map(|l| l.by_all).collect()
+        RandomWalkModel::of(t_s, readings, &alike(readings))
+            .unwrap()
+            .smooth(t_s, readings, &alike(readings))
+            .iter()
+            .map(|l| l.by_all)
+            .collect()
     }
 
     #[test]

@@ -35,7 +35,8 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
     let (v0, v1) = (speed(path, k), speed(path, k + 1));
     if !a.moving && !b.moving {
         // A settled reading without a dwell has stood for a while; an arrival ends its move.
-        let (move_s, mm) = (if b.reading.is_some() && way_mm != 0.0 { 0.5 * dt_s } else { dt_s }, xs_mm[k + 1]);
+        let (move_s, mm) =
+            (if b.reading.is_some() && way_mm != 0.0 { 0.5 * dt_s } else { dt_s }, xs_mm[k + 1]);
         let held = Piece { from_mm: mm, to_mm: mm, dt_s: dt_s - move_s };
         return Some(straight(move_s).into_iter().chain([held]).collect());
     }
@@ -71,5 +72,8 @@ fn speed(path: &WhiskerPath, k: usize) -> f64 {
         .filter(|n| n.line == node.line && own(n) * v > 0.0 && n.t_s != node.t_s)
         .map(|n| (n.x_mm - node.x_mm) / (n.t_s - node.t_s));
     // A reading on a ramp has a speed of its own: the neighbour's is another.
-    slopes.filter(|s| (s / v - 1.0).abs() < 2.0 * FITS).min_by(|a, b| (a - v).abs().total_cmp(&(b - v).abs())).unwrap_or(v)
+    slopes
+        .filter(|s| (s / v - 1.0).abs() < 2.0 * FITS)
+        .min_by(|a, b| (a - v).abs().total_cmp(&(b - v).abs()))
+        .unwrap_or(v)
 }

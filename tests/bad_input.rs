@@ -12,6 +12,8 @@ mod closed_pipes;
 mod copy;
 #[path = "bad_input/foreign_files.rs"]
 mod foreign_files;
+#[path = "bad_input/gratings.rs"]
+mod gratings;
 #[path = "bad_input/imports.rs"]
 mod imports;
 #[path = "bad_input/limits.rs"]

@@ -4,7 +4,9 @@ use crate::simulated::word;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_core::SessionData;
 use wcal_session::{Finding, LoadedSession, Severity, attach_holdout, examine, load};
+use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
 /// Arguments of `wcal doctor`.
 #[derive(Debug, Args)]
@@ -37,7 +39,8 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<ExitCode> {
     });
     let (session, findings) = match loaded {
         Ok(session) => {
-            let findings = examine(&session);
+            let mut findings = examine(&session);
+            findings.extend(sensitivity(&session));
             (Some(session), findings)
         }
         Err(error) => {
@@ -57,6 +60,13 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<ExitCode> {
         Severity::Warn => 3,
         Severity::Error => 1,
     }))
+}
+
+/// Whether the gratings of a whisker respond to the load, where the wire can be bent.
+fn sensitivity(session: &LoadedSession) -> Option<Finding> {
+    let SessionData::Whisker(data) = &session.data else { return None };
+    let message = lost_sensitivity(data).ok().flatten()?;
+    Some(Finding { severity: Severity::Error, topic: "sensitivity".to_owned(), message })
 }
 
 fn print_json(

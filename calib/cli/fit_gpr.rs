@@ -13,6 +13,7 @@ use wcal_core::map_document::MapDocument;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};
 use wcal_session::load;
+use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
 /// Arguments of `wcal fit-gpr`.
 #[derive(Debug, Args)]
@@ -96,6 +97,9 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     let SessionData::Whisker(data) = &session.data else {
         bail!("fit-gpr: expected a session of kind \"whisker\", found {:?}", session.kind);
     };
+    if let Some(why) = lost_sensitivity(data)? {
+        bail!("fit-gpr: session {:?}: {why}", session.id);
+    }
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
     let progress = Progress::new("fit-gpr");
     progress.says("moments of the poses");

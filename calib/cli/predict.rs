@@ -43,7 +43,8 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     check_file(&args.out, "predict", is_prediction, args.force)?;
     let file = read_calibration(&args.calibration)?;
     let applied = file.model.apply(&args.table)?;
-    for warning in &applied.warnings {
+    let (stuck, odd): (Vec<_>, Vec<_>) = applied.warnings.iter().partition(|w| w.is_stuck());
+    for warning in odd {
         eprintln!("warning: {warning}");
     }
     let simulated = file.provenance.simulated || is_simulated(&args.table);
@@ -52,6 +53,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     let mut doubts: Vec<String> =
         standing(&file, jiff::Timestamp::now())?.iter().map(ToString::to_string).collect();
     let place = args.table.display();
+    doubts.extend(stuck.iter().map(ToString::to_string));
     doubts.extend(applied.outside.map(|o| format!("{place}: {o}; marked in outside_valid_region")));
     for doubt in &doubts {
         eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });

@@ -10,6 +10,7 @@ mod edit;
 mod error;
 mod findings;
 mod holdout;
+mod left_out;
 mod released_sweep;
 mod row;
 mod session;

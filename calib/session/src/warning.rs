@@ -40,6 +40,22 @@ pub enum WarningKind {
     ScansLost(Vec<i64>),
     /// Points whose scans came late, or whose clocks could not be aligned.
     ScansLate(Vec<i64>),
+    /// Rows left out: an instrument's overflow value stands where a reading should.
+    Overflow {
+        /// Column.
+        column: String,
+        /// Their points.
+        points: Vec<i64>,
+    },
+    /// Rows left out: they repeat an earlier row in every column.
+    RowsCopied(Vec<i64>),
+    /// A grating reads the same in every row while another grating changes.
+    Stuck {
+        /// Grating.
+        column: String,
+        /// Rows.
+        rows: usize,
+    },
     /// Points without a label of the twin.
     Unlabelled {
         /// How many.
@@ -85,6 +101,20 @@ impl SessionWarning {
         Self { file: file.to_owned(), kind }
     }
 
+    /// Whether it says that a grating does not respond: what follows from its readings means nothing.
+    #[must_use]
+    pub fn is_stuck(&self) -> bool {
+        matches!(self.kind, WarningKind::Stuck { .. })
+    }
+
+    /// Points of rows that were left out of the table.
+    pub(crate) fn left_out(&self) -> &[i64] {
+        match &self.kind {
+            WarningKind::Overflow { points, .. } | WarningKind::RowsCopied(points) => points,
+            _ => &[],
+        }
+    }
+
     /// Whether it says that time runs backwards.
     #[must_use]
     pub fn is_clock_problem(&self) -> bool {
@@ -126,6 +156,22 @@ impl fmt::Display for SessionWarning {
                 "{file}: points {}: scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen \
                  behind",
                 named(points)
+            ),
+            WarningKind::Overflow { column, points } => write!(
+                f,
+                "{file}: {} row(s) left out as missing: {column} holds an overflow value, no reading (points {})",
+                points.len(),
+                named(points)
+            ),
+            WarningKind::RowsCopied(points) => write!(
+                f,
+                "{file}: {} row(s) repeat an earlier row in every column and count once (points {})",
+                points.len(),
+                named(points)
+            ),
+            WarningKind::Stuck { column, rows } => write!(
+                f,
+                "{file}: no sensitivity: {column} reads the same in all {rows} rows while another grating changes; it is dead, stuck or not connected"
             ),
             WarningKind::Unlabelled { points, of } => {
                 write!(f, "{file}: {points} of {of} points have no label")

@@ -1,6 +1,7 @@
 //! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for `predict`.
 
 use crate::error::{InputError, SessionError};
+use crate::left_out::LeftOut;
 use crate::row::{Clock, PointNumbers, Row};
 use crate::table::{Column, Table};
 use crate::warning::{SessionWarning, WarningKind};
@@ -62,6 +63,18 @@ struct Columns {
     sd: [Option<Column>; 2],
     samples: Option<Column>,
     stream: Option<Column>,
+}
+
+impl Columns {
+    /// Columns of instruments that write an overflow value for a reading that failed.
+    fn sensed(&self) -> impl Iterator<Item = Column> + use<> {
+        let (gratings, reference) = match &self.fbg {
+            Wavelengths::Absolute { columns, reference, .. } | Wavelengths::Shift { columns, reference } => {
+                (*columns, *reference)
+            }
+        };
+        gratings.into_iter().chain(reference).chain(self.temperature)
+    }
 }
 
 enum Wavelengths {
@@ -166,9 +179,25 @@ pub(crate) fn read_rows(
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
     let [mut lost, mut late] = [Vec::new(), Vec::new()];
+    let (mut left_out, mut places, mut order) = (LeftOut::default(), Vec::new(), 0);
+    // A free table may hold the same rounded readings many times; a session's points are poses.
+    let numbered = columns.point.filter(|_| requirement == ColumnRequirement::Session);
     while let Some(row) = table.next_row()? {
-        let order = i64::try_from(rows.len()).unwrap_or(i64::MAX);
-        let reading = read_row(&row, &columns, fbg, &known, requirement, order)?;
+        order += 1;
+        if let Some(column) = left_out.overflowed(&row, columns.sensed())? {
+            let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
+            points.note(&row, point)?;
+            left_out.note_overflow(column, point);
+            continue;
+        }
+        let reading = read_row(&row, &columns, fbg, &known, requirement, order - 1)?;
+        places.push(reading.point);
+        let timed = reading.t_s.is_some();
+        if numbered.is_some() && left_out.note_cells(&row, numbered, timed) {
+            // Its point number and its time were noted with the row that it copies.
+            rows.push(reading);
+            continue;
+        }
         points.note(&row, reading.point)?;
         clock.note(row.line, reading.t_s);
         match row.stream(columns.stream)? {
@@ -184,9 +213,40 @@ pub(crate) fn read_rows(
     if !late.is_empty() {
         warnings.push(SessionWarning::new(name, WarningKind::ScansLate(late)));
     }
+    let copies = left_out.copies();
+    let copied = copies.iter().map(|&k| places[k]).collect();
+    let mut place = 0;
+    rows.retain(|_| {
+        place += 1;
+        copies.binary_search(&(place - 1)).is_err()
+    });
+    warnings.extend(left_out.warnings(name, copied, rows.len())?);
+    warnings.extend(
+        stuck(&rows).map(|column| SessionWarning::new(name, WarningKind::Stuck { column, rows: rows.len() })),
+    );
     warnings.extend(clock.warning(name));
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
+}
+
+/// Readings of a table that a grating at work does not repeat to the last digit.
+const MIN_STUCK: usize = 20;
+/// Values that another grating takes meanwhile: the instrument is at work.
+const MIN_VALUES: usize = 5;
+
+/// The grating that reads the same in every row while another grating changes.
+fn stuck(rows: &[WhiskerRow]) -> Option<String> {
+    let values = |of: &dyn Fn(&WhiskerRow) -> Option<f64>| -> usize {
+        rows.iter().filter_map(of).map(f64::to_bits).collect::<HashSet<u64>>().len()
+    };
+    let counts = [
+        values(&|r| Some(r.shift_pm[0])),
+        values(&|r| Some(r.shift_pm[1])),
+        values(&|r| r.reference_shift_pm),
+    ];
+    let moves = counts.iter().any(|n| *n >= MIN_VALUES);
+    let still = (0..2).find(|&g| counts[g] == 1).filter(|_| moves && rows.len() >= MIN_STUCK);
+    still.map(|g| format!("fbg_{}", g + 1))
 }
 
 pub(crate) fn unused_columns(table: &Table) -> Vec<SessionWarning> {
@@ -337,6 +397,7 @@ pub(crate) fn read_twin(
     let may_be_empty = table.optional("branch")?.is_some();
     warnings.extend(unused_columns(&table));
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
+    let left_out: HashSet<i64> = warnings.iter().flat_map(SessionWarning::left_out).copied().collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
     while let Some(row) = table.next_row()? {
         if may_be_empty && row.number(Some(moments[0]))?.is_none() && row.number(Some(moments[1]))?.is_none()
@@ -349,6 +410,9 @@ pub(crate) fn read_twin(
             moment_nmm: [row.required(moments[0])?, row.required(moments[1])?],
         };
         points.note(&row, label.point)?;
+        if left_out.contains(&label.point) && !known.contains(&label.point) {
+            continue;
+        }
         if !known.contains(&label.point) {
             return Err(row.error("point", "a point of the points table", format!("{}", label.point)).into());
         }

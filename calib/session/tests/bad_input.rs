@@ -188,17 +188,29 @@ fn a_table_for_prediction_needs_wavelengths_only() {
 }
 
 #[test]
-fn copied_replicates_are_called_copies() {
-    let (_folder, session) = whisker_with(|text| {
-        let row = text.lines().nth(2).unwrap();
-        let copies: String = (3..9).map(|i| format!("{i}{}\n", &row[1..])).collect();
-        text.to_owned() + &copies
-    });
-    let findings = examine(&session);
+fn copied_replicates_count_once() {
+    let copied = |time: &dyn Fn(usize, &str) -> String| {
+        let (_folder, session) = whisker_with(|text| {
+            let row = text.lines().nth(2).unwrap();
+            let copies: String = (3..9).map(|i| format!("{i}{}\n", &time(i, row)[1..])).collect();
+            text.to_owned() + &copies
+        });
+        let SessionData::Whisker(data) = &session.data else { panic!("kind") };
+        (data.rows.len(), examine(&session))
+    };
+    let (rows, findings) = copied(&|_, row| row.to_owned());
     assert!(
-        findings.iter().any(|f| f.topic == "duplicates" && f.message.contains("no replicates")),
+        rows == 3 && findings.iter().any(|f| f.message.contains("6 row(s) repeat an earlier row")),
         "{findings:?}"
     );
+    // Control: the same values at times of their own were read again; a coarse instrument does that.
+    let later = |i: usize, row: &str| {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        cells[3] = format!("{}", 100 + i);
+        cells.join(",")
+    };
+    let (rows, findings) = copied(&later);
+    assert_eq!(rows, 9, "{findings:?}");
 }
 
 #[test]

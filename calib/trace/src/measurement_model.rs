@@ -44,6 +44,14 @@ pub trait MeasurementModel: Sync {
     fn witness_variance(&self) -> f64 {
         1.0
     }
+    /// Its groups are repetitions of one task, so that what is left out in turn judges each effect and what is left.
+    fn judged_left_out(&self) -> bool {
+        false
+    }
+    /// Standard deviation of what all readings share of a parameter and none of them shows (how two clocks are aligned), in its unit.
+    fn shared_sd(&self, _effect: usize, _parameter: &str) -> f64 {
+        0.0
+    }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;
     /// Group of each reading (trajectory, cycle); resampling keeps groups whole.

@@ -8,6 +8,9 @@ pub struct NoiseFloor {
     /// pm (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wavelength_pm: Option<f64>,
+    /// The same of readings in motion, averaged over far fewer samples, pm (kind whisker).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_wavelength_pm: Option<f64>,
     /// N mm (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_nmm: Option<f64>,

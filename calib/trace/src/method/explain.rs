@@ -11,6 +11,7 @@
 //! with the noise theta estimated anew on both sides. What does not hold is dropped, and the search is made again under the noise that
 //! stands in its place.
 
+use super::earned::earned;
 use super::fit::{Weights, fit};
 use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
@@ -157,10 +158,24 @@ fn alike(a: &Weights, b: &Weights) -> bool {
     shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
 }
 
+/// Takes back what does not earn its name on readings that are left out, and calls what is left by its size.
+fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult) {
+    let (best, within) = earned(system, &found.best);
+    if !within.is_empty() {
+        let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
+        found.survivors = vec![best.clone()];
+        found.refitted.retain(lacks);
+        found.refitted.insert(0, best.clone());
+        found.best = best;
+        found.within_model_error = within;
+    }
+    found.last_test.within_model_error = found.last_test.is_small(&found.best.fit);
+}
+
 /// Runs the search under the noise that the readings themselves show.
 pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Explained> {
     let mut judge = Judge::new(system, options.seed);
-    let mut weights = Weights::independent(judge.inputs.known.clone());
+    let mut weights = Weights::independent(judge.inputs.own(0.0));
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
     let mut options = *options;
@@ -207,6 +222,9 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     {
         found.first_test.covariates = scores;
         found.covariate_beats_catalogue = true;
+    }
+    if system.judged_left_out() {
+        within_model_error(system, &mut found);
     }
     let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));

@@ -141,6 +141,8 @@ pub struct SearchResult {
     pub not_converged: Vec<Vec<String>>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
+    /// Effects that the fitted readings ask for, and that lower the left-out error by less than its uncertainty.
+    pub within_model_error: Vec<usize>,
 }
 
 impl SearchResult {

@@ -33,6 +33,9 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     })
 }
 
+/// Two-sided 95 % of a Gaussian.
+const NORMAL_95: f64 = 1.96;
+
 /// Quantile of Student's t for a two-sided 95 % interval.
 #[must_use]
 pub fn t95(dof: f64) -> f64 {
@@ -62,7 +65,8 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
     for term in &fit.terms {
         let law = &system.catalogue()[term.effect].law(term.law);
         for (p, v) in law.parameters.iter().zip(&term.values) {
-            let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+            let shared = NORMAL_95 * system.shared_sd(term.effect, p.name);
+            let half = (t * covariance[(slot, slot)].max(0.0).sqrt()).hypot(shared);
             slot += 1;
             if term.effect == effect {
                 let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;

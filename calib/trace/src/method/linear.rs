@@ -56,6 +56,80 @@ impl Basis {
     }
 }
 
+/// `a' b` as one blocked product: nalgebra's `tr_mul` goes column by column.
+#[must_use]
+pub fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    a.transpose() * b
+}
+
+/// The joint span of many directions by the Cholesky factor of their Gram matrix: `D = Q R`, Q orthonormal, in the order of the directions.
+pub struct JointSpan {
+    directions: DMatrix<f64>,
+    /// Directions that are new.
+    independent: Vec<usize>,
+    /// Coordinates of every direction, rank x directions.
+    factor: DMatrix<f64>,
+}
+
+/// A direction of unit length is new where this part of its square is left: its own rounding is a thousandth of that.
+const NEW_SQUARE: f64 = 1e-10;
+
+impl JointSpan {
+    /// Span of directions of unit length, up to `limit` of them independent.
+    #[must_use]
+    pub fn of<'a>(directions: impl Iterator<Item = &'a DVector<f64>>, limit: usize) -> Self {
+        let columns: Vec<&DVector<f64>> = directions.collect();
+        let size = columns.first().map_or(0, |c| c.len());
+        let mut matrix = DMatrix::zeros(size, columns.len());
+        for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
+            to.copy_from(from);
+        }
+        let mut left = transposed_product(&matrix, &matrix);
+        let mut rows: Vec<nalgebra::RowDVector<f64>> = Vec::new();
+        let mut independent = Vec::new();
+        for k in 0..columns.len() {
+            let pivot = left[(k, k)];
+            if independent.len() >= limit || !(pivot > NEW_SQUARE) {
+                continue;
+            }
+            // Right-looking Cholesky: what the later directions have along this one is taken off their Gram matrix.
+            let row = left.row(k) / pivot.sqrt();
+            left.ger(-1.0, &row.transpose(), &row.transpose(), 1.0);
+            rows.push(row);
+            independent.push(k);
+        }
+        let factor =
+            if rows.is_empty() { DMatrix::zeros(0, columns.len()) } else { DMatrix::from_rows(&rows) };
+        Self { directions: matrix, independent, factor }
+    }
+
+    /// Independent directions.
+    #[must_use]
+    pub fn rank(&self) -> usize {
+        self.independent.len()
+    }
+
+    /// Length of a direction.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.directions.nrows()
+    }
+
+    /// What vectors of the span, columns of `coordinates`, have along every direction.
+    #[must_use]
+    pub fn along(&self, coordinates: &DMatrix<f64>) -> DMatrix<f64> {
+        transposed_product(&self.factor, coordinates)
+    }
+
+    /// Coordinates of the parts of `vectors` in the span.
+    #[must_use]
+    pub fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
+        let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
+        let triangle = self.factor.select_columns(&self.independent);
+        triangle.transpose().solve_lower_triangular(&along).unwrap_or(along)
+    }
+}
+
 /// Stacks the columns of readings x channels into one vector.
 #[must_use]
 pub fn stack(m: &DMatrix<f64>) -> DVector<f64> {

@@ -1,12 +1,15 @@
 //! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in their joint span.
 
-use super::linear::Basis;
+use super::linear::JointSpan;
 use super::options::Options;
 use super::signature::Signature;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// Draws that are projected together.
+const BATCH: usize = 250;
 
 /// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more.
 #[must_use]
@@ -41,54 +44,58 @@ impl MinPDistribution {
     /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span and the norm of the rest matter.
     #[must_use]
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
-        let mut span = Basis::default();
-        for signature in signatures {
-            for q in &signature.directions {
-                if (span.rank() as f64) < dof - 2.0 {
-                    span.push(q);
-                }
-            }
-        }
+        let limit = (dof - 2.0).max(0.0) as usize;
+        let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), limit);
         let rank = span.rank();
-        let reduced: Vec<(DMatrix<f64>, Option<DVector<f64>>)> = signatures
+        let starts: Vec<usize> = signatures
             .iter()
-            .map(|a| {
-                let rows: Vec<_> = a.directions.iter().map(|q| span.coordinates(q).transpose()).collect();
-                let sign = a.one_sided.then(|| span.coordinates(&a.projected[0]));
-                (DMatrix::from_rows(&rows), sign)
+            .scan(0, |at, a| {
+                *at += a.dimension();
+                Some(*at - a.dimension())
             })
             .collect();
         let rest = (dof - rank as f64).max(1.0);
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
         let chi = ChiSquared::new(rest).ok();
         let heavy = options.tails_dof.and_then(|nu| StudentT::new(nu).ok());
-        let mut draw = || -> (DVector<f64>, f64) {
-            match &heavy {
+        let size = span.size();
+        let mut minima: Vec<f64> = Vec::with_capacity(options.draws);
+        while minima.len() < options.draws {
+            let count = BATCH.min(options.draws - minima.len());
+            // Projections of each draw (a column) on every direction, and its sum of squares.
+            let (along, ssr): (DMatrix<f64>, Vec<f64>) = match &heavy {
                 None => {
-                    let z = DVector::from_fn(rank, |_, _| -> f64 { StandardNormal.sample(&mut rng) });
-                    let ssr = z.norm_squared() + chi.map_or(rest, |c| c.sample(&mut rng));
-                    (z, ssr)
+                    let mut z = DMatrix::zeros(rank, count);
+                    let mut ssr = Vec::with_capacity(count);
+                    for mut column in z.column_iter_mut() {
+                        column.iter_mut().for_each(|v| *v = StandardNormal.sample(&mut rng));
+                        ssr.push(column.norm_squared() + chi.map_or(rest, |c| c.sample(&mut rng)));
+                    }
+                    (span.along(&z), ssr)
                 }
                 // Heavy tails are not the same in every direction: whole readings are drawn.
                 Some(t) => {
-                    let size = span.vectors().first().map_or(0, DVector::len);
-                    let whole = DVector::from_fn(size, |_, _| -> f64 { t.sample(&mut rng) });
+                    let mut whole = DMatrix::zeros(size, count);
+                    whole.iter_mut().for_each(|v| *v = t.sample(&mut rng));
                     let z = span.coordinates(&whole);
-                    let off = (whole.norm_squared() - z.norm_squared()).max(0.0);
-                    let ssr = z.norm_squared() + off * rest / (size as f64 - rank as f64).max(1.0);
-                    (z, ssr)
+                    let scale = rest / (size as f64 - rank as f64).max(1.0);
+                    let ssr = (0..count).map(|k| {
+                        let inside = z.column(k).norm_squared();
+                        inside + (whole.column(k).norm_squared() - inside).max(0.0) * scale
+                    });
+                    let ssr = ssr.collect();
+                    (span.along(&z), ssr)
                 }
-            }
-        };
-        let mut minima: Vec<f64> = (0..options.draws)
-            .map(|_| {
-                let (z, ssr) = draw();
+            };
+            minima.extend((0..count).map(|k| {
+                let (draw, ssr) = (along.column(k), ssr[k]);
                 let mut best: f64 = 1.0;
-                for (signature, (q, sign)) in signatures.iter().zip(&reduced) {
-                    if sign.as_ref().is_some_and(|s| s.dot(&z) <= 0.0) {
+                for (signature, &at) in signatures.iter().zip(&starts) {
+                    // The first direction of a one-sided law is its signature.
+                    if signature.one_sided && draw[at] <= 0.0 {
                         continue;
                     }
-                    let gain = (q * &z).norm_squared();
+                    let gain = draw.rows(at, signature.dimension()).norm_squared();
                     // The tail is dear to compute: skip what cannot be small.
                     if gain * dof / ssr < 2.0 * signature.dimension() as f64 {
                         continue;
@@ -96,8 +103,8 @@ impl MinPDistribution {
                     best = best.min(signature_p(signature, gain, ssr, dof));
                 }
                 best
-            })
-            .collect();
+            }));
+        }
         minima.sort_by(f64::total_cmp);
         Self { minima }
     }

@@ -2,6 +2,7 @@
 
 pub mod ambiguity;
 pub mod covariates;
+mod earned;
 pub mod explain;
 pub mod fit;
 pub mod hypothesis;

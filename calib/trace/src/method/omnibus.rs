@@ -60,19 +60,37 @@ pub struct OmnibusTest {
     pub p_serial: f64,
     /// Best shape of each covariate, strongest first.
     pub covariates: Vec<CovariateScore>,
+    /// Correlation of neighbouring residuals.
+    pub serial_correlation: f64,
+    /// What is left is significant, but so small a part of the misfit that the model of the recording itself may leave it.
+    pub within_model_error: bool,
 }
+
+/// Share of the sum of squares from which what is left is no model error: a tenth of the noise, root mean square.
+const MODEL_ERROR: f64 = 0.01;
+/// Correlation of neighbours from which it is none.
+const MODEL_CORRELATION: f64 = 0.1;
 
 impl OmnibusTest {
     /// Something beyond noise is left.
     #[must_use]
     pub fn rejected(&self) -> bool {
-        self.p_catalogue < CATALOGUE_LEVEL || self.generic()
+        !self.within_model_error && (self.p_catalogue < CATALOGUE_LEVEL || self.generic())
     }
 
     /// Something is left that need not be in the catalogue.
     #[must_use]
     pub fn generic(&self) -> bool {
-        self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL
+        !self.within_model_error && (self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL)
+    }
+
+    /// Whether everything that `fit` leaves is a small part of its misfit.
+    #[must_use]
+    pub fn is_small(&self, fit: &Fit) -> bool {
+        let residual = fit.stacked();
+        let catalogue = self.signatures.iter().map(|s| s.gain(&residual)).fold(0.0, f64::max);
+        let generic = self.covariates.iter().map(|s| s.gain).fold(0.0, f64::max);
+        catalogue.max(generic) < MODEL_ERROR * fit.ssr && self.serial_correlation < MODEL_CORRELATION
     }
 
     /// Family-wise p-values: catalogue, generic signatures, serial correlation.
@@ -96,8 +114,8 @@ impl OmnibusTest {
     }
 }
 
-/// Lag-one correlation of neighbouring readings of one group; two-sided normal approximation.
-fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> f64 {
+/// p-value (normal approximation) and size of the lag-one correlation of neighbouring readings of one group.
+fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, f64) {
     let groups = system.groups();
     let (mut product, mut count) = (0.0, 0.0);
     let rows: Vec<usize> = (0..groups.len()).filter(|&i| weights.counts(i)).collect();
@@ -110,12 +128,12 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> f64 {
         }
     }
     if count < 10.0 || fit.ssr <= 0.0 {
-        return 1.0;
+        return (1.0, 0.0);
     }
     // Fitted parameters make residuals of white noise slightly negative neighbours: only positive correlation counts.
     let mean_square = fit.residual.norm_squared() / (weights.active() * fit.residual.ncols()) as f64;
-    let z = product / count / mean_square * count.sqrt();
-    Normal::standard().sf(z)
+    let correlation = product / count / mean_square;
+    (Normal::standard().sf(correlation * count.sqrt()), correlation)
 }
 
 /// Share of a label's gain from which a continuous covariate does as well.
@@ -190,10 +208,13 @@ pub fn omnibus_test(
         signatures.iter().map(|a| signature_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
     let p_catalogue = family.adjusted(smallest);
     let (p_covariates, covariates, covariate_family) = generic(system, fit, weights, &residual, options);
+    let (p_serial, serial_correlation) = serial(system, fit, weights);
     OmnibusTest {
         p_catalogue,
         p_covariates,
-        p_serial: serial(system, fit, weights),
+        p_serial,
+        serial_correlation,
+        within_model_error: false,
         signatures,
         family,
         covariate_family,

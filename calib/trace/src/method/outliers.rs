@@ -88,7 +88,35 @@ pub fn clean(
         weights = all.masked(|i| !flagged.contains(&i));
         current = fit(system, terms, &weights, 15)?;
     }
-    (!flagged.is_empty()).then_some(Cleaned { fit: current, weights, flagged, p_value })
+    (!flagged.is_empty() && single(system, &all, &flagged)).then_some(Cleaned {
+        fit: current,
+        weights,
+        flagged,
+        p_value,
+    })
+}
+
+/// Fewest flagged readings of which it can be said that they are no single ones.
+const MIN_STRUCTURE: usize = 4;
+/// Share of the flagged readings that may have a flagged neighbour.
+const MAX_NEIGHBOURS: f64 = 0.5;
+/// Share of the readings at rest that may be flagged: nothing touches the wire there.
+const MAX_REST: f64 = 0.25;
+
+/// Whether flagged readings stand singly: a whole stretch of them, or many at rest, is what the model lacks.
+fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bool {
+    let counted: Vec<usize> = (0..all.len()).filter(|&i| all.counts(i)).collect();
+    let place = |i: &usize| counted.binary_search(i).unwrap_or(usize::MAX);
+    let places: std::collections::BTreeSet<usize> = flagged.iter().map(place).collect();
+    let beside =
+        |p: &&usize| places.contains(&(**p + 1)) || p.checked_sub(1).is_some_and(|q| places.contains(&q));
+    let neighbours = places.iter().filter(beside).count();
+    let posed = system.noise_inputs().posed;
+    let at_rest = counted.iter().filter(|&&i| !posed[i]).count();
+    let rest_flagged = flagged.iter().filter(|&&i| !posed[i]).count();
+    let stretch = neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
+    let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
+    !(stretch || resting)
 }
 
 /// Draws of the elemental sets.

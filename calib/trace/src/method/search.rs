@@ -3,6 +3,7 @@
 use super::ambiguity::cox_test;
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, SearchResult};
+use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
@@ -186,6 +187,14 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         level = physical.clone();
         final_level = physical;
     }
+    if level_test.rejected()
+        && let Some(more) = by_cross_check(system, &base, &best, &first_test, options.largest)
+    {
+        best = flag_anew(system, more);
+        level_test = gate_again(system, &best, options, 2 * options.largest as u64 + 1);
+        final_level.retain(|h| h.effects(outliers) != best.effects(outliers));
+        final_level.insert(0, best.clone());
+    }
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
     let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
@@ -231,12 +240,45 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         refitted: final_level,
         not_converged,
         covariate_beats_catalogue,
+        within_model_error: Vec::new(),
     })
 }
 
 /// Identifiers of effects.
 fn names(system: &dyn MeasurementModel, effects: &[usize]) -> Vec<String> {
     effects.iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
+}
+
+/// Where something is left and the convex cross-check keeps an effect that the search lacks: the explanation that starts from what it keeps, if
+/// it is better by far.
+fn by_cross_check(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    best: &Hypothesis,
+    test: &OmnibusTest,
+    largest: usize,
+) -> Option<Hypothesis> {
+    /// Size from which what the cross-check keeps is worth a refit, noise standard deviations.
+    const KEPT_SD: f64 = 5.0;
+    /// Lead in the criterion that it has to have.
+    const LEAD: f64 = 10.0;
+    let (residual, variance) = (base.fit.stacked(), best.fit.variance());
+    let kept = group_lasso(&test.signatures, &residual, base.fit.dof, variance.sqrt())?;
+    let kept: Vec<usize> =
+        kept.iter().filter(|k| k.size_sd > KEPT_SD).take(largest).map(|k| k.effect).collect();
+    let known = |e: &usize| best.fit.terms.iter().any(|t| t.effect == *e);
+    if kept.iter().all(known) {
+        return None;
+    }
+    let start = |e: &usize| {
+        let own = test.signatures.iter().filter(|s| s.term.effect == *e);
+        let top = own.max_by(|a, b| a.gain(&residual).total_cmp(&b.gain(&residual)))?;
+        Some(top.start(&residual, &system.catalogue()[*e].law(top.term.law)))
+    };
+    let terms: Vec<EffectTerm> = kept.iter().filter_map(start).collect();
+    let found = refit(system, &[terms], base).filter(|h| h.acceptable(system))?;
+    let scale = variance.min(found.fit.variance());
+    (found.criterion(&base.fit, scale) + LEAD < best.criterion(&base.fit, scale)).then_some(found)
 }
 
 /// One generic score alone explains the residual better than the accepted effects do.

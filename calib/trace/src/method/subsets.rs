@@ -1,5 +1,6 @@
 //! Stage 6, all subsets: which sets of effects explain most in the projected linear model, from the Gram matrix of their signatures.
 
+use super::linear::transposed_product;
 use super::signature::Signature;
 use nalgebra::{DMatrix, DVector};
 
@@ -34,8 +35,11 @@ pub fn best_subsets(
             Some(here)
         })
         .collect();
-    let gram = DMatrix::from_fn(columns.len(), columns.len(), |i, j| columns[i].dot(columns[j]));
-    let along = DVector::from_iterator(columns.len(), columns.iter().map(|v| v.dot(residual)));
+    let mut matrix = DMatrix::zeros(residual.len(), columns.len());
+    for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
+        to.copy_from(from);
+    }
+    let (gram, along) = (transposed_product(&matrix, &matrix), matrix.tr_mul(residual));
     let mut found: Vec<Subset> = Vec::new();
     let mut members = Vec::new();
     combine(

@@ -12,7 +12,8 @@ pub mod judgement;
 pub mod noise_report;
 pub mod options;
 pub mod procedure;
-pub mod rival;
+pub mod refutation;
+mod rival;
 pub mod session_model;
 
 pub use options::VerifyOptions;

@@ -6,6 +6,7 @@ use super::error_summary::rmse;
 use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
+use super::refutation;
 use super::session_model::{Record, SessionModel};
 use crate::error::TraceError;
 use crate::method::explain::Explained;
@@ -112,7 +113,15 @@ fn last_word<M: SessionModel>(
     let mut left_out = flagged(whole, &conclusion.accepted, noise);
     let error = |p: &M::Predictions| rmse(&scored(whole, p, &left_out), 0);
     let [low, high] = [error(&before), error(&after)];
-    let worse = high > SEALED_RISE * low && !conclusion.accepted.fit.terms.is_empty() && !on_request;
+    let refuted = || {
+        let sd = noise.reading_sd(&whole.noise_inputs());
+        let counts = (0..sd.len()).filter(|i| whole.scored()[*i] && !left_out.contains(i));
+        let sd: Vec<f64> = counts.map(|i| sd[i] * whole.noise_factor()).collect();
+        let of = |p: &M::Predictions| scored(whole, p, &left_out);
+        refutation::refuted(&of(&before), &of(&after), &sd)
+    };
+    let worse =
+        high > SEALED_RISE * low && !conclusion.accepted.fit.terms.is_empty() && !on_request && refuted();
     if worse {
         noise = &explained.declared_noise;
         after = at(&found.base, noise)?;

@@ -63,7 +63,9 @@ pub fn estimate(
     seed: u64,
 ) -> Option<Noise> {
     let n = inputs.settings.len();
-    let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { inputs.known[i] } else { 0.0 }).collect();
+    let common = common_of(model, inputs, counted);
+    let known = inputs.own(common);
+    let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { known[i] } else { 0.0 }).collect();
     let law =
         if sought.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
     let relative = |law: &Option<SpreadModel>| match law {
@@ -81,7 +83,7 @@ pub fn estimate(
     }
     // The readings that do not count keep their spread, so that they can be taken back.
     let own = law.as_ref().map_or_else(|| vec![1.0; n], |l| l.relative_sd(inputs));
-    let every: Vec<f64> = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
+    let every: Vec<f64> = own.iter().zip(&known).map(|(sd, known)| known / sd).collect();
     let every = match weights.shared() {
         Some(shared) => Weights::sharing(every, shared.clone()),
         None => Weights::independent(every),
@@ -96,10 +98,33 @@ pub fn estimate(
         pose,
         correlated,
         law,
+        common,
         tails: tails(&whitened),
         step: inputs.step.clone(),
         weights,
     })
+}
+
+/// Variances beside a typical average's that are searched for what averaging does not lower.
+const COMMON: [f64; 2] = [1e-2, 1e3];
+
+/// The part of the variance that averaging does not lower (restricted likelihood); 0 where all readings are averaged alike, or it is too
+/// small to be told.
+fn common_of(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 {
+    if inputs.averaged.is_empty() {
+        return 0.0;
+    }
+    let cost = |common: f64| {
+        let mut own = inputs.own(common);
+        own.iter_mut().enumerate().filter(|(i, _)| !counted.counts(*i)).for_each(|(_, w)| *w = 0.0);
+        misfit(model, &Weights::independent(own)).map_or(f64::INFINITY, |m| m.restricted)
+    };
+    let range = COMMON.map(f64::ln);
+    let starts = [0.1, 0.35, 0.6, 0.85].map(|k| range[0] + (range[1] - range[0]) * k);
+    let nearest = starts.into_iter().map(|x| (cost(x.exp()), x)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, start)) = nearest else { return 0.0 };
+    let (x, least) = descend([start], [1.0], [range[0]], [range[1]], &|v: &[f64; 1]| cost(v[0].exp()));
+    if cost(0.0) <= least { 0.0 } else { x[0].exp() }
 }
 
 /// A shared part's estimate.
@@ -275,6 +300,7 @@ mod tests {
             posed: Arc::new(vec![true; n]),
             spread: vec![("depth".into(), depth.clone())],
             known: vec![1.0; n],
+            averaged: Vec::new(),
             step: Vec::new(),
         };
         Simulated {

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! n_i = s (h_i e_i + rho_c c(t_i) + rho_p g_i p_k(i))        (symbols: `whitening`)
+//! h_i^2 = law_i^2 (c^2 + a_i) / (c^2 + 1)                    a_i: variance of the reading's own average, c: what averaging does not lower
 //! var(reading at a pose set anew, another time) = s^2 (h^2 + rho_c^2 + rho_p^2)
 //! ```
 
@@ -9,6 +10,9 @@ use super::spread_model::SpreadModel;
 use super::tails::Tails;
 use super::whitening::{SharedNoise, Weights};
 use std::sync::Arc;
+
+/// Variance of an average up to which it is as good as a typical one.
+const TYPICAL: f64 = 2.0;
 
 /// What the noise of a session's readings can depend on.
 #[derive(Debug, Clone, Default)]
@@ -23,6 +27,8 @@ pub struct NoiseInputs {
     pub spread: Vec<(String, Vec<f64>)>,
     /// 1 / relative standard deviation that is known beforehand (few samples averaged).
     pub known: Vec<f64>,
+    /// Variance that each reading's average has by its number of samples, 1 for a typical settled one; empty where all are alike.
+    pub averaged: Vec<f64>,
     /// Step of the recorded values in each channel, in the unit of the measured values; none where they are not rounded coarsely.
     pub step: Vec<Option<f64>>,
 }
@@ -37,8 +43,26 @@ impl NoiseInputs {
             posed: Arc::new(vec![true; n]),
             spread: Vec::new(),
             known: vec![1.0; n],
+            averaged: Vec::new(),
             step: Vec::new(),
         }
+    }
+
+    /// 1 / relative standard deviation of readings by themselves, where the part that averaging does not lower has the variance `common`
+    /// beside 1 of a typical reading's average.
+    #[must_use]
+    pub fn own(&self, common: f64) -> Vec<f64> {
+        if self.averaged.is_empty() {
+            return self.known.clone();
+        }
+        let of = |(known, a): (&f64, &f64)| known * ((common + 1.0) / (common + a)).sqrt();
+        self.known.iter().zip(&self.averaged).map(of).collect()
+    }
+
+    /// Readings of typical averaging: what the floor is stated for.
+    #[must_use]
+    pub fn typical(&self, reading: usize) -> bool {
+        self.averaged.get(reading).is_none_or(|a| *a <= TYPICAL)
     }
 
     pub(super) fn shared(&self, correlated: Option<[f64; 2]>, pose: f64) -> SharedNoise {
@@ -82,6 +106,8 @@ pub struct Noise {
     pub correlated: Option<(Estimated, f64)>,
     /// The spread's law.
     pub law: Option<SpreadModel>,
+    /// Variance that averaging does not lower, beside 1 of a typical reading's average; 0 where all readings are averaged alike.
+    pub common: f64,
     /// Tails of the standardised residuals.
     pub tails: Option<Tails>,
     /// Steps of the recorded values.
@@ -100,6 +126,7 @@ impl Noise {
             pose: None,
             correlated: None,
             law: None,
+            common: 0.0,
             tails: None,
             step: Vec::new(),
         }
@@ -111,7 +138,7 @@ impl Noise {
     pub fn weights_of(&self, inputs: &NoiseInputs, upper: bool) -> Weights {
         let own =
             self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
-        let relative = own.iter().zip(&inputs.known).map(|(sd, known)| known / sd).collect();
+        let relative = own.iter().zip(inputs.own(self.common)).map(|(sd, known)| known / sd).collect();
         let size =
             |e: &Estimated| if upper { e.interval95[1].max(e.value) } else { e.value } / self.repeat.value;
         let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);

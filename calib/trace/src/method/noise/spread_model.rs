@@ -68,7 +68,8 @@ pub(super) fn law_of(
         let typical = loaded.get(loaded.len() / 2).copied().unwrap_or(0.0);
         let law = SpreadModel { follows: name.clone(), spread, typical };
         let own = law.relative_sd(inputs);
-        let relative = (0..values.len()).map(|i| if weights.counts(i) { 1.0 / own[i] } else { 0.0 });
+        let relative =
+            (0..values.len()).map(|i| if weights.counts(i) { weights.of(i) / own[i] } else { 0.0 });
         let cost = misfit(model, &Weights::independent(relative.collect()))?.restricted;
         if best.as_ref().is_none_or(|b| cost < b.0) {
             best = Some((cost, law));

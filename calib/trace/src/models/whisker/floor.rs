@@ -12,6 +12,8 @@ use std::collections::BTreeMap;
 pub struct Floor {
     /// Standard deviation of a loaded reading at a pose set anew, pm.
     pub sd_pm: f64,
+    /// The same of readings that were averaged over far fewer samples (in motion), pm; none where all are averaged alike.
+    pub moving_pm: Option<f64>,
     /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves between neighbouring poses).
     pub source: &'static str,
     /// Degrees of freedom of the loaded replicates.
@@ -70,7 +72,8 @@ fn within_poses(system: &WhiskerSystem, h: &Hypothesis, inputs: &NoiseInputs, re
     let residual = &h.fit.raw_residual * system.channels_pm();
     let pose = poses(readings);
     let mut groups: BTreeMap<usize, BTreeMap<usize, Vec<usize>>> = BTreeMap::new();
-    for i in (0..readings.len()).filter(|&i| h.weights.counts(i) && readings[i].rest == rest) {
+    let asked = |i: &usize| h.weights.counts(*i) && readings[*i].rest == rest && inputs.typical(*i);
+    for i in (0..readings.len()).filter(asked) {
         groups.entry(pose[i]).or_default().entry(inputs.settings[i]).or_default().push(i);
     }
     let (mut sum, mut dof) = (0.0, 0.0);
@@ -97,15 +100,18 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
     let (sum, replicate_dof) = within_poses(system, h, &inputs, false);
     let rest_dof = within_poses(system, h, &inputs, true).1;
     let sd = noise.reading_sd(&inputs);
-    let loaded: Vec<f64> = (0..sd.len()).filter(|&i| !readings[i].rest).map(|i| sd[i] * sd[i]).collect();
     // From the engine's channels, whose noise is alike and independent, to the gratings'.
-    let model = system.noise_factor() * (loaded.iter().sum::<f64>() / loaded.len().max(1) as f64).sqrt();
-    if loaded.len() < 2 || !model.is_finite() {
-        return None;
-    }
+    let rms = |typical: bool| {
+        let of = (0..sd.len()).filter(|&i| !readings[i].rest && inputs.typical(i) == typical);
+        let squares: Vec<f64> = of.map(|i| sd[i] * sd[i]).collect();
+        (squares.len() >= 2)
+            .then(|| system.noise_factor() * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+    };
+    let model = rms(true).filter(|m| m.is_finite())?;
     let replicated = replicate_dof >= MIN_DOF;
     Some(Floor {
         sd_pm: if left && replicated { (sum / replicate_dof).sqrt() } else { model },
+        moving_pm: rms(false),
         source: if replicated { "replicates" } else { "difference" },
         replicate_dof,
         rest_dof,

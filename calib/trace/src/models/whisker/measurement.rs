@@ -7,6 +7,7 @@ use super::physical::PhysicalModel;
 use super::pictures::Pictures;
 use super::predictions::{Predictions, by_labels, predict};
 use super::seatings::spread_of_zeros;
+use super::stage_clock;
 use super::system::WhiskerSystem;
 use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
@@ -17,6 +18,7 @@ use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference;
 use crate::method::lasso::group_lasso;
 use crate::method::noise::{Estimated, Noise};
+use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, VerifyOptions};
@@ -29,6 +31,8 @@ use wcal_core::verify_document::{
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
+/// Change of the stage's clock from which the search is made again, s.
+const CLOCK_CHANGED_S: f64 = 2e-4;
 /// Searches under another weight of the pictures.
 const MAX_RESCALED: usize = 3;
 /// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
@@ -60,6 +64,11 @@ fn weighed(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerS
     } else {
         system.with_own_share((own * chi).clamp(MIN_OWN_SHARE, 1.0)).with_picture_scale(sd)
     }
+}
+
+/// Whether an effect delays the readings behind the stage.
+fn is_lag(system: &WhiskerSystem, effect: usize) -> bool {
+    system.catalogue()[effect].id() == "time-lag"
 }
 
 /// Scatter of the pictures about a fit over what counts of their errors.
@@ -114,9 +123,11 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        let known = Weights::independent(self.noise_inputs().known);
+        let known = Weights::independent(self.noise_inputs().own(0.0));
         let base = declared(&self, &known, options.search.seed)?;
         let system = self.whitened(&base.fit);
+        let set_s = stage_clock::aligned(&system, &base, false);
+        let system = system.with_stage_clock(set_s);
         let system = match system.pictures() {
             Some(_) => {
                 let base = declared(&system, &known, options.search.seed)?;
@@ -127,17 +138,23 @@ impl SessionModel for WhiskerSystem {
         let mut explained = explain(&system, &options.search)?;
         // An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
         let mut system = system;
-        for _ in 0..if system.pictures().is_some() { MAX_RESCALED } else { 1 } {
+        let again_at_most =
+            if system.pictures().is_some() || system.is_read_in_motion() { MAX_RESCALED } else { 1 };
+        for _ in 0..again_at_most {
             let fit = &explained.found.accepted().fit;
             let whitened = system.clone().whitened(fit);
             let again = weighed(whitened, fit, &system);
             let own = |s: &WhiskerSystem| s.pictures().map_or(1.0, Pictures::own_share);
+            let lagged = fit.terms.iter().any(|t| is_lag(&system, t.effect));
+            let set_s = stage_clock::aligned(&again, explained.found.accepted(), lagged);
+            let again = again.with_stage_clock(set_s);
+            let moved = (set_s - system.stage_clock_s()).abs() > CLOCK_CHANGED_S;
             let changes = [
                 again.whitening_change(&system),
                 ratio(again.picture_scale(), system.picture_scale()),
                 ratio(own(&again), own(&system)),
             ];
-            if changes.iter().all(|c| *c <= WHITENING_CHANGED) {
+            if !moved && changes.iter().all(|c| *c <= WHITENING_CHANGED) {
                 break;
             }
             explained = explain(&again, &options.search)?;
@@ -156,6 +173,7 @@ impl SessionModel for WhiskerSystem {
         FloorStatement {
             floor: NoiseFloor {
                 wavelength_pm: floor.map(|f| f.sd_pm),
+                moving_wavelength_pm: floor.and_then(|f| f.moving_pm),
                 moment_nmm: floor.filter(|_| gain > 0.0).map(|f| f.sd_pm / gain),
                 contact_mm: self.pictures().map(|p| p.contact_floor_mm()),
                 source: floor.map_or("none", |f| f.source).to_owned(),
@@ -299,6 +317,9 @@ impl SessionModel for WhiskerSystem {
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
         notes.extend(cross_check(self, found));
+        notes.extend(model_error(self, found));
+        notes.extend(unsteady(self));
+        notes.extend(clock(self));
         notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
         notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
         notes
@@ -322,6 +343,53 @@ fn witness_note(s: &SecondWitness) -> String {
         )
     });
     format!("{used}{gains}.")
+}
+
+/// What the readings ask for and what is left, where neither is beyond the model's own error.
+fn model_error(system: &WhiskerSystem, found: &SearchResult) -> Vec<String> {
+    let ids: Vec<&str> = found.within_model_error.iter().map(|&e| system.catalogue()[e].id()).collect();
+    let dropped = (!ids.is_empty()).then(|| {
+        format!(
+            "Within model error: the fitted readings ask for {}, which lowers the error of trajectories left out by less than its uncertainty; not \
+             named.",
+            ids.join(", ")
+        )
+    });
+    let test = &found.last_test;
+    let driver =
+        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL);
+    let left = driver.map(|d| {
+        format!(
+            "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
+            d.covariate,
+            d.shape,
+            100.0 * d.gain / found.best.fit.ssr
+        )
+    });
+    dropped.into_iter().chain(left).collect()
+}
+
+/// Readings in motion that do not count.
+fn unsteady(system: &WhiskerSystem) -> Option<String> {
+    let count = system.path.readings.iter().filter(|r| r.unsteady).count();
+    (count > 0).then(|| {
+        format!(
+            "{count} readings in motion do not count: the stage's speed was not that of its stroke there (a ramp, or an answer that came late), so \
+             its position is not known well enough."
+        )
+    })
+}
+
+/// By how much the stage's clock was set.
+fn clock(system: &WhiskerSystem) -> Option<String> {
+    let set_s = system.stage_clock_s();
+    (set_s != 0.0).then(|| {
+        format!(
+            "The stage's clock is set by {:.2} ms against the interrogator's, within the {:.1} ms that stamps of its answers leave open.",
+            1e3 * set_s,
+            1e3 * stage_clock::CLOCK_SD_S
+        )
+    })
 }
 
 /// What the group lasso keeps on the declared model's residual.

@@ -20,7 +20,9 @@ pub mod rod_parameters;
 pub mod rod_tables;
 pub mod seatings;
 mod seen;
+pub mod sensitivity;
 mod solve_cache;
+mod stage_clock;
 pub mod stream;
 pub mod system;
 pub mod tables;
@@ -28,6 +30,7 @@ pub mod temperature;
 pub mod twin_check;
 mod uncertainty;
 pub mod verify;
+mod way;
 mod whisker_effect;
 
 pub use physical::PhysicalModel;

@@ -1,7 +1,7 @@
 //! What the noise of a whisker session can depend on: its clock, which poses were held, load and depth, and how its values were written.
 
 use crate::method::noise::NoiseInputs;
-use crate::whisker::path::{Reading, WhiskerPath};
+use crate::whisker::path::{Reading, WhiskerPath, averaged_readings};
 use std::sync::Arc;
 use wcal_core::observation::WhiskerData;
 
@@ -35,6 +35,7 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
         posed: Arc::new(r.iter().map(|r| !r.rest).collect()),
         spread: vec![("load".to_owned(), load), ("depth".to_owned(), r.iter().map(depth).collect())],
         known: known(r),
+        averaged: averaged_readings(r),
         step: [0, 1].map(|c| step_pm(data, c)).to_vec(),
     }
 }
@@ -48,17 +49,22 @@ fn held(a: &Reading, b: &Reading, time: bool) -> bool {
     same && settled && stayed && a.direction * b.direction >= 0.0
 }
 
-/// Readings with larger known sample noise count less; the common part is not known yet, so only the worst ones feel it.
+/// Readings whose place is not known do not count; those with larger known sample noise count less: the common part is not known yet, so only the worst ones feel it.
 fn known(readings: &[Reading]) -> Vec<f64> {
     let own: Vec<f64> = readings.iter().map(|r| r.sample_sd_pm[0].hypot(r.sample_sd_pm[1])).collect();
     let mut sizes = own.clone();
     sizes.sort_by(f64::total_cmp);
     let limit = FEW_SAMPLES * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-    own.iter().map(|s| if limit > 0.0 && *s > limit { limit / s } else { 1.0 }).collect()
+    let of = |(s, r): (&f64, &Reading)| match () {
+        () if r.unsteady => 0.0,
+        () if limit > 0.0 && *s > limit => limit / s,
+        () => 1.0,
+    };
+    own.iter().zip(readings).map(of).collect()
 }
 
 /// Coarsest step of which all recorded wavelengths of a channel are multiples, pm; none where they are written finely.
-fn step_pm(data: &WhiskerData, channel: usize) -> Option<f64> {
+pub(super) fn step_pm(data: &WhiskerData, channel: usize) -> Option<f64> {
     let first = data.rows.first()?.shift_pm[channel];
     let on = |step: f64| {
         let off = |v: f64| {

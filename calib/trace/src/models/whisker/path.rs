@@ -31,6 +31,8 @@ pub struct Reading {
     pub shift_pm: [f64; 2],
     /// Known part of the noise: sample sd over root samples, pm.
     pub sample_sd_pm: [f64; 2],
+    /// Samples averaged, where the session says so.
+    pub samples: Option<u32>,
     /// Trajectory identifier (0 at rest without one).
     pub group: u32,
     /// Replicate number.
@@ -39,6 +41,8 @@ pub struct Reading {
     pub holdout: bool,
     /// Seating of the whisker: 0 in the first session.
     pub seating: u32,
+    /// The stage sped up or slowed down, or its answer came late: where it was is not known well enough.
+    pub unsteady: bool,
 }
 
 /// A moment on the path: a reading, or an arrival between readings.
@@ -108,14 +112,55 @@ fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
     row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
 }
 
+/// Averages of more different lengths than this ratio have variances of their own.
+const AVERAGED_ALIKE: f64 = 1.5;
+
+/// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
+/// number is missing. Each reading: samples, loaded, settled.
+#[must_use]
+pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
+    let of = |settled: bool| -> Vec<f64> {
+        let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
+        let mut all: Vec<f64> = kept.filter_map(|r| r.0).map(f64::from).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    };
+    let settled = of(true);
+    let sizes = if settled.is_empty() { of(false) } else { settled };
+    let Some(typical) = sizes.get(sizes.len() / 2) else { return Vec::new() };
+    let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
+    let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
+        return Vec::new();
+    };
+    let least = variances.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = variances.iter().copied().fold(0.0, f64::max);
+    if most > AVERAGED_ALIKE * least { variances } else { Vec::new() }
+}
+
+/// The same of readings on a path.
+#[must_use]
+pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
+    averaged(&readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect::<Vec<_>>())
+}
+
 /// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
 #[must_use]
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
-    let mut read: Vec<(f64, f64)> =
-        rows.iter().map(|r| Some((r.t_s?, temperature_of(r, fbg)?))).collect::<Option<_>>()?;
+    let sizes: Vec<_> =
+        rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
+    let variances = or_alike(averaged(&sizes), rows.len());
+    let mut read: Vec<(f64, f64, f64)> = rows
+        .iter()
+        .zip(variances)
+        .map(|(r, variance)| Some((r.t_s?, temperature_of(r, fbg)?, variance)))
+        .collect::<Option<_>>()?;
     read.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (t_s, degc): (Vec<f64>, Vec<f64>) = read.into_iter().unzip();
-    RandomWalkModel::of(&t_s, &degc)
+    let column = |f: fn(&(f64, f64, f64)) -> f64| read.iter().map(f).collect::<Vec<f64>>();
+    RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))
+}
+
+fn or_alike(variances: Vec<f64>, n: usize) -> Vec<f64> {
+    if variances.is_empty() { vec![1.0; n] } else { variances }
 }
 
 fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
@@ -165,18 +210,24 @@ impl WhiskerPath {
                     temperature_loo_degc: temperature_of(r, fbg).unwrap_or(0.0),
                     shift_pm: r.compensated_pm(fbg),
                     sample_sd_pm: sd.map(|s| s / root),
+                    samples: r.samples,
                     group: r.trajectory.unwrap_or(0),
                     replicate: r.replicate.unwrap_or(0),
                     holdout: r.sealed,
                     seating: r.seating,
+                    unsteady: false,
                 }
             })
             .collect();
         if let Some(walk) = walk.filter(|_| temperature && time) {
             let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
-            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read)) {
+            let variances = or_alike(averaged_readings(&readings), readings.len());
+            for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read, &variances)) {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
+        }
+        if time {
+            mark_unsteady(&mut readings);
         }
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
@@ -198,9 +249,70 @@ impl WhiskerPath {
     }
 }
 
+/// Fewest readings of a stroke whose speed is known.
+const MIN_STROKE: usize = 4;
+/// Difference from the stroke's speed from which a reading was taken on a ramp, or beside a late answer of the stage.
+const STEADY: f64 = 0.05;
+/// A stage that is unsteady more often than this is moved by hand: no reading is better than the others.
+const MAX_UNSTEADY: f64 = 0.4;
+
+/// Ratios of the speed between two readings and their own from which both belong to one motion.
+const ONE_MOTION: [f64; 2] = [0.3, 2.0];
+
+/// Whether two neighbours were read in one motion: passes one after the other have the way back and the dwells between them.
+fn one_motion(a: &Reading, b: &Reading) -> bool {
+    let same = a.line == b.line && a.seating == b.seating && a.velocity_mm_s * b.velocity_mm_s > 0.0;
+    let fastest =
+        if a.velocity_mm_s.abs() > b.velocity_mm_s.abs() { a.velocity_mm_s } else { b.velocity_mm_s };
+    let ratio = (b.x_mm - a.x_mm) / ((b.t_s - a.t_s) * fastest);
+    same && (ONE_MOTION[0]..=ONE_MOTION[1]).contains(&ratio)
+}
+
+/// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
+/// speed, which is wrong on a ramp and where an answer came late.
+fn mark_unsteady(readings: &mut [Reading]) {
+    let mut start = 0;
+    while start < readings.len() {
+        let more = readings[start..].windows(2).take_while(|w| one_motion(&w[0], &w[1])).count();
+        let length = 1 + more;
+        let stroke = &mut readings[start..start + length];
+        let mut speeds: Vec<f64> = stroke.iter().map(|r| r.velocity_mm_s.abs()).collect();
+        speeds.sort_by(f64::total_cmp);
+        let off = |r: &Reading| (r.velocity_mm_s.abs() / speeds[length / 2] - 1.0).abs() > STEADY;
+        let count = stroke.iter().filter(|r| off(r)).count() as f64;
+        if length >= MIN_STROKE && count <= MAX_UNSTEADY * length as f64 {
+            stroke.iter_mut().for_each(|r| r.unsteady = off(r));
+        }
+        start += length;
+    }
+}
+
+/// Where the groove was at each reading, mm: between steady readings of one stroke an unsteady one's place is interpolated.
+fn places(readings: &[Reading]) -> Vec<f64> {
+    // Number of the motion that each reading belongs to.
+    let mut motions = vec![0; readings.len()];
+    for i in 1..readings.len() {
+        motions[i] = motions[i - 1] + usize::from(!one_motion(&readings[i - 1], &readings[i]));
+    }
+    let of = |i: usize| {
+        let r = &readings[i];
+        let steady = |k: &usize| !readings[*k].unsteady;
+        let before = (0..i).rev().take_while(|&k| motions[k] == motions[i]).find(steady);
+        let after = (i + 1..readings.len()).take_while(|&k| motions[k] == motions[i]).find(steady);
+        match (before.map(|k| &readings[k]), after.map(|k| &readings[k])) {
+            (Some(a), Some(b)) if r.unsteady && b.t_s > a.t_s => {
+                a.x_mm + (b.x_mm - a.x_mm) * (r.t_s - a.t_s) / (b.t_s - a.t_s)
+            }
+            _ => r.x_mm,
+        }
+    };
+    (0..readings.len()).map(of).collect()
+}
+
 /// A settled reading ends a dwell: its arrival is a node of its own. Changing lines, the groove leaves the wire.
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
+    let places_mm = places(readings);
     for (i, r) in readings.iter().enumerate() {
         // Between seatings the whisker was free.
         if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
@@ -214,7 +326,7 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
             nodes.push(Node {
                 t_s: arrival,
                 line: r.line,
-                x_mm: r.x_mm,
+                x_mm: places_mm[i],
                 rest: r.rest,
                 moving: false,
                 reading: None,
@@ -223,11 +335,66 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
         nodes.push(Node {
             t_s: r.t_s,
             line: r.line,
-            x_mm: r.x_mm,
+            x_mm: places_mm[i],
             rest: r.rest,
             moving: r.velocity_mm_s != 0.0,
             reading: Some(i),
         });
     }
     nodes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Reading, mark_unsteady, places};
+
+    fn reading(t_s: f64, x_mm: f64, velocity_mm_s: f64) -> Reading {
+        Reading {
+            line: Some(0),
+            x_mm,
+            rest: false,
+            direction: 1.0,
+            velocity_mm_s,
+            t_s,
+            dwell_s: 0.0,
+            rise_degc: 0.0,
+            temperature_loo_degc: 0.0,
+            shift_pm: [0.0; 2],
+            sample_sd_pm: [0.0; 2],
+            samples: Some(10),
+            group: 1,
+            replicate: 0,
+            holdout: false,
+            seating: 0,
+            unsteady: false,
+        }
+    }
+
+    fn marked(mut readings: Vec<Reading>) -> (Vec<usize>, Vec<f64>) {
+        mark_unsteady(&mut readings);
+        ((0..readings.len()).filter(|&i| readings[i].unsteady).collect(), places(&readings))
+    }
+
+    #[test]
+    fn a_late_answer_of_the_stage_is_marked_and_its_place_interpolated() {
+        // 2 mm/s, read every 0.1 s; the fourth answer came late: the stage seems to have stood back.
+        let mut stroke: Vec<Reading> =
+            (0..8).map(|k| reading(0.1 * f64::from(k), 0.2 * f64::from(k), 2.0)).collect();
+        assert!(marked(stroke.clone()).0.is_empty(), "a steady stroke");
+        (stroke[3].x_mm, stroke[3].velocity_mm_s) = (0.5, 1.0);
+        let (unsteady, places) = marked(stroke);
+        assert_eq!(unsteady, [3]);
+        assert!((places[3] - 0.6).abs() < 1e-12, "{places:?}");
+    }
+
+    #[test]
+    fn passes_at_several_speeds_and_a_stage_moved_by_hand_are_left_alone() {
+        // Each reading is of a pass of its own, with the way back in between.
+        let passes =
+            [(10.0, 1.0, 2.0), (20.0, 2.0, 8.0), (30.0, 3.0, 2.0), (40.0, 4.0, 8.0), (50.0, 5.0, 2.0)];
+        assert!(marked(passes.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
+        let by_hand =
+            [(0.0, 0.0, 1.0), (0.1, 0.12, 1.4), (0.2, 0.28, 1.8), (0.3, 0.43, 1.2), (0.4, 0.52, 0.7)];
+        assert!(marked(by_hand.iter().map(|p| reading(p.0, p.1, p.2)).collect()).0.is_empty());
+    }
 }

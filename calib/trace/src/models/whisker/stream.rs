@@ -90,6 +90,8 @@ impl PhysicalStream {
             temperature_loo_degc: 0.0,
             shift_pm: [0.0; 2],
             sample_sd_pm: [0.0; 2],
+            samples: None,
+            unsteady: false,
             group: 0,
             replicate: 0,
             holdout: false,

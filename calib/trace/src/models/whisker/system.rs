@@ -1,12 +1,13 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
 use super::pictures::Pictures;
+use super::stage_clock::CLOCK_SD_S;
 use super::whisker_effect::{ActiveEffect, Observers, WhiskerEffect};
 use crate::effect::{Effect, EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights};
 use crate::whisker::effects;
-use crate::whisker::path::{WhiskerPath, temperature_walk};
+use crate::whisker::path::{Node, WhiskerPath, averaged_readings, temperature_walk};
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
 use crate::whisker::temperature::RandomWalkModel;
@@ -39,6 +40,7 @@ pub struct WhiskerSystem {
     whitening: Matrix2<f64>,
     pub(super) pictures: Option<Arc<Pictures>>,
     pub(super) picture_scale: f64,
+    stage_clock_s: f64,
 }
 
 /// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
@@ -100,6 +102,7 @@ impl WhiskerSystem {
             self.rod_tables.clone(),
             self.whitening,
         )
+        .with_stage_clock(self.stage_clock_s)
     }
 
     fn path(data: &WhiskerData, rows: &[&WhiskerRow], walk: Option<RandomWalkModel>) -> WhiskerPath {
@@ -122,6 +125,7 @@ impl WhiskerSystem {
         Self {
             pictures: None,
             picture_scale: 1.0,
+            stage_clock_s: 0.0,
             // Never singular: a unit matrix with one direction stretched.
             measured: shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity)),
             whitening,
@@ -181,7 +185,11 @@ impl WhiskerSystem {
 
     /// Effective stage positions of the nodes, mm, and the rod, without what only `unseen` see.
     pub(super) fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
-        let mut xs: Vec<f64> = self.path.nodes.iter().map(|n| n.x_mm).collect();
+        let stamped = |n: &Node| {
+            let v = n.reading.map_or(0.0, |i| self.path.readings[i].velocity_mm_s);
+            n.x_mm + v * self.stage_clock_s
+        };
+        let mut xs: Vec<f64> = self.path.nodes.iter().map(stamped).collect();
         let mut rod_parameters = RodParameters::default();
         for a in active.iter().filter(|a| a.effect.observers() != unseen) {
             a.effect.pose(&a.values(), &self.path, &mut xs);
@@ -220,9 +228,29 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        let (pictures, picture_scale) = (self.pictures, self.picture_scale);
+        let (pictures, picture_scale, stage_clock_s) =
+            (self.pictures, self.picture_scale, self.stage_clock_s);
         let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
-        Self { pictures, picture_scale, ..same }
+        Self { pictures, picture_scale, stage_clock_s, ..same }
+    }
+
+    /// The same readings with the stage's clock set by `stage_clock_s`.
+    #[must_use]
+    pub(super) fn with_stage_clock(mut self, stage_clock_s: f64) -> Self {
+        self.stage_clock_s = stage_clock_s;
+        self
+    }
+
+    /// By how much the stage's clock is set, s.
+    #[must_use]
+    pub fn stage_clock_s(&self) -> f64 {
+        self.stage_clock_s
+    }
+
+    /// Readings were recorded while the stage moved, each the average of a short window.
+    #[must_use]
+    pub(super) fn is_read_in_motion(&self) -> bool {
+        self.path.columns.speeds && !averaged_readings(&self.path.readings).is_empty()
     }
 
     /// Mixture that gives the gratings' noise from uncorrelated noise of one variance, pm; none where no reference noise is shared.
@@ -242,7 +270,10 @@ impl WhiskerSystem {
     #[must_use]
     pub fn with_whitening_of(self, other: &Self) -> Self {
         let share = other.pictures.as_ref().map_or(1.0, |p| p.own_share());
-        self.in_channels(other.whitening).with_picture_scale(other.picture_scale).with_own_share(share)
+        self.in_channels(other.whitening)
+            .with_picture_scale(other.picture_scale)
+            .with_own_share(share)
+            .with_stage_clock(other.stage_clock_s)
     }
 
     /// Difference of two systems' mixtures of channels: largest ratio of their shared noise.
@@ -374,6 +405,15 @@ impl MeasurementModel for WhiskerSystem {
         };
         out.push(("contact_arclength_mm".to_owned(), column(&arclength)));
         out
+    }
+
+    fn judged_left_out(&self) -> bool {
+        true
+    }
+
+    fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
+        let stamped = self.effects[effect].needs().contains(&Need::Motion) && parameter == "lag_s";
+        if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
     }
 
     fn known_noise(&self) -> &DMatrix<f64> {

@@ -40,9 +40,10 @@ fn steps_s(t_s: &[f64]) -> Vec<f64> {
 }
 
 impl RandomWalkModel {
-    /// The walk of `values` at times `t_s` (s, rising); none where they are too few or do not scatter.
+    /// The walk of `values` at times `t_s` (s, rising), `variances` those of their noise, 1 for a typical one; none where they are too few
+    /// or do not scatter.
     #[must_use]
-    pub fn of(t_s: &[f64], values: &[f64]) -> Option<Self> {
+    pub fn of(t_s: &[f64], values: &[f64], variances: &[f64]) -> Option<Self> {
         let mut steps = steps_s(t_s);
         steps.sort_by(f64::total_cmp);
         let typical = steps.get(steps.len() / 2).copied().filter(|s| *s > 0.0)?;
@@ -53,7 +54,7 @@ impl RandomWalkModel {
         let ratios = (-16..=16).map(|k| 10f64.powf(f64::from(k) / 4.0) / typical);
         let tried = ratios.map(|ratio_per_s| {
             let mut walk = Self { ratio_per_s, noise_sd: 0.0 };
-            let filtered = walk.filter(t_s, values);
+            let filtered = walk.filter(t_s, values, variances);
             walk.noise_sd = filtered.noise_sd;
             (filtered.misfit, walk)
         });
@@ -63,25 +64,25 @@ impl RandomWalkModel {
             .map(|(_, walk)| walk)
     }
 
-    /// Standard deviation of one reading's noise, in the readings' unit.
+    /// Standard deviation of a typical reading's noise, in the readings' unit.
     #[must_use]
     pub fn noise_sd(&self) -> f64 {
         self.noise_sd
     }
 
-    fn filter(&self, t_s: &[f64], values: &[f64]) -> Filtered {
+    fn filter(&self, t_s: &[f64], values: &[f64], variances: &[f64]) -> Filtered {
         let mut level = values[0];
-        let mut variance = 1.0;
+        let mut variance = variances[0];
         let (mut levels, mut before) = (vec![(level, variance)], vec![f64::INFINITY]);
         let (mut squares, mut logs) = (0.0, 0.0);
-        for (step_s, value) in steps_s(t_s).iter().zip(&values[1..]) {
+        for ((step_s, value), own) in steps_s(t_s).iter().zip(&values[1..]).zip(&variances[1..]) {
             variance += self.ratio_per_s * step_s;
             before.push(variance);
-            let (surprise, spread) = (value - level, variance + 1.0);
+            let (surprise, spread) = (value - level, variance + own);
             squares += surprise * surprise / spread;
             logs += spread.ln();
             level += surprise * variance / spread;
-            variance /= spread;
+            variance *= own / spread;
             levels.push((level, variance));
         }
         let count = levels.len() as f64 - 1.0;
@@ -91,11 +92,11 @@ impl RandomWalkModel {
 
     /// Levels at the readings.
     #[must_use]
-    pub fn smooth(&self, t_s: &[f64], values: &[f64]) -> Vec<Level> {
+    pub fn smooth(&self, t_s: &[f64], values: &[f64], variances: &[f64]) -> Vec<Level> {
         if values.is_empty() {
             return Vec::new();
         }
-        let Filtered { levels, before, .. } = self.filter(t_s, values);
+        let Filtered { levels, before, .. } = self.filter(t_s, values, variances);
         let mut smoothed = levels.clone();
         for k in (0..smoothed.len() - 1).rev() {
             let (level, variance) = levels[k];
@@ -104,12 +105,14 @@ impl RandomWalkModel {
             smoothed[k] =
                 (level + share * (next - level), variance + share * share * (next_variance - before[k + 1]));
         }
-        // The variance in units of the noise's is the weight of the reading in its own level.
-        let of = |((level, weight), value): (&(f64, f64), &f64)| Level {
-            by_all: *level,
-            by_others: if *weight < 1.0 { (level - weight * value) / (1.0 - weight) } else { *level },
+        // The level's variance over the reading's is the weight of the reading in its own level.
+        let of = |(((level, variance), value), own): (((&f64, &f64), &f64), &f64)| {
+            let weight = variance / own;
+            let by_others = if weight < 1.0 { (level - weight * value) / (1.0 - weight) } else { *level };
+            Level { by_all: *level, by_others }
         };
-        smoothed.iter().zip(values).map(of).collect()
+        let levels = smoothed.iter().map(|(level, variance)| (level, variance));
+        levels.zip(values).zip(variances).map(of).collect()
     }
 }
 
@@ -134,30 +137,67 @@ mod tests {
         ((0..300).map(|k| 4.0 * f64::from(k)).collect(), truth, readings)
     }
 
+    fn alike(values: &[f64]) -> Vec<f64> {
+        vec![1.0; values.len()]
+    }
+
+    /// Every third reading is averaged over a hundredth of the samples: the noise stated is that of the others, and the level leans on them.
+    #[test]
+    fn readings_of_few_samples_count_less() {
+        let (mut sds, mut weighed, mut unweighed) = (Vec::new(), 0.0, 0.0);
+        for seed in 0..20 {
+            let (t, truth, mut readings) = seen(0.05, seed);
+            let variances: Vec<f64> = (0..300).map(|k| if k % 3 == 0 { 100.0 } else { 1.0 }).collect();
+            for k in (0..300).step_by(3) {
+                readings[k] = truth[k] + 10.0 * (readings[k] - truth[k]);
+            }
+            let walk = RandomWalkModel::of(&t, &readings, &variances).unwrap();
+            sds.push(walk.noise_sd());
+            let level = |v: &[f64]| -> Vec<f64> {
+                RandomWalkModel::of(&t, &readings, v)
+                    .unwrap()
+                    .smooth(&t, &readings, v)
+                    .iter()
+                    .map(|l| l.by_all)
+                    .collect()
+            };
+            weighed += rms(&level(&variances), &truth);
+            unweighed += rms(&level(&alike(&readings)), &truth);
+        }
+        let mean = sds.iter().sum::<f64>() / 20.0;
+        assert!((0.9..1.1).contains(&mean), "{mean}");
+        assert!(1.5 * weighed < unweighed, "{weighed} {unweighed}");
+    }
+
     fn rms(a: &[f64], b: &[f64]) -> f64 {
         (a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
     }
 
     fn smoothed(t_s: &[f64], readings: &[f64]) -> Vec<f64> {
-        RandomWalkModel::of(t_s, readings).unwrap().smooth(t_s, readings).iter().map(|l| l.by_all).collect()
+        RandomWalkModel::of(t_s, readings, &alike(readings))
+            .unwrap()
+            .smooth(t_s, readings, &alike(readings))
+            .iter()
+            .map(|l| l.by_all)
+            .collect()
     }
 
     #[test]
     fn a_level_by_others_is_that_without_the_reading() {
         let (t, _, readings) = seen(0.3, 1);
-        let walk = RandomWalkModel::of(&t, &readings).unwrap();
+        let walk = RandomWalkModel::of(&t, &readings, &alike(&readings)).unwrap();
         for left_out in [0, 1, 150, 299] {
             let others = |v: &[f64]| -> Vec<f64> {
                 v.iter().enumerate().filter(|(k, _)| *k != left_out).map(|(_, x)| *x).collect()
             };
-            let rest = walk.smooth(&others(&t), &others(&readings));
+            let rest = walk.smooth(&others(&t), &others(&readings), &alike(&others(&t)));
             // Between two readings the walk is expected on the line through their levels.
             let expected = match left_out {
                 0 => rest[0].by_all,
                 299 => rest[298].by_all,
                 k => 0.5 * (rest[k - 1].by_all + rest[k].by_all),
             };
-            let got = walk.smooth(&t, &readings)[left_out].by_others;
+            let got = walk.smooth(&t, &readings, &alike(&readings))[left_out].by_others;
             assert!((got - expected).abs() < 1e-9, "{left_out}: {got} {expected}");
         }
     }
@@ -182,7 +222,7 @@ mod tests {
     #[test]
     fn readings_that_do_not_scatter_have_no_walk() {
         let t: Vec<f64> = (0..30).map(f64::from).collect();
-        assert!(RandomWalkModel::of(&t, &[3.0; 30]).is_none());
-        assert!(RandomWalkModel::of(&t[..5], &[1.0, 2.0, 1.0, 3.0, 1.0]).is_none());
+        assert!(RandomWalkModel::of(&t, &[3.0; 30], &[1.0; 30]).is_none());
+        assert!(RandomWalkModel::of(&t[..5], &[1.0, 2.0, 1.0, 3.0, 1.0], &[1.0; 5]).is_none());
     }
 }

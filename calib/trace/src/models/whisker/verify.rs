@@ -2,6 +2,7 @@
 
 use super::physical::PhysicalModel;
 use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolability, prediction_rows};
+use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
@@ -9,7 +10,6 @@ use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
 use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
 use crate::verify::{Verification, VerifyOptions, verify};
-use std::collections::BTreeMap;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
 use wcal_core::{InputFile, ResidualRecord, Unsealing};
@@ -74,31 +74,7 @@ fn unusable(data: &WhiskerData) -> Option<String> {
     if let Some(reason) = copied_holdout(&fitted, &sealed) {
         return Some(format!("{reason}."));
     }
-    copied_rows(&data.rows)
-}
-
-/// Rows that repeat another in every column, clock included. Without a clock, rounded readings agree by chance: then copies are no evidence.
-fn copied_rows(rows: &[WhiskerRow]) -> Option<String> {
-    if rows.iter().any(|r| r.t_s.is_none()) && rows.iter().any(|r| r.replicate.is_none()) {
-        return None;
-    }
-    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
-    for r in rows {
-        // The point is the row's name and the line its place: neither was measured.
-        let row = WhiskerRow {
-            point: 0,
-            line: 0,
-            role: Role::Calibration,
-            source: String::new(),
-            pair: None,
-            ..r.clone()
-        };
-        *seen.entry(format!("{row:?}")).or_default() += 1;
-    }
-    let copies: usize = seen.values().map(|c| c - 1).sum();
-    (copies >= 3).then(|| {
-        format!("{copies} readings repeat another in every column, the clock included; copied rows are no replicates.")
-    })
+    None
 }
 
 /// A reading as it is compared with those of the points table.
@@ -123,13 +99,19 @@ pub fn verify_whisker(
     inputs: &[InputFile],
     options: &VerifyOptions,
 ) -> Result<Verified, TraceError> {
-    if let Some(reason) = unusable(data) {
+    let refused = |reason: String| {
         let mut document = VerifyDocument::refused(session, "whisker", reason, options.search.seed);
         document.inputs = inputs.to_vec();
-        return Ok(Verified::Refused(Box::new(document)));
+        Ok(Verified::Refused(Box::new(document)))
+    };
+    if let Some(reason) = unusable(data) {
+        return refused(reason);
     }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
+    if let Some(reason) = sensitivity::of_system(&model) {
+        return refused(reason);
+    }
     let v = verify(model, &data.holdout, options).map_err(|e| e.of_session(session))?;
     let Verification { mut document, model: system, whole, explained, conclusion, unsealed, .. } = v;
     document.session = session.to_owned();

@@ -1,0 +1,94 @@
+//! Does an effect earn its name on readings that were left out? With thousands of rows every small misfit of the model of the recording itself
+//! is significant: what lowers the left-out error by less than that gain scatters from group to group is within the model's error.
+//!
+//! ```text
+//! e_g = r_g + J_g (J'J - J_g'J_g)^-1 J_g' r_g                residuals of group g from a fit without it (tangent model)
+//! G = sum_g (|e_g without|^2 - |e_g with|^2) / s^2,          an effect is kept where G >= sd(G), from the spread over the groups
+//! ```
+//!
+//! R. D. Cook, S. Weisberg, "Residuals and Influence in Regression" (1982), 2.2: deletion of several cases.
+
+use super::fit::{Fit, fit};
+use super::hypothesis::Hypothesis;
+use super::linear::{stack_with, transposed_product};
+use crate::measurement_model::MeasurementModel;
+use nalgebra::{DMatrix, DVector};
+use std::collections::BTreeMap;
+
+/// Fewest groups whose spread is an uncertainty.
+const MIN_GROUPS: usize = 4;
+/// Guards columns that a group alone shows.
+const RIDGE: f64 = 1e-9;
+
+/// Squares of what each group's readings leave when the group is not in the fit.
+fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap<u32, f64>> {
+    let (n, q, channels, m) =
+        (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols(), fit.tangents.len());
+    let mut jacobian = DMatrix::zeros(n * channels, q * channels + m);
+    for c in 0..channels {
+        jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&fit.design);
+    }
+    let nothing = DVector::zeros(0);
+    for (j, t) in fit.tangents.iter().enumerate() {
+        jacobian.set_column(q * channels + j, &stack_with(t, &nothing));
+    }
+    // Columns of one length: the ridge means the same to all.
+    for mut column in jacobian.column_iter_mut() {
+        let norm = column.norm();
+        if norm > 0.0 {
+            column /= norm;
+        }
+    }
+    let residual = stack_with(&fit.residual, &nothing);
+    let whole = transposed_product(&jacobian, &jacobian)
+        + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
+    let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (i, group) in system.groups().iter().enumerate() {
+        members.entry(*group).or_default().extend((0..channels).map(|c| c * n + i));
+    }
+    let of_group = |(group, rows): (&u32, &Vec<usize>)| {
+        let (own, r) = (jacobian.select_rows(rows), residual.select_rows(rows));
+        let without = (&whole - transposed_product(&own, &own)).cholesky()?;
+        let left_out = &r + &own * without.solve(&own.tr_mul(&r));
+        Some((*group, left_out.norm_squared()))
+    };
+    members.iter().map(of_group).collect()
+}
+
+/// Fall of the left-out squares by an effect, in units of the variance, and its standard deviation; none where it cannot be told.
+fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64, f64)> {
+    let (a, b) = (left_out_squares(system, without)?, left_out_squares(system, with)?);
+    if a.len() < MIN_GROUPS {
+        return None;
+    }
+    let each: Vec<f64> = a.iter().zip(&b).map(|(x, y)| (x.1 - y.1) / with.variance()).collect();
+    let (count, sum) = (each.len() as f64, each.iter().sum::<f64>());
+    let spread = each.iter().map(|g| (g - sum / count).powi(2)).sum::<f64>() / (count - 1.0);
+    Some((sum, (count * spread).sqrt()))
+}
+
+/// The effects of `h` that earn their names, and those that do not.
+#[must_use]
+pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
+    let (mut kept, mut within) = (h.clone(), Vec::new());
+    // A second witness has no groups of its own.
+    while kept.fit.witness.is_empty() && !kept.fit.terms.is_empty() {
+        let least = (0..kept.fit.terms.len())
+            .filter_map(|k| {
+                let mut terms = kept.fit.terms.clone();
+                let effect = terms.remove(k).effect;
+                let without = fit(system, &terms, &kept.weights, 10)?;
+                let (sum, sd) = gain(system, &kept.fit, &without)?;
+                Some((sum / sd.max(1e-300), effect, without))
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        match least {
+            Some((ratio, effect, fit)) if ratio < 1.0 => {
+                kept = Hypothesis { fit, ..kept };
+                within.push(effect);
+            }
+            _ => break,
+        }
+    }
+    (kept, within)
+}

@@ -1,0 +1,205 @@
+//! Do the gratings respond to the load at all? Dead, stuck and alike gratings are named before anything is fitted to them.
+//!
+//! ```text
+//! rho_k: canonical correlations of the shifts Y (readings x 2) and the moments M (readings x 2), both less a course in time
+//! -(n - 1 - (p + q + 1)/2) ln(1 - rho_2^2) ~ chi^2(1)   where the gratings show one direction of the load only
+//! ```
+//!
+//! M. S. Bartlett, J. R. Stat. Soc. Suppl. 9 (1947) 176: test of the smallest canonical correlation.
+
+use super::noise::step_pm;
+use super::system::WhiskerSystem;
+use crate::error::TraceError;
+use crate::method::linear::Basis;
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+
+/// Fewest loaded readings from which a response can be told.
+const MIN_LOADED: usize = 9;
+/// A response is one where chance gives it more seldom than this.
+const RESPONSE_LEVEL: f64 = 1e-3;
+/// A value farther than this many robust deviations from the median is clipped: a gross reading is no reason to miss a response.
+const CLIP: f64 = 8.0;
+/// Smallest share of a direction that is there at all: poses in one plane load one direction.
+const SAME_DIRECTION: f64 = 1e-3;
+/// Consecutive readings that a grating at work does not repeat to the last digit while the load changes.
+const MIN_FROZEN: usize = 5;
+/// Change of the predicted shift over such a run, in steps of the written values and in robust deviations of the readings around it.
+const FROZEN_STEPS: f64 = 20.0;
+
+/// Why the session's gratings cannot carry a calibration; none where they respond to the load in two directions.
+///
+/// # Errors
+/// Where the wire's description cannot be used.
+pub fn lost_sensitivity(data: &WhiskerData) -> Result<Option<String>, TraceError> {
+    let loaded = data.rows.iter().filter(|r| r.role != Role::Rest).count();
+    if loaded < MIN_LOADED {
+        return Ok(None);
+    }
+    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
+    Ok(of_system(&WhiskerSystem::new(data, &rows)?))
+}
+
+/// The same of a session whose model is there.
+pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
+    let moments = system.moments(&[])?.0;
+    constant(system).or_else(|| frozen(system, &moments)).or_else(|| without_response(system, &moments))
+}
+
+/// Shift of a grating as it was read, pm.
+fn raw(system: &WhiskerSystem, reading: usize, grating: usize) -> f64 {
+    system.row(reading).shift_pm[grating]
+}
+
+/// Gratings that read the same at every load.
+fn constant(system: &WhiskerSystem) -> Option<String> {
+    let loaded: Vec<usize> =
+        (0..system.path.readings.len()).filter(|&i| !system.path.readings[i].rest).collect();
+    let first = *loaded.first()?;
+    let still = |g: usize| loaded.iter().all(|&i| raw(system, i, g) == raw(system, first, g));
+    let named: Vec<String> = (0..2).filter(|&g| still(g)).map(|g| format!("fbg_{}", g + 1)).collect();
+    if named.is_empty() || loaded.len() < MIN_LOADED {
+        return None;
+    }
+    let verb = if named.len() == 1 { "reads" } else { "read" };
+    Some(format!(
+        "No sensitivity: {} {verb} the same at all {} loaded readings, to the last digit: dead, stuck or not connected.",
+        named.join(" and "),
+        loaded.len()
+    ))
+}
+
+/// A grating that stands still for a part of the session while the load changes.
+fn frozen(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
+    let n = moments.len();
+    for g in 0..2 {
+        let runs = runs_of(n, |a, b| raw(system, a, g) == raw(system, b, g));
+        let inside = |i: usize| runs.iter().any(|r| r.contains(&i));
+        let outside: Vec<usize> = (0..n).filter(|&i| !inside(i)).collect();
+        if runs.is_empty() || outside.len() < MIN_LOADED {
+            continue;
+        }
+        // The response outside the runs says how far the reading should have moved within one.
+        let x =
+            DMatrix::from_fn(outside.len(), 3, |k, j| if j == 0 { 1.0 } else { moments[outside[k]][j - 1] });
+        let y = DVector::from_fn(outside.len(), |k, _| raw(system, outside[k], g));
+        let Ok(b) = x.clone().svd(true, true).solve(&y, 1e-9) else { continue };
+        let scatter = robust_sd((&y - &x * &b).as_slice());
+        let limit = FROZEN_STEPS * step_pm(&system.data, g).unwrap_or(0.0).max(scatter).max(1e-6);
+        let should = |i: &usize| b[1] * moments[*i][0] + b[2] * moments[*i][1];
+        let moved = |r: &std::ops::Range<usize>| {
+            let values: Vec<f64> = r.clone().map(|i| should(&i)).collect();
+            values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+                - values.iter().copied().fold(f64::INFINITY, f64::min)
+        };
+        if let Some(run) = runs.iter().find(|r| moved(r) > limit) {
+            let point = |i: usize| system.row(i).point;
+            return Some(format!(
+                "No sensitivity: fbg_{} is frozen from point {} to point {}: {} readings alike to the last digit where {:.0} pm of change were due.",
+                g + 1,
+                point(run.start),
+                point(run.end - 1),
+                run.len(),
+                moved(run)
+            ));
+        }
+    }
+    None
+}
+
+/// Runs of at least [`MIN_FROZEN`] neighbours that are alike.
+fn runs_of(n: usize, alike: impl Fn(usize, usize) -> bool) -> Vec<std::ops::Range<usize>> {
+    let mut runs = Vec::new();
+    let mut start = 0;
+    for i in 1..=n {
+        if i == n || !alike(i - 1, i) {
+            if i - start >= MIN_FROZEN {
+                runs.push(start..i);
+            }
+            start = i;
+        }
+    }
+    runs
+}
+
+/// Gratings whose readings do not follow the load, or follow one direction of it only.
+fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
+    let n = moments.len();
+    // A zero that drifts, and one a seating, are no response.
+    let mut course = Basis::default();
+    for power in 0..3 {
+        course.push(&DVector::from_fn(n, |i, _| (i as f64 / n as f64).powi(power)));
+    }
+    for column in system.path.seating_columns(system.seatings()) {
+        course.push(&DVector::from_vec(column));
+    }
+    let off = |values: Vec<f64>| course.project_off(&DVector::from_vec(values));
+    let y: Vec<DVector<f64>> =
+        (0..2).map(|g| off(clipped(system.path.readings.iter().map(|r| r.shift_pm[g]).collect()))).collect();
+    let load: Vec<DVector<f64>> = (0..2).map(|k| off(moments.iter().map(|m| m[k]).collect())).collect();
+    let load = directions(&load);
+    if load.is_empty() {
+        return None;
+    }
+    let dof = n as f64 - course.rank() as f64;
+    let dead: Vec<String> = (0..2)
+        .filter(|&g| response_p(&[y[g].clone()], &load, 0, dof) > RESPONSE_LEVEL)
+        .map(|g| format!("fbg_{}", g + 1))
+        .collect();
+    if !dead.is_empty() {
+        let names = dead.join(" and ");
+        return Some(format!(
+            "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
+        ));
+    }
+    (load.len() == 2 && response_p(&y, &load, 1, dof) > RESPONSE_LEVEL).then(|| {
+        "The gratings have rank 1: both follow one direction of the load alike, so two moments cannot be told from them.".to_owned()
+    })
+}
+
+/// p-value of the canonical correlations from number `from` on.
+fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) -> f64 {
+    let y = directions(y);
+    if y.len() <= from {
+        return 1.0;
+    }
+    let cross = DMatrix::from_fn(y.len(), load.len(), |a, b| y[a].dot(&load[b]));
+    let rho = cross.singular_values();
+    let (p, q) = (y.len() as f64, load.len() as f64);
+    let left: f64 = rho.iter().skip(from).map(|r| (1.0 - r * r).max(1e-300).ln()).sum();
+    let statistic = -(dof - (p + q + 1.0) / 2.0) * left;
+    let free = (p - from as f64) * (q - from as f64);
+    ChiSquared::new(free.max(1.0)).map_or(0.0, |d| d.sf(statistic.max(0.0)))
+}
+
+/// Orthonormal directions that `columns` span, those that are hardly there left out.
+fn directions(columns: &[DVector<f64>]) -> Vec<DVector<f64>> {
+    let mut basis = Basis::default();
+    for c in columns {
+        if basis.project_off(c).norm() > SAME_DIRECTION * c.norm() * f64::from(u8::from(basis.rank() > 0)) {
+            basis.push(c);
+        }
+    }
+    basis.vectors().to_vec()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// 1.4826 times the median absolute deviation.
+fn robust_sd(values: &[f64]) -> f64 {
+    let centre = median(values.to_vec());
+    1.4826 * median(values.iter().map(|v| (v - centre).abs()).collect())
+}
+
+fn clipped(values: Vec<f64>) -> Vec<f64> {
+    let (centre, reach) = (median(values.clone()), CLIP * robust_sd(&values));
+    if reach > 0.0 {
+        values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect()
+    } else {
+        values
+    }
+}

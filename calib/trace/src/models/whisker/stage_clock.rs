@@ -1,0 +1,44 @@
+//! The stage's clock against the interrogator's: in motion a reading belongs to x + v delta, delta the same for the whole session.
+//!
+//! A stage answers with its position, and the answer is stamped when it arrives: 1 to 3 ms after the position was taken (some 25 characters
+//! at 115,200 baud). A delta within that is how the session was recorded, no effect: it is fitted beside K and the zero, and what it leaves open
+//! is in the interval of a time lag.
+
+use super::system::WhiskerSystem;
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::Fit;
+use crate::method::hypothesis::Hypothesis;
+use crate::method::linear::stack_with;
+use crate::method::signature::nuisance;
+
+/// Standard deviation of the alignment of both clocks, s.
+pub(super) const CLOCK_SD_S: f64 = 1.5e-3;
+/// Alignments beyond this are no matter of stamps, s.
+const MAX_CLOCK_S: f64 = 2.0 * CLOCK_SD_S;
+/// Standard errors from which an alignment is told from none.
+const TOLD: f64 = 3.0;
+/// Step of the derivative, s.
+const STEP_S: f64 = 1e-3;
+
+/// The alignment that `h` leaves in the readings, added to the system's own; the system's own where nothing more is told or it is no
+/// alignment. `lagged`: the explanation has a time lag, which takes up any alignment.
+pub(super) fn aligned(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
+    let before_s = system.stage_clock_s();
+    if lagged || !system.is_read_in_motion() {
+        return if lagged { 0.0 } else { before_s };
+    }
+    let Some((more_s, sd_s)) = left_over(system, &h.fit, h) else { return before_s };
+    let told = more_s.abs() > TOLD * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
+    if told { before_s + more_s } else { before_s }
+}
+
+/// Least-squares estimate of what is left, and its standard error, s.
+fn left_over(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
+    let moved = system.clone().with_stage_clock(system.stage_clock_s() + STEP_S);
+    let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
+    let mut tangent = stack_with(&h.weights.apply(&change), &fit.witness);
+    tangent.rows_mut(change.len(), fit.witness.len()).fill(0.0);
+    let own = nuisance(fit).project_off(&tangent);
+    let size = own.norm_squared();
+    (size > 0.0).then(|| (own.dot(&fit.stacked()) / size, (fit.variance() / size).sqrt()))
+}

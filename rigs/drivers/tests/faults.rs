@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use wcal_acquisition::record::{RecordResult, record};
 use wcal_acquisition::sweep::Ending;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::DeviceErrorKind as Kind;
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
@@ -41,7 +42,7 @@ fn run(
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
             let state = (bench.true_stage().1 != 0.0) == moving;
             if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
                 bench.inject(fault);
@@ -187,7 +188,7 @@ fn without_a_fault_there_is_no_outcome() {
 fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
-    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
+    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
         if p.step >= 4 {
             bench.inject(Fault::UnplugStage);
         }

@@ -14,6 +14,7 @@ use wcal_acquisition::replay::{End, Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::acquire;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, DeviceErrorKind, FbgReading, Interrogator};
 use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scene::{Scene, SceneState};
@@ -31,7 +32,8 @@ fn bench(extra: &str) -> VirtualBench {
 }
 
 fn sm130(bench: &VirtualBench) -> Sm130 {
-    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0)).unwrap()
+    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0), &Interrupt::default())
+        .unwrap()
 }
 
 fn collect(unit: &mut dyn Interrogator, seconds: f64) -> Vec<FbgReading> {
@@ -136,11 +138,11 @@ fn silence_is_a_timeout_and_nobody_there_is_a_disconnection() {
         while link.read(&mut bytes).is_ok_and(|n| n > 0) {}
         let _ = link.write_all(b"late");
     });
-    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap();
+    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap();
     assert_eq!(unit.identity().unwrap_err().kind, DeviceErrorKind::Timeout);
     drop(unit);
     mute.join().unwrap();
-    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap_err();
+    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap_err();
     assert_eq!(nobody.kind, DeviceErrorKind::Disconnected);
 }
 
@@ -149,7 +151,14 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
     let bench = bench("");
     let h = &bench.addresses().hyperion;
     let clock = HostClock::start(1.0);
-    let mut unit = Hyperion::connect(&h.commands.to_string(), &h.peaks.to_string(), 2000.0, clock).unwrap();
+    let mut unit = Hyperion::connect(
+        &h.commands.to_string(),
+        &h.peaks.to_string(),
+        2000.0,
+        clock,
+        &Interrupt::default(),
+    )
+    .unwrap();
     assert_eq!(unit.identity().unwrap().serial, "VIR155");
     assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
     unit.start().unwrap();
@@ -162,7 +171,7 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
 fn pair(bench: &VirtualBench) -> CameraPair {
     let open = |k: usize| -> Box<dyn Camera + Send> {
         let address = bench.addresses().cameras[k].to_string();
-        Box::new(NetCamera::connect(&address, HostClock::start(1.0)).unwrap())
+        Box::new(NetCamera::connect(&address, HostClock::start(1.0), &Interrupt::default()).unwrap())
     };
     CameraPair::new([open(0), open(1)], 2.0)
 }

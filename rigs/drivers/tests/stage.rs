@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceErrorKind, Stage};
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
 use wcal_drivers::zaber::units::Microsteps;
@@ -18,7 +19,7 @@ fn bench(extra: &str) -> VirtualBench {
 }
 
 fn tcp(bench: &VirtualBench) -> ZaberStage {
-    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string())).unwrap())
+    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string()), &Interrupt::default()).unwrap())
 }
 
 fn on(chain: Chain) -> ZaberStage {
@@ -43,7 +44,11 @@ fn an_unreferenced_stage_is_refused_homed_and_then_moves() {
     for path in ["tcp", "pty"] {
         let mut stage = match path {
             "tcp" => tcp(&bench),
-            _ => on(Chain::open(&Port::Serial(bench.addresses().stage_pty.clone(), 115_200)).unwrap()),
+            _ => on(Chain::open(
+                &Port::Serial(bench.addresses().stage_pty.clone(), 115_200),
+                &Interrupt::default(),
+            )
+            .unwrap()),
         };
         if path == "tcp" {
             assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
@@ -119,18 +124,21 @@ fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
 #[test]
 fn the_speed_of_the_line_is_found() {
     let bench = bench("[stage]\nbaud = 9600");
-    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty).unwrap();
+    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty, &Interrupt::default()).unwrap();
     assert_eq!(baud, 9600);
     assert!(on(chain).identity().is_ok());
     let deaf = self::bench("[stage]\nbaud = 19200");
-    assert_eq!(Chain::probe(&deaf.addresses().stage_pty).unwrap_err().kind, DeviceErrorKind::Timeout);
+    assert_eq!(
+        Chain::probe(&deaf.addresses().stage_pty, &Interrupt::default()).unwrap_err().kind,
+        DeviceErrorKind::Timeout
+    );
 }
 
 #[test]
 fn a_binary_stage_homes_moves_and_names_its_stall() {
     let bench = bench("[stage]\nprotocol = \"binary\"");
     let port = Port::Tcp(bench.addresses().stage_tcp.to_string());
-    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0)).unwrap();
+    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0), &Interrupt::default()).unwrap();
     assert_eq!(stage.identity().unwrap().serial, "67890");
     assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
     stage.start_home().unwrap();

@@ -10,7 +10,7 @@ use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -107,6 +107,54 @@ fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
     assert_eq!(stage.chain().borrow().repeats(), repeats);
 }
 
+/// Both protocols: a reply that comes when its question was given up answers no other question, then or later.
+#[test]
+fn a_late_reply_answers_its_own_question_alone() {
+    for protocol in ["ascii", "binary"] {
+        let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\""));
+        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
+        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
+        let mut stage: Box<dyn Stage> = match protocol {
+            "ascii" => Box::new(tcp(&bench)),
+            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+        };
+        stage.start_home().unwrap();
+        settle(stage.as_mut());
+        for k in 1..5 {
+            let target_mm = 20.0 * f64::from(k % 2 + 1);
+            bench.inject(Fault::LateReply);
+            stage.read().unwrap();
+            bench.inject(Fault::ForeignReply);
+            bench.inject(Fault::InfoLines);
+            stage.start_move(target_mm, 20.0).unwrap();
+            let found_mm = settle(stage.as_mut());
+            assert!((found_mm - target_mm).abs() < 1e-3, "{protocol}: {found_mm} for {target_mm}");
+        }
+    }
+}
+
+#[test]
+fn floods_end_with_the_deadline_in_both_protocols() {
+    for protocol in ["ascii", "binary"] {
+        let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\"\n{HOMED}"));
+        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
+        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
+        let mut stage: Box<dyn Stage> = match protocol {
+            "ascii" => Box::new(tcp(&bench)),
+            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+        };
+        for on in [|on| Fault::AlertFlood { on }, |on| Fault::ForeignFlood { on }] as [fn(bool) -> Fault; 2] {
+            bench.inject(on(true));
+            let why = stage.read().unwrap_err();
+            assert!(why.kind == DeviceErrorKind::Timeout && why.to_string().contains("among"), "{why}");
+            assert!(stage.stop().is_err(), "{protocol}: nothing confirms it");
+            bench.inject(on(false));
+            // Control: without the flood it answers again.
+            assert!((stage.read().unwrap().measured_mm - 37.0).abs() < 1e-3, "{protocol}");
+        }
+    }
+}
+
 #[test]
 fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
     let bench = bench(HOMED);

@@ -5,7 +5,7 @@ mod common;
 
 use common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use wcal_acquisition::assign::ChannelMap;
 use wcal_acquisition::monitor::Monitor;

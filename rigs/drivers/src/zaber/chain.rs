@@ -212,7 +212,8 @@ impl Chain {
         passed: &Passed,
     ) -> DeviceError {
         let kind = match error {
-            e if e.is_timeout() => {
+            // In a flood the deadline falls into the middle of a line.
+            e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
                 return deadline.error(&self.name, shown(command), "a reply", &passed.text());
             }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {

@@ -2,7 +2,6 @@
 #![allow(dead_code, reason = "each test file uses its part")]
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use wcal_acquisition::AcquisitionError;
 use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_core::SessionData;

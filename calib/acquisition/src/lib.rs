@@ -22,6 +22,7 @@ pub mod pose_pictures;
 pub mod record;
 pub mod recorder;
 pub mod reduce;
+mod reduction;
 pub mod replay;
 pub mod replay_interrogator;
 pub mod rig;

@@ -239,7 +239,15 @@ fn a_recording_without_content_or_without_events_is_refused_and_the_tables_stay(
     (0..1000).for_each(|serial| record(&recorder, serial, serial as f64 / RATE_HZ, serial as f64 / RATE_HZ));
     recorder.finish().expect("closed");
     refused("recording.mcap", "events of a sweep (/sweep/event), found none among 1000 scans");
-    // Not even those: cut off behind its first bytes.
+    // A sweep that stopped before its first reading.
+    std::fs::remove_file(&first).expect("removed");
+    let recorder = Recorder::create(&first, Default::default()).expect("recorder");
+    (0..1000).for_each(|serial| record(&recorder, serial, serial as f64 / RATE_HZ, serial as f64 / RATE_HZ));
+    let start = SweepEvent { kind: "start".to_owned(), ..SweepEvent::default() };
+    recorder.event(1e9, &start).expect("recorded");
+    recorder.finish().expect("closed");
+    refused("recording.mcap", "expected a reading");
+    // Nothing: cut off behind its first bytes.
     std::fs::write(&first, &good[..8]).expect("written");
     refused("recording.mcap", "found none among 0 scans");
     // Control: the recording as it was.

@@ -9,7 +9,7 @@ use wcal_core::device::{DeviceError, DeviceErrorKind};
 
 /// Attempts to reach a lost stage again to stop it, and the longest time for them.
 const REACH: u32 = 5;
-const SAFE: Duration = Duration::from_secs(8);
+const SAFE: Duration = Duration::from_secs(5);
 
 impl Sweep<'_, '_, '_> {
     /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe. A second interrupt ends the

@@ -49,6 +49,22 @@ pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
     Ok(())
 }
 
+/// Refuses recordings of which no row comes: empty tables would replace those of better recordings.
+fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), AcquisitionError> {
+    let (expected, found) = match result {
+        _ if rows > 0 => return Ok(()),
+        Reduction { events: 0, scans, .. } => (
+            format!("events of a sweep ({})", crate::message::topic::EVENT),
+            format!("none among {scans} scans: what the sweep did is not known"),
+        ),
+        Reduction { events, empty_windows, .. } => (
+            "a reading (a sweep that stopped before its first has nothing to reduce)".to_owned(),
+            format!("none among {events} events, {empty_windows} windows without usable scans"),
+        ),
+    };
+    Err(AcquisitionError::input(first.display().to_string(), expected, found))
+}
+
 /// Rebuilds the tables of a recorded session.
 ///
 /// # Errors
@@ -74,11 +90,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
         clocks.push(reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?);
         part_of_row.resize(rows.len(), number);
     }
-    if result.events == 0 {
-        let expected = format!("events of a sweep ({})", crate::message::topic::EVENT);
-        let found = format!("none among {} scans: what the sweep did is not known", result.scans);
-        return Err(AcquisitionError::input(parts[0].display().to_string(), expected, found));
-    }
+    nothing_reduced(&parts[0], rows.len(), &result)?;
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();

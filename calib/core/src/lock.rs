@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 /// Longest text of a holder, bytes.
 const TEXT_LIMIT: u64 = 1024;
 
+/// Attempts on a file whose holders come and go.
+const ATTEMPTS: u32 = 100;
+
 /// Why a lock was not given.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
@@ -35,7 +38,7 @@ impl FileLock {
     /// [`LockError::Held`] with process and purpose of the holder.
     pub fn take(path: &Path, purpose: &str) -> Result<Self, LockError> {
         let fail = FileError::of("locking", path);
-        loop {
+        for _ in 0..ATTEMPTS {
             let mut file = open(path).map_err(&fail)?;
             match file.try_lock() {
                 Ok(()) => {}
@@ -60,6 +63,7 @@ impl FileLock {
                 file.set_len(0).and_then(|()| file.rewind()).and_then(|()| file.write_all(text.as_bytes()));
             return Ok(Self { file, path: path.to_owned() });
         }
+        Err(LockError::Held("another process".to_owned()))
     }
 
     /// Locks a port for this machine: the path of a serial port, links resolved, or `host:port`.

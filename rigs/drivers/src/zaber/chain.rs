@@ -64,7 +64,7 @@ impl Passed {
         let all = [
             (self.alerts, "alerts"),
             (self.others, "replies of other units"),
-            (self.late, "late replies"),
+            (self.late, "replies to other questions"),
             (self.info, "info lines"),
             (self.noise, "lines of noise"),
         ];

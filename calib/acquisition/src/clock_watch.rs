@@ -1,13 +1,15 @@
 //! A device's clock that steps or stands still, told from a device or a computer that is late.
 //!
 //! ```text
-//! x host time, y device time less x, n scans since the last one, p time of a scan by the device's own clock
-//! step back:   device time falls by more than the tolerance: no delay does that
-//! step ahead:  it rises by S more than n p, and afterwards some y > max of all y before + S / 2: readings would have come before they were made
+//! x host time, y device time less x, n scans since the last good one, p time of a scan by the device's own clock
+//! off by S:    device time rises by n p + S over the last good scan, |S| above the tolerance, and stays off for some scans
+//! step back:   S < 0: no delay does that
+//! step ahead:  S > 0, and some y > max of all y before + S / 2: readings would have come before they were made
 //! stopped:     scans come for seconds of host time, and device time does not rise
 //! ```
 //!
-//! A gap in the stream whose scans were not counted raises device and host time alike: y stays below its earlier maximum.
+//! A gap in the stream whose scans were not counted raises device and host time alike: y stays below its earlier maximum. A single wrong
+//! stamp is off for its own scan only.
 
 use std::fmt;
 use wcal_core::device::{DeviceError, DeviceErrorKind};
@@ -20,6 +22,8 @@ const STILL_S: f64 = 2.0;
 const SETTLED_S: f64 = 2.0;
 /// Scans by which the time of a scan is known.
 const LEARNED: usize = 50;
+/// Scans that must be off until a step is one.
+const CONFIRMED: u32 = 3;
 /// Share by which each scan moves that time afterwards.
 const FOLLOW: f64 = 1e-3;
 
@@ -73,6 +77,21 @@ struct Seen {
     device_s: f64,
 }
 
+/// Readings that are off: a step, a gap, or a wrong stamp.
+#[derive(Debug, Clone, Copy)]
+struct Doubt {
+    /// The last good reading.
+    before: Seen,
+    /// The first that is off.
+    at: Seen,
+    /// By how much, s.
+    step_s: f64,
+    /// Readings that are off so far.
+    count: u32,
+    /// One of them seems to have come before it was made.
+    too_early: bool,
+}
+
 /// Watches the clock of one stream.
 #[derive(Debug, Clone)]
 pub struct ClockWatch {
@@ -84,8 +103,7 @@ pub struct ClockWatch {
     earliest_s: f64,
     first_periods: Vec<f64>,
     period_s: Option<f64>,
-    /// A jump ahead: its length, its scan, and the largest device less host time before it.
-    jump: Option<(f64, Seen, f64)>,
+    doubt: Option<Doubt>,
     stopped: bool,
 }
 
@@ -100,7 +118,7 @@ impl ClockWatch {
             earliest_s: f64::NEG_INFINITY,
             first_periods: Vec::new(),
             period_s: None,
-            jump: None,
+            doubt: None,
             stopped: false,
         }
     }
@@ -109,77 +127,98 @@ impl ClockWatch {
     pub fn take(&mut self, serial: u64, host_s: f64, device_s: f64) -> Option<ClockFault> {
         let now = Seen { serial, host_s, device_s };
         let Some(last) = self.last.replace(now) else {
-            (self.risen, self.earliest_s) = (Some(now), device_s - host_s);
+            self.begin_anew(now);
             return None;
         };
-        if device_s < last.device_s - STEP_S {
-            let due_s = self.period_s.map_or(0.0, |p| p * serial.saturating_sub(last.serial) as f64);
+        let step = match self.doubt {
+            Some(doubt) => self.settle(doubt, now),
+            None => self.compare(last, now),
+        };
+        if step.is_some() {
             self.begin_anew(now);
-            return Some(ClockFault::Step { step_s: device_s - last.device_s - due_s, serial });
+            return step;
         }
         let stopped = self.stands_still(now);
-        self.learn_and_compare(last, now);
-        let ahead = self.settle_jump(now);
-        self.earliest_s = self.earliest_s.max(device_s - host_s);
-        stopped.or(ahead)
+        if self.doubt.is_none() {
+            self.earliest_s = self.earliest_s.max(device_s - host_s);
+        }
+        stopped
     }
 
-    /// Whether the last readings may turn out to have come after a step ahead.
+    /// Whether the last readings may turn out to have come after a step.
     #[must_use]
     pub fn is_unsure(&self) -> bool {
-        self.jump.is_some()
+        self.doubt.is_some()
+    }
+
+    /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem to have come before it was made.
+    #[must_use]
+    pub fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
+        device_s - host_s <= self.earliest_s + STEP_S
     }
 
     /// After a step nothing known before holds but the rate.
     fn begin_anew(&mut self, now: Seen) {
-        (self.risen, self.earliest_s, self.jump) = (Some(now), now.device_s - now.host_s, None);
+        (self.risen, self.earliest_s, self.doubt) = (Some(now), now.device_s - now.host_s, None);
         self.stopped = false;
+    }
+
+    /// How far device time is off its course since a good reading, s.
+    fn off_s(&self, before: Seen, now: Seen) -> f64 {
+        let scans = now.serial.saturating_sub(before.serial) as f64;
+        now.device_s - before.device_s - scans * self.period_s.unwrap_or(0.0)
+    }
+
+    /// Learns the time of a scan, and notes where a reading is off.
+    fn compare(&mut self, last: Seen, now: Seen) -> Option<ClockFault> {
+        let scans = now.serial.saturating_sub(last.serial) as f64;
+        let (off_s, rise_s) = (self.off_s(last, now), now.device_s - last.device_s);
+        // A jump ahead is one only where scans were counted and their time is known.
+        let ahead = off_s > STEP_S && scans > 0.0 && self.period_s.is_some();
+        if rise_s < -STEP_S || ahead {
+            let doubt = Doubt { before: last, at: now, step_s: off_s, count: 0, too_early: false };
+            return self.settle(doubt, now);
+        }
+        match self.period_s {
+            _ if scans == 0.0 => {}
+            Some(period_s) => self.period_s = Some(period_s + FOLLOW * (rise_s / scans - period_s)),
+            None => {
+                self.first_periods.push(rise_s / scans);
+                if self.first_periods.len() == LEARNED {
+                    let middle = LEARNED / 2;
+                    self.period_s =
+                        Some(*self.first_periods.select_nth_unstable_by(middle, f64::total_cmp).1);
+                }
+            }
+        }
+        None
+    }
+
+    /// A reading while one before it is in doubt.
+    fn settle(&mut self, doubt: Doubt, now: Seen) -> Option<ClockFault> {
+        let half_s = doubt.step_s / 2.0;
+        let back_on_course = self.off_s(doubt.before, now) * half_s.signum() < half_s.abs();
+        let settled = now.host_s - doubt.at.host_s > SETTLED_S * self.clock_scale;
+        let count = doubt.count + 1;
+        let too_early = doubt.too_early || now.device_s - now.host_s > self.earliest_s + half_s;
+        let is_step = count > CONFIRMED && (half_s < 0.0 || too_early);
+        // A wrong stamp is over with its scan, a gap in the stream when no reading comes too early.
+        self.doubt = (!back_on_course && !settled).then_some(Doubt { count, too_early, ..doubt });
+        (is_step && !back_on_course)
+            .then_some(ClockFault::Step { step_s: doubt.step_s, serial: doubt.at.serial })
     }
 
     fn stands_still(&mut self, now: Seen) -> Option<ClockFault> {
         let risen = *self.risen.get_or_insert(now);
         if now.device_s > risen.device_s {
-            (self.risen, self.stopped) = (Some(now), false);
+            if self.doubt.is_none() {
+                (self.risen, self.stopped) = (Some(now), false);
+            }
             return None;
         }
         let still = now.host_s - risen.host_s > STILL_S * self.clock_scale && now.serial != risen.serial;
         (still && !std::mem::replace(&mut self.stopped, true))
             .then_some(ClockFault::Stopped { at_s: risen.device_s, serial: risen.serial })
-    }
-
-    fn learn_and_compare(&mut self, last: Seen, now: Seen) {
-        let scans = now.serial.saturating_sub(last.serial) as f64;
-        if scans == 0.0 {
-            return;
-        }
-        let rise_s = now.device_s - last.device_s;
-        let Some(period_s) = self.period_s else {
-            self.first_periods.push(rise_s / scans);
-            if self.first_periods.len() == LEARNED {
-                let middle = LEARNED / 2;
-                self.period_s = Some(*self.first_periods.select_nth_unstable_by(middle, f64::total_cmp).1);
-            }
-            return;
-        };
-        let jump_s = rise_s - scans * period_s;
-        if jump_s > STEP_S {
-            self.jump.get_or_insert((jump_s, now, self.earliest_s));
-        } else {
-            self.period_s = Some(period_s + FOLLOW * (rise_s / scans - period_s));
-        }
-    }
-
-    /// A jump is a step once a reading seems to come before it was made, and a gap in the stream when none does.
-    fn settle_jump(&mut self, now: Seen) -> Option<ClockFault> {
-        let (step_s, at, earliest_s) = self.jump?;
-        if now.device_s - now.host_s > earliest_s + step_s / 2.0 {
-            self.begin_anew(now);
-            return Some(ClockFault::Step { step_s, serial: at.serial });
-        }
-        if now.host_s - at.host_s > SETTLED_S * self.clock_scale {
-            self.jump = None;
-        }
-        None
     }
 }
 
@@ -250,6 +289,11 @@ mod tests {
             Some((k, t + delay_s(k), t + (t - 30.0).max(0.0) * 0.02))
         });
         quiet("stamps of 10 ms", &|k, t| Some((k, t, (t * 20.0).floor() / 20.0)));
+        for wrong_s in [-5.0, -1.0, 1.0, 5.0] {
+            quiet("single wrong stamps", &|k, t| {
+                Some((k, t + delay_s(k), t + if k % 1700 == 900 { wrong_s } else { 0.0 }))
+            });
+        }
         quiet("a unit that counts anew", &|k, t| Some((if t < 60.0 { k } else { k - 6000 }, t, t)));
         let fast = said(600, 20.0, |k, t| Some((k, t + 20.0 * delay_s(k), t)));
         assert!(fast.is_empty(), "{fast:?}");

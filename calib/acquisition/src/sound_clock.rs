@@ -47,8 +47,10 @@ impl SoundClock {
         }
     }
 
-    /// What was held is good.
+    /// What was held is good, but for single wrong stamps.
     pub(crate) fn settle(&mut self, clocks: &mut ClockPair) {
-        self.held.drain(..).for_each(|(host_s, device_s)| clocks.add(host_s, device_s));
+        let good =
+            self.held.drain(..).filter(|(host_s, device_s)| self.watch.is_plausible(*host_s, *device_s));
+        good.for_each(|(host_s, device_s)| clocks.add(host_s, device_s));
     }
 }

@@ -317,7 +317,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, interrupt: &Interru
 
 /// Whether the time that was asked for is over.
 fn over(args: &TrackArgs, whiskers: &Whiskers<'_>, reading: &FbgReading) -> bool {
-    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s)
+    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s) && !whiskers.doubts_clock()
 }
 
 /// Tracks what the queue gives.

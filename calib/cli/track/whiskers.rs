@@ -145,6 +145,11 @@ impl<'a> Whiskers<'a> {
         Some(fault)
     }
 
+    /// Whether the clock may have stepped just now.
+    pub fn doubts_clock(&self) -> bool {
+        self.clock_watch.is_unsure()
+    }
+
     /// Another recording follows: between two of them a clock may be set.
     pub fn begin_recording(&mut self) {
         self.clock_watch = ClockWatch::new(self.clock_scale);

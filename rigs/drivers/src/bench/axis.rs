@@ -257,7 +257,7 @@ mod tests {
         a.stop(1000.0);
         assert!(!a.busy(1001.0));
         // Control: the motion after it ends.
-        a.move_to(1001.0, 1000, None).unwrap();
+        a.move_to(1001.0, 210_000, None).unwrap();
         a.update(1001.1);
         assert!(a.busy(1001.1) && !a.busy(1100.0));
     }

@@ -143,10 +143,11 @@ impl Stage for ZaberStage {
     fn read(&mut self) -> Result<StageReading, DeviceError> {
         let answer = self.ask("get pos")?;
         let host_s = self.clock.now_s();
-        let steps: f64 = answer
-            .data
-            .parse()
-            .map_err(|_| self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data))?;
+        // "nan" parses, and would be at every target.
+        let steps: f64 =
+            answer.data.parse().ok().filter(|s: &f64| s.is_finite()).ok_or_else(|| {
+                self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data)
+            })?;
         let flags = self.flags(&answer.flag)?;
         self.judge("read position", &flags)?;
         if !answer.busy {

@@ -1,10 +1,14 @@
-//! The program against its own virtual bench: record, fit, verify; crash and resume; Ctrl-C; a pulled cable; dry run.
+//! The program against its own virtual bench: record, fit, verify; crash and resume; signals; faults of stage, line and clock; dry run.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
+#[path = "stage_sweep_program/clocks.rs"]
+mod clocks;
 #[path = "stage_sweep_program/plans.rs"]
 mod plans;
 #[path = "stage_sweep_program/reduction.rs"]
 mod reduction;
+#[path = "stage_sweep_program/safety.rs"]
+mod safety;
 
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};

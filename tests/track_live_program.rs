@@ -271,6 +271,8 @@ fn faults_are_flagged(bench: &mut Bench, live: &[&str], path: &dyn Fn(&str) -> S
     assert!(status.iter().any(|s| s.contains("gap")) && status.iter().any(|s| s.contains("peak-lost")));
     assert!((0..status.len()).all(|k| moment[k].is_empty() == status[k].contains("filling")), "{status:?}");
 
+    a_clock_that_steps_or_stands_still_is_named(bench, &live);
+
     // More than can be tracked: 80,000 scans a second into a queue of one batch.
     let fast = Bench::start(Path::new(&path("")), 40.0, 2000.0);
     drop(fast.stage(40.0));
@@ -283,6 +285,38 @@ fn faults_are_flagged(bench: &mut Bench, live: &[&str], path: &dyn Fn(&str) -> S
     assert!(count("dropped_scans") > 0 && count("lost_scans") > 0, "{summary}");
     assert!(text(&run.stderr).contains("dropped here"), "{}", text(&run.stderr));
     assert!(Rows::read(Path::new(&csv)).column("status").iter().any(|s| s.contains("dropped")));
+}
+
+/// A step of the clock neither ends nor prolongs a run, and is said; a clock that stands still ends it.
+fn a_clock_that_steps_or_stands_still_is_named(bench: &mut Bench, live: &[&str]) {
+    let csv = *live.last().unwrap();
+    let run = |bench: &mut Bench, fault: &str| {
+        let _ = std::fs::remove_file(csv);
+        let mut child = track(&[live, &["--seconds", "9"]].concat()).spawn().unwrap();
+        let start = Instant::now();
+        while std::fs::read_to_string(csv).map_or(0, |t| t.lines().count()) < 2 {
+            assert!(start.elapsed() < Duration::from_secs(60), "no rows");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        bench.type_fault(fault);
+        while child.try_wait().unwrap().is_none() {
+            if start.elapsed() > Duration::from_secs(240) {
+                child.kill().unwrap();
+                panic!("hangs after {fault}");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let run = child.wait_with_output().unwrap();
+        (run.status.code(), text(&run.stderr))
+    };
+    let (code, said) = run(bench, "{\"kind\":\"clock-step\",\"seconds\":-3600}");
+    assert!(code == Some(3) && said.contains("a clock step: 3600.0"), "{code:?} {said}");
+    let (code, said) = run(bench, "{\"kind\":\"clock-stop\",\"on\":true}");
+    assert!(code == Some(1) && said.contains("a stopped clock"), "{code:?} {said}");
+    // Control: it goes on, and nothing is said of it.
+    bench.type_fault("{\"kind\":\"clock-stop\",\"on\":false}");
+    let (code, said) = run(bench, "plug-interrogator");
+    assert!(code != Some(1) && !said.contains("clock"), "{code:?} {said}");
 }
 
 /// What must not be tracked, or only with --force and then with a word in every row.

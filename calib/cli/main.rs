@@ -13,6 +13,7 @@ mod fit_gpr;
 mod fit_whisker;
 mod import;
 mod init;
+mod interrupt;
 mod known_motion;
 mod labels;
 mod output;

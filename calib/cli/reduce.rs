@@ -11,7 +11,8 @@ use wcal_acquisition::reduce::{Reduction, reduce};
 /// Arguments of `wcal reduce`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Exit code 0: good; 1: cannot be reduced; 3: reduced, with scans lost, a recording cut off or another warning."
+    after_help = "Exit code 0: good; 1: cannot be reduced, the tables stay as they are; 3: reduced, with scans lost, a recording cut off or another
+warning."
 )]
 pub struct ReduceArgs {
     /// Session folder with rig.toml, run.json and recording.mcap

@@ -1,6 +1,6 @@
 //! `wcal stage-sweep`: drives the stage, records all streams, reduces to points.
 
-use crate::reduce;
+use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use serde_json::json;
@@ -8,8 +8,7 @@ use std::io::{BufRead, IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use wcal_acquisition::path_text::{draw, duration_s};
 use wcal_acquisition::plan::Step;
@@ -25,7 +24,8 @@ use wcal_drivers::Drivers;
   wcal stage-sweep --rig rigs/virtual --plan rigs/plans/paper-27.toml --bench bench.json --home --out session
   wcal fit-gpr session --out fit; wcal verify session --out verify
 
-Ctrl-C and every fault stop the stage and leave a session that opens; `--resume SESSION` goes on where it stopped.
+Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a session that opens; `--resume SESSION` goes on where it stopped.
+One sweep at a time records a session and drives a stage.
 Exit code 0: good; 1: stopped, or nothing could be recorded; 3: finished, with data lost or warnings that matter.")]
 pub struct StageSweepArgs {
     /// Rig: rig.toml or the folder that holds it
@@ -57,7 +57,7 @@ pub struct StageSweepArgs {
     pub json: bool,
 }
 
-/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or Ctrl-C (the session is intact), 3 finished with warnings.
+/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or a signal (the session is intact), 3 finished with warnings.
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
@@ -83,9 +83,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     if !resume {
         crate::output::check_new(&folder, " (or --resume SESSION)")?;
     }
-    let interrupt = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupt);
-    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("watching for Ctrl-C")?;
+    let interrupt = interrupt::watch()?;
     let order = RecordRequest {
         rig,
         plan,
@@ -100,7 +98,8 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let recorded = record(&order, &mut Drivers::default(), &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    let mut devices = Drivers::new(&interrupt);
+    let recorded = record(&order, &mut devices, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))
@@ -218,6 +217,9 @@ fn ask_board(view: u32) -> Result<(), DeviceError> {
     by_hand("cameras", "hold the board", &what)
 }
 
+/// How often somebody who waits for Enter listens for a signal.
+const ENTER_POLL: Duration = Duration::from_millis(50);
+
 /// Asks a person to do something and waits for Enter.
 fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
     let refuse =
@@ -227,10 +229,21 @@ fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
     }
     // Without a terminal to write to there is nobody to read it either.
     let _ = std::io::stderr().write_all(format!("\n{what}, then press Enter ").as_bytes());
-    let mut line = String::new();
-    match std::io::stdin().lock().read_line(&mut line) {
-        Ok(n) if n > 0 => Ok(()),
-        _ => Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
+    // The line is read in a thread of its own: a read from a terminal does not end with a signal.
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        let mut line = String::new();
+        let read = std::io::stdin().lock().read_line(&mut line);
+        // Whoever waited may be gone by now.
+        let _ = sender.send(read.is_ok_and(|count| count > 0));
+    });
+    loop {
+        match (receiver.recv_timeout(ENTER_POLL), interrupt::signal()) {
+            (Ok(true), _) => return Ok(()),
+            (_, Some(signal)) => return Err(refuse(DeviceErrorKind::Interrupted, signal.name())),
+            (Err(RecvTimeoutError::Timeout), None) => {}
+            _ => return Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
+        }
     }
 }
 

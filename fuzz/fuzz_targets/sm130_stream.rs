@@ -13,5 +13,6 @@ fuzz_target!(|data: (u8, Vec<u8>)| {
         }
         items
     };
-    assert_eq!(all(usize::from(cut) + 1), all(bytes.len()));
+    // A peak without a value is NaN, which equals nothing.
+    assert_eq!(format!("{:?}", all(usize::from(cut) + 1)), format!("{:?}", all(bytes.len())));
 });

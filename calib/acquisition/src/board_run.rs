@@ -7,8 +7,8 @@ use crate::recorder::{Recorder, Shows};
 use crate::replay::{Message, read};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{CameraFrame, DeviceError, DeviceErrorKind};
 
 /// Time for which the board is left to stand before its picture counts, s.
@@ -51,7 +51,7 @@ pub struct BoardRun<'a> {
     /// Host seconds per wall second.
     pub clock_scale: f64,
     /// Set when the user wants an end.
-    pub interrupt: &'a AtomicBool,
+    pub interrupt: &'a Interrupt,
 }
 
 impl BoardRun<'_> {
@@ -80,16 +80,7 @@ impl BoardRun<'_> {
     fn exposed_after(&mut self, since_s: f64, eyes: &mut [Eye; 2]) -> Result<[CameraFrame; 2], DeviceError> {
         let (mut refused, mut seen) = (0, 0);
         loop {
-            if self.interrupt.load(Ordering::SeqCst) {
-                let kind = DeviceErrorKind::Interrupted;
-                return Err(DeviceError::new(
-                    kind,
-                    "cameras",
-                    "picture the board",
-                    "no interruption",
-                    "Ctrl-C",
-                ));
-            }
+            self.interrupt.check("cameras", "picture the board")?;
             let found = match self.pair.grab(PATIENCE) {
                 Ok(found) => found,
                 Err(e) if e.kind == DeviceErrorKind::DataInvalid && refused + 1 < REFUSED_LIMIT => {

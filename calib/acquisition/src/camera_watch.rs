@@ -7,6 +7,7 @@ use crate::message::SweepEvent;
 use crate::monitor::Monitor;
 use crate::pictures::PREVIEW_PERIOD_S;
 use crate::recorder::{Recorder, Shows};
+use crate::sweep::INTERRUPTED;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -64,6 +65,11 @@ pub fn watch(
                 }
                 let kind = "pair-refused".to_owned();
                 recorder.event(pair.host_s(), &SweepEvent { kind, detail, ..SweepEvent::default() })
+            }
+            // The sweep hears of it by itself.
+            Err(e) if e.kind == DeviceErrorKind::Interrupted => {
+                std::thread::sleep(INTERRUPTED);
+                Ok(())
             }
             Err(e) => return lock(monitor).fail_with(e),
         };

@@ -50,7 +50,7 @@ pub struct ClockFit {
 }
 
 /// Largest drift of a working quartz clock, s/s: above it the clock is broken or the recording is inconsistent.
-const BROKEN_CLOCK: f64 = 300e-6;
+pub(crate) const BROKEN_CLOCK: f64 = 300e-6;
 
 impl ClockFit {
     /// Whether the device clock drifts more than any working clock does, its own error counted against that.

@@ -6,6 +6,7 @@
 //! ```
 
 use crate::assign::{Assigned, ChannelMap};
+use crate::clock_watch::ClockWatch;
 use crate::clocks::ClockPair;
 use std::collections::VecDeque;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
@@ -48,6 +49,7 @@ pub struct Monitor {
     blocks: VecDeque<Block>,
     unusable_run: u32,
     clocks: ClockPair,
+    clock_watch: ClockWatch,
     fault: Option<DeviceError>,
     /// Step whose settled pose is to be pictured, and since when, host time, s.
     picture: Option<(u32, f64)>,
@@ -77,6 +79,7 @@ impl Monitor {
             blocks: VecDeque::new(),
             unusable_run: 0,
             clocks: ClockPair::new(clock_scale),
+            clock_watch: ClockWatch::new(clock_scale),
             fault: None,
             picture: None,
         }
@@ -95,6 +98,10 @@ impl Monitor {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.latest_s = Some(device_s);
         self.clocks.add(reading.clocks.host_s, device_s);
+        // Every wait of a sweep counts by this clock.
+        if let Some(fault) = self.clock_watch.take(reading.serial, reading.clocks.host_s, device_s) {
+            self.fail_with(fault.error());
+        }
         self.judge_health(reading);
         self.latest = self.map.assign(reading);
         match self.latest.usable() {

@@ -9,18 +9,19 @@ use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::reduce::{Reduction, recordings, reduce};
-use crate::replay::completed_steps;
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
+use crate::session_begin::{Begun, stage_lock};
 use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
 use crate::tables::temperature_ratio;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
@@ -145,11 +146,12 @@ pub fn record(
     request: &RecordRequest,
     devices: &mut dyn DeviceOpener,
     manual: &mut dyn Mount,
-    interrupt: &AtomicBool,
+    interrupt: &Interrupt,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<RecordResult, AcquisitionError> {
     let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
-    let skip = prepare_folder(request)?;
+    let (mut begun, skip) = Begun::open(request)?;
+    let _lock = stage_lock(&rig.stage, &request.folder)?;
     let clock = HostClock::start(rig.clock_scale);
     let mut stage = devices.stage(&rig.stage, clock)?;
     let mut interrogator = open_interrogator(devices, &rig.interrogator, clock)?;
@@ -169,12 +171,14 @@ pub fn record(
         Some(motor) => motor.as_mut(),
         None => manual,
     };
-    let (about, simulated) = describe(request, &rig, &plan, identities)?;
+    let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
-    let recorder = Recorder::create(&request.folder.join(&name), about)?;
+    let recorder = Recorder::create(&begun.makes(&name), about)?;
     let live = request.live.map(|address| recorder.serve(address)).transpose()?;
+    // Everything is open: from here on there is something to keep.
+    begun.keep();
     if let Some(view) = &live {
         (request.on_live)(view.address());
     }
@@ -247,69 +251,7 @@ fn as_text(run: &RunFile) -> Result<String, AcquisitionError> {
     serde_json::to_string_pretty(run).map_err(|e| AcquisitionError::Recorder(e.to_string()))
 }
 
-/// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
-fn prepare_folder(request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
-    let folder = &request.folder;
-    let place = folder.display().to_string();
-    let begun = folder.join("rig.toml").exists();
-    if request.resume {
-        for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
-            same(folder, name, text)?;
-        }
-        let mut skip = BTreeSet::new();
-        for part in recordings(folder) {
-            skip.extend(completed_steps(&part)?);
-        }
-        return Ok(skip);
-    }
-    if begun {
-        let expected = "a new folder (or --resume)";
-        return Err(AcquisitionError::input(place, expected, "one that holds a session"));
-    }
-    let io = |source| AcquisitionError::Io { action: "creating", path: folder.clone(), source };
-    std::fs::create_dir_all(folder).map_err(io)?;
-    for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
-        save(&folder.join(name), text)?;
-    }
-    Ok(BTreeSet::new())
-}
-
-/// Ports may differ between the runs of one session, plans and geometry may not.
-fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
-    let path = folder.join(name);
-    let io = |source| AcquisitionError::Io { action: "reading", path: path.clone(), source };
-    let old = wcal_core::files::read_text(&path).map_err(io)?;
-    if without_links(&old) == without_links(text) {
-        return Ok(());
-    }
-    Err(AcquisitionError::input(
-        path.display().to_string(),
-        "the same content as when the session was begun",
-        "other content",
-    ))
-}
-
-/// A document without the devices' addresses; `None` where it is no TOML.
-fn without_links(text: &str) -> Option<toml::Table> {
-    let mut table: toml::Table = text.parse().ok()?;
-    for (section, keys) in [
-        ("stage", &["port", "baud"][..]),
-        ("interrogator", &["address", "peaks_address"]),
-        ("camera", &["source"]),
-    ] {
-        let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
-            Some(toml::Value::Table(one)) => vec![one],
-            Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),
-            _ => Vec::new(),
-        };
-        for entry in entries {
-            keys.iter().for_each(|k| drop(entry.remove(*k)));
-        }
-    }
-    Some(table)
-}
-
-fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
+pub(crate) fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
     Ok(write_atomic(path, text.as_bytes())?)
 }
 
@@ -325,6 +267,7 @@ fn describe(
     rig: &Rig,
     plan: &Plan,
     devices: BTreeMap<String, DeviceIdentity>,
+    begun: &mut Begun,
 ) -> Result<(BTreeMap<String, String>, bool), AcquisitionError> {
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),
@@ -347,7 +290,7 @@ fn describe(
     if path.exists() {
         same_bench(&path, run.simulated)?;
     } else {
-        save(&path, &text)?;
+        save(&begun.makes("run.json"), &text)?;
     }
     let about = BTreeMap::from([
         ("run".to_owned(), text),

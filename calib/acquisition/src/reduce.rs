@@ -1,7 +1,7 @@
 //! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
 
 use crate::assign::ChannelMap;
-use crate::clocks::{ClockFit, ClockPair};
+use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
 use crate::message::{StagePosition, SweepEvent};
@@ -9,116 +9,23 @@ use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
 use crate::run_file::RunFile;
+use crate::sound_clock::SoundClock;
 use crate::tables::{self, Row, Stream};
 use crate::windows::Samples;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::files::write_atomic;
 
+pub use crate::reduction::Reduction;
+
 /// Length of the window of a row on the fly, s.
 const MOVING_WINDOW_S: f64 = 0.02;
 /// A row whose window misses more than this share of its scans is marked.
 const MAX_MISSING: f64 = 0.1;
+/// A clock that is off by more than this from one recording to the next was set, s.
+const CLOCK_SET_S: f64 = 1.0;
 /// Rows of one move; a move that states more is a damaged one.
 const MAX_MOVING_ROWS: f64 = 1e6;
-
-/// What a reduction made.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Reduction {
-    /// Rows of points.csv by role: rest, calibration, verification.
-    pub rows: usize,
-    /// Rows of holdout.csv.
-    pub holdout: usize,
-    /// Scans read.
-    pub scans: u64,
-    /// Scans missing by their running number.
-    pub lost: u64,
-    /// Jumps of the running number.
-    pub gaps: u64,
-    /// Scans that came so late that the bench or the recording computer had fallen behind.
-    pub late: u64,
-    /// Largest delay of a scan, s of the bench's time.
-    pub longest_delay_s: f64,
-    /// Rows by faults in their windows: scans missing, scans late.
-    pub marked: [usize; 2],
-    /// Windows without the two usable scans that a row needs.
-    pub empty_windows: usize,
-    /// Marked samples.
-    pub outliers: usize,
-    /// Recordings that were cut off.
-    pub cut_off: usize,
-    /// Chunks of the recordings that could not be read.
-    pub damaged_chunks: u64,
-    /// Camera pairs recorded, and refused.
-    pub pairs: [u64; 2],
-    /// Why the first of those was refused.
-    pub refused_why: Option<String>,
-    /// Pictures of settled poses written, and poses whose pair did not come.
-    pub pictures: [usize; 2],
-    /// Delay of the interrogator behind the stage at each sync move, s.
-    pub lag_s: Vec<f64>,
-    /// Fits of the interrogator's clock, one a recording.
-    pub clocks: Vec<ClockFit>,
-    /// Fits of the cameras' clocks by name, one a camera and recording.
-    pub camera_clocks: Vec<(String, ClockFit)>,
-}
-
-impl Reduction {
-    /// Losses and faults; each is a reason for exit code 3.
-    #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let mut all = self.stream_warnings();
-        if self.cut_off > 0 {
-            all.insert(0, format!("{} recordings cut off", self.cut_off));
-        }
-        all
-    }
-
-    /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
-    #[must_use]
-    pub fn stream_warnings(&self) -> Vec<String> {
-        let Self { lost, gaps, late, longest_delay_s, marked, empty_windows, damaged_chunks, .. } = self;
-        let refused = self.pairs[1];
-        let all = [
-            (*damaged_chunks > 0, format!("{damaged_chunks} damaged chunks of the recording left out")),
-            (*lost > 0, format!("{lost} scans lost in {gaps} gaps")),
-            (
-                *late > 0,
-                format!(
-                    "{late} scans late, by up to {longest_delay_s:.1} s of the bench's time: the bench or this computer fell behind"
-                ),
-            ),
-            (
-                *marked != [0; 2],
-                format!(
-                    "{} rows with scans missing and {} with late scans or clocks that cannot be aligned, marked in the column `stream`",
-                    marked[0], marked[1]
-                ),
-            ),
-            (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
-            (
-                refused > 0,
-                match &self.refused_why {
-                    Some(why) => format!("{refused} camera pairs refused; the first: {why}"),
-                    None => format!("{refused} camera pairs refused"),
-                },
-            ),
-            (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
-        ];
-        let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
-        all.chain(self.clock_warnings()).collect()
-    }
-
-    /// Clocks that no crystal explains.
-    #[must_use]
-    pub fn clock_warnings(&self) -> Vec<String> {
-        let cameras = self.camera_clocks.iter().map(|(name, fit)| (format!("camera {name}"), fit));
-        let all = self.clocks.iter().map(|fit| ("interrogator".to_owned(), fit)).chain(cameras);
-        all.filter(|(_, fit)| fit.broken())
-            .map(|(name, fit)| format!("{name}: the device clock drifts by {:.0} ppm", fit.drift * 1e6))
-            .collect()
-    }
-}
 
 /// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
 #[must_use]
@@ -128,10 +35,40 @@ pub fn recordings(folder: &Path) -> Vec<PathBuf> {
     first.chain(later).take_while(|p| p.exists()).collect()
 }
 
+/// Refuses a recording without a byte: an interrupted copy, or a full disk. Tables made without it would lack its rows in silence.
+///
+/// # Errors
+/// Which one, and the way out.
+pub(crate) fn refuse_empty(parts: &[PathBuf]) -> Result<(), AcquisitionError> {
+    for part in parts {
+        if std::fs::metadata(part).map_err(AcquisitionError::io("opening", part))?.len() == 0 {
+            let expected = "a recording (copy it again, or remove the file if it never had content)";
+            return Err(AcquisitionError::input(part.display().to_string(), expected, "0 bytes"));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses recordings of which no row comes: empty tables would replace those of better recordings.
+fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), AcquisitionError> {
+    let (expected, found) = match result {
+        _ if rows > 0 => return Ok(()),
+        Reduction { events: 0, scans, .. } => (
+            format!("events of a sweep ({})", crate::message::topic::EVENT),
+            format!("none among {scans} scans: what the sweep did is not known"),
+        ),
+        Reduction { events, empty_windows, .. } => (
+            "a reading (a sweep that stopped before its first has nothing to reduce)".to_owned(),
+            format!("none among {events} events, {empty_windows} windows without usable scans"),
+        ),
+    };
+    Err(AcquisitionError::input(first.display().to_string(), expected, found))
+}
+
 /// Rebuilds the tables of a recorded session.
 ///
 /// # Errors
-/// When rig, run file or recording cannot be read, or nothing was recorded.
+/// When rig, run file or recording cannot be read, or nothing was recorded; the tables are then as they were.
 pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let text = |name: &str| {
         let path = folder.join(name);
@@ -144,6 +81,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
         let place = folder.display().to_string();
         return Err(AcquisitionError::input(place, "recording.mcap", "none"));
     }
+    refuse_empty(&parts)?;
     let mut result = Reduction::default();
     let mut rows = Vec::new();
     let mut origin_s = None;
@@ -152,6 +90,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
         clocks.push(reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?);
         part_of_row.resize(rows.len(), number);
     }
+    nothing_reduced(&parts[0], rows.len(), &result)?;
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
@@ -216,9 +155,10 @@ fn reduce_part(
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
+    let mut sound = SoundClock::new(rig.clock_scale);
     let end = read(path, |message| match message {
         Message::Scan(scan) => {
-            clocks.add(scan.host_s, scan.device_s);
+            sound.take(&scan, &mut clocks, events.len(), &mut result.clock_faults);
             origin_s.get_or_insert(scan.device_s);
             result.scans += 1;
             let missing = next_serial.map_or(0, |n| scan.serial.saturating_sub(n));
@@ -249,12 +189,19 @@ fn reduce_part(
     })?;
     // Older recordings contain every picture and no list of frames.
     result.pairs[0] += if frames > 0 { frames } else { pictures } / 2;
+    sound.settle(&mut clocks);
+    result.events += events.len();
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
     let cameras: BTreeMap<String, ClockFit> =
         cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
     result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
+    let set_s = result.clocks.first().map_or(0.0, |first| clock_set_s(first, &fit, rig.clock_scale));
+    if set_s != 0.0 {
+        result.clock_faults.push(format!("the clock was set by {set_s:.3} s between two recordings"));
+    }
+    let origin_s = origin_s + set_s;
     result.clocks.push(fit);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
     let mut windows = windows_of(&events);
@@ -266,16 +213,22 @@ fn reduce_part(
     // The stage's position is known by host time: without aligned clocks no row can be assigned one.
     let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
+    let mut count = 0;
     read(path, |message| {
         let Message::Scan(scan) = message else { return };
         let t_s = scan.device_s;
+        let unclocked = sound.broken.is_some_and(|(first, _)| count >= first);
+        count += 1;
         if let Some((_, last_s)) = last.filter(|(serial, _)| scan.serial > serial.saturating_add(1)) {
             lost.push([last_s, t_s]);
         }
         last = Some((scan.serial, t_s));
-        let late = clocks.is_late(scan.host_s, t_s);
+        let late = !unclocked && clocks.is_late(scan.host_s, t_s);
         result.late += u64::from(late);
-        result.longest_delay_s = result.longest_delay_s.max(clocks.delay_s(scan.host_s, t_s));
+        result.unclocked += u64::from(unclocked);
+        if !unclocked {
+            result.longest_delay_s = result.longest_delay_s.max(clocks.delay_s(scan.host_s, t_s));
+        }
         for (sync, signal) in syncs.iter().zip(&mut sync_signals) {
             if (sync.begin_s..=sync.end_s).contains(&t_s)
                 && let Some([a, b]) = map.assign(&scan.reading()).usable()
@@ -286,10 +239,12 @@ fn reduce_part(
         let from = windows.partition_point(|w| w.end_s < t_s);
         // Windows on the fly may touch each other; none is longer than a settled one.
         for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
-            if t_s > window.end_s {
+            // A window that was over before the clock's fault has no scans from after it, whatever time they state.
+            let over = unclocked && sound.broken.is_some_and(|(_, events)| window.event < events);
+            if t_s > window.end_s || over {
                 continue;
             }
-            window.late |= late;
+            window.late |= late || unclocked;
             let assigned = map.assign(&scan.reading());
             match assigned.usable() {
                 Some(sensing) => {
@@ -305,6 +260,8 @@ fn reduce_part(
     for signal in &sync_signals {
         result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
     }
+    // In the order of the work, which a clock that was set does not change.
+    windows.sort_by_key(|w| w.event);
     for window in windows {
         let event = &events[window.event];
         let stream = match window.late || unaligned {
@@ -318,6 +275,15 @@ fn reduce_part(
         }
     }
     Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
+}
+
+/// By how much a clock was set between two recordings, s; 0 within what a working clock may have drifted. The computer's clock tells, but
+/// for that of an accelerated bench, which begins anew with each run.
+fn clock_set_s(first: &ClockFit, fit: &ClockFit, clock_scale: f64) -> f64 {
+    let at_s = fit.origin_host_s;
+    let set_s = fit.device_s(at_s) - first.device_s(at_s);
+    let drift_s = CLOCK_SET_S + BROKEN_CLOCK * (at_s - first.origin_host_s).abs();
+    if clock_scale == 1.0 && set_s.abs() > drift_s { set_s } else { 0.0 }
 }
 
 /// Share of a window that lies in gaps of the stream; `lost` in order of time.

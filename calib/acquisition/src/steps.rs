@@ -7,13 +7,13 @@ use crate::rig::Rig;
 use crate::sweep::{Progress, SILENCE, SweepBench, lock};
 use foxglove::messages::log::Level;
 use std::collections::BTreeSet;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
+use wcal_core::deadline::{Deadline, move_allowance};
 use wcal_core::device::{DeviceError, DeviceErrorKind, StageReading};
 use wcal_core::rig_devices::Approach;
 
 /// Pause between stage polls while it moves, and while it stands.
-const POLL_MOVING: Duration = Duration::from_millis(4);
+pub(crate) const POLL_MOVING: Duration = Duration::from_millis(4);
 const POLL_STANDING: Duration = Duration::from_millis(20);
 /// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
 const ARRIVAL_MM: f64 = 0.005;
@@ -25,8 +25,11 @@ const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
 /// Longest wait for the pair of a pose after its averaging window (wall time).
 const PICTURE: Duration = Duration::from_secs(3);
-/// Attempts to reach a lost stage again to stop it.
-const REACH: u32 = 5;
+/// A reference search is allowed a move over this many travels: it is slow at its end, and may begin with the wrong direction.
+const HOME_TRAVELS: f64 = 4.0;
+/// A wait by the device's clock may take this many times its length, and a margin (wall): a slower clock counts nothing any more.
+const SLOW_TIMES: f64 = 10.0;
+const SLOW_MARGIN: Duration = Duration::from_secs(30);
 
 /// Where a sweep failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,7 +61,8 @@ impl Sweep<'_, '_, '_> {
             Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
                 let started = self.bench.stage.start_home();
                 self.of_stage(started)?;
-                self.until_standing()?;
+                let rig = &self.rig.stage;
+                self.until_standing("search the reference", HOME_TRAVELS * rig.travel_mm, rig.speed_mm_s)?;
             }
             reading => {
                 let reading = self.of_stage(reading)?;
@@ -235,9 +239,10 @@ impl Sweep<'_, '_, '_> {
     /// Moves to a depth and checks that the stage got there.
     fn go_to(&mut self, depth_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
         let target_mm = self.rig.stage.zero_mm + depth_mm;
+        let way_mm = target_mm - self.last.measured_mm;
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
-        self.until_standing()?;
+        self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
         let off_mm = self.last.measured_mm - target_mm;
         if off_mm.abs() > ARRIVAL_MM {
             let (expected, found) =
@@ -247,27 +252,53 @@ impl Sweep<'_, '_, '_> {
         Ok(())
     }
 
-    fn until_standing(&mut self) -> Result<(), DeviceError> {
+    /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage that stays BUSY has failed.
+    fn until_standing(&mut self, action: &str, way_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+        let allowed = move_allowance(way_mm, speed_mm_s, self.rig.clock_scale);
+        let deadline = Deadline::after(allowed, self.bench.interrupt);
         loop {
             self.tick(POLL_MOVING)?;
             if !self.last.moving {
                 return Ok(());
+            }
+            if deadline.is_over() {
+                let found = format!("still moving (BUSY) at {:.4} mm", self.last.measured_mm);
+                return self.of_stage(Err(deadline.error("stage", action, "standstill", &found)));
             }
         }
     }
 
     /// Waits for the stream to get there.
     fn wait_until(&mut self, end_s: f64) -> Result<(), DeviceError> {
+        let deadline = self.by_device_clock(end_s - self.device_s());
         while self.device_s() < end_s {
             self.tick(POLL_STANDING)?;
+            self.not_too_slow(&deadline, end_s)?;
         }
         Ok(())
+    }
+
+    /// A deadline for a wait that the device's clock counts, s.
+    fn by_device_clock(&self, span_s: f64) -> Deadline {
+        let own = Duration::try_from_secs_f64(SLOW_TIMES * span_s.max(0.0) / self.rig.clock_scale);
+        let allowed = own.unwrap_or(Duration::MAX).saturating_add(SLOW_MARGIN);
+        Deadline::after(allowed, self.bench.interrupt)
+    }
+
+    fn not_too_slow(&self, deadline: &Deadline, end_s: f64) -> Result<(), DeviceError> {
+        if !deadline.is_over() {
+            return Ok(());
+        }
+        let expected = format!("{end_s:.3} s by the device's clock");
+        let found = format!("{:.3} s: it runs too slowly", self.device_s());
+        Err(deadline.error("interrogator", "wait", &expected, &found))
     }
 
     /// True when the drift fell below the gate; a drift that its own error hides has not.
     fn wait_for_gate(&mut self, since_s: f64, window_s: f64, timeout_s: f64) -> Result<bool, DeviceError> {
         let end_s = self.device_s() + timeout_s;
         let gate = self.plan.settle.gate_pm_per_s;
+        let deadline = self.by_device_clock(timeout_s);
         loop {
             let drift = lock(self.bench.monitor).drift_pm_per_s(since_s, window_s);
             if drift.is_some_and(|(slope, error)| slope.abs() < gate && error < gate) {
@@ -277,16 +308,14 @@ impl Sweep<'_, '_, '_> {
                 return Ok(false);
             }
             self.tick(POLL_STANDING)?;
+            self.not_too_slow(&deadline, end_s)?;
         }
     }
 
     /// One check of everything: stage, stream, user.
     fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
         std::thread::sleep(pause);
-        if self.bench.interrupt.load(Ordering::SeqCst) {
-            let kind = DeviceErrorKind::Interrupted;
-            return Err(DeviceError::new(kind, "sweep", "run", "no interruption", "Ctrl-C"));
-        }
+        self.bench.interrupt.check("sweep", "run")?;
         if let Some(fault) = lock(self.bench.monitor).fault() {
             return Err(fault.clone());
         }
@@ -310,13 +339,13 @@ impl Sweep<'_, '_, '_> {
 
     /// Remembers that it was the stage that failed.
     fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
-        if done.is_err() {
+        if done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Interrupted) {
             self.fault = Fault::Stage;
         }
         done
     }
 
-    fn note(&mut self, reading: StageReading) -> Result<(), DeviceError> {
+    pub(crate) fn note(&mut self, reading: StageReading) -> Result<(), DeviceError> {
         self.bench.recorder.stage(&reading).map_err(|e| disk(&e))?;
         if let Some(path) = self.trajectory.and_then(|id| self.rig.trajectory(id)) {
             let depth_mm = reading.measured_mm - self.rig.stage.zero_mm;
@@ -340,52 +369,6 @@ impl Sweep<'_, '_, '_> {
     fn event(&mut self, event: &SweepEvent) -> Result<(), DeviceError> {
         let event = SweepEvent { step: self.step as u32, ..event.clone() };
         self.bench.recorder.event(self.last.clocks.host_s, &event).map_err(|e| disk(&e))
-    }
-
-    /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe.
-    pub(crate) fn make_safe(&mut self, cause: &DeviceError) -> bool {
-        let mut stopped = self.bench.stage.stop().is_ok();
-        for _ in 0..REACH {
-            if stopped {
-                break;
-            }
-            std::thread::sleep(Duration::from_millis(100));
-            if let Ok(stage) = (self.bench.reopen)() {
-                self.bench.stage = stage;
-                stopped = self.bench.stage.stop().is_ok();
-            }
-        }
-        let host_s = self.last.clocks.host_s;
-        self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
-        let detail = format!("{}: {cause}", cause.kind.name());
-        let event = SweepEvent {
-            kind: "stopped".to_owned(),
-            step: self.step as u32,
-            detail,
-            ..SweepEvent::default()
-        };
-        // The cause is already an error on its way to the user.
-        let _ = self.bench.recorder.event(host_s, &event);
-        // A stage that failed or is blocked is not moved again.
-        if stopped && self.fault == Fault::Elsewhere && cause.kind != DeviceErrorKind::Stalled {
-            self.retract();
-        }
-        stopped
-    }
-
-    /// Back from the wire after a fault of another device; errors end the attempt.
-    fn retract(&mut self) {
-        let target_mm = self.rig.stage.zero_mm + self.rig.stage.retract_mm;
-        if self.bench.stage.start_move(target_mm, self.rig.stage.speed_mm_s).is_err() {
-            return;
-        }
-        while let Ok(reading) = self.bench.stage.read() {
-            let moving = reading.moving;
-            if self.note(reading).is_err() || !moving {
-                return;
-            }
-            std::thread::sleep(POLL_MOVING);
-        }
     }
 }
 

@@ -9,10 +9,14 @@ use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Mount, Stage, StageReading};
 
 /// A stream that is silent this long has failed (wall time).
 pub(crate) const SILENCE: Duration = Duration::from_secs(2);
+
+/// Pause of those who record until the sweep has heard of an interrupt.
+pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
 
 /// Opens the stage again after its link was lost.
 pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
@@ -29,8 +33,8 @@ pub struct SweepBench<'a> {
     pub monitor: &'a Mutex<Monitor>,
     /// Everything is recorded here.
     pub recorder: &'a Recorder,
-    /// Set by Ctrl-C.
-    pub interrupt: &'a AtomicBool,
+    /// Set when the user wants an end.
+    pub interrupt: &'a Interrupt,
 }
 
 /// What a user may want to see while it runs.
@@ -116,6 +120,11 @@ pub fn acquire(
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
+            // The sweep hears of it by itself; its way to a safe state is recorded, too.
+            Err(e) if e.kind == DeviceErrorKind::Interrupted => {
+                std::thread::sleep(INTERRUPTED);
+                continue;
+            }
             Err(e) => return lock(monitor).fail_with(e),
         };
         if !readings.is_empty() {

@@ -7,9 +7,10 @@ use super::recorded_motion::{recorded_motion, session_folder};
 use super::trust::WhiskerModel;
 use super::whiskers::{Whiskers, lost_text};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
+use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
+use wcal_acquisition::clock_watch::ClockFault;
 use wcal_acquisition::message::StagePosition;
 use wcal_acquisition::record::open_interrogator;
 use wcal_acquisition::recorder::{LiveView, Recorder};
@@ -25,7 +27,9 @@ use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::tracks::TrackChannels;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
+use wcal_core::lock::FileLock;
 use wcal_core::rig_devices::DeviceOpener;
 use wcal_drivers::Drivers;
 
@@ -137,6 +141,7 @@ pub fn replay(
     let (mut first_host_s, mut ended) = (None, false);
     for part in parts {
         let (mut failed, mut scans) = (None, 0_u64);
+        whiskers.begin_recording();
         let end = read(part, |message| {
             if failed.is_some() || ended {
                 return;
@@ -145,6 +150,7 @@ pub fn replay(
                 Message::Scan(scan) => {
                     scans += 1;
                     let reading = scan.reading();
+                    whiskers.hear(&reading);
                     ended = over(args, &whiskers, &reading);
                     if ended {
                         return;
@@ -202,23 +208,21 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     }
     let mut whiskers = Whiskers::new(args, (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
-    let mut interrogator = open_interrogator(&mut Drivers::default(), &rig.interrogator, clock)?;
+    let interrupt = interrupt::watch()?;
+    let mut interrogator = open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = TrackFiles::create(&args.out, true)?;
-    let done = Arc::new(AtomicBool::new(false));
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flags = [&done, &interrupted].map(Arc::clone);
-    ctrlc::set_handler(move || flags.iter().for_each(|f| f.store(true, Ordering::SeqCst)))
-        .context("watching for Ctrl-C")?;
+    let done = AtomicBool::new(false);
     let (intake, receiver) = Intake::new(args.queue, sinks.recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let failed = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
         if carried {
-            scope.spawn(|| watch_stage(rig, clock, &intake, &done));
+            scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done));
         }
-        let result = consume(args, &receiver, &mut whiskers, &mut files, sinks.channels.as_ref(), &done);
+        let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
+        let result = consume(args, &receiver, &mut whiskers, &mut files, sinks.channels.as_ref(), &ends);
         done.store(true, Ordering::SeqCst);
         // Whoever waits for room must not wait for ever.
         drop(receiver);
@@ -229,8 +233,12 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let simulated = identity.is_virtual() || by_simulation(loaded);
     let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
     let more = json!({"source": source, "simulated": simulated, "dropped_scans": dropped});
-    if interrupted.load(Ordering::SeqCst) {
-        eprintln!("Interrupted by user; what was tracked until then is written to {}", args.out.display());
+    if let Some(signal) = interrupt.signal() {
+        eprintln!(
+            "Interrupted by {}; what was tracked until then is written to {}",
+            signal.name(),
+            args.out.display()
+        );
     }
     let code = conclude(args, whiskers, sinks, files, more, (dropped, false))?;
     failed.map(|()| code)
@@ -250,6 +258,8 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(50)) {
             Ok(readings) => readings,
+            // The user wants an end, which the tracker hears of by itself.
+            Err(e) if e.kind == DeviceErrorKind::Interrupted => break,
             Err(e) => return intake.fail(e),
         };
         if readings.is_empty() {
@@ -278,9 +288,18 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
 }
 
 /// Asks the stage that carries the base where it is; it is never moved from here.
-fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) {
-    let mut stage = match Drivers::default().stage(&rig.stage, clock) {
-        Ok(stage) => stage,
+fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, interrupt: &Interrupt, done: &AtomicBool) {
+    // Two programs on one serial line take each other's replies.
+    let serial = !rig.stage.port.starts_with("tcp://");
+    let lock = serial.then(|| FileLock::of_port(&rig.stage.port, "track")).transpose();
+    let opened = lock
+        .map_err(|held| {
+            let expected = "a line that nobody else uses";
+            DeviceError::new(DeviceErrorKind::Configuration, "stage", "open", expected, held.to_string())
+        })
+        .and_then(|lock| Ok((lock, Drivers::new(interrupt).stage(&rig.stage, clock)?)));
+    let (_lock, mut stage) = match opened {
+        Ok(opened) => opened,
         Err(e) => return intake.fail(e),
     };
     while !done.load(Ordering::SeqCst) {
@@ -290,6 +309,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) 
                     return intake.fail(unrecorded(&e));
                 }
             }
+            Err(e) if e.kind == DeviceErrorKind::Interrupted => return,
             Err(e) => return intake.fail(e),
         }
         std::thread::sleep(STAGE_POLL);
@@ -298,7 +318,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, done: &AtomicBool) 
 
 /// Whether the time that was asked for is over.
 fn over(args: &TrackArgs, whiskers: &Whiskers<'_>, reading: &FbgReading) -> bool {
-    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s)
+    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s) && !whiskers.doubts_clock()
 }
 
 /// Tracks what the queue gives.
@@ -308,13 +328,16 @@ fn consume(
     whiskers: &mut Whiskers<'_>,
     files: &mut TrackFiles,
     channels: Option<&TrackChannels>,
-    done: &AtomicBool,
+    ends: &dyn Fn() -> bool,
 ) -> Result<()> {
     let mut flushed = Instant::now();
-    while !done.load(Ordering::SeqCst) {
+    while !ends() {
         match receiver.recv_timeout(Duration::from_millis(100)) {
             Ok(Item::Scans(readings, mut dropped)) => {
                 for reading in &readings {
+                    if let Some(fault @ ClockFault::Stopped { .. }) = whiskers.hear(reading) {
+                        return Err(fault.error().into());
+                    }
                     if over(args, whiskers, reading) {
                         return Ok(());
                     }
@@ -372,6 +395,9 @@ fn conclude(
     if let Some(loss) = &loss {
         eprintln!("warning: {loss}");
     }
+    for fault in whiskers.clock_faults() {
+        eprintln!("warning: interrogator: {fault}");
+    }
     whiskers.say_doubts();
     if args.surface {
         summary["surface"] = whiskers.surface(&args.out)?;
@@ -379,7 +405,7 @@ fn conclude(
     files.finish(&summary, args.json)?;
     sinks.finish()?;
     let [untrained, misstated] = doubtful;
-    let lost = loss.is_some() || cut_off;
+    let lost = loss.is_some() || cut_off || !whiskers.clock_faults().is_empty();
     Ok(exit_code(args, Outcome { outside: outside > 0, misstated, lost, untrained }))
 }
 

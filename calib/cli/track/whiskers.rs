@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
 use wcal_acquisition::clocks::ClockPair;
 use wcal_acquisition::message::{StagePosition, SweepEvent};
 use wcal_acquisition::rig::Rig;
@@ -43,6 +44,11 @@ pub struct Whiskers<'a> {
     tare_s: f64,
     object_class: Option<String>,
     clocks: ClockPair,
+    clock_watch: ClockWatch,
+    clock_scale: f64,
+    clock_faults: Vec<ClockFault>,
+    /// Sum of the clock's steps, s.
+    stepped_s: f64,
     origin_s: Option<f64>,
     scans: u64,
     lost: u64,
@@ -101,6 +107,10 @@ impl<'a> Whiskers<'a> {
             tare_s: args.tare_s,
             object_class: args.object_class.clone(),
             clocks: ClockPair::default(),
+            clock_watch: ClockWatch::new(rig.clock_scale),
+            clock_scale: rig.clock_scale,
+            clock_faults: Vec::new(),
+            stepped_s: 0.0,
             origin_s: None,
             scans: 0,
             lost: 0,
@@ -118,10 +128,36 @@ impl<'a> Whiskers<'a> {
         self.all.iter().map(|w| w.loaded.name.clone()).collect()
     }
 
-    /// Time since the first scan by the device's clock, s.
+    /// Time since the first scan by the device's clock without its steps, s.
     pub fn elapsed_s(&self, reading: &FbgReading) -> f64 {
         let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
-        self.origin_s.map_or(0.0, |origin| now - origin)
+        self.origin_s.map_or(0.0, |origin| now - origin - self.stepped_s)
+    }
+
+    /// Hears what time a scan states, before it is tracked; what the clock has done, where it steps or stands still.
+    pub fn hear(&mut self, reading: &FbgReading) -> Option<ClockFault> {
+        let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
+        let fault = self.clock_watch.take(reading.serial, reading.clocks.host_s, now)?;
+        if let ClockFault::Step { step_s, .. } = fault {
+            self.stepped_s += step_s;
+        }
+        self.clock_faults.push(fault);
+        Some(fault)
+    }
+
+    /// Whether the clock may have stepped just now.
+    pub fn doubts_clock(&self) -> bool {
+        self.clock_watch.is_unsure()
+    }
+
+    /// Another recording follows: between two of them a clock may be set.
+    pub fn begin_recording(&mut self) {
+        self.clock_watch = ClockWatch::new(self.clock_scale);
+    }
+
+    /// What the clock did so far that no clock does.
+    pub fn clock_faults(&self) -> &[ClockFault] {
+        &self.clock_faults
     }
 
     /// Takes a position of the stage that carries the base.

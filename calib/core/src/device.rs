@@ -36,6 +36,8 @@ pub enum DeviceErrorKind {
     PeakLost,
     /// The device says that it is too hot, too cold or out of calibration.
     Health,
+    /// The device's clock stepped or stands still.
+    Clock,
     /// The device cannot do this.
     Unsupported,
     /// The user stopped the run.
@@ -62,6 +64,7 @@ impl DeviceErrorKind {
             Self::DataInvalid => "data-invalid",
             Self::PeakLost => "peak-lost",
             Self::Health => "health",
+            Self::Clock => "clock",
             Self::Unsupported => "unsupported",
             Self::Interrupted => "interrupted",
             Self::Configuration => "configuration",

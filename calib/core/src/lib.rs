@@ -1,16 +1,18 @@
 //! Quantities, observations, residual records and the documents that wcal's programs exchange.
 //!
-//! No device and no native code; of files only how they are opened and written. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
+//! No device and no native code; of files only how they are opened, written and locked. Units are in the names: `_mm`, `_pm` (wavelength shift), `_nmm` (N mm), `_s`, `_degc`.
 //! Frames: **base** has its origin at the wire's root; `base_from_cam0` takes cam0 coordinates to base coordinates.
 
 pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
+pub mod deadline;
 pub mod device;
 pub mod document;
 pub mod files;
 pub mod format;
 pub mod least_squares;
+pub mod lock;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;

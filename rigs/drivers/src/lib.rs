@@ -6,6 +6,7 @@ pub mod bench;
 pub mod cameras;
 mod host;
 pub mod hyperion;
+mod link;
 pub mod open;
 pub mod sm130;
 pub mod zaber;

@@ -10,6 +10,7 @@ use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind, Interrogator, Mount, Stage};
 use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig, StageRig};
 
@@ -18,6 +19,16 @@ use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig,
 pub struct Drivers {
     /// The serial line of an ASCII stage; a mount may be connected to it, too.
     chain: Option<Rc<RefCell<Chain>>>,
+    /// Ends every wait of the devices.
+    interrupt: Interrupt,
+}
+
+impl Drivers {
+    /// Devices whose waits end when the user wants an end.
+    #[must_use]
+    pub fn new(interrupt: &Interrupt) -> Self {
+        Self { chain: None, interrupt: interrupt.clone() }
+    }
 }
 
 fn unknown(what: &str, expected: &str, found: &str) -> DeviceError {
@@ -39,16 +50,19 @@ impl DeviceOpener for Drivers {
             "zaber-ascii" => {
                 let serial = !rig.port.starts_with("tcp://");
                 let chain = if serial && rig.baud.is_none() {
-                    Chain::probe(&rig.port)?.0
+                    Chain::probe(&rig.port, &self.interrupt)?.0
                 } else {
-                    Chain::open(&port(rig, 115_200))?
+                    Chain::open(&port(rig, 115_200), &self.interrupt)?
                 };
                 let chain = Rc::new(RefCell::new(chain));
                 // Questions are counted on the line of the first opening.
                 self.chain.get_or_insert_with(|| Rc::clone(&chain));
                 Box::new(ZaberStage::new(chain, rig.address, rig.axis, unit, clock)?)
             }
-            "zaber-binary" => Box::new(ZaberBinary::open(&port(rig, 9600), rig.address, unit, clock)?),
+            "zaber-binary" => {
+                let port = port(rig, 9600);
+                Box::new(ZaberBinary::open(&port, rig.address, unit, clock, &self.interrupt)?)
+            }
             other => return Err(unknown("stage", "driver zaber-ascii or zaber-binary", other)),
         };
         let travel = stage.travel_mm()?;
@@ -63,7 +77,7 @@ impl DeviceOpener for Drivers {
     /// On the stage's line; homed when it has no reference.
     fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
         let Some(chain) = &self.chain else { return Ok(None) };
-        let mount = ZaberMount::open(rig, Rc::clone(chain), clock)?;
+        let mount = ZaberMount::open(rig, Rc::clone(chain), clock, &self.interrupt)?;
         Ok(mount.map(|m| Box::new(m) as Box<dyn Mount>))
     }
 
@@ -73,11 +87,12 @@ impl DeviceOpener for Drivers {
         clock: HostClock,
     ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
         match rig.driver.as_str() {
-            "sm130" => Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock)?)),
+            "sm130" => Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock, &self.interrupt)?)),
             "hyperion" => {
                 let peaks = rig.peaks_address.as_deref();
                 let peaks = peaks.ok_or_else(|| unknown("interrogator", "peaks_address", "none"))?;
-                Ok(Box::new(Hyperion::connect(&rig.address, peaks, rig.rate_hz, clock)?))
+                let commands = &rig.address;
+                Ok(Box::new(Hyperion::connect(commands, peaks, rig.rate_hz, clock, &self.interrupt)?))
             }
             other => Err(unknown("interrogator", "driver sm130, hyperion or replay", other)),
         }
@@ -85,7 +100,7 @@ impl DeviceOpener for Drivers {
 
     fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
         let mut camera: Box<dyn Camera + Send> = match rig.driver.as_str() {
-            "net" => Box::new(NetCamera::connect(&rig.source, clock)?),
+            "net" => Box::new(NetCamera::connect(&rig.source, clock, &self.interrupt)?),
             "folder" => {
                 let period_s = 1.0 / rig.rate_hz.unwrap_or(10.0);
                 Box::new(FolderCamera::open(Path::new(&rig.source), period_s)?)
@@ -96,7 +111,7 @@ impl DeviceOpener for Drivers {
                     rate_hz: rig.rate_hz,
                     controls: rig.controls.clone().into_iter().collect(),
                 };
-                Box::new(V4l2Camera::open(&rig.source, &settings, clock)?)
+                Box::new(V4l2Camera::open(&rig.source, &settings, clock, &self.interrupt)?)
             }
             other => {
                 let name = format!("camera {}", rig.name);
@@ -118,9 +133,12 @@ pub struct ZaberMount {
     steps_per_trajectory: i64,
     unit: Microsteps,
     speed_mm_s: f64,
-    /// Longest a turn may take.
-    patience: Duration,
+    clock_scale: f64,
+    interrupt: Interrupt,
 }
+
+/// Longest reference search of a mount (wall time).
+const HOME: Duration = Duration::from_secs(60);
 
 impl ZaberMount {
     /// The mount of a rig on an open chain; homed when it has no reference.
@@ -131,44 +149,54 @@ impl ZaberMount {
         rig: &MountRig,
         chain: Rc<RefCell<Chain>>,
         clock: HostClock,
+        interrupt: &Interrupt,
     ) -> Result<Option<Self>, DeviceError> {
         let MountRig::Zaber { address, steps_per_trajectory, microstep_um, speed_mm_s } = rig else {
             return Ok(None);
         };
         let unit = Microsteps { size_um: *microstep_um };
-        let mut stage = ZaberStage::new(chain, *address, 1, unit, clock)?;
-        let patience = Duration::from_secs(60);
-        if stage.read().is_err_and(|e| e.kind == DeviceErrorKind::NotHomed) {
-            stage.start_home()?;
-        }
         let mut mount = Self {
-            stage,
+            stage: ZaberStage::new(chain, *address, 1, unit, clock)?,
             steps_per_trajectory: *steps_per_trajectory,
             unit,
             speed_mm_s: *speed_mm_s,
-            patience,
+            clock_scale: clock.scale(),
+            interrupt: interrupt.clone(),
         };
-        mount.until_standing()?;
+        if mount.stage.read().is_err_and(|e| e.kind == DeviceErrorKind::NotHomed) {
+            mount.stage.start_home()?;
+        }
+        mount.until_standing(HOME)?;
         Ok(Some(mount))
     }
 
-    fn until_standing(&mut self) -> Result<(), DeviceError> {
-        let end = std::time::Instant::now() + self.patience;
-        while self.stage.read()?.moving {
-            if std::time::Instant::now() > end {
-                let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(kind, "mount", "turn", "standstill", "still moving"));
+    /// Waits for the end of a motion; a mount that does not get there is stopped.
+    fn until_standing(&mut self, allowed: Duration) -> Result<(), DeviceError> {
+        let deadline = Deadline::after(allowed, &self.interrupt);
+        let result = loop {
+            match self.stage.read() {
+                Ok(reading) if !reading.moving => break Ok(()),
+                Ok(reading) if deadline.is_over() => {
+                    let found = format!("still moving (BUSY) at {:.3} mm", reading.measured_mm);
+                    break Err(deadline.error("mount", "turn", "standstill", &found));
+                }
+                Ok(_) => deadline.pause(Duration::from_millis(5)),
+                Err(e) => break Err(e),
             }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Ok(())
+        };
+        result.inspect_err(|_| {
+            // The error on its way to the user says more than one of the stop.
+            let _ = self.stage.stop();
+        })
     }
 }
 
 impl Mount for ZaberMount {
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let steps = i64::from(trajectory) * self.steps_per_trajectory;
-        self.stage.start_move(self.unit.to_mm(steps as f64), self.speed_mm_s)?;
-        self.until_standing()
+        let target_mm = self.unit.to_mm(steps as f64);
+        let way_mm = target_mm - self.stage.read()?.measured_mm;
+        self.stage.start_move(target_mm, self.speed_mm_s)?;
+        self.until_standing(move_allowance(way_mm, self.speed_mm_s, self.clock_scale))
     }
 }

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use wcal_acquisition::record::{RecordResult, record};
 use wcal_acquisition::sweep::Ending;
+use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::DeviceErrorKind as Kind;
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
@@ -41,7 +42,7 @@ fn run(
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
             let state = (bench.true_stage().1 != 0.0) == moving;
             if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
                 bench.inject(fault);
@@ -144,6 +145,83 @@ fn disturbed_replies_are_asked_for_again() {
 }
 
 #[test]
+fn late_foreign_and_further_lines_are_no_replies() {
+    for fault in [Fault::LateReply, Fault::ForeignReply, Fault::InfoLines] {
+        several(fault, "", Outcome::Survives);
+    }
+}
+
+#[test]
+fn a_stage_that_stays_busy_stops_the_sweep() {
+    several(Fault::BusyForEver, "", Outcome::Stops(Kind::Timeout));
+}
+
+/// Without a reply the stop is not confirmed, but it was sent, and the stage stands.
+#[test]
+fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
+    for fault in [Fault::AlertFlood { on: true }, Fault::ForeignFlood { on: true }] {
+        let (bench, dir, recorded) = run(fault, "", 4, true);
+        let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else { panic!("{fault:?}") };
+        assert_eq!((cause.kind, *stage_stopped, recorded.exit_code()), (Kind::Timeout, false, 1), "{cause}");
+        assert!(cause.to_string().contains("none among"), "{cause}");
+        assert_eq!(bench.true_stage().1, 0.0, "{fault:?}");
+        assert!(!rows(&dir.path().join("session")).rows.is_empty());
+    }
+    // Control: over within the time of a question's repetitions.
+    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
+    let order = order(&bench, PLAN, dir.path());
+    let injected = AtomicBool::new(false);
+    let recorded = std::thread::scope(|scope| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
+            if p.step >= 4 && !injected.swap(true, Ordering::SeqCst) {
+                bench.inject(Fault::AlertFlood { on: true });
+                scope.spawn(|| {
+                    std::thread::sleep(Duration::from_millis(600));
+                    bench.inject(Fault::AlertFlood { on: false });
+                });
+            }
+        })
+    })
+    .unwrap();
+    assert_eq!(recorded.sweep.ending, Ending::Finished);
+    assert!(recorded.repeats > 0);
+}
+
+#[test]
+fn a_clock_that_is_set_or_stands_still_stops_the_sweep() {
+    for seconds in [-3600.0, -5.0, 5.0, 3600.0] {
+        several(Fault::ClockStep { seconds }, "", Outcome::Stops(Kind::Clock));
+    }
+    several(Fault::ClockStop { on: true }, "", Outcome::Stops(Kind::Clock));
+}
+
+#[test]
+fn a_peak_without_a_value_is_counted_and_twenty_in_a_row_are_a_lost_peak() {
+    let words = "1 scans with a lost or crossing peak";
+    several(Fault::NanPeak { grating: 2, count: 1 }, "", Outcome::Warns(words));
+    several(Fault::NanPeak { grating: 2, count: 30 }, "", Outcome::Stops(Kind::PeakLost));
+}
+
+/// The user wants an end while no reply comes: the sweep hears it at once, and tries to stop all the same.
+#[test]
+fn an_interrupt_is_heard_while_a_question_waits() {
+    let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
+    let order = order(&bench, PLAN, dir.path());
+    let interrupt = Interrupt::default();
+    let recorded = record(&order, &mut Drivers::new(&interrupt), &mut NoMount, &interrupt, &mut |p| {
+        if p.step >= 4 {
+            bench.inject(Fault::AlertFlood { on: true });
+            interrupt.set(Signal::Terminate);
+        }
+    })
+    .unwrap();
+    let Ending::Stopped { cause, .. } = &recorded.sweep.ending else { panic!("{recorded:?}") };
+    assert_eq!(cause.kind, Kind::Interrupted, "{cause}");
+    assert!(cause.to_string().contains("SIGTERM"), "{cause}");
+    assert_eq!(bench.true_stage().1, 0.0);
+}
+
+#[test]
 fn lost_samples_and_gaps_are_counted_and_a_dead_stream_stops_the_sweep() {
     several(Fault::LostSamples { count: 37 }, "", Outcome::Warns("37 scans lost in 1 gaps"));
     several(Fault::StreamGap { seconds: 2.0 }, "buffer = 200", Outcome::Warns("scans lost"));
@@ -187,7 +265,7 @@ fn without_a_fault_there_is_no_outcome() {
 fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
-    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |p| {
+    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
         if p.step >= 4 {
             bench.inject(Fault::UnplugStage);
         }

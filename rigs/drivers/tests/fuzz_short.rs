@@ -7,11 +7,12 @@ use wcal_drivers::cameras::folder::parse_pgm;
 use wcal_drivers::hyperion::frame;
 use wcal_drivers::sm130::stream::{Item, StreamDecoder};
 
-fn items(bytes: &[u8], step: usize) -> Vec<Item> {
+/// The items as text: a peak without a value is NaN, which equals nothing.
+fn items(bytes: &[u8], step: usize) -> Vec<String> {
     let (mut decoder, mut items) = (StreamDecoder::default(), Vec::new());
     for part in bytes.chunks(step.max(1)) {
         decoder.push(part);
-        items.extend(std::iter::from_fn(|| decoder.next_item()));
+        items.extend(std::iter::from_fn(|| decoder.next_item()).map(|item: Item| format!("{item:?}")));
     }
     items
 }

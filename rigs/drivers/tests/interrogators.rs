@@ -14,6 +14,7 @@ use wcal_acquisition::replay::{End, Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::sweep::acquire;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{Camera, DeviceErrorKind, FbgReading, Interrogator};
 use wcal_drivers::bench::plant::Plant;
 use wcal_drivers::bench::scene::{Scene, SceneState};
@@ -31,7 +32,8 @@ fn bench(extra: &str) -> VirtualBench {
 }
 
 fn sm130(bench: &VirtualBench) -> Sm130 {
-    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0)).unwrap()
+    Sm130::connect(&bench.addresses().sm130.to_string(), 2000.0, HostClock::start(1.0), &Interrupt::default())
+        .unwrap()
 }
 
 fn collect(unit: &mut dyn Interrogator, seconds: f64) -> Vec<FbgReading> {
@@ -136,11 +138,11 @@ fn silence_is_a_timeout_and_nobody_there_is_a_disconnection() {
         while link.read(&mut bytes).is_ok_and(|n| n > 0) {}
         let _ = link.write_all(b"late");
     });
-    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap();
+    let mut unit = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap();
     assert_eq!(unit.identity().unwrap_err().kind, DeviceErrorKind::Timeout);
     drop(unit);
     mute.join().unwrap();
-    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0)).unwrap_err();
+    let nobody = Sm130::connect(&address, 1000.0, HostClock::start(1.0), &Interrupt::default()).unwrap_err();
     assert_eq!(nobody.kind, DeviceErrorKind::Disconnected);
 }
 
@@ -149,7 +151,14 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
     let bench = bench("");
     let h = &bench.addresses().hyperion;
     let clock = HostClock::start(1.0);
-    let mut unit = Hyperion::connect(&h.commands.to_string(), &h.peaks.to_string(), 2000.0, clock).unwrap();
+    let mut unit = Hyperion::connect(
+        &h.commands.to_string(),
+        &h.peaks.to_string(),
+        2000.0,
+        clock,
+        &Interrupt::default(),
+    )
+    .unwrap();
     assert_eq!(unit.identity().unwrap().serial, "VIR155");
     assert_eq!(unit.scan().unwrap().peaks_nm[0].len(), 3);
     unit.start().unwrap();
@@ -162,7 +171,7 @@ fn a_hyperion_streams_the_same_scans_without_a_gap() {
 fn pair(bench: &VirtualBench) -> CameraPair {
     let open = |k: usize| -> Box<dyn Camera + Send> {
         let address = bench.addresses().cameras[k].to_string();
-        Box::new(NetCamera::connect(&address, HostClock::start(1.0)).unwrap())
+        Box::new(NetCamera::connect(&address, HostClock::start(1.0), &Interrupt::default()).unwrap())
     };
     CameraPair::new([open(0), open(1)], 2.0)
 }
@@ -300,4 +309,49 @@ fn twenty_seconds_at_two_kilohertz_are_recorded_without_a_gap() {
 #[ignore = "takes a minute"]
 fn ten_minutes_at_two_kilohertz_are_recorded_without_a_gap() {
     assert!(recorded_without_a_gap(600.0) >= 1_200_000);
+}
+
+/// A unit on a port of its own: waits for `owed` bytes, sends `late`, and answers each further message with one of `more`.
+fn unit(owed: usize, late: Vec<u8>, more: Vec<Vec<u8>>) -> (String, std::thread::JoinHandle<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let thread = std::thread::spawn(move || {
+        let mut link = listener.accept().unwrap().0;
+        let (mut seen, mut bytes) = (0, [0_u8; 512]);
+        while seen < owed {
+            seen += link.read(&mut bytes).unwrap();
+        }
+        link.write_all(&late).unwrap();
+        for reply in more {
+            assert!(link.read(&mut bytes).unwrap() > 0);
+            link.write_all(&reply).unwrap();
+        }
+    });
+    (address, thread)
+}
+
+/// A command that was given up, here by an interrupt: its reply comes later, and answers no other command.
+#[test]
+fn late_replies_of_interrogators_are_left_out() {
+    let text = |t: &str| format!("{:010}{t}\n", t.len() + 1).into_bytes();
+    let (clock, interrupt) = (HostClock::start(1.0), Interrupt::default());
+    let (address, thread) = unit(6, [text("of the first"), text("of the second")].concat(), Vec::new());
+    let mut sm130 = Sm130::connect(&address, 1000.0, clock, &interrupt).unwrap();
+    interrupt.set(Signal::CtrlC);
+    assert_eq!(sm130.command("#A").unwrap_err().kind, DeviceErrorKind::Interrupted);
+    interrupt.acknowledge();
+    assert_eq!(sm130.command("#B").unwrap().trim(), "of the second");
+    thread.join().unwrap();
+
+    let response = |t: &str| [&[0, 0, t.len() as u8, 0, 0, 0, 0, 0][..], t.as_bytes()].concat();
+    let late = [response("late"), response("serial")].concat();
+    let (address, thread) =
+        unit(2 * (8 + "#GetSerialNumber".len()), late, vec![response("N"), response("F")]);
+    let mut hyperion = Hyperion::connect(&address, &address, 1000.0, clock, &interrupt).unwrap();
+    interrupt.set(Signal::CtrlC);
+    assert_eq!(hyperion.identity().unwrap_err().kind, DeviceErrorKind::Interrupted);
+    interrupt.acknowledge();
+    let identity = hyperion.identity().unwrap();
+    assert_eq!([&identity.serial, &identity.model, &identity.firmware], ["serial", "N", "F"]);
+    thread.join().unwrap();
 }

@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceErrorKind, Stage};
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
 use wcal_drivers::zaber::units::Microsteps;
@@ -18,7 +19,7 @@ fn bench(extra: &str) -> VirtualBench {
 }
 
 fn tcp(bench: &VirtualBench) -> ZaberStage {
-    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string())).unwrap())
+    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string()), &Interrupt::default()).unwrap())
 }
 
 fn on(chain: Chain) -> ZaberStage {
@@ -43,7 +44,11 @@ fn an_unreferenced_stage_is_refused_homed_and_then_moves() {
     for path in ["tcp", "pty"] {
         let mut stage = match path {
             "tcp" => tcp(&bench),
-            _ => on(Chain::open(&Port::Serial(bench.addresses().stage_pty.clone(), 115_200)).unwrap()),
+            _ => on(Chain::open(
+                &Port::Serial(bench.addresses().stage_pty.clone(), 115_200),
+                &Interrupt::default(),
+            )
+            .unwrap()),
         };
         if path == "tcp" {
             assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
@@ -102,6 +107,54 @@ fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
     assert_eq!(stage.chain().borrow().repeats(), repeats);
 }
 
+/// Both protocols: a reply that comes when its question was given up answers no other question, then or later.
+#[test]
+fn a_late_reply_answers_its_own_question_alone() {
+    for protocol in ["ascii", "binary"] {
+        let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\""));
+        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
+        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
+        let mut stage: Box<dyn Stage> = match protocol {
+            "ascii" => Box::new(tcp(&bench)),
+            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+        };
+        stage.start_home().unwrap();
+        settle(stage.as_mut());
+        for k in 1..5 {
+            let target_mm = 20.0 * f64::from(k % 2 + 1);
+            bench.inject(Fault::LateReply);
+            stage.read().unwrap();
+            bench.inject(Fault::ForeignReply);
+            bench.inject(Fault::InfoLines);
+            stage.start_move(target_mm, 20.0).unwrap();
+            let found_mm = settle(stage.as_mut());
+            assert!((found_mm - target_mm).abs() < 1e-3, "{protocol}: {found_mm} for {target_mm}");
+        }
+    }
+}
+
+#[test]
+fn floods_end_with_the_deadline_in_both_protocols() {
+    for protocol in ["ascii", "binary"] {
+        let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\"\n{HOMED}"));
+        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
+        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
+        let mut stage: Box<dyn Stage> = match protocol {
+            "ascii" => Box::new(tcp(&bench)),
+            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+        };
+        for on in [|on| Fault::AlertFlood { on }, |on| Fault::ForeignFlood { on }] as [fn(bool) -> Fault; 2] {
+            bench.inject(on(true));
+            let why = stage.read().unwrap_err();
+            assert!(why.kind == DeviceErrorKind::Timeout && why.to_string().contains("among"), "{why}");
+            assert!(stage.stop().is_err(), "{protocol}: nothing confirms it");
+            bench.inject(on(false));
+            // Control: without the flood it answers again.
+            assert!((stage.read().unwrap().measured_mm - 37.0).abs() < 1e-3, "{protocol}");
+        }
+    }
+}
+
 #[test]
 fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
     let bench = bench(HOMED);
@@ -119,18 +172,21 @@ fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
 #[test]
 fn the_speed_of_the_line_is_found() {
     let bench = bench("[stage]\nbaud = 9600");
-    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty).unwrap();
+    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty, &Interrupt::default()).unwrap();
     assert_eq!(baud, 9600);
     assert!(on(chain).identity().is_ok());
     let deaf = self::bench("[stage]\nbaud = 19200");
-    assert_eq!(Chain::probe(&deaf.addresses().stage_pty).unwrap_err().kind, DeviceErrorKind::Timeout);
+    assert_eq!(
+        Chain::probe(&deaf.addresses().stage_pty, &Interrupt::default()).unwrap_err().kind,
+        DeviceErrorKind::Timeout
+    );
 }
 
 #[test]
 fn a_binary_stage_homes_moves_and_names_its_stall() {
     let bench = bench("[stage]\nprotocol = \"binary\"");
     let port = Port::Tcp(bench.addresses().stage_tcp.to_string());
-    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0)).unwrap();
+    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0), &Interrupt::default()).unwrap();
     assert_eq!(stage.identity().unwrap().serial, "67890");
     assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
     stage.start_home().unwrap();

@@ -5,7 +5,7 @@ mod common;
 
 use common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use wcal_acquisition::assign::ChannelMap;
 use wcal_acquisition::monitor::Monitor;
@@ -16,6 +16,7 @@ use wcal_acquisition::rig::Rig;
 use wcal_acquisition::run_file::RunFile;
 use wcal_acquisition::sweep::{Ending, acquire};
 use wcal_core::Role;
+use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
@@ -73,13 +74,15 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
 fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let mut order = order(&bench, PLAN, dir.path());
-    let interrupt = AtomicBool::new(false);
+    let interrupt = Interrupt::default();
     let mut lost = false;
     let first = record(&order, &mut Drivers::default(), &mut NoMount, &interrupt, &mut |p| {
         if p.step >= 4 && !std::mem::replace(&mut lost, true) {
             bench.inject(Fault::LostSamples { count: 37 });
         }
-        interrupt.store(p.step >= 5, Ordering::SeqCst);
+        if p.step >= 5 {
+            interrupt.set(Signal::CtrlC);
+        }
     })
     .unwrap();
     let Ending::Stopped { cause, stage_stopped } = &first.sweep.ending else { panic!("{first:?}") };

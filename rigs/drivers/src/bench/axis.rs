@@ -36,6 +36,8 @@ pub struct Axis {
     homing_until_s: Option<f64>,
     sticky: BTreeSet<&'static str>,
     stall_armed: bool,
+    /// The next motion never ends; the present one does not.
+    endless: [bool; 2],
     busy_seen: bool,
 }
 
@@ -52,6 +54,7 @@ impl Axis {
             homing_until_s: None,
             sticky,
             stall_armed: false,
+            endless: [false; 2],
             busy_seen: false,
         }
     }
@@ -67,6 +70,9 @@ impl Axis {
         if self.stall_armed && self.busy(t_s) {
             self.stall_armed = false;
             self.stop_dead(t_s, "FS");
+        }
+        if self.endless[0] && self.busy(t_s) {
+            self.endless = [false, true];
         }
         let busy = self.busy(t_s);
         let ended = self.busy_seen && !busy;
@@ -89,7 +95,7 @@ impl Axis {
     /// Whether it moves.
     #[must_use]
     pub fn busy(&self, t_s: f64) -> bool {
-        t_s < self.motion.end_s()
+        self.endless[1] || t_s < self.motion.end_s()
     }
 
     /// Whether the position has a reference.
@@ -152,6 +158,7 @@ impl Axis {
     pub fn stop(&mut self, t_s: f64) {
         if self.busy(t_s) {
             self.interrupt();
+            self.endless[1] = false;
             self.motion.halt(t_s);
         }
     }
@@ -187,15 +194,22 @@ impl Axis {
         self.stall_armed = true;
     }
 
+    /// The next (or present) motion never ends by itself.
+    pub fn arm_endless(&mut self) {
+        self.endless[0] = true;
+    }
+
     /// Stops without a ramp and sets `flag`.
     pub fn stop_dead(&mut self, t_s: f64, flag: &'static str) {
         self.homing_until_s = None;
+        self.endless = [false; 2];
         self.motion.freeze(t_s);
         self.sticky.insert(flag);
     }
 
     /// Power lost and back: standing where it was, reference gone.
     pub fn power_cycle(&mut self, t_s: f64) {
+        self.endless = [false; 2];
         self.motion.freeze(t_s);
         self.motion.set_acceleration(self.spec.acceleration_mm_s2);
         self.sticky = BTreeSet::from(["WR"]);
@@ -231,6 +245,21 @@ mod tests {
         let unit = Microsteps { size_um: 0.047_625 };
         let spec = AxisSpec { unit, limit_steps: 2_133_333, max_speed_mm_s: 7.0, acceleration_mm_s2: 100.0 };
         Axis::new(spec, 10.0, homed)
+    }
+
+    #[test]
+    fn an_endless_motion_is_busy_until_it_is_stopped() {
+        let mut a = axis(true);
+        a.arm_endless();
+        a.move_to(0.0, 0, None).unwrap();
+        a.update(0.1);
+        assert!(a.busy(1000.0) && a.steps(1000.0) == 0);
+        a.stop(1000.0);
+        assert!(!a.busy(1001.0));
+        // Control: the motion after it ends.
+        a.move_to(1001.0, 210_000, None).unwrap();
+        a.update(1001.1);
+        assert!(a.busy(1001.1) && !a.busy(1100.0));
     }
 
     #[test]

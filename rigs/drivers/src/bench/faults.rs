@@ -34,6 +34,29 @@ pub enum Fault {
     DoubleReply,
     /// Noise before the next reply.
     NoiseReply,
+    /// The next reply comes after the client has given it up.
+    LateReply,
+    /// A reply of another unit before the next reply.
+    ForeignReply,
+    /// Info and empty lines before the next reply.
+    InfoLines,
+    /// Alerts (binary: positions that nobody asked for) without an end, and no reply among them.
+    AlertFlood {
+        /// Begins or ends.
+        on: bool,
+    },
+    /// Replies of another unit without an end, and none of this one.
+    ForeignFlood {
+        /// Begins or ends.
+        on: bool,
+    },
+    /// The next motion of the stage never ends: it stays BUSY at its target until it is told to stop.
+    BusyForEver,
+    /// Stage and interrogator answer to no new connection.
+    NeverAccept {
+        /// Begins or ends.
+        on: bool,
+    },
     /// Scans that are never sent.
     LostSamples {
         /// How many.
@@ -67,6 +90,13 @@ pub enum Fault {
         grating: usize,
         /// Set or cleared.
         on: bool,
+    },
+    /// The peak of a grating has no value (Hyperion: NaN, sm130: 0) in some scans.
+    NanPeak {
+        /// Which grating.
+        grating: usize,
+        /// How many scans.
+        count: u64,
     },
     /// Grating 1 is shifted onto grating 2.
     PeakCrossing {
@@ -113,6 +143,16 @@ pub enum Fault {
     ClockDrift {
         /// Parts per million.
         ppm: f64,
+    },
+    /// The unit's clock is set.
+    ClockStep {
+        /// By how much, s; negative: back.
+        seconds: f64,
+    },
+    /// The unit's clock stands still, or goes on from where it stood.
+    ClockStop {
+        /// Stands or goes on.
+        on: bool,
     },
     /// The unloaded sensing gratings drift from now on: the signal never settles.
     SignalDrift {

@@ -25,6 +25,43 @@ pub enum ReplyFault {
     Double,
     /// Preceded by noise.
     Noise,
+    /// Sent when the client has given it up.
+    Late,
+    /// Preceded by a reply of another unit.
+    Foreign,
+    /// Preceded by info and empty lines.
+    Info,
+}
+
+/// What a line carries instead of replies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flood {
+    /// Messages of the unit that nobody asked for.
+    Alerts,
+    /// Replies of another unit.
+    Foreign,
+}
+
+/// A late reply comes after this time: a client waits for 0.4 s.
+const LATE: Duration = Duration::from_millis(600);
+/// Messages of a flood that are sent at once.
+const POURED: usize = 40;
+/// Longest wait for a client that takes nothing.
+const TAKEN: Duration = Duration::from_secs(1);
+
+/// A message that is no reply of unit 1: binary messages have six bytes, all others are ASCII lines.
+fn stray(flood: Flood, binary: bool) -> &'static [u8] {
+    match (flood, binary) {
+        (Flood::Alerts, false) => b"!01 1 IDLE --\r\n",
+        (Flood::Alerts, true) => &[1, 8, 0, 0, 0, 0],
+        (Flood::Foreign, false) => b"@09 1 77 OK IDLE -- 0\r\n",
+        (Flood::Foreign, true) => &[9, 60, 0, 0, 0, 0],
+    }
+}
+
+/// Whether a reply is of the binary protocol.
+fn is_binary(reply: &[u8]) -> bool {
+    reply.len() == 6 && reply[0] != b'@'
 }
 
 /// State of one cable.
@@ -32,6 +69,7 @@ pub enum ReplyFault {
 pub struct Cable {
     unplugged: AtomicBool,
     next: Mutex<VecDeque<ReplyFault>>,
+    flood: Mutex<Option<Flood>>,
 }
 
 impl Cable {
@@ -53,14 +91,49 @@ impl Cable {
         }
     }
 
+    /// Begins or ends a flood.
+    pub fn flood(&self, flood: Option<Flood>) {
+        if let Ok(mut now) = self.flood.lock() {
+            *now = flood;
+        }
+    }
+
+    fn flooded(&self) -> Option<Flood> {
+        self.flood.lock().ok().and_then(|now| *now)
+    }
+
+    /// Sends a part of the flood, where there is one.
+    ///
+    /// # Errors
+    /// What the link reports.
+    pub fn pour(&self, wire: &mut dyn Wire, binary: bool) -> io::Result<()> {
+        self.flooded().map_or(Ok(()), |flood| wire.send(&stray(flood, binary).repeat(POURED)))
+    }
+
     /// Sends a reply as the cable lets it through.
     ///
     /// # Errors
     /// What the link reports.
     pub fn send(&self, wire: &mut dyn Wire, bytes: &[u8]) -> io::Result<()> {
+        // In a flood the reply is lost.
+        if self.flooded().is_some() {
+            return Ok(());
+        }
         let fault = self.next.lock().ok().and_then(|mut q| q.pop_front());
         match fault {
             None => wire.send(bytes),
+            Some(ReplyFault::Late) => {
+                std::thread::sleep(LATE);
+                wire.send(bytes)
+            }
+            Some(ReplyFault::Foreign) => {
+                wire.send(&[stray(Flood::Foreign, is_binary(bytes)), bytes].concat())
+            }
+            // The binary protocol has neither info nor lines.
+            Some(ReplyFault::Info) if is_binary(bytes) => wire.send(bytes),
+            Some(ReplyFault::Info) => {
+                wire.send(&[&b"#01 1 the unit says more\r\n\r\n\r\n#01 0 and more\r\n"[..], bytes].concat())
+            }
             Some(ReplyFault::Lose) => Ok(()),
             Some(ReplyFault::Corrupt) => {
                 let mut wrong = bytes.to_vec();
@@ -160,7 +233,12 @@ impl Wire for Pty {
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         let mut rest = bytes;
+        let wait = Timespec { tv_sec: TAKEN.as_secs() as i64, tv_nsec: 0 };
         while !rest.is_empty() {
+            // Without a client the terminal fills up, and a write would wait for ever.
+            if poll(&mut [PollFd::new(&self.master, PollFlags::OUT)], Some(&wait))? == 0 {
+                return Err(io::ErrorKind::TimedOut.into());
+            }
             let sent = rustix::io::write(&self.master, rest)?;
             rest = &rest[sent..];
         }

@@ -17,6 +17,7 @@ pub mod scene;
 mod sm130_server;
 mod stage_server;
 pub mod unit;
+pub mod unit_clock;
 pub mod world;
 
 use faults::Fault;
@@ -138,6 +139,13 @@ impl Drop for VirtualBench {
     }
 }
 
+/// Longest wait for a client that takes nothing.
+const SEND: Duration = Duration::from_secs(5);
+/// A connection that is not answered in this time: the queue of the port is full.
+const UNANSWERED: Duration = Duration::from_millis(100);
+/// Most connections that fill a queue; the standard library asks for a queue of 128.
+const QUEUE: usize = 200;
+
 /// Which cable a port hangs on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Cord {
@@ -171,13 +179,27 @@ where
     let shared = Arc::clone(shared);
     threads.push(std::thread::spawn(move || {
         let mut clients: Vec<JoinHandle<()>> = Vec::new();
+        let mut queue = Vec::new();
         while !shared.stopping() {
+            if cord != Cord::None && shared.never_accepts() {
+                // With a full queue the system does not answer to another connection.
+                if queue.is_empty() {
+                    queue = std::iter::from_fn(|| TcpStream::connect_timeout(&address, UNANSWERED).ok())
+                        .take(QUEUE)
+                        .collect();
+                }
+                std::thread::sleep(Duration::from_millis(3));
+                continue;
+            }
+            queue.clear();
             match listener.accept() {
                 // With the cable pulled no connection is accepted.
                 Ok((link, _)) if !cord.is_out(&shared) => {
                     let (shared, serve) = (Arc::clone(&shared), serve.clone());
                     clients.push(std::thread::spawn(move || {
-                        if link.set_nonblocking(false).and_then(|()| link.set_nodelay(true)).is_ok() {
+                        let set = link.set_nonblocking(false).and_then(|()| link.set_nodelay(true));
+                        // A client that takes nothing must not hold up the end of the bench.
+                        if set.and_then(|()| link.set_write_timeout(Some(SEND))).is_ok() {
                             // Clients come and go; the end of a link is no event for the bench.
                             let _ = serve(&shared, link);
                         }

@@ -16,7 +16,6 @@ const TOKEN: &[u8] = b"XXXXXXXX";
 /// # Errors
 /// Why the link ended.
 pub fn serve(shared: &Shared, mut link: TcpStream) -> io::Result<()> {
-    link.set_write_timeout(Some(Duration::from_secs(5)))?;
     let mut line = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;

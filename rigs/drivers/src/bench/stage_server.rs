@@ -28,8 +28,13 @@ fn open(shared: &Shared) -> bool {
 fn serve_ascii(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
     let mut line = Vec::new();
     let mut bytes = [0_u8; 256];
+    let mut heard = false;
     while open(shared) {
         let count = wire.receive(&mut bytes)?;
+        heard |= count > 0;
+        if heard {
+            shared.stage_cable.pour(wire, false)?;
+        }
         let alerts: Vec<String> = {
             let t_s = shared.clock.now_s();
             shared.world().units.iter_mut().filter_map(|u| u.update(t_s)).collect()
@@ -71,8 +76,13 @@ fn serve_binary(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
     let mut face = BinaryUnit::new(1, spec.device_id, 513, spec.serial);
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 256];
+    let mut heard = false;
     while open(shared) {
         let count = wire.receive(&mut bytes)?;
+        heard |= count > 0;
+        if heard {
+            shared.stage_cable.pour(wire, true)?;
+        }
         if wrong_speed(shared, wire) {
             pending.clear();
             continue;

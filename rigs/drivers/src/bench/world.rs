@@ -2,11 +2,12 @@
 
 use super::clock::BenchClock;
 use super::faults::{Fault, ScheduledFault};
-use super::link::{Cable, ReplyFault};
+use super::link::{Cable, Flood, ReplyFault};
 use super::plant::{Physics, Plant};
 use super::scenario::{CameraScenario, Scenario};
 use super::scene::Scene;
 use super::unit::{Unit, UnitSpec};
+use super::unit_clock::UnitClock;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -34,6 +35,8 @@ pub struct World {
     health: InterrogatorHealth,
     lost: [bool; 3],
     crossing: bool,
+    /// A grating whose peak has no value, and in how many scans.
+    valueless: (usize, u64),
     skip: u64,
     schedule: VecDeque<ScheduledFault>,
     scanned: u64,
@@ -95,8 +98,9 @@ pub struct Shared {
     ring: Mutex<Ring>,
     fresh: Condvar,
     pause_until_s: Mutex<f64>,
-    /// Bench time since which the unit's clock runs wrong, and by how many ppm.
-    clock_fault: Mutex<(f64, f64)>,
+    /// What is wrong with the interrogator's clock.
+    unit_clock: Mutex<UnitClock>,
+    never_accepts: AtomicBool,
     garbage: AtomicBool,
     stop: AtomicBool,
 }
@@ -132,6 +136,7 @@ impl Shared {
             health: InterrogatorHealth::default(),
             lost: [false; 3],
             crossing: false,
+            valueless: (0, 0),
             skip: 0,
             schedule: schedule.into(),
             scanned: 0,
@@ -148,7 +153,8 @@ impl Shared {
             ring: Mutex::new(Ring::default()),
             fresh: Condvar::new(),
             pause_until_s: Mutex::new(0.0),
-            clock_fault: Mutex::new((0.0, 0.0)),
+            unit_clock: Mutex::new(UnitClock::default()),
+            never_accepts: AtomicBool::new(false),
             garbage: AtomicBool::new(false),
             stop: AtomicBool::new(false),
         })
@@ -210,13 +216,18 @@ impl Shared {
         self.world().behind_s
     }
 
+    /// Whether no new connection is answered.
+    #[must_use]
+    pub fn never_accepts(&self) -> bool {
+        self.never_accepts.load(Ordering::SeqCst)
+    }
+
     /// Time of the interrogator's clock at bench time `t_s`, s since 1970.
     #[must_use]
     pub fn device_s(&self, t_s: f64) -> f64 {
         let spec = &self.scenario.interrogator;
-        let (since_s, ppm) = *guard(&self.clock_fault);
-        let wrong_s = (t_s * spec.clock_drift_ppm + (t_s - since_s).max(0.0) * ppm) * 1e-6;
-        self.clock.epoch_s(t_s + wrong_s) + spec.clock_offset_s
+        let own_s = guard(&self.unit_clock).at(t_s) + t_s * spec.clock_drift_ppm * 1e-6;
+        self.clock.epoch_s(own_s) + spec.clock_offset_s
     }
 
     /// The newest scan.
@@ -290,7 +301,15 @@ impl Shared {
             Fault::PlugInterrogator => self.interrogator_cable.unplug(false),
             Fault::StreamGap { seconds } => *guard(&self.pause_until_s) = t_s + seconds,
             Fault::StreamGarbage => self.garbage.store(true, Ordering::SeqCst),
-            Fault::ClockDrift { ppm } => *guard(&self.clock_fault) = (t_s, ppm),
+            Fault::LateReply => self.stage_cable.disturb(ReplyFault::Late),
+            Fault::ForeignReply => self.stage_cable.disturb(ReplyFault::Foreign),
+            Fault::InfoLines => self.stage_cable.disturb(ReplyFault::Info),
+            Fault::AlertFlood { on } => self.stage_cable.flood(on.then_some(Flood::Alerts)),
+            Fault::ForeignFlood { on } => self.stage_cable.flood(on.then_some(Flood::Foreign)),
+            Fault::NeverAccept { on } => self.never_accepts.store(on, Ordering::SeqCst),
+            Fault::ClockDrift { ppm } => guard(&self.unit_clock).drift(t_s, ppm),
+            Fault::ClockStep { seconds } => guard(&self.unit_clock).step(t_s, seconds),
+            Fault::ClockStop { on } => guard(&self.unit_clock).stop(t_s, on),
             Fault::FrozenCamera { on } => guard(&self.cameras).frozen = on,
             Fault::CameraSkew { ms } => guard(&self.cameras).skew_ms = ms,
             Fault::LostFrames { count } => guard(&self.cameras).lose += count,
@@ -334,6 +353,11 @@ impl World {
                 *peak = None;
             }
         }
+        let (grating, count) = &mut self.valueless;
+        if *count > 0 {
+            *count -= 1;
+            peaks_nm[*grating] = Some(f64::NAN);
+        }
         Scan { serial, t_s, peaks_nm, health: self.health }
     }
 
@@ -341,6 +365,7 @@ impl World {
         let Some(stage) = self.units.first_mut() else { return };
         match fault {
             Fault::Stall => stage.axis.arm_stall(),
+            Fault::BusyForEver => stage.axis.arm_endless(),
             Fault::Limit => stage.axis.stop_dead(t_s, "FE"),
             Fault::Displaced => stage.axis.raise("WM"),
             Fault::DriverOff => stage.axis.stop_dead(t_s, "FD"),
@@ -355,6 +380,9 @@ impl World {
                 if let Some(slot) = self.lost.get_mut(grating) {
                     *slot = on;
                 }
+            }
+            Fault::NanPeak { grating, count } if grating < self.lost.len() => {
+                self.valueless = (grating, count)
             }
             Fault::PeakCrossing { on } => self.crossing = on,
             Fault::TemperatureStep { degc } => self.physics.step_temperature(degc),

@@ -1,10 +1,9 @@
 //! A camera that sends its pictures over TCP, as the virtual bench's do: a 40-byte header and grey values.
 
-use crate::host::{io_error, is_timeout};
-use std::io::{Read, Write};
-use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use crate::link::Link;
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// Length of the header: magic, width, height, zero (u32), trigger (u64), start of exposure s, exposure ms (f64).
@@ -16,8 +15,7 @@ const MAX_SIDE: u32 = 16_384;
 /// A connected camera.
 #[derive(Debug)]
 pub struct NetCamera {
-    link: TcpStream,
-    name: String,
+    link: Link,
     clock: HostClock,
     buffer: Vec<u8>,
 }
@@ -26,11 +24,10 @@ impl NetCamera {
     /// Connects.
     ///
     /// # Errors
-    /// `Disconnected` when nothing listens there.
-    pub fn connect(address: &str, clock: HostClock) -> Result<Self, DeviceError> {
-        let name = format!("camera {address}");
-        let link = TcpStream::connect(address).map_err(|e| io_error(&name, "connect", &e))?;
-        Ok(Self { link, name, clock, buffer: Vec::new() })
+    /// `Disconnected` when nothing listens there, `Timeout` when nobody answers.
+    pub fn connect(address: &str, clock: HostClock, interrupt: &Interrupt) -> Result<Self, DeviceError> {
+        let link = Link::connect(format!("camera {address}"), address, interrupt)?;
+        Ok(Self { link, clock, buffer: Vec::new() })
     }
 
     /// Length of the frame in the buffer, once its header is there.
@@ -42,7 +39,7 @@ impl NetCamera {
         if &self.buffer[..4] != MAGIC || width.max(height) > MAX_SIDE {
             let found = format!("{:?}, {width} x {height}", &self.buffer[..4]);
             let kind = DeviceErrorKind::Protocol;
-            return Err(DeviceError::new(kind, &self.name, "grab", "a WCAM header", found));
+            return Err(DeviceError::new(kind, &self.link.name, "grab", "a WCAM header", found));
         }
         Ok(Some(HEADER + width as usize * height as usize))
     }
@@ -70,17 +67,16 @@ impl Camera for NetCamera {
             return Ok(());
         }
         let (kind, expected) = (DeviceErrorKind::Unsupported, "no exposure and gain: the stream has none");
-        Err(DeviceError::new(kind, &self.name, "configure", expected, "a setting"))
+        Err(DeviceError::new(kind, &self.link.name, "configure", expected, "a setting"))
     }
 
     fn show_board(&mut self, view: Option<usize>) -> Result<bool, DeviceError> {
         let line = view.map_or_else(|| "board off\n".to_owned(), |k| format!("board {k}\n"));
-        self.link.write_all(line.as_bytes()).map_err(|e| io_error(&self.name, "show the board", &e))?;
-        Ok(true)
+        self.link.send(line.as_bytes(), "show the board").map(|()| true)
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
-        let end = Instant::now() + timeout;
+        let deadline = self.link.deadline(timeout);
         loop {
             if let Some(length) = self.frame_length()?
                 && self.buffer.len() >= length
@@ -99,22 +95,9 @@ impl Camera for NetCamera {
                     },
                 });
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(kind, &self.name, "grab", "a picture", "none in time"));
-            }
-            let fail = |e: std::io::Error| io_error(&self.name, "grab", &e);
-            self.link.set_read_timeout(Some(left)).map_err(fail)?;
-            let mut bytes = [0_u8; 64 * 1024];
-            match self.link.read(&mut bytes) {
-                Ok(0) => {
-                    let (kind, found) = (DeviceErrorKind::Disconnected, "the camera closed the connection");
-                    return Err(DeviceError::new(kind, &self.name, "grab", "a picture", found));
-                }
-                Ok(count) => self.buffer.extend_from_slice(&bytes[..count]),
-                Err(e) if is_timeout(&e) => {}
-                Err(e) => return Err(io_error(&self.name, "grab", &e)),
+            let take = |b: &[u8]| self.buffer.extend_from_slice(b);
+            if deadline.is_over() || !self.link.receive("grab", &deadline, take)? {
+                return Err(deadline.error(&self.link.name, "grab", "a picture", "none"));
             }
         }
     }

@@ -10,8 +10,9 @@ use moq_v4l::video::Capture;
 use moq_v4l::{Device, FourCC};
 use rustix::event::PollFlags;
 use std::io::ErrorKind;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{Camera, CameraFrame, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity};
 
 /// `V4L2_CID_EXPOSURE_AUTO`; 1 is manual (linux/v4l2-controls.h).
@@ -57,6 +58,7 @@ pub struct V4l2Camera {
     stride: usize,
     settings: Vec<(String, String)>,
     commanded_exposure_ms: Option<f64>,
+    interrupt: Interrupt,
 }
 
 impl V4l2Camera {
@@ -65,7 +67,12 @@ impl V4l2Camera {
     /// # Errors
     /// `Disconnected` when there is no such device; `Configuration` for a camera without an uncompressed grey or YUYV format, of
     /// another size or rate than asked for, or without one of the controls.
-    pub fn open(path: &str, wanted: &V4l2Settings, clock: HostClock) -> Result<Self, DeviceError> {
+    pub fn open(
+        path: &str,
+        wanted: &V4l2Settings,
+        clock: HostClock,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
         let name = format!("camera {path}");
         let io = |action: &'static str| {
             let name = name.clone();
@@ -141,6 +148,7 @@ impl V4l2Camera {
             stride: format.stride as usize,
             settings,
             commanded_exposure_ms: None,
+            interrupt: interrupt.clone(),
             device,
         })
     }
@@ -196,16 +204,16 @@ impl Camera for V4l2Camera {
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
-        let end = Instant::now() + timeout;
+        let deadline = Deadline::after(timeout, &self.interrupt);
         let measured_exposure_ms = self.measured_exposure_ms();
         loop {
-            let left_ms = end.saturating_duration_since(Instant::now()).as_millis().min(60_000) as i32;
-            let handle = self.device.handle();
-            match handle.poll(PollFlags::IN.bits() as i16, left_ms) {
-                Ok(0) => {
-                    let kind = DeviceErrorKind::Timeout;
-                    return Err(DeviceError::new(kind, &self.name, "grab", "a picture", "none in time"));
-                }
+            // Damaged pictures that come one after the other do not prolong the wait.
+            if deadline.is_over() {
+                return Err(deadline.error(&self.name, "grab", "a whole picture", "none"));
+            }
+            let slice_ms = deadline.slice().as_millis().max(1) as i32;
+            match self.device.handle().poll(PollFlags::IN.bits() as i16, slice_ms) {
+                Ok(0) => continue,
                 Err(e) if e.kind() == ErrorKind::Interrupted => continue,
                 Err(e) => return Err(io_error(&self.name, "grab", &e)),
                 Ok(_) => {}
@@ -275,7 +283,10 @@ mod tests {
 
     #[test]
     fn a_missing_or_foreign_device_is_named() {
-        let open = |path: &str| V4l2Camera::open(path, &V4l2Settings::default(), HostClock::start(1.0)).err();
+        let open = |path: &str| {
+            let settings = V4l2Settings::default();
+            V4l2Camera::open(path, &settings, HostClock::start(1.0), &Interrupt::default()).err()
+        };
         let missing = open("/dev/video-none").unwrap();
         assert_eq!(missing.kind, DeviceErrorKind::Disconnected);
         assert!(missing.to_string().contains("/dev/video-none"), "{missing}");

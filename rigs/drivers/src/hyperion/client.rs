@@ -1,11 +1,10 @@
 //! A Hyperion unit: one connection for commands, one for streamed peaks.
 
 use super::frame::{self, Response};
-use crate::host::{io_error, is_timeout};
-use std::io::{Read, Write};
-use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use crate::link::Link;
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
 
 /// Longest wait for the reply to a command.
@@ -19,43 +18,22 @@ pub struct Hyperion {
     peaks: Option<Channel>,
     clock: HostClock,
     rate_hz: f64,
+    interrupt: Interrupt,
 }
 
 /// One connection with its unread bytes.
 #[derive(Debug)]
 struct Channel {
-    link: TcpStream,
-    name: String,
+    link: Link,
     buffer: Vec<u8>,
+    /// Responses that had not come when their command was given up.
+    owed: usize,
 }
 
 impl Channel {
-    fn connect(address: &str) -> Result<Self, DeviceError> {
-        let name = format!("hyperion {address}");
-        let link = TcpStream::connect(address).map_err(|e| {
-            let found = e.to_string();
-            DeviceError::new(DeviceErrorKind::Disconnected, &name, "connect", "a listening unit", found)
-        })?;
-        link.set_nodelay(true).map_err(|e| io_error(&name, "connect", &e))?;
-        Ok(Self { link, name, buffer: Vec::new() })
-    }
-
-    fn fill(&mut self, action: &str, wait: Duration) -> Result<bool, DeviceError> {
-        let fail = |e: std::io::Error| io_error(&self.name, action, &e);
-        self.link.set_read_timeout(Some(wait.max(Duration::from_millis(1)))).map_err(fail)?;
-        let mut bytes = [0_u8; 64 * 1024];
-        match self.link.read(&mut bytes) {
-            Ok(0) => {
-                let found = "the unit closed the connection";
-                Err(DeviceError::new(DeviceErrorKind::Disconnected, &self.name, action, "data", found))
-            }
-            Ok(n) => {
-                self.buffer.extend_from_slice(&bytes[..n]);
-                Ok(true)
-            }
-            Err(e) if is_timeout(&e) => Ok(false),
-            Err(e) => Err(io_error(&self.name, action, &e)),
-        }
+    fn connect(address: &str, interrupt: &Interrupt) -> Result<Self, DeviceError> {
+        let link = Link::connect(format!("hyperion {address}"), address, interrupt)?;
+        Ok(Self { link, buffer: Vec::new(), owed: 0 })
     }
 
     fn next_response(&mut self, action: &str) -> Result<Option<Response>, DeviceError> {
@@ -67,31 +45,31 @@ impl Channel {
     }
 
     fn protocol(&self, action: &str, found: String) -> DeviceError {
-        DeviceError::new(DeviceErrorKind::Protocol, &self.name, action, "a response", found)
+        DeviceError::new(DeviceErrorKind::Protocol, &self.link.name, action, "a response", found)
     }
 
+    /// Sends a command and returns its response. Responses have no number, but come in the order of their commands: those that are late for
+    /// earlier ones are left out.
     fn ask(&mut self, command: &str, arguments: &[u8]) -> Result<Response, DeviceError> {
-        let bytes = frame::request(command, arguments, false);
-        self.link.write_all(&bytes).map_err(|e| io_error(&self.name, command, &e))?;
-        let end = Instant::now() + REPLY;
+        self.link.send(&frame::request(command, arguments, false), command)?;
+        self.owed += 1;
+        let deadline = self.link.deadline(REPLY);
         loop {
-            if let Some(response) = self.next_response(command)? {
+            while let Some(response) = self.next_response(command)? {
+                self.owed = self.owed.saturating_sub(1);
+                if self.owed > 0 {
+                    continue;
+                }
                 if response.status == 0 {
                     return Ok(response);
                 }
-                let found = format!("status {}: {}", response.status, response.message);
-                return Err(DeviceError::new(
-                    DeviceErrorKind::Rejected,
-                    &self.name,
-                    command,
-                    "status 0",
-                    found,
-                ));
+                let (kind, found) =
+                    (DeviceErrorKind::Rejected, format!("status {}: {}", response.status, response.message));
+                return Err(DeviceError::new(kind, &self.link.name, command, "status 0", found));
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() || !self.fill(command, left)? {
-                let kind = DeviceErrorKind::Timeout;
-                return Err(DeviceError::new(kind, &self.name, command, "a reply", "nothing in time"));
+            let take = |b: &[u8]| self.buffer.extend_from_slice(b);
+            if deadline.is_over() || !self.link.receive(command, &deadline, take)? {
+                return Err(deadline.error(&self.link.name, command, "a reply", "none"));
             }
         }
     }
@@ -101,10 +79,17 @@ impl Hyperion {
     /// Connects to the command port; `peaks` is the address of the peak stream.
     ///
     /// # Errors
-    /// `Disconnected` when nothing listens there.
-    pub fn connect(commands: &str, peaks: &str, rate_hz: f64, clock: HostClock) -> Result<Self, DeviceError> {
-        let commands = Channel::connect(commands)?;
-        Ok(Self { commands, peaks_address: peaks.to_owned(), peaks: None, clock, rate_hz })
+    /// `Disconnected` when nothing listens there, `Timeout` when nobody answers.
+    pub fn connect(
+        commands: &str,
+        peaks: &str,
+        rate_hz: f64,
+        clock: HostClock,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
+        let commands = Channel::connect(commands, interrupt)?;
+        let (peaks_address, interrupt) = (peaks.to_owned(), interrupt.clone());
+        Ok(Self { commands, peaks_address, peaks: None, clock, rate_hz, interrupt })
     }
 
     /// One scan on request.
@@ -131,7 +116,7 @@ impl Interrogator for Hyperion {
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
-        let mut peaks = Channel::connect(&self.peaks_address)?;
+        let mut peaks = Channel::connect(&self.peaks_address, &self.interrupt)?;
         peaks.ask("#EnablePeakDataStreaming", b"")?;
         self.peaks = Some(peaks);
         Ok(())
@@ -139,11 +124,12 @@ impl Interrogator for Hyperion {
 
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
         let Some(peaks) = self.peaks.as_mut() else {
-            let name = &self.commands.name;
+            let name = &self.commands.link.name;
             let kind = DeviceErrorKind::Configuration;
             return Err(DeviceError::new(kind, name, "read the stream", "a started stream", "none"));
         };
-        peaks.fill("read the stream", timeout)?;
+        let deadline = peaks.link.deadline(timeout);
+        peaks.link.receive("read the stream", &deadline, |b| peaks.buffer.extend_from_slice(b))?;
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(response) = peaks.next_response("read the stream")? {

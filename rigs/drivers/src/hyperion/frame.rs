@@ -57,7 +57,7 @@ pub fn response(bytes: &[u8]) -> Result<Option<(Response, usize)>, String> {
     Ok(Some((response, total)))
 }
 
-/// Decodes a peak record.
+/// Decodes a peak record. A peak that is no wavelength (NaN) is kept: it belongs to no grating, and its scan is marked.
 ///
 /// # Errors
 /// What was expected and what was found.
@@ -85,9 +85,6 @@ pub fn peaks(content: &[u8], host_s: f64) -> Result<FbgReading, String> {
         .chunks_exact(8)
         .map(|b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]));
     let peaks_nm: Vec<Vec<f64>> = counts.iter().map(|n| values.by_ref().take(*n).collect()).collect();
-    if let Some(odd) = peaks_nm.iter().flatten().find(|nm| !(1200.0..1800.0).contains(*nm)) {
-        return Err(format!("wavelengths in 1200..1800 nm, found {odd}"));
-    }
     Ok(FbgReading {
         serial,
         peaks_nm,
@@ -130,9 +127,15 @@ mod tests {
             bad[at] = value;
             assert!(peaks(&bad, 0.0).is_err(), "byte {at} = {value}");
         }
+    }
+
+    #[test]
+    fn a_peak_that_is_no_number_costs_itself_alone() {
         let mut bad = record();
         bad[32..40].copy_from_slice(&f64::NAN.to_le_bytes());
-        assert!(peaks(&bad, 0.0).is_err());
+        let reading = peaks(&bad, 0.0).unwrap();
+        assert!(reading.peaks_nm[0][0].is_nan());
+        assert_eq!((reading.peaks_nm[0][1], &reading.peaks_nm[2]), (1541.25, &vec![1537.0]));
     }
 
     #[test]

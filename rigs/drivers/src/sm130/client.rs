@@ -1,11 +1,10 @@
 //! The interrogator at the other end of a TCP connection.
 
 use super::stream::{Item, StreamDecoder};
-use crate::host::{io_error, is_timeout};
-use std::io::{Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
-use std::time::{Duration, Instant};
+use crate::link::Link;
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator};
 
 /// Longest wait for the reply to a command.
@@ -14,9 +13,10 @@ const REPLY: Duration = Duration::from_secs(3);
 /// An sm130 or another unit of the x30 core.
 #[derive(Debug)]
 pub struct Sm130 {
-    link: TcpStream,
-    name: String,
+    link: Link,
     decoder: StreamDecoder,
+    /// Text replies that had not come when their command was given up.
+    owed: usize,
     clock: HostClock,
     rate_hz: f64,
     streaming: bool,
@@ -26,24 +26,15 @@ impl Sm130 {
     /// Connects; `rate_hz` is the scan rate of the model (1000 or 2000 over the divider).
     ///
     /// # Errors
-    /// `Disconnected` when nothing listens there.
-    pub fn connect(address: &str, rate_hz: f64, clock: HostClock) -> Result<Self, DeviceError> {
-        let name = format!("sm130 {address}");
-        let action = "connect";
-        let targets = address.to_socket_addrs().map_err(|e| io_error(&name, action, &e))?;
-        let mut last = None;
-        for target in targets {
-            match TcpStream::connect_timeout(&target, REPLY) {
-                Ok(link) => {
-                    link.set_nodelay(true).map_err(|e| io_error(&name, action, &e))?;
-                    let decoder = StreamDecoder::default();
-                    return Ok(Self { link, name, decoder, clock, rate_hz, streaming: false });
-                }
-                Err(e) => last = Some(e),
-            }
-        }
-        let found = last.map_or_else(|| "no such host".to_owned(), |e| e.to_string());
-        Err(DeviceError::new(DeviceErrorKind::Disconnected, name, action, "a listening unit", found))
+    /// `Disconnected` when nothing listens there, `Timeout` when nobody answers.
+    pub fn connect(
+        address: &str,
+        rate_hz: f64,
+        clock: HostClock,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
+        let link = Link::connect(format!("sm130 {address}"), address, interrupt)?;
+        Ok(Self { link, decoder: StreamDecoder::default(), owed: 0, clock, rate_hz, streaming: false })
     }
 
     /// Bytes of the stream that belonged to no frame.
@@ -52,15 +43,25 @@ impl Sm130 {
         self.decoder.skipped()
     }
 
-    /// Sends a command and returns its text reply.
+    /// Sends a command and returns its text reply. Replies have no number, but come in the order of their commands: those that are late for
+    /// earlier ones are left out.
     ///
     /// # Errors
     /// `Timeout`, `Disconnected`, or `Protocol` when a frame came instead of text.
     pub fn command(&mut self, command: &str) -> Result<String, DeviceError> {
         self.send(command)?;
-        match self.item(command, |item| !matches!(item, Item::Frame(_)))? {
-            Item::Text(text) => Ok(text),
-            other => Err(self.fail(DeviceErrorKind::Protocol, command, "text", format!("{other:?}"))),
+        self.owed += 1;
+        let deadline = self.link.deadline(REPLY);
+        loop {
+            let found = self.item(command, &deadline, |item| !matches!(item, Item::Frame(_)))?;
+            self.owed -= 1;
+            match found {
+                _ if self.owed > 0 => {}
+                Item::Text(text) => return Ok(text),
+                other => {
+                    return Err(self.fail(DeviceErrorKind::Protocol, command, "text", format!("{other:?}")));
+                }
+            }
         }
     }
 
@@ -70,55 +71,36 @@ impl Sm130 {
     /// As for [`Self::command`].
     pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
         self.send("#GET_UNBUFFERED_DATA")?;
-        match self.item("#GET_UNBUFFERED_DATA", |_| true)? {
+        match self.item("#GET_UNBUFFERED_DATA", &self.link.deadline(REPLY), |_| true)? {
             Item::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
             other => Err(self.fail(DeviceErrorKind::Protocol, "scan", "a data frame", format!("{other:?}"))),
         }
     }
 
     fn fail(&self, kind: DeviceErrorKind, action: &str, expected: &str, found: String) -> DeviceError {
-        DeviceError::new(kind, &self.name, action, expected, found)
+        DeviceError::new(kind, &self.link.name, action, expected, found)
     }
 
     fn send(&mut self, command: &str) -> Result<(), DeviceError> {
-        self.link.write_all(format!("{command}\n").as_bytes()).map_err(|e| io_error(&self.name, command, &e))
+        self.link.send(format!("{command}\n").as_bytes(), command)
     }
 
     /// Waits for the first wanted item.
-    fn item(&mut self, action: &str, wanted: impl Fn(&Item) -> bool) -> Result<Item, DeviceError> {
-        let end = Instant::now() + REPLY;
+    fn item(
+        &mut self,
+        action: &str,
+        deadline: &Deadline,
+        wanted: impl Fn(&Item) -> bool,
+    ) -> Result<Item, DeviceError> {
         loop {
             while let Some(item) = self.decoder.next_item() {
                 if wanted(&item) {
                     return Ok(item);
                 }
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() || !self.fill(action, left)? {
-                let found = format!("nothing in {} s", REPLY.as_secs());
-                return Err(self.fail(DeviceErrorKind::Timeout, action, "a reply", found));
+            if deadline.is_over() || !self.link.receive(action, deadline, |b| self.decoder.push(b))? {
+                return Err(deadline.error(&self.link.name, action, "a reply", "none"));
             }
-        }
-    }
-
-    /// Reads what is there; false when nothing came in time.
-    fn fill(&mut self, action: &str, wait: Duration) -> Result<bool, DeviceError> {
-        let fail = |e: std::io::Error| io_error(&self.name, action, &e);
-        self.link.set_read_timeout(Some(wait.max(Duration::from_millis(1)))).map_err(fail)?;
-        let mut bytes = [0_u8; 64 * 1024];
-        match self.link.read(&mut bytes) {
-            Ok(0) => Err(self.fail(
-                DeviceErrorKind::Disconnected,
-                action,
-                "data",
-                "the unit closed the connection".to_owned(),
-            )),
-            Ok(count) => {
-                self.decoder.push(&bytes[..count]);
-                Ok(true)
-            }
-            Err(e) if is_timeout(&e) => Ok(false),
-            Err(e) => Err(io_error(&self.name, action, &e)),
         }
     }
 }
@@ -157,7 +139,8 @@ impl Interrogator for Sm130 {
     }
 
     fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
-        self.fill("read the stream", timeout)?;
+        let deadline = self.link.deadline(timeout);
+        self.link.receive("read the stream", &deadline, |b| self.decoder.push(b))?;
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(item) = self.decoder.next_item() {
@@ -173,7 +156,8 @@ impl Interrogator for Sm130 {
             return Ok(());
         }
         self.send("#SET_STREAMING_DATA 0")?;
-        self.item("stop streaming", |i| matches!(i, Item::Stopped))?;
+        // What still streams does not prolong the wait; a user who wants an end gets it.
+        self.item("stop streaming", &Deadline::whatever_happens(REPLY), |i| matches!(i, Item::Stopped))?;
         self.decoder.set_streaming(false);
         Ok(())
     }

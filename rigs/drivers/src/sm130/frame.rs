@@ -11,6 +11,9 @@ pub const MAX_PEAKS: usize = 1024;
 /// Wavelengths outside belong to no unit of this family, nm.
 const BAND_NM: std::ops::RangeInclusive<f64> = 1200.0..=1800.0;
 
+/// Stands, like 0, where a peak has no value: it becomes NaN, belongs to no grating, and marks its scan.
+const NO_VALUE: u32 = u32::MAX;
+
 /// A decoded frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
@@ -92,9 +95,13 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, String> {
     let mut at = HEADER;
     for channel in 0..CHANNELS {
         let count = usize::from(u16_at(bytes, 16 + 2 * channel));
-        let peaks: Vec<f64> =
-            (0..count).map(|k| f64::from(u32_at(bytes, at + 4 * k)) / f64::from(granularity)).collect();
-        if let Some(odd) = peaks.iter().find(|nm| !BAND_NM.contains(*nm)) {
+        let peaks: Vec<f64> = (0..count)
+            .map(|k| match u32_at(bytes, at + 4 * k) {
+                NO_VALUE | 0 => f64::NAN,
+                value => f64::from(value) / f64::from(granularity),
+            })
+            .collect();
+        if let Some(odd) = peaks.iter().find(|nm| !nm.is_nan() && !BAND_NM.contains(*nm)) {
             return Err(format!("wavelengths in {BAND_NM:?} nm, found {odd}"));
         }
         at += 4 * count;
@@ -185,6 +192,11 @@ pub(crate) mod tests {
             }
             assert!(decode(&bad).is_err(), "byte {at}");
         }
+        let mut no_value = good.clone();
+        no_value[88..92].copy_from_slice(&0_u32.to_le_bytes());
+        no_value[92..96].copy_from_slice(&NO_VALUE.to_le_bytes());
+        let peaks_nm = decode(&no_value).unwrap().peaks_nm;
+        assert!(peaks_nm[0].iter().all(|nm| nm.is_nan()) && peaks_nm[2] == [1_537.267_123], "{peaks_nm:?}");
         let mut out_of_band = good;
         out_of_band[88..92].copy_from_slice(&1_u32.to_le_bytes());
         assert!(decode(&out_of_band).unwrap_err().contains("wavelengths"));

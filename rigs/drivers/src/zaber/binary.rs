@@ -2,10 +2,12 @@
 
 use super::units::Microsteps;
 use super::wire::{Port, Wire};
-use crate::host::io_error;
+use crate::host::{io_error, is_timeout};
+use crate::link::CONNECT;
 use std::io::{Read, Write};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 
 /// Microsteps per second of one unit of speed data.
@@ -13,7 +15,13 @@ const SPEED_STEPS: f64 = 9.375;
 const REPLY: Duration = Duration::from_millis(400);
 const ATTEMPTS: u32 = 4;
 const HALT: Duration = Duration::from_secs(3);
+/// Quiet time after which a disturbed line is empty.
+const QUIET: Duration = Duration::from_millis(20);
 const ERROR: u8 = 255;
+/// Answered with its own data.
+const ECHO: u8 = 55;
+/// Error of a unit that does not know a command.
+const UNKNOWN: i32 = 64;
 const MOTIONS: [u8; 4] = [1, 20, 21, 23];
 
 /// One unit on a binary chain.
@@ -29,6 +37,18 @@ pub struct ZaberBinary {
     homed: bool,
     homing: bool,
     stalled: bool,
+    interrupt: Interrupt,
+    /// The last question was given up: its reply may still come.
+    owed: bool,
+    /// Data of the last echo.
+    echo: i32,
+}
+
+/// Messages that were passed over: of other units, and of this one.
+#[derive(Debug, Default)]
+struct Passed {
+    others: u32,
+    own: u32,
 }
 
 impl ZaberBinary {
@@ -36,9 +56,19 @@ impl ZaberBinary {
     ///
     /// # Errors
     /// `Disconnected` or `Timeout`.
-    pub fn open(port: &Port, number: u8, unit: Microsteps, clock: HostClock) -> Result<Self, DeviceError> {
+    pub fn open(
+        port: &Port,
+        number: u8,
+        unit: Microsteps,
+        clock: HostClock,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
         let name = format!("stage {port}");
-        let wire = Wire::open(port, REPLY).map_err(|e| io_error(&name, "open", &e))?;
+        let deadline = Deadline::after(CONNECT, interrupt);
+        let wire = Wire::open(port, &deadline).map_err(|e| match is_timeout(&e) {
+            true => deadline.error(&name, "open", "a connection", "no answer from this address"),
+            false => io_error(&name, "open", &e),
+        })?;
         let mut stage = Self {
             wire,
             name,
@@ -50,6 +80,9 @@ impl ZaberBinary {
             homed: false,
             homing: false,
             stalled: false,
+            interrupt: interrupt.clone(),
+            owed: false,
+            echo: 0,
         };
         stage.limit_steps = stage.ask(53, 44, 44)?;
         Ok(stage)
@@ -59,43 +92,117 @@ impl ZaberBinary {
         DeviceError::new(kind, &self.name, action, expected, found)
     }
 
-    fn send(&mut self, command: u8, data: i32) -> Result<(), DeviceError> {
-        let d = data.to_le_bytes();
-        self.wire
-            .write_all(&[self.number, command, d[0], d[1], d[2], d[3]])
-            .map_err(|e| io_error(&self.name, &format!("command {command}"), &e))
+    fn send(&mut self, command: u8, data: i32, deadline: &Deadline) -> Result<(), DeviceError> {
+        let (action, d) = (format!("command {command}"), data.to_le_bytes());
+        self.wire.until(deadline.clone());
+        let sent = self.wire.write_all(&[self.number, command, d[0], d[1], d[2], d[3]]);
+        sent.map_err(|e| match is_timeout(&e) {
+            true => deadline.error(&self.name, &action, "a line that takes it", "one that does not"),
+            false => io_error(&self.name, &action, &e),
+        })
     }
 
-    /// Repeats the request until the reply with command number `answer` arrives; late replies of motions are accepted meanwhile.
+    /// Starts a motion; its reply comes when it has ended.
+    fn start(&mut self, command: u8, data: i32) -> Result<(), DeviceError> {
+        let deadline = Deadline::after(REPLY, &self.interrupt);
+        self.send(command, data, &deadline)
+    }
+
     fn ask(&mut self, command: u8, data: i32, answer: u8) -> Result<i32, DeviceError> {
-        let action = format!("command {command}");
+        self.repeatedly(command, data, answer, &self.interrupt.clone())
+    }
+
+    /// Repeats the request until the reply with command number `answer` arrives.
+    fn repeatedly(
+        &mut self,
+        command: u8,
+        data: i32,
+        answer: u8,
+        interrupt: &Interrupt,
+    ) -> Result<i32, DeviceError> {
+        let mut last = None;
         for _ in 0..ATTEMPTS {
-            self.send(command, data)?;
-            loop {
-                let mut six = [0_u8; 6];
-                match self.wire.read_exact(&mut six) {
-                    Ok(()) => {}
-                    Err(e) if e.kind() == std::io::ErrorKind::TimedOut => {
-                        self.wire.drain(Duration::from_millis(20));
-                        break;
-                    }
-                    Err(e) => return Err(io_error(&self.name, &action, &e)),
+            let deadline = Deadline::after(REPLY, interrupt);
+            match self.once(command, data, answer, &deadline) {
+                Err(e) if e.kind == DeviceErrorKind::Timeout => {
+                    self.wire.drain(QUIET);
+                    last = Some(e);
                 }
-                let value = i32::from_le_bytes([six[2], six[3], six[4], six[5]]);
-                match six[1] {
-                    _ if six[0] != self.number => {}
-                    code if code == answer => return Ok(value),
-                    ERROR if self.homing && value == 1 => self.stalled = true,
-                    ERROR => {
-                        let found = format!("error {value}");
-                        return Err(self.fail(DeviceErrorKind::Rejected, &action, "a reply", &found));
-                    }
-                    motion if MOTIONS.contains(&motion) => self.motion_ended(motion, value),
-                    _ => {}
-                }
+                done => return done,
             }
         }
-        Err(self.fail(DeviceErrorKind::Timeout, &action, "a reply", "none in time"))
+        let none = || self.fail(DeviceErrorKind::Timeout, &format!("command {command}"), "a reply", "none");
+        Err(last.unwrap_or_else(none))
+    }
+
+    fn once(&mut self, command: u8, data: i32, answer: u8, deadline: &Deadline) -> Result<i32, DeviceError> {
+        // Replies carry no number: one that is late would answer the next question of its kind, and every one after that.
+        if self.owed {
+            self.catch_up(deadline)?;
+        }
+        let action = format!("command {command}");
+        self.send(command, data, deadline)?;
+        self.owed = true;
+        let mut passed = Passed::default();
+        loop {
+            match self.next(&action, deadline, &mut passed)? {
+                (code, value) if code == answer => {
+                    self.owed = false;
+                    return Ok(value);
+                }
+                (ERROR, value) => {
+                    self.owed = false;
+                    let found = format!("error {value}");
+                    return Err(self.fail(DeviceErrorKind::Rejected, &action, "a reply", &found));
+                }
+                _ => passed.own += 1,
+            }
+        }
+    }
+
+    /// Passes over the replies that are still under way: a unit answers in order, so that none follows the echo.
+    fn catch_up(&mut self, deadline: &Deadline) -> Result<(), DeviceError> {
+        self.echo = self.echo.wrapping_add(1) & 0xffff;
+        self.send(ECHO, self.echo, deadline)?;
+        let mut passed = Passed::default();
+        loop {
+            match self.next("echo", deadline, &mut passed)? {
+                (ECHO, data) if data == self.echo => break,
+                // Old firmware does not know the command, but answers in order as well.
+                (ERROR, UNKNOWN) => break,
+                _ => passed.own += 1,
+            }
+        }
+        self.owed = false;
+        Ok(())
+    }
+
+    /// The next message of this unit that does not end a motion: command number and data.
+    fn next(
+        &mut self,
+        action: &str,
+        deadline: &Deadline,
+        passed: &mut Passed,
+    ) -> Result<(u8, i32), DeviceError> {
+        loop {
+            let mut six = [0_u8; 6];
+            self.wire.read_exact(&mut six).map_err(|e| match is_timeout(&e) {
+                true => {
+                    let Passed { others, own } = passed;
+                    let among = format!("none among {others} messages of other units and {own} of its own");
+                    let found = if *others + *own == 0 { "none" } else { &among };
+                    deadline.error(&self.name, action, "a reply", found)
+                }
+                false => io_error(&self.name, action, &e),
+            })?;
+            let value = i32::from_le_bytes([six[2], six[3], six[4], six[5]]);
+            match six[1] {
+                _ if six[0] != self.number => passed.others += 1,
+                ERROR if self.homing && value == 1 => self.stalled = true,
+                motion if MOTIONS.contains(&motion) => self.motion_ended(motion, value),
+                code => return Ok((code, value)),
+            }
+        }
     }
 
     fn motion_ended(&mut self, command: u8, steps: i32) {
@@ -134,7 +241,7 @@ impl Stage for ZaberBinary {
     fn start_home(&mut self) -> Result<(), DeviceError> {
         (self.homing, self.stalled) = (true, false);
         self.commanded_mm = Some(0.0);
-        self.send(1, 0)
+        self.start(1, 0)
     }
 
     fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
@@ -152,7 +259,7 @@ impl Stage for ZaberBinary {
         self.ask(42, speed, 42)?;
         self.commanded_mm = Some(self.unit.to_mm(steps as f64));
         self.stalled = false;
-        self.send(20, steps as i32)
+        self.start(20, steps as i32)
     }
 
     fn read(&mut self) -> Result<StageReading, DeviceError> {
@@ -176,13 +283,13 @@ impl Stage for ZaberBinary {
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
         self.commanded_mm = None;
-        self.send(23, 0)?;
-        let end = Instant::now() + HALT;
-        while self.ask(54, 0, 54)? != 0 {
-            if Instant::now() > end {
-                return Err(self.fail(DeviceErrorKind::Timeout, "stop", "standstill", "still moving"));
+        self.send(23, 0, &Deadline::whatever_happens(REPLY))?;
+        let deadline = Deadline::whatever_happens(HALT);
+        while self.repeatedly(54, 0, 54, &Interrupt::default())? != 0 {
+            if deadline.is_over() {
+                return Err(deadline.error(&self.name, "stop", "standstill", "still moving"));
             }
-            std::thread::sleep(Duration::from_millis(5));
+            deadline.pause(Duration::from_millis(5));
         }
         Ok(())
     }

@@ -1,10 +1,13 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
 use super::wire::{Port, Wire};
+use crate::host::is_timeout;
+use crate::link::CONNECT;
 use std::time::Duration;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind};
 use zproto::ascii::Port as AsciiPort;
-use zproto::ascii::response::{Flag, Status, check};
+use zproto::ascii::response::{AnyResponse, Flag, Reply, Status, check};
 use zproto::error::AsciiError;
 
 /// How long one reply may take.
@@ -33,34 +36,76 @@ pub struct Chain {
     port: AsciiPort<'static, Wire>,
     name: String,
     repeats: u64,
+    interrupt: Interrupt,
+}
+
+/// What came instead of the reply: none of it is an answer, and none of it prolongs the wait.
+#[derive(Debug, Default)]
+struct Passed {
+    alerts: u32,
+    others: u32,
+    late: u32,
+    info: u32,
+    noise: u32,
+}
+
+impl Passed {
+    fn note(&mut self, response: &AnyResponse, device: u8) {
+        let own = |r: &Reply| r.target().device() == device;
+        match response {
+            AnyResponse::Alert(_) => self.alerts += 1,
+            AnyResponse::Info(_) => self.info += 1,
+            AnyResponse::Reply(reply) if own(reply) => self.late += 1,
+            AnyResponse::Reply(_) => self.others += 1,
+        }
+    }
+
+    fn text(&self) -> String {
+        let all = [
+            (self.alerts, "alerts"),
+            (self.others, "replies of other units"),
+            (self.late, "replies to other questions"),
+            (self.info, "info lines"),
+            (self.noise, "lines of noise"),
+        ];
+        let there = all.iter().filter(|(count, _)| *count > 0);
+        let list: Vec<String> = there.map(|(count, what)| format!("{count} {what}")).collect();
+        if list.is_empty() { "none".to_owned() } else { format!("none among {}", list.join(", ")) }
+    }
 }
 
 impl Chain {
     /// Opens a port of known kind and speed, with checksums and message ids.
     ///
     /// # Errors
-    /// `Disconnected` when it cannot be opened.
-    pub fn open(port: &Port) -> Result<Self, DeviceError> {
+    /// `Disconnected` when it cannot be opened, `Timeout` when nobody answers at its address.
+    pub fn open(port: &Port, interrupt: &Interrupt) -> Result<Self, DeviceError> {
         let name = format!("stage {port}");
-        let wire = Wire::open(port, REPLY).map_err(|e| {
+        let deadline = Deadline::after(CONNECT, interrupt);
+        let wire = Wire::open(port, &deadline).map_err(|e| {
+            if is_timeout(&e) {
+                return deadline.error(&name, "open", "a connection", "no answer from this address");
+            }
             DeviceError::new(DeviceErrorKind::Disconnected, &name, "open", "a free port", e.to_string())
         })?;
         let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
         // Alerts may come at any time; state is always asked for, so they carry nothing new.
         port.set_unexpected_alert_handler(|_| Ok(()));
-        Ok(Self { port, name, repeats: 0 })
+        Ok(Self { port, name, repeats: 0, interrupt: interrupt.clone() })
     }
 
     /// Opens a serial port at the first speed at which a unit replies.
     ///
     /// # Errors
     /// `Timeout` when no speed does.
-    pub fn probe(path: &str) -> Result<(Self, u32), DeviceError> {
+    pub fn probe(path: &str, interrupt: &Interrupt) -> Result<(Self, u32), DeviceError> {
         for baud in SPEEDS {
-            let mut chain = Self::open(&Port::Serial(path.to_owned(), baud))?;
+            let mut chain = Self::open(&Port::Serial(path.to_owned(), baud), interrupt)?;
             chain.port.backend_mut().drain(QUIET);
-            if chain.once(1, 0, "").is_ok() {
-                return Ok((chain, baud));
+            match chain.once(1, 0, "", &Deadline::after(REPLY, interrupt)) {
+                Ok(_) => return Ok((chain, baud)),
+                Err(e) if e.kind == DeviceErrorKind::Interrupted => return Err(e),
+                Err(_) => {}
             }
         }
         let (kind, expected) = (DeviceErrorKind::Timeout, format!("an answer at one of {SPEEDS:?} baud"));
@@ -82,15 +127,33 @@ impl Chain {
     /// Sends a command that may be sent again without harm (absolute moves and questions are), and returns its reply.
     ///
     /// # Errors
-    /// `Rejected` with the unit's reason, `Timeout` or `Protocol` after some attempts, `Disconnected`.
+    /// `Rejected` with the unit's reason, `Timeout` or `Protocol` after some attempts, `Disconnected`, `Interrupted`.
     pub fn ask(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
+        self.repeatedly(device, axis, command, &self.interrupt.clone())
+    }
+
+    /// As [`Self::ask`], for what must be tried although the user wants an end: to stop.
+    ///
+    /// # Errors
+    /// As there, but never `Interrupted`.
+    pub fn ask_to_stop(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
+        self.repeatedly(device, axis, command, &Interrupt::default())
+    }
+
+    fn repeatedly(
+        &mut self,
+        device: u8,
+        axis: u8,
+        command: &str,
+        interrupt: &Interrupt,
+    ) -> Result<Answer, DeviceError> {
         let mut last = None;
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
                 self.repeats += 1;
                 self.port.backend_mut().drain(QUIET);
             }
-            match self.once(device, axis, command) {
+            match self.once(device, axis, command, &Deadline::after(REPLY, interrupt)) {
                 Err(e) if e.kind.may_retry() => last = Some(e),
                 done => return done,
             }
@@ -98,12 +161,36 @@ impl Chain {
         Err(last.unwrap_or_else(|| self.error(DeviceErrorKind::Timeout, command, "a reply", "none")))
     }
 
-    fn once(&mut self, device: u8, axis: u8, command: &str) -> Result<Answer, DeviceError> {
-        let reply = self
-            .port
-            .command_reply((device, axis, command))
-            .and_then(|r| r.check(check::unchecked()).map_err(AsciiError::from))
-            .map_err(|e| self.translate(command, &e))?;
+    /// The reply with the number of this command; alerts, info, replies of other units and late ones are passed over until the deadline.
+    fn once(
+        &mut self,
+        device: u8,
+        axis: u8,
+        command: &str,
+        deadline: &Deadline,
+    ) -> Result<Answer, DeviceError> {
+        self.port.backend_mut().until(deadline.clone());
+        let sent = self.port.command((device, axis, command));
+        let id = sent.map_err(|e| self.translate(command, &e, deadline, &Passed::default()))?;
+        let meant = |r: &Reply| {
+            let (unit, own_axis) = (r.target().device(), r.target().axis());
+            (device == 0 || unit == device) && (axis == 0 || own_axis == axis) && r.id() == id
+        };
+        let mut passed = Passed::default();
+        let reply = loop {
+            let found = self.port.response::<AnyResponse>();
+            match found.and_then(|r| r.check(check::unchecked()).map_err(AsciiError::from)) {
+                Ok(AnyResponse::Reply(reply)) if meant(&reply) => break reply,
+                Ok(other) => passed.note(&other, device),
+                // An empty line, or the rest of one.
+                Err(
+                    AsciiError::PacketMissingStart(_)
+                    | AsciiError::UnexpectedPacket(_)
+                    | AsciiError::UnexpectedResponse(_),
+                ) => passed.noise += 1,
+                Err(e) => return Err(self.translate(command, &e, deadline, &passed)),
+            }
+        };
         let flag = reply.warning();
         let answer = Answer {
             busy: reply.status() == Status::Busy,
@@ -117,9 +204,18 @@ impl Chain {
         Err(self.error(DeviceErrorKind::Rejected, command, "an accepted command", &found))
     }
 
-    fn translate(&self, command: &str, error: &AsciiError) -> DeviceError {
+    fn translate(
+        &self,
+        command: &str,
+        error: &AsciiError,
+        deadline: &Deadline,
+        passed: &Passed,
+    ) -> DeviceError {
         let kind = match error {
-            e if e.is_timeout() => DeviceErrorKind::Timeout,
+            // In a flood the deadline falls into the middle of a line.
+            e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
+                return deadline.error(&self.name, shown(command), "a reply", &passed.text());
+            }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {
                 DeviceErrorKind::Disconnected
             }
@@ -129,7 +225,11 @@ impl Chain {
     }
 
     fn error(&self, kind: DeviceErrorKind, command: &str, expected: &str, found: &str) -> DeviceError {
-        let action = if command.is_empty() { "poll" } else { command };
-        DeviceError::new(kind, &self.name, action, expected, found)
+        DeviceError::new(kind, &self.name, shown(command), expected, found)
     }
+}
+
+/// A command for people: the empty one asks for the state.
+fn shown(command: &str) -> &str {
+    if command.is_empty() { "poll" } else { command }
 }

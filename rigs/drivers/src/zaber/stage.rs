@@ -5,8 +5,9 @@ use super::flags;
 use super::units::Microsteps;
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Deadline;
 use wcal_core::device::{Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, Stage, StageReading};
 
 /// Settings that are read from a unit and kept with the session.
@@ -142,10 +143,11 @@ impl Stage for ZaberStage {
     fn read(&mut self) -> Result<StageReading, DeviceError> {
         let answer = self.ask("get pos")?;
         let host_s = self.clock.now_s();
-        let steps: f64 = answer
-            .data
-            .parse()
-            .map_err(|_| self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data))?;
+        // "nan" parses, and would be at every target.
+        let steps: f64 =
+            answer.data.parse().ok().filter(|s: &f64| s.is_finite()).ok_or_else(|| {
+                self.fail(DeviceErrorKind::Protocol, "read position", "a number", &answer.data)
+            })?;
         let flags = self.flags(&answer.flag)?;
         self.judge("read position", &flags)?;
         if !answer.busy {
@@ -162,13 +164,17 @@ impl Stage for ZaberStage {
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
-        self.ask("stop")?;
-        let end = Instant::now() + HALT;
-        while self.ask("")?.busy {
-            if Instant::now() > end {
-                return Err(self.fail(DeviceErrorKind::Timeout, "stop", "standstill", "still moving"));
+        let ask = |command: &str| {
+            self.chain.borrow_mut().ask_to_stop(self.address, self.axis, command).map(|answer| answer.busy)
+        };
+        ask("stop")?;
+        let deadline = Deadline::whatever_happens(HALT);
+        while ask("")? {
+            if deadline.is_over() {
+                let name = self.chain.borrow().name().to_owned();
+                return Err(deadline.error(&name, "stop", "standstill", "still moving"));
             }
-            std::thread::sleep(POLL);
+            deadline.pause(POLL);
         }
         Ok(())
     }

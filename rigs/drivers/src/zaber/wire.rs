@@ -1,11 +1,16 @@
-//! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed out".
+//! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed out" and one deadline an exchange.
 
 use crate::host::is_timeout;
+use crate::link;
 use serialport::{SerialPort, TTYPort};
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
+use wcal_core::deadline::Deadline;
 use zproto::backend::Backend;
+
+/// Longest time in which a disturbed line is emptied.
+const DRAIN: Duration = Duration::from_millis(100);
 
 /// Where a chain hangs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,13 +36,15 @@ enum Link {
     Serial(TTYPort),
 }
 
-/// An open link.
+/// An open link. Reading and writing end with the deadline of the exchange, however much the other end sends.
 #[derive(Debug)]
 pub struct Wire {
     link: Link,
     buffer: Vec<u8>,
     at: usize,
+    /// Longest pause between two bytes.
     timeout: Option<Duration>,
+    deadline: Deadline,
     name: String,
 }
 
@@ -46,57 +53,74 @@ impl Wire {
     ///
     /// # Errors
     /// What the system reports.
-    pub fn open(port: &Port, timeout: Duration) -> io::Result<Self> {
+    pub fn open(port: &Port, deadline: &Deadline) -> io::Result<Self> {
         let link = match port {
             Port::Tcp(address) => {
-                let stream = TcpStream::connect(address)?;
+                let stream = link::connect(address, deadline)?;
                 stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(timeout))?;
-                stream.set_write_timeout(Some(timeout))?;
                 Link::Tcp(stream)
             }
             Port::Serial(path, baud) => {
-                let mut tty = serialport::new(path, *baud).timeout(timeout).open_native()?;
+                let mut tty = serialport::new(path, *baud).timeout(deadline.slice()).open_native()?;
                 // Not every baud rate reaches the port on opening (serialport issue 20); set it again.
                 tty.set_baud_rate(*baud)?;
                 Link::Serial(tty)
             }
         };
-        Ok(Self { link, buffer: Vec::new(), at: 0, timeout: Some(timeout), name: port.to_string() })
+        let (deadline, name) = (deadline.clone(), port.to_string());
+        Ok(Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name })
     }
 
-    /// Throws away what has arrived and what still arrives within `quiet`.
+    /// Begins an exchange: all reading and writing from here on ends with this deadline.
+    pub fn until(&mut self, deadline: Deadline) {
+        self.deadline = deadline;
+    }
+
+    /// Throws away what has arrived and what still arrives within `quiet`, for a tenth of a second at most.
     pub fn drain(&mut self, quiet: Duration) {
-        let before = self.timeout;
-        if self.set_read_timeout(Some(quiet)).is_ok() {
-            let mut scrap = [0_u8; 256];
-            while matches!(self.read(&mut scrap), Ok(n) if n > 0) {}
-            // Not an error here: the use that follows reports a broken link.
-            let _ = self.set_read_timeout(before);
+        let before = (self.timeout, self.deadline.clone());
+        self.timeout = Some(quiet);
+        self.deadline = Deadline::whatever_happens(DRAIN);
+        let mut scrap = [0_u8; 256];
+        // Not an error here: the use that follows reports a broken link.
+        while matches!(self.read(&mut scrap), Ok(n) if n > 0) {}
+        (self.timeout, self.deadline) = before;
+    }
+
+    /// Bytes that arrive before the deadline and before the longest pause.
+    fn receive(&mut self) -> io::Result<usize> {
+        let pause = self.timeout.map(|t| self.deadline.within(t));
+        let deadline = pause.as_ref().unwrap_or(&self.deadline);
+        match &mut self.link {
+            Link::Tcp(stream) => link::read(stream, &mut self.buffer, deadline),
+            Link::Serial(tty) => loop {
+                tty.set_timeout(deadline.slice())?;
+                match tty.read(&mut self.buffer) {
+                    Ok(0) => return Err(io::Error::new(ErrorKind::BrokenPipe, "the link is closed")),
+                    Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
+                        if deadline.is_over() {
+                            return Err(ErrorKind::TimedOut.into());
+                        }
+                    }
+                    other => return other,
+                }
+            },
         }
     }
 }
 
 impl Read for Wire {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        // A unit that never stops sending does not prolong the exchange.
+        if self.deadline.is_over() {
+            return Err(ErrorKind::TimedOut.into());
+        }
         if self.at == self.buffer.len() {
             self.buffer.resize(512, 0);
             self.at = 0;
-            let result = match &mut self.link {
-                Link::Tcp(stream) => stream.read(&mut self.buffer),
-                Link::Serial(tty) => tty.read(&mut self.buffer),
-            };
-            match result {
-                Ok(n) => self.buffer.truncate(n),
-                Err(e) => {
-                    self.buffer.clear();
-                    let timeout = is_timeout(&e);
-                    return Err(if timeout { io::ErrorKind::TimedOut.into() } else { e });
-                }
-            }
-            if self.buffer.is_empty() {
-                return Err(io::Error::new(io::ErrorKind::BrokenPipe, "the link is closed"));
-            }
+            let received = self.receive();
+            self.buffer.truncate(*received.as_ref().unwrap_or(&0));
+            received?;
         }
         let count = into.len().min(self.buffer.len() - self.at);
         into[..count].copy_from_slice(&self.buffer[self.at..self.at + count]);
@@ -108,28 +132,29 @@ impl Read for Wire {
 impl Write for Wire {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.link {
-            Link::Tcp(stream) => stream.write(bytes),
-            Link::Serial(tty) => tty.write(bytes),
+            Link::Tcp(stream) => link::write(stream, bytes, &self.deadline),
+            Link::Serial(tty) => loop {
+                tty.set_timeout(self.deadline.slice())?;
+                match tty.write(bytes) {
+                    Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
+                        if self.deadline.is_over() {
+                            return Err(ErrorKind::TimedOut.into());
+                        }
+                    }
+                    other => return other,
+                }
+            },
         }
     }
 
+    /// The system sends what was written; waiting for it (`tcdrain`) has no time limit.
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.link {
-            Link::Tcp(stream) => stream.flush(),
-            Link::Serial(tty) => tty.flush(),
-        }
+        Ok(())
     }
 }
 
 impl Backend for Wire {
     fn set_read_timeout(&mut self, timeout: Option<Duration>) -> io::Result<()> {
-        if timeout == self.timeout {
-            return Ok(());
-        }
-        match &mut self.link {
-            Link::Tcp(stream) => stream.set_read_timeout(timeout)?,
-            Link::Serial(tty) => tty.set_timeout(timeout.unwrap_or(Duration::MAX))?,
-        }
         self.timeout = timeout;
         Ok(())
     }

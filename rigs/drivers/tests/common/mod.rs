@@ -2,10 +2,10 @@
 #![allow(dead_code, reason = "each test file uses its part")]
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use wcal_acquisition::AcquisitionError;
 use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_core::SessionData;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::DeviceError;
 use wcal_core::device::Mount;
 use wcal_drivers::Drivers;
@@ -84,7 +84,7 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
 
 /// Records without anybody watching.
 pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
-    record(order, &mut Drivers::default(), &mut NoMount, &AtomicBool::new(false), &mut |_| {})
+    record(order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |_| {})
 }
 
 /// Rows of a session.

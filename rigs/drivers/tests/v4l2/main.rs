@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 use wcal_acquisition::camera_pair::CameraPair;
 use wcal_core::clock::HostClock;
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind};
 use wcal_drivers::cameras::{V4l2Camera, V4l2Settings};
 
@@ -45,7 +46,7 @@ fn with_nodes(test: &str, nodes: &str, body: impl FnOnce()) {
 }
 
 fn open(path: &str, wanted: &V4l2Settings) -> Result<V4l2Camera, DeviceError> {
-    V4l2Camera::open(path, wanted, HostClock::start(1.0))
+    V4l2Camera::open(path, wanted, HostClock::start(1.0), &Interrupt::default())
 }
 
 /// Frame `k` of a node holds (x + 2 y + k) mod 256.

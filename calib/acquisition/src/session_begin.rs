@@ -1,0 +1,163 @@
+//! The folder of a session before its first move: locked, new or begun with the same rig and plan, and as it was when nothing comes of it.
+
+use crate::AcquisitionError;
+use crate::record::{RecordRequest, save};
+use crate::reduce::{recordings, refuse_empty};
+use crate::replay::completed_steps;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use wcal_core::lock::{FileLock, LockError};
+use wcal_core::rig_devices::StageRig;
+
+/// Held while a sweep records into the folder. The name is that of a file half-written: nobody takes it for a result.
+const LOCK: &str = ".wcal-session.tmp";
+
+/// A session's folder, this process's own. What was made in it goes again unless the sweep keeps it: a device that could not be opened
+/// leaves nothing that would block the next attempt.
+pub(crate) struct Begun {
+    folder: PathBuf,
+    /// Files and folders made, in order.
+    made: Vec<PathBuf>,
+    kept: bool,
+    lock: Option<FileLock>,
+}
+
+impl Begun {
+    /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
+    ///
+    /// # Errors
+    /// When another sweep records there, or something else is there.
+    pub(crate) fn open(request: &RecordRequest) -> Result<(Self, BTreeSet<u32>), AcquisitionError> {
+        let folder = &request.folder;
+        let mut begun = Self { folder: folder.clone(), made: Vec::new(), kept: false, lock: None };
+        if !request.resume {
+            begun.make_folder()?;
+        }
+        begun.take_lock()?;
+        let skip = if request.resume { begun.resume(request)? } else { begun.begin(request)? };
+        Ok((begun, skip))
+    }
+
+    /// A file that this run makes.
+    pub(crate) fn makes(&mut self, name: &str) -> PathBuf {
+        let path = self.folder.join(name);
+        self.made.push(path.clone());
+        path
+    }
+
+    /// Something was recorded: it stays.
+    pub(crate) fn keep(&mut self) {
+        self.kept = true;
+    }
+
+    fn make_folder(&mut self) -> Result<(), AcquisitionError> {
+        let missing = self.folder.ancestors().take_while(|a| !a.as_os_str().is_empty() && !a.exists());
+        self.made = missing.map(Path::to_owned).collect();
+        self.made.reverse();
+        fs::create_dir_all(&self.folder).map_err(AcquisitionError::io("creating", &self.folder))
+    }
+
+    fn take_lock(&mut self) -> Result<(), AcquisitionError> {
+        // A session to go on with that is not there is named by its missing file.
+        if !self.folder.is_dir() {
+            return Ok(());
+        }
+        let purpose = purpose(&self.folder);
+        let lock = FileLock::take(&self.folder.join(LOCK), &purpose);
+        let place = self.folder.display().to_string();
+        self.lock = Some(lock.map_err(|e| held(e, place, "a session that no sweep records now"))?);
+        Ok(())
+    }
+
+    fn begin(&mut self, request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
+        if self.folder.join("rig.toml").exists() {
+            let (place, expected) = (self.folder.display().to_string(), "a new folder (or --resume)");
+            return Err(AcquisitionError::input(place, expected, "one that holds a session"));
+        }
+        for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
+            save(&self.makes(name), text)?;
+        }
+        Ok(BTreeSet::new())
+    }
+
+    fn resume(&mut self, request: &RecordRequest) -> Result<BTreeSet<u32>, AcquisitionError> {
+        for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
+            same(&self.folder, name, text)?;
+        }
+        let parts = recordings(&self.folder);
+        refuse_empty(&parts)?;
+        let mut skip = BTreeSet::new();
+        for part in parts {
+            skip.extend(completed_steps(&part)?);
+        }
+        Ok(skip)
+    }
+}
+
+impl Drop for Begun {
+    fn drop(&mut self) {
+        self.lock = None;
+        if self.kept {
+            return;
+        }
+        for path in self.made.iter().rev() {
+            // A folder that somebody has put something into meanwhile stays.
+            let _ = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+        }
+    }
+}
+
+/// The stage of a rig, driven by nobody else on this machine.
+///
+/// # Errors
+/// Who drives it.
+pub(crate) fn stage_lock(rig: &StageRig, session: &Path) -> Result<FileLock, AcquisitionError> {
+    let lock = FileLock::of_port(&rig.port, &purpose(session));
+    lock.map_err(|e| held(e, format!("stage {}", rig.port), "a stage that nobody else drives"))
+}
+
+fn purpose(session: &Path) -> String {
+    format!("stage-sweep, session {}", session.display())
+}
+
+fn held(error: LockError, place: String, expected: &str) -> AcquisitionError {
+    match error {
+        LockError::Held(who) => AcquisitionError::input(place, expected, format!("one that {who} works on")),
+        LockError::File(e) => e.into(),
+    }
+}
+
+/// Ports may differ between the runs of one session, plans and geometry may not.
+fn same(folder: &Path, name: &str, text: &str) -> Result<(), AcquisitionError> {
+    let path = folder.join(name);
+    let old = wcal_core::files::read_text(&path).map_err(AcquisitionError::io("reading", &path))?;
+    if without_links(&old) == without_links(text) {
+        return Ok(());
+    }
+    Err(AcquisitionError::input(
+        path.display().to_string(),
+        "the same content as when the session was begun",
+        "other content",
+    ))
+}
+
+/// A document without the devices' addresses; `None` where it is no TOML.
+fn without_links(text: &str) -> Option<toml::Table> {
+    let mut table: toml::Table = text.parse().ok()?;
+    for (section, keys) in [
+        ("stage", &["port", "baud"][..]),
+        ("interrogator", &["address", "peaks_address"]),
+        ("camera", &["source"]),
+    ] {
+        let entries: Vec<&mut toml::Table> = match table.get_mut(section) {
+            Some(toml::Value::Table(one)) => vec![one],
+            Some(toml::Value::Array(many)) => many.iter_mut().filter_map(toml::Value::as_table_mut).collect(),
+            _ => Vec::new(),
+        };
+        for entry in entries {
+            keys.iter().for_each(|k| drop(entry.remove(*k)));
+        }
+    }
+    Some(table)
+}

@@ -1,0 +1,219 @@
+//! The end of every wait on a device: a duration that is over, or a user who wants an end.
+//!
+//! ```text
+//! t_move = L / v,   allowed = 1.5 t_move / s + margin                     L way, v speed, s host seconds per wall second
+//! ```
+
+use crate::device::{DeviceError, DeviceErrorKind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::{Duration, Instant};
+
+/// Longest time in one call of the system: an interrupt is heard within it.
+const SLICE: Duration = Duration::from_millis(50);
+/// Longest wait that is counted; anything above, and what is no number, is this.
+const LONGEST: Duration = Duration::from_secs(30 * 24 * 3600);
+/// A move may take this many times its own length: ramps, and a computer that is busy.
+const MOVE_TIMES: f64 = 1.5;
+/// What is allowed beyond that, wall time.
+const MOVE_MARGIN: Duration = Duration::from_secs(5);
+
+/// Who wants an end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signal {
+    /// The user at the terminal.
+    CtrlC,
+    /// SIGTERM: the system, or a supervisor.
+    Terminate,
+    /// SIGHUP: the terminal is gone.
+    HangUp,
+}
+
+impl Signal {
+    const ALL: [Self; 3] = [Self::CtrlC, Self::Terminate, Self::HangUp];
+
+    /// As in messages.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CtrlC => "Ctrl-C",
+            Self::Terminate => "SIGTERM",
+            Self::HangUp => "SIGHUP",
+        }
+    }
+}
+
+/// Whether somebody wants an end; shared by all who wait.
+#[derive(Debug, Clone, Default)]
+pub struct Interrupt(Arc<AtomicU8>);
+
+impl Interrupt {
+    /// Asks for an end.
+    pub fn set(&self, signal: Signal) {
+        self.0.store(signal as u8 + 1, Ordering::SeqCst);
+    }
+
+    /// Who asks for an end, if anybody does.
+    #[must_use]
+    pub fn signal(&self) -> Option<Signal> {
+        let code = usize::from(self.0.load(Ordering::SeqCst));
+        code.checked_sub(1).and_then(|k| Signal::ALL.get(k).copied())
+    }
+
+    /// The request is being obeyed: waits on the way to a safe state last as long as they need, until somebody asks again.
+    pub fn acknowledge(&self) {
+        self.0.store(0, Ordering::SeqCst);
+    }
+
+    /// [`DeviceErrorKind::Interrupted`] where somebody asks for an end.
+    ///
+    /// # Errors
+    /// Who asks.
+    pub fn check(&self, device: &str, action: &str) -> Result<(), DeviceError> {
+        self.signal().map_or(Ok(()), |signal| Err(interrupted(device, action, signal)))
+    }
+}
+
+fn interrupted(device: &str, action: &str, signal: Signal) -> DeviceError {
+    DeviceError::new(DeviceErrorKind::Interrupted, device, action, "no interruption", signal.name())
+}
+
+/// When a wait ends. Connecting, reading, writing and every loop that waits for a device take one: what a device sends meanwhile does not
+/// prolong it.
+#[derive(Debug, Clone)]
+pub struct Deadline {
+    end: Instant,
+    allowed: Duration,
+    interrupt: Interrupt,
+}
+
+impl Deadline {
+    /// From now on; an interrupt ends it earlier.
+    #[must_use]
+    pub fn after(allowed: Duration, interrupt: &Interrupt) -> Self {
+        let allowed = allowed.min(LONGEST);
+        Self { end: Instant::now() + allowed, allowed, interrupt: interrupt.clone() }
+    }
+
+    /// For what must be tried whatever the user wants: to stop a stage.
+    #[must_use]
+    pub fn whatever_happens(allowed: Duration) -> Self {
+        Self::after(allowed, &Interrupt::default())
+    }
+
+    /// An earlier end: a part of this wait.
+    #[must_use]
+    pub fn within(&self, allowed: Duration) -> Self {
+        let end = self.end.min(Instant::now() + allowed.min(LONGEST));
+        Self { end, allowed: self.allowed.min(allowed), interrupt: self.interrupt.clone() }
+    }
+
+    /// The time that was allowed.
+    #[must_use]
+    pub fn allowed(&self) -> Duration {
+        self.allowed
+    }
+
+    /// What is left; zero when it is over or interrupted.
+    #[must_use]
+    pub fn left(&self) -> Duration {
+        match self.interrupt.signal() {
+            Some(_) => Duration::ZERO,
+            None => self.end.saturating_duration_since(Instant::now()),
+        }
+    }
+
+    /// Whether nothing is left.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.left().is_zero()
+    }
+
+    /// Time for one call of the system: short, so that an interrupt is heard, and never zero, which some calls take for no limit.
+    #[must_use]
+    pub fn slice(&self) -> Duration {
+        self.left().clamp(Duration::from_millis(1), SLICE)
+    }
+
+    /// Sleeps, not beyond the end.
+    pub fn pause(&self, pause: Duration) {
+        let until = Instant::now() + pause.min(self.left());
+        while !self.is_over() {
+            let rest = until.saturating_duration_since(Instant::now());
+            if rest.is_zero() {
+                return;
+            }
+            std::thread::sleep(rest.min(SLICE));
+        }
+    }
+
+    /// Why it is over: `Interrupted`, or `Timeout` with what was expected in the time allowed, and what was found instead.
+    #[must_use]
+    pub fn error(&self, device: &str, action: &str, expected: &str, found: &str) -> DeviceError {
+        match self.interrupt.signal() {
+            Some(signal) => interrupted(device, action, signal),
+            None => {
+                let expected = format!("{expected} within {:.1} s", self.allowed.as_secs_f64());
+                DeviceError::new(DeviceErrorKind::Timeout, device, action, expected, found)
+            }
+        }
+    }
+}
+
+/// Longest time (wall) that a move of this way (mm) at this speed (mm/s) may take; `clock_scale`: host seconds per wall second. A way or
+/// speed that is no number above 0 is allowed the margin alone.
+#[must_use]
+pub fn move_allowance(way_mm: f64, speed_mm_s: f64, clock_scale: f64) -> Duration {
+    let own_s = way_mm.abs() / speed_mm_s.abs() / clock_scale.max(f64::MIN_POSITIVE);
+    let own = if own_s.is_nan() {
+        Duration::ZERO
+    } else {
+        Duration::try_from_secs_f64(MOVE_TIMES * own_s).unwrap_or(LONGEST)
+    };
+    own.saturating_add(MOVE_MARGIN).min(LONGEST)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_deadline_is_over_by_time_or_by_an_interrupt_and_says_which() {
+        let interrupt = Interrupt::default();
+        let long = Deadline::after(Duration::from_secs(3600), &interrupt);
+        assert!(!long.is_over() && long.slice() == SLICE, "control");
+        let short = Deadline::after(Duration::ZERO, &interrupt);
+        assert!(short.is_over() && !short.slice().is_zero());
+        let error = short.error("stage", "poll", "a reply", "none");
+        assert_eq!(error.to_string(), "stage: poll: expected a reply within 0.0 s, found none [timeout]");
+        let stop = Deadline::whatever_happens(Duration::from_secs(3600));
+        interrupt.set(Signal::Terminate);
+        assert!(long.is_over() && !stop.is_over());
+        let error = long.error("stage", "poll", "a reply", "none");
+        assert_eq!(error.to_string(), "stage: interrupted by SIGTERM");
+        assert_eq!(interrupt.check("stage", "poll").unwrap_err().kind, DeviceErrorKind::Interrupted);
+        interrupt.acknowledge();
+        assert!(!long.is_over() && interrupt.check("stage", "poll").is_ok());
+    }
+
+    #[test]
+    fn a_pause_ends_with_its_deadline() {
+        let start = Instant::now();
+        Deadline::after(Duration::from_millis(20), &Interrupt::default()).pause(Duration::from_secs(3600));
+        assert!(start.elapsed() < Duration::from_secs(600));
+    }
+
+    #[test]
+    fn a_move_is_allowed_its_own_length_and_a_margin_whatever_the_numbers_are() {
+        let plain = |way: f64, speed: f64| move_allowance(way, speed, 1.0) - MOVE_MARGIN;
+        assert_eq!(plain(10.0, 2.0), Duration::from_secs_f64(7.5));
+        assert_eq!(plain(-10.0, 2.0), Duration::from_secs_f64(7.5));
+        assert_eq!(move_allowance(10.0, 2.0, 5.0) - MOVE_MARGIN, Duration::from_secs_f64(1.5));
+        for [way, speed] in [[0.0, 0.0], [f64::NAN, 1.0], [1.0, f64::NAN]] {
+            assert_eq!(plain(way, speed), Duration::ZERO, "{way} {speed}");
+        }
+        for [way, speed] in [[1.0, 0.0], [1.0, 1e-300], [f64::INFINITY, 1.0], [1e308, 1.0]] {
+            assert_eq!(move_allowance(way, speed, 1.0), LONGEST, "{way} {speed}");
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! A stage that does not end its move, a line that carries everything but the reply, signals, and two masters: named, safe, nothing lost.
+
+use super::*;
+use std::net::TcpListener;
+
+/// Two trajectories of two depths and the rests between: some seconds.
+const PLAN: &str = r#"
+format = "wcal-plan/1"
+name = "short"
+[settle]
+gate_pm_per_s = 3.0
+window_s = 0.5
+timeout_s = 3.0
+[[block]]
+role = "calibration"
+trajectories = [1, 5]
+depths_mm = [1.5, 3.0]
+dwell_s = 0.5
+average_s = 0.5
+"#;
+/// A run that lasts this long hangs: the longest wait of the program is a tenth of it.
+const HANGS: Duration = Duration::from_secs(240);
+
+impl Bench {
+    /// `wcal stage-sweep` with the short plan.
+    pub(crate) fn short(&self, arguments: &[&str]) -> Command {
+        let plan = self.folder.path().join("short.toml");
+        std::fs::write(&plan, PLAN).expect("plan");
+        let mut command = wcal();
+        command.arg("stage-sweep").arg("--rig").arg(&self.rig).arg("--plan").arg(plan);
+        command.arg("--bench").arg(&self.addresses).args(["--home", "--json"]).args(arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    pub(crate) fn run_short(&self, how: &str) -> Output {
+        let session = self.session().display().to_string();
+        ended(self.short(&[how, &session]).spawn().expect("wcal runs"))
+    }
+
+    /// A sweep by the short plan that is past its first rest, so that there is a row to keep.
+    pub(crate) fn begun_short(&self) -> Child {
+        let session = self.session().display().to_string();
+        let child = self.short(&["--out", &session]).spawn().expect("wcal runs");
+        until_done(&self.session(), 3);
+        child
+    }
+}
+
+/// The end of a run, which must come.
+pub(crate) fn ended(mut child: Child) -> Output {
+    let start = Instant::now();
+    while child.try_wait().expect("a child").is_none() {
+        if start.elapsed() > HANGS {
+            child.kill().expect("killed");
+            let run = child.wait_with_output().expect("ends");
+            panic!("hangs: {}{}", text(&run.stdout), text(&run.stderr));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.wait_with_output().expect("ends")
+}
+
+fn kill(child: &Child, signal: &str) {
+    let id = child.id().to_string();
+    assert!(Command::new("kill").args([signal, &id]).status().expect("kill").success());
+}
+
+/// Kind and text of the cause, and whether the stage was known to stand.
+pub(crate) fn cause(run: &Output) -> (String, String, bool) {
+    assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+    let sweep = document(run);
+    assert_eq!(sweep["ending"], "stopped", "{sweep}");
+    assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
+    let word = |v: &Value| v.as_str().expect("text").to_owned();
+    (word(&sweep["cause"]["kind"]), word(&sweep["cause"]["text"]), sweep["stage_stopped"] == true)
+}
+
+/// Finished, and nothing said but that this computer was busy.
+pub(crate) fn finished(run: &Output, rows: u64) {
+    let sweep = document(run);
+    assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &rows.into()), "{sweep}");
+    let warnings = sweep["warnings"].as_array().expect("warnings");
+    let busy = |w: &Value| w.as_str().is_some_and(|w| w.contains("late") && !w.contains("clock step"));
+    assert!(warnings.iter().all(busy), "{sweep}");
+    assert_eq!(run.status.code(), Some(if warnings.is_empty() { 0 } else { 3 }), "{sweep}");
+}
+
+#[test]
+fn a_stage_that_stays_busy_is_stopped_named_and_the_sweep_goes_on_later() {
+    let mut bench = Bench::start("");
+    let child = bench.begun_short();
+    bench.type_fault("busy-for-ever");
+    let (kind, said, stopped) = cause(&ended(child));
+    assert!(kind == "timeout" && said.contains("BUSY") && said.contains("expected standstill"), "{said}");
+    assert!(stopped, "{said}");
+    assert_ne!(doctor(&bench.session()), 1);
+    finished(&bench.run_short("--resume"), 6);
+}
+
+#[test]
+fn a_flood_without_a_reply_is_named_and_the_sweep_goes_on_when_it_is_over() {
+    let mut bench = Bench::start("");
+    for (k, (flood, word)) in
+        [("alert-flood", "alerts"), ("foreign-flood", "replies of other units")].into_iter().enumerate()
+    {
+        let child = match k {
+            0 => bench.begun_short(),
+            _ => {
+                let session = bench.session().display().to_string();
+                bench.short(&["--resume", &session]).spawn().expect("wcal runs")
+            }
+        };
+        if k > 0 {
+            // The second recording has its first scans: the stage is open.
+            let part = bench.session().join("recording-2.mcap");
+            let start = Instant::now();
+            while !part.exists() {
+                assert!(start.elapsed() < Duration::from_secs(60), "no second recording");
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+        bench.type_fault(&format!("{{\"kind\":\"{flood}\",\"on\":true}}"));
+        let (kind, said, stopped) = cause(&ended(child));
+        assert!(kind == "timeout" && said.contains("none among") && said.contains(word), "{said}");
+        // Its command was sent; without a reply nobody knows, and the user is told.
+        assert!(!stopped);
+        bench.type_fault(&format!("{{\"kind\":\"{flood}\",\"on\":false}}"));
+    }
+    finished(&bench.run_short("--resume"), 6);
+}
+
+#[test]
+fn late_and_foreign_replies_and_info_lines_cost_nothing() {
+    let mut bench = Bench::start("");
+    let child = bench.begun_short();
+    for fault in ["late-reply", "foreign-reply", "info-lines", "late-reply"] {
+        bench.type_fault(fault);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    finished(&ended(child), 6);
+}
+
+/// An address at which nobody answers, and one that refuses: named, and nothing is left that would refuse the same `--out`.
+#[test]
+fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
+    let mut bench = Bench::start("");
+    bench.type_fault("{\"kind\":\"never-accept\",\"on\":true}");
+    // Until the queue of its port is full, connections are made and not answered.
+    let address = document_of(&bench.addresses)["stage_tcp"].as_str().expect("address").to_owned();
+    let address = address.parse().expect("an address");
+    let start = Instant::now();
+    while std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok() {
+        assert!(start.elapsed() < Duration::from_secs(60), "the port still answers");
+    }
+    let refused = |run: Output, word: &str| {
+        let said = text(&run.stderr);
+        assert_eq!(run.status.code(), Some(1), "{said}");
+        assert!(said.contains(word), "{said}");
+        assert!(!bench.session().exists(), "{said}");
+    };
+    refused(bench.run_short("--out"), "no answer from this address");
+    // The stage is there, the interrogator is not.
+    let closed = TcpListener::bind("127.0.0.1:0").expect("a port").local_addr().expect("an address");
+    let mut addresses = document_of(&bench.addresses);
+    let good = addresses.clone();
+    addresses["sm130"] = closed.to_string().into();
+    bench.type_fault("{\"kind\":\"never-accept\",\"on\":false}");
+    std::fs::write(&bench.addresses, addresses.to_string()).expect("written");
+    let refused = |run: Output, word: &str| {
+        let said = text(&run.stderr);
+        assert_eq!(run.status.code(), Some(1), "{said}");
+        assert!(said.contains(word), "{said}");
+        assert!(!bench.session().exists(), "{said}");
+    };
+    refused(bench.run_short("--out"), "a listening unit");
+    // A live view on an address of another machine.
+    std::fs::write(&bench.addresses, good.to_string()).expect("written");
+    let session = bench.session().display().to_string();
+    let live = bench.short(&["--live", "192.0.2.1:8765", "--out", &session]).spawn().expect("wcal runs");
+    refused(ended(live), "live view");
+    // Control: the same order with devices that answer.
+    finished(&bench.run_short("--out"), 6);
+}
+
+fn document_of(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).expect("read")).expect("JSON")
+}
+
+#[test]
+fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
+    let bench = Bench::start("");
+    let session = bench.session().display().to_string();
+    let child = bench.begun_short();
+    kill(&child, "-TERM");
+    let (kind, said, stopped) = cause(&ended(child));
+    assert!(kind == "interrupted" && said.contains("interrupted by SIGTERM") && stopped, "{said}");
+    let resume = || bench.short(&["--resume", &session]).spawn().expect("wcal runs");
+    // The second recording begins when everything is open.
+    let recorded = |number: usize| {
+        let start = Instant::now();
+        while !bench.session().join(format!("recording-{number}.mcap")).exists() {
+            assert!(start.elapsed() < Duration::from_secs(60), "no recording {number}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let child = resume();
+    recorded(2);
+    kill(&child, "-HUP");
+    let (kind, said, stopped) = cause(&ended(child));
+    assert!(kind == "interrupted" && said.contains("interrupted by SIGHUP") && stopped, "{said}");
+    // A sweep that is to outlive its terminal.
+    let plain = bench.short(&["--resume", &session]);
+    let mut outlives = Command::new("sh");
+    outlives.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(plain.get_program()).args(plain.get_args());
+    let child = outlives.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("sh runs");
+    recorded(3);
+    kill(&child, "-HUP");
+    finished(&ended(child), 6);
+}
+
+/// An interrogator that takes the connection and never says a word: a signal is heard while its reply is waited for.
+#[test]
+fn a_signal_is_heard_while_a_device_hangs() {
+    let bench = Bench::start("");
+    let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let mut addresses = document_of(&bench.addresses);
+    addresses["sm130"] = silent.local_addr().expect("an address").to_string().into();
+    std::fs::write(&bench.addresses, addresses.to_string()).expect("written");
+    let session = bench.session().display().to_string();
+    let begin = || {
+        let child = bench.short(&["--out", &session]).spawn().expect("wcal runs");
+        // It has connected, and asks.
+        let held = silent.accept().expect("a client");
+        (child, held)
+    };
+    let (child, _held) = begin();
+    kill(&child, "-TERM");
+    let run = ended(child);
+    let said = text(&run.stderr);
+    assert!(run.status.code() == Some(1) && said.contains("interrupted by SIGTERM"), "{said}");
+    assert!(!bench.session().exists(), "{said}");
+    // Control: without a signal the wait ends by itself.
+    let (child, _held) = begin();
+    let said = text(&ended(child).stderr);
+    assert!(said.contains("expected a reply within 3.0 s, found none [timeout]"), "{said}");
+}
+
+#[test]
+fn a_session_and_a_stage_have_one_sweep_at_a_time() {
+    let bench = Bench::start("");
+    let first = bench.begun_short();
+    let me = format!("process {}", first.id());
+    let beside = bench.run_short("--resume");
+    let said = text(&beside.stderr);
+    assert_eq!(beside.status.code(), Some(1), "{said}");
+    assert!(said.contains(&me) && said.contains("a session that no sweep records now"), "{said}");
+    let other = bench.folder.path().join("other");
+    let run = bench.short(&["--out", &other.display().to_string()]).spawn().expect("wcal runs");
+    let run = ended(run);
+    let said = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{said}");
+    assert!(said.contains(&me) && said.contains("a stage that nobody else drives"), "{said}");
+    assert!(!other.exists(), "{said}");
+    // Control: neither disturbed the first, and afterwards both are free.
+    finished(&ended(first), 6);
+    let left: Vec<_> = std::fs::read_dir(bench.session()).expect("a folder").collect();
+    assert!(!left.iter().flatten().any(|e| e.file_name().to_string_lossy().contains("tmp")), "{left:?}");
+    let run = bench.short(&["--out", &other.display().to_string()]).spawn().expect("wcal runs");
+    finished(&ended(run), 6);
+}

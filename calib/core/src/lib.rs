@@ -12,6 +12,7 @@ pub mod least_squares;
 pub mod map_document;
 pub mod observation;
 pub mod provenance;
+pub mod repeats;
 pub mod residual;
 pub mod rig_devices;
 pub mod sealed;

@@ -163,7 +163,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         }
         let mut physical: Vec<Hypothesis> = next
             .into_iter()
-            .filter(|h| h.physical(system) && h.effects(outliers).len() == given + size)
+            .filter(|h| h.physical(system) && h.effects(outliers).len() == given + size && system.admits(h))
             .collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
         physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));

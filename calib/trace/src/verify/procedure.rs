@@ -1,16 +1,17 @@
 //! `verify`: the residual loop, one procedure for every kind of session. The stages are those of docs/src/method.md.
 
+use super::acceptance::{Fault, claims, fault, readable};
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
-use super::error_summary::rmse;
-use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
+use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
-use super::session_model::{Record, SessionModel};
+use super::session_model::{FloorStatement, Record, SessionModel};
 use crate::error::TraceError;
 use crate::method::explain::Explained;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::Noise;
+use crate::method::omnibus::LACK_OF_FIT_LEVEL;
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{ResidualRecord, Sealed, Unsealing};
 
@@ -38,9 +39,6 @@ pub struct Verification<M: SessionModel> {
     pub unsealing: Option<Unsealing>,
 }
 
-/// Rise of the sealed error with which accepted effects are no explanation.
-const SEALED_RISE: f64 = 1.1;
-
 /// Runs the stages on a model of the open readings; sealed ones come out at the last stage, once.
 ///
 /// # Errors
@@ -59,21 +57,18 @@ pub fn verify<M: SessionModel>(
     let found = &explained.found;
     let mut conclusion =
         if explained.exact { Conclusion::exact(&found.base) } else { conclude(&model, found, &faults) };
-    if !asked.is_empty() {
+    if asked.is_empty() {
+        conclusion.only_supported(&model, found);
+    } else {
         conclusion.accept(&model, found, asked)?;
     }
     // Stages 2 and 11: the seal held until here and is broken once; the unsealed readings have the last word.
     let (rows, unsealing) = sealed.unseal(&options.seal);
     let whole = model.whole(rows)?;
-    let unsealed = last_word(&model, &whole, &explained, &mut conclusion, !asked.is_empty())?;
-    let in_turn = || left_out_in_turn(&model, found, &conclusion, &unsealed, !asked.is_empty(), seed);
-    let errors = if whole.scored().contains(&true) {
-        completed(&model, on_unsealed(&whole, &unsealed, seed), in_turn)
-    } else {
-        in_turn()
-    };
-    // Floor, what could have been seen, stage 10 (next measurement), and what a reader must know.
-    let floor = model.floor(&conclusion.accepted, &unsealed.noise, found.left().is_some());
+    let stage =
+        Stage { model: &model, whole: &whole, explained: &explained, on_request: !asked.is_empty(), seed };
+    let (unsealed, errors, floor) = stage.last_word(&mut conclusion)?;
+    // What could have been seen, stage 10 (next measurement), and what a reader must know.
     let document =
         document(&model, &whole, &explained, &conclusion, &faults, &floor, &unsealed, &errors, seed);
     let residuals = residuals(&model, &whole, &conclusion, &unsealed);
@@ -93,45 +88,75 @@ pub fn verify<M: SessionModel>(
     })
 }
 
-/// Predicts every reading under both models; accepted effects that make the unsealed readings worse are withdrawn, and a verdict that they
-/// contradict is taken back.
-fn last_word<M: SessionModel>(
-    model: &M,
-    whole: &M,
-    explained: &Explained,
-    conclusion: &mut Conclusion,
+/// What the last stage works on.
+struct Stage<'a, M> {
+    model: &'a M,
+    whole: &'a M,
+    explained: &'a Explained,
     on_request: bool,
-) -> Result<Unsealed<M::Predictions>, TraceError> {
-    let found = &explained.found;
-    let at = |h: &Hypothesis, noise: &Noise| {
-        whole.predict(h, &noise.reading_sd(&whole.noise_inputs())).ok_or(TraceError::NoSolution)
-    };
-    let mut noise = &explained.noise;
-    let before = at(&found.base, noise)?;
-    let mut after = at(&conclusion.accepted, noise)?;
-    let mut left_out = flagged(whole, &conclusion.accepted, noise);
-    let error = |p: &M::Predictions| rmse(&scored(whole, p, &left_out), 0);
-    let [low, high] = [error(&before), error(&after)];
-    let worse = high > SEALED_RISE * low && !conclusion.accepted.fit.terms.is_empty() && !on_request;
-    if worse {
-        noise = &explained.declared_noise;
-        after = at(&found.base, noise)?;
-        left_out = flagged(whole, &found.base, noise);
-        let p = holdout_p(whole, &found.base, noise, &left_out);
-        let unit = whole.quantities()[0].unit;
-        let rise = format!("rises from {} to {} {unit}", readable(low), readable(high));
-        let contradicted = p.is_some_and(|p| p < HOLDOUT_LEVEL);
-        conclusion.withdrawn(&found.base, model.noise_effect(), rise.trim_end(), contradicted);
-    }
-    if let Some(p) = holdout_p(whole, &conclusion.accepted, noise, &left_out).filter(|p| *p < HOLDOUT_LEVEL) {
-        conclusion.contradicted(p, on_request);
-    }
-    Ok(Unsealed { noise: noise.clone(), before, after, left_out })
+    seed: u64,
 }
 
-/// Three decimals, or an exponent where these would hide the number.
-fn readable(value: f64) -> String {
-    if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
+/// Predictions, held-out errors and floor of a conclusion.
+type Judged<M> = (Unsealed<<M as SessionModel>::Predictions>, Errors, FloorStatement);
+
+impl<M: SessionModel> Stage<'_, M> {
+    /// The held-out readings have the last word: what they or the last rule contradict is taken back.
+    fn last_word(&self, conclusion: &mut Conclusion) -> Result<Judged<M>, TraceError> {
+        let unit = self.whole.quantities()[0].unit;
+        let mut judged = self.judged(conclusion, &self.explained.noise)?;
+        let speaks = |conclusion: &Conclusion, judged: &Judged<M>| {
+            fault(self.model, &conclusion.accepted, &judged.1, &judged.2)
+                .filter(|_| claims(conclusion, self.on_request))
+        };
+        let mut noise = &self.explained.noise;
+        let withdrawn = |f: &Fault| matches!(f, Fault::Worse(_)) && !self.on_request;
+        if let Some(Fault::Worse([low, high])) = speaks(conclusion, &judged).filter(withdrawn) {
+            noise = &self.explained.declared_noise;
+            let base = &self.explained.found.base;
+            let rise = format!("rises from {} to {} {unit}", readable(low), readable(high));
+            conclusion.withdrawn(base, self.model.noise_effect(), rise.trim_end(), self.left_by(base, noise));
+            judged = self.judged(conclusion, noise)?;
+        }
+        if let Some(fault) = speaks(conclusion, &judged) {
+            conclusion.not_accepted(&fault.sentence(unit));
+        }
+        let p = holdout_p(self.whole, &conclusion.accepted, noise, &judged.0.left_out);
+        if let Some(p) = p.filter(|p| *p < HOLDOUT_LEVEL) {
+            conclusion.contradicted(p, self.on_request);
+        }
+        Ok(judged)
+    }
+
+    /// The declared model leaves something that is no noise: by its own tests, its repeats or the sealed readings.
+    fn left_by(&self, base: &Hypothesis, noise: &Noise) -> bool {
+        let by_repeats = self.model.lack_of_fit(base).is_some_and(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+        let left_out = flagged(self.whole, base, noise);
+        let by_sealed = holdout_p(self.whole, base, noise, &left_out).is_some_and(|p| p < HOLDOUT_LEVEL);
+        self.explained.found.first_test.generic() || by_repeats || by_sealed
+    }
+
+    /// Predicts every reading under both models, and states errors and floor.
+    fn judged(&self, conclusion: &Conclusion, noise: &Noise) -> Result<Judged<M>, TraceError> {
+        let (model, whole, found) = (self.model, self.whole, &self.explained.found);
+        let at = |h: &Hypothesis| {
+            whole.predict(h, &noise.reading_sd(&whole.noise_inputs())).ok_or(TraceError::NoSolution)
+        };
+        let unsealed = Unsealed {
+            noise: noise.clone(),
+            before: at(&found.base)?,
+            after: at(&conclusion.accepted)?,
+            left_out: flagged(whole, &conclusion.accepted, noise),
+        };
+        let in_turn = || left_out_in_turn(model, found, conclusion, &unsealed, self.on_request, self.seed);
+        let errors = if whole.scored().contains(&true) {
+            completed(model, on_unsealed(whole, &unsealed, self.seed), in_turn)
+        } else {
+            in_turn()
+        };
+        let floor = model.floor(&conclusion.accepted, noise, found.left().is_some());
+        Ok((unsealed, errors, floor))
+    }
 }
 
 /// Records of every reading and channel.

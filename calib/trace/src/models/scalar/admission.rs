@@ -3,6 +3,7 @@
 use super::frame::{Declared, ScalarRow, Scaling};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
+use wcal_core::repeats::agreement_by_chance;
 
 /// Fewer readings than this are refused.
 const MIN_ROWS: usize = 8;
@@ -37,7 +38,18 @@ pub(super) fn refusal(
             declared.worded(&format!("{count} different stimuli do not determine {parameters} coefficients")),
         );
     }
-    clock_fault(rows.iter().map(|r| r.t_s)).or_else(|| copied_holdout(rows, sealed))
+    clock_fault(rows.iter().map(|r| r.t_s))
+        .or_else(|| copied_holdout(rows, sealed))
+        .or_else(|| constant_response(rows, declared))
+        .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))
+}
+
+/// One value throughout, where the declared model follows the stimulus.
+fn constant_response(rows: &[ScalarRow], declared: Declared) -> Option<String> {
+    let first = rows.first()?.y;
+    let stuck =
+        matches!(declared, Declared::Polynomial(degree) if degree > 0) && rows.iter().all(|r| r.y == first);
+    stuck.then(|| format!("the response is {first} in every reading: no sensitivity to the stimulus"))
 }
 
 /// Where the clock of a table in file order runs backwards, in words.
@@ -58,10 +70,123 @@ fn copied_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<Stri
     let known: std::collections::BTreeSet<_> = rows.iter().map(key).collect();
     let copied = sealed.admission(|r| known.contains(&key(r))).into_iter().filter(|k| *k).count();
     let timed = sealed.admission(|r| r.t_s.is_some()).into_iter().all(|t| t);
-    let suspicious = if timed { copied > 0 } else { copied > 2 && 2 * copied > sealed.len() };
+    // Without a clock: as often as repeats of this instrument agree, or more often than chance allows?
+    let by_chance = || -> f64 {
+        let column = |f: fn(&ScalarRow) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
+        agreement_by_chance(&column(|r| r.x), &column(|r| r.y))
+            .powi(i32::try_from(copied).unwrap_or(i32::MAX))
+    };
+    let suspicious =
+        if timed { copied > 0 } else { copied > 2 && 2 * copied > sealed.len() && by_chance() < COPIED };
     suspicious.then(|| {
         format!("{copied} rows of the holdout are also in the points table; a holdout that was in the fit proves nothing")
     })
+}
+
+/// Chance below which sealed readings that agree with fitted ones are copies.
+const COPIED: f64 = 1e-3;
+
+/// Factors of a decimal point in the wrong place.
+const DECIMALS: [f64; 6] = [10.0, 0.1, 100.0, 0.01, 1e3, 1e-3];
+/// Standard deviations beyond which a reading contradicts the others, and within which it agrees once the decimal point is moved.
+const CONTRADICTS: f64 = 20.0;
+const AGREES: f64 = 4.0;
+/// More levels than this are no table that was typed.
+const MAX_LEVELS: usize = 200;
+
+/// A level that contradicts all others, and agrees with them once the decimal point of its stimulus or its responses is moved.
+fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
+    let (degree, axis) = match declared {
+        Declared::Polynomial(0) => return None,
+        Declared::Polynomial(degree) => (degree, false),
+        Declared::Axis => (1, true),
+    };
+    let y = |r: &ScalarRow| if axis { r.x + 1e-3 * r.y } else { r.y };
+    let mut levels: Vec<f64> = rows.iter().map(|r| r.x).collect();
+    levels.sort_by(f64::total_cmp);
+    levels.dedup();
+    if levels.len() < degree + 4 || levels.len() > MAX_LEVELS {
+        return None;
+    }
+    levels.iter().find_map(|&level| {
+        let (own, others): (Vec<&ScalarRow>, Vec<&ScalarRow>) = rows.iter().partition(|r| r.x == level);
+        let (low, high) = others.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| (a.min(r.x), b.max(r.x)));
+        let curve = Curve::fit(&others.iter().map(|r| (r.x, y(r))).collect::<Vec<_>>(), degree)?;
+        let wrong: Vec<&ScalarRow> =
+            own.iter().copied().filter(|r| curve.deviation(r.x, y(r)) > CONTRADICTS).collect();
+        // A single reading within the others' range is an outlier like any other.
+        let first = *wrong.first().filter(|r| wrong.len() > 1 || r.x < low || r.x > high)?;
+        let agrees = |stimulus: f64, response: f64| {
+            wrong.iter().all(|r| curve.deviation(stimulus * r.x, response * y(r)) < AGREES)
+        };
+        let count = wrong.len();
+        DECIMALS.into_iter().find_map(|factor| {
+            let right = first.x * factor;
+            if agrees(factor, 1.0) && first.x != 0.0 {
+                return Some(format!(
+                    "the stimulus {level} of {count} readings contradicts all others: their responses are those of {right} (a decimal point in the wrong place?)"
+                ));
+            }
+            (agrees(1.0, factor) && count > 1).then(|| {
+                format!(
+                    "{count} responses at the stimulus {level} contradict all others: times {factor} they agree (a decimal point in the wrong place?)"
+                )
+            })
+        })
+    })
+}
+
+/// A polynomial by least squares that knows how well it predicts.
+struct Curve {
+    middle: f64,
+    half: f64,
+    degree: usize,
+    coefficients: nalgebra::DVector<f64>,
+    inverse: nalgebra::DMatrix<f64>,
+    sd: f64,
+}
+
+impl Curve {
+    fn powers(&self, x: f64) -> nalgebra::DVector<f64> {
+        let u = (x - self.middle) / self.half;
+        nalgebra::DVector::from_fn(self.degree + 1, |k, _| u.powi(k as i32))
+    }
+
+    fn fit(pairs: &[(f64, f64)], degree: usize) -> Option<Self> {
+        let [low, high] =
+            pairs.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], p| [a.min(p.0), b.max(p.0)]);
+        let mut curve = Self {
+            middle: 0.5 * (low + high),
+            half: 0.5 * (high - low),
+            degree,
+            coefficients: nalgebra::DVector::zeros(degree + 1),
+            inverse: nalgebra::DMatrix::zeros(degree + 1, degree + 1),
+            sd: 0.0,
+        };
+        let dof = pairs.len().checked_sub(degree + 2).filter(|_| high > low)? + 1;
+        let mut normal = nalgebra::DMatrix::zeros(degree + 1, degree + 1);
+        let mut right = nalgebra::DVector::zeros(degree + 1);
+        for (x, y) in pairs {
+            let p = curve.powers(*x);
+            normal += &p * p.transpose();
+            right += p * *y;
+        }
+        curve.inverse = normal.try_inverse()?;
+        curve.coefficients = &curve.inverse * right;
+        let left: f64 =
+            pairs.iter().map(|(x, y)| (y - curve.powers(*x).dot(&curve.coefficients)).powi(2)).sum();
+        // Readings that agree to the last bit are as good as their rounding.
+        let rounding = 1e-12 * pairs.iter().map(|p| p.1.abs()).fold(0.0, f64::max);
+        curve.sd = (left / dof as f64).sqrt().max(rounding);
+        (curve.sd > 0.0).then_some(curve)
+    }
+
+    /// Distance of a reading from the prediction in standard deviations of both.
+    fn deviation(&self, x: f64, y: f64) -> f64 {
+        let p = self.powers(x);
+        let spread = 1.0 + p.dot(&(&self.inverse * &p));
+        (y - p.dot(&self.coefficients)).abs() / (self.sd * spread.sqrt())
+    }
 }
 
 /// Parts of the stimulus that are sampled alike.

@@ -145,6 +145,9 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
     );
     let (cycle, replicate) = if axis {
         (args.cycle.clone().or_else(|| args.replicate.clone()), None)
+    } else if args.kind == Kind::Transducer {
+        // The cycle of a transducer is its repetition: readings of one are left out together, and it is no quantity that acts.
+        (None, args.replicate.clone().or_else(|| args.cycle.clone()))
     } else {
         (args.cycle.clone(), args.replicate.clone())
     };

@@ -14,11 +14,10 @@ use crate::method::fit::{Fit, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::{covariance, t95};
 use crate::method::min_p::f_test;
+use crate::method::omnibus::CATALOGUE_LEVEL;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use wcal_core::verify_document::Verdict;
 
-/// A name at this p-value and above has no support by any convention; what was searched for has long passed a stricter level.
-const UNSUPPORTED: f64 = 0.05;
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
 /// Level at which the error is above the floor by more than chance.
@@ -107,7 +106,7 @@ pub fn claims(conclusion: &Conclusion, on_request: bool) -> bool {
     }
 }
 
-/// `h` without the effects that are none, the least supported one first; itself where all are.
+/// `h` without the effects that are none: beside the others each has to pass the level at which the search names. The least supported one first; itself where all are.
 #[must_use]
 pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
     let mut kept = h.clone();
@@ -132,7 +131,7 @@ fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothe
         .into_iter()
         .filter_map(|effect| {
             let (p, without) = without(effect)?;
-            (p >= UNSUPPORTED || amplitudes_hold_zero(model, &h.fit, effect)).then_some((p, without))
+            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, effect)).then_some((p, without))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, without)| without)

@@ -51,7 +51,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
     }
     if laws.is_empty() {
         let why = "taken where repeats contradict every law";
-        return entry("testable", None, unit, why.into());
+        return entry("testable", None, model.unit(), why.into());
     }
     if laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
         return if Some(effect) == model.outliers() {

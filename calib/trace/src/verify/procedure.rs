@@ -110,30 +110,37 @@ impl<M: SessionModel> Stage<'_, M> {
                 .filter(|_| claims(conclusion, self.on_request))
         };
         let mut noise = &self.explained.noise;
-        let withdrawn = |f: &Fault| matches!(f, Fault::Worse(_)) && !self.on_request;
-        if let Some(Fault::Worse([low, high])) = speaks(conclusion, &judged).filter(withdrawn) {
-            noise = &self.explained.declared_noise;
-            let base = &self.explained.found.base;
+        let (base, declared) = (&self.explained.found.base, &self.explained.declared_noise);
+        if let Some(Fault::Worse([low, high])) = speaks(conclusion, &judged)
+            && !self.on_request
+            && !self.by_sealed(base, declared)
+        {
+            // Where the sealed readings contradict both models, which of them is further off says nothing.
+            noise = declared;
             let rise = format!("rises from {} to {} {unit}", readable(low), readable(high));
-            conclusion.withdrawn(base, self.model.noise_effect(), rise.trim_end(), self.left_by(base, noise));
+            conclusion.withdrawn(base, self.model.noise_effect(), rise.trim_end(), self.left_by(base));
             judged = self.judged(conclusion, noise)?;
-        }
-        if let Some(fault) = speaks(conclusion, &judged) {
-            conclusion.not_accepted(&fault.sentence(unit));
         }
         let p = holdout_p(self.whole, &conclusion.accepted, noise, &judged.0.left_out);
         if let Some(p) = p.filter(|p| *p < HOLDOUT_LEVEL) {
             conclusion.contradicted(p, self.on_request);
         }
+        if let Some(fault) = speaks(conclusion, &judged) {
+            conclusion.not_accepted(&fault.sentence(unit));
+        }
         Ok(judged)
     }
 
-    /// The declared model leaves something that is no noise: by its own tests, its repeats or the sealed readings.
-    fn left_by(&self, base: &Hypothesis, noise: &Noise) -> bool {
+    /// The declared model leaves something that is no noise, by its own tests or its repeats.
+    fn left_by(&self, base: &Hypothesis) -> bool {
         let by_repeats = self.model.lack_of_fit(base).is_some_and(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
-        let left_out = flagged(self.whole, base, noise);
-        let by_sealed = holdout_p(self.whole, base, noise, &left_out).is_some_and(|p| p < HOLDOUT_LEVEL);
-        self.explained.found.first_test.generic() || by_repeats || by_sealed
+        self.explained.found.first_test.generic() || by_repeats
+    }
+
+    /// The sealed readings contradict `h`.
+    fn by_sealed(&self, h: &Hypothesis, noise: &Noise) -> bool {
+        let left_out = flagged(self.whole, h, noise);
+        holdout_p(self.whole, h, noise, &left_out).is_some_and(|p| p < HOLDOUT_LEVEL)
     }
 
     /// Predicts every reading under both models, and states errors and floor.

@@ -1,9 +1,10 @@
 //! Which readings can be used at all.
 
 use super::frame::{Declared, ScalarRow, Scaling};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
-use wcal_core::repeats::agreement_by_chance;
+use wcal_core::repeats::{agreement_by_chance, decimal_step};
 
 /// Fewer readings than this are refused.
 const MIN_ROWS: usize = 8;
@@ -40,6 +41,7 @@ pub(super) fn refusal(
     }
     clock_fault(rows.iter().map(|r| r.t_s))
         .or_else(|| copied_holdout(rows, sealed))
+        .or_else(|| jittered_holdout(rows, sealed))
         .or_else(|| constant_response(rows, declared))
         .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))
 }
@@ -85,6 +87,52 @@ fn copied_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<Stri
 
 /// Chance below which sealed readings that agree with fitted ones are copies.
 const COPIED: f64 = 1e-3;
+
+/// Sealed readings that agree with fitted ones of the same stimulus far better than these agree with each other: copies with a little noise
+/// added. Fisher's combination of the chances that m repeats come as near; asked only where repeats tell the noise.
+fn jittered_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
+    /// Degrees of freedom of the repeats, and sealed readings, below which nothing is said.
+    const MIN_DOF: usize = 8;
+    const MIN_SEALED: usize = 5;
+    /// An accusation: not once in a million honest sessions.
+    const LEVEL: f64 = 1e-6;
+    let mut cells: BTreeMap<[u64; 2], Vec<f64>> = BTreeMap::new();
+    let key = |r: &ScalarRow| [(r.x + 0.0).to_bits(), r.direction.unwrap_or(0.0).to_bits()];
+    rows.iter().for_each(|r| cells.entry(key(r)).or_default().push(r.y));
+    let (mut square, mut dof) = (0.0, 0);
+    for y in cells.values() {
+        let mean = y.iter().sum::<f64>() / y.len() as f64;
+        square += y.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        dof += y.len() - 1;
+    }
+    let sd = (square / dof.max(1) as f64).sqrt();
+    if dof < MIN_DOF || !(sd > 0.0) {
+        return None;
+    }
+    // What rounding makes equal is no nearer than half a digit.
+    let step = decimal_step(&rows.iter().map(|r| r.y).collect::<Vec<f64>>()).unwrap_or(0.0);
+    let chances: Vec<f64> = sealed
+        .admission(|r| {
+            let own = cells.get(&key(r))?;
+            let nearest = own.iter().map(|y| (y - r.y).abs()).fold(f64::INFINITY, f64::min).max(0.5 * step);
+            let single = statrs::function::erf::erf(nearest / (2.0 * sd));
+            Some((1.0 - (1.0 - single).powi(i32::try_from(own.len()).unwrap_or(i32::MAX))).max(1e-12))
+        })
+        .into_iter()
+        .flatten()
+        .collect();
+    if chances.len() < MIN_SEALED {
+        return None;
+    }
+    let statistic = -2.0 * chances.iter().map(|p| p.ln()).sum::<f64>();
+    let chance = ChiSquared::new(2.0 * chances.len() as f64).map_or(1.0, |d| d.sf(statistic));
+    (chance < LEVEL).then(|| {
+        format!(
+            "{} rows of the holdout agree with fitted ones better than repeats do (p = {chance:.0e}): copies with a little noise prove nothing",
+            chances.len()
+        )
+    })
+}
 
 /// Factors of a decimal point in the wrong place.
 const DECIMALS: [f64; 6] = [10.0, 0.1, 100.0, 0.01, 1e3, 1e-3];
@@ -267,5 +315,39 @@ mod tests {
         // Control: every second row has one direction only.
         assert!(all.iter().step_by(2).all(|r| r.direction == Some(1.0)));
         assert_eq!(thin(rows(900)).len(), 900);
+    }
+
+    /// `sweeps` repeats of ten stimuli; the reading of number and stimulus.
+    fn table(sweeps: usize, y: impl Fn(usize, f64) -> f64) -> Vec<ScalarRow> {
+        let of = |(k, r): (usize, ScalarRow)| {
+            let x = (k % 10) as f64;
+            ScalarRow { x, y: y(k, x), direction: None, ..r }
+        };
+        rows(10 * sweeps).into_iter().enumerate().map(of).collect()
+    }
+
+    fn scatter(k: usize) -> f64 {
+        (k as f64 * 12.9898).sin() * 43758.5453 % 1.0
+    }
+
+    #[test]
+    fn a_holdout_that_was_in_the_fit_is_refused_and_an_honest_one_is_not() {
+        let points = table(4, |k, x| 2.0 * x + 0.1 * scatter(k));
+        let again = |jitter: f64| {
+            Sealed::new(
+                points[10..20]
+                    .iter()
+                    .map(|r| ScalarRow { y: r.y + jitter * scatter(r.origin.1), ..r.clone() })
+                    .collect(),
+            )
+        };
+        assert!(copied_holdout(&points, &again(0.0)).is_some());
+        assert!(jittered_holdout(&points, &again(1e-4)).is_some());
+        let honest = Sealed::new(table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000)));
+        assert!(jittered_holdout(&points, &honest).is_none() && copied_holdout(&points, &honest).is_none());
+        // A coarse gauge reads the same again.
+        let coarse = table(4, |k, x| (2.0 * x + 0.01 * scatter(k)).round());
+        let sealed = Sealed::new(table(2, |k, x| (2.0 * x + 0.01 * scatter(k + 1000)).round()));
+        assert!(copied_holdout(&coarse, &sealed).is_none() && jittered_holdout(&coarse, &sealed).is_none());
     }
 }

@@ -20,8 +20,8 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
-/// Level within cells: far below that of the search, which has chosen the law by its whole gain.
-const WITHIN_LEVEL: f64 = 1e-3;
+/// Level within cells: the search has chosen the law by its whole gain, a wave's frequency among some two hundred.
+const WITHIN_LEVEL: f64 = 1e-4;
 /// Level between cells, where the law stands against an arbitrary table of as many places.
 const BETWEEN_LEVEL: f64 = 0.01;
 /// Steps of a refit without a term.

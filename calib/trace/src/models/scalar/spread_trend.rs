@@ -7,6 +7,7 @@ use super::table::in_place_of_laws;
 use crate::method::explain::{Explained, explain};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
+use crate::method::omnibus::LACK_OF_FIT_LEVEL;
 use crate::method::signature::nuisance;
 use crate::verify::VerifyOptions;
 
@@ -70,7 +71,11 @@ fn explain_with_spread(
             .filter(|s| s.p_value <= SPREAD_LEVEL)
             .filter(|_| steadiness(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
     };
-    let Some(spread) = of(&plain, &system).filter(|_| !plain.exact) else { return Some((system, plain)) };
+    // What a model leaves where repeats contradict it grows where it is wrong: that is no noise either.
+    let contradicted = system.pure_error(&plain.found.best).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
+    let Some(spread) = of(&plain, &system).filter(|_| !plain.exact && !contradicted) else {
+        return Some((system, plain));
+    };
     let weighted_system = system.with_spread(spread.clone());
     let weighted = explain(&weighted_system, &options.search)?;
     // The trend must outlive the effects that the weighted search adds.

@@ -38,7 +38,8 @@ impl Effect for ErrorTable {
         Vec::new()
     }
     fn refinements(&self) -> Vec<EffectModel> {
-        let places = self.places.len();
+        // At least two, so that the catalogue can be told without a session.
+        let places = self.places.len().max(2);
         // The first place's deviation is the declared constant.
         let deviations = vec![("deviation", "response"); places.saturating_sub(1)];
         let both: Vec<_> =

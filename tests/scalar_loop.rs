@@ -6,6 +6,8 @@
 mod applied;
 #[path = "scalar_loop/measured.rs"]
 mod measured;
+#[path = "scalar_loop/plausible.rs"]
+mod plausible;
 #[path = "scalar_loop/refusals.rs"]
 mod refusals;
 #[path = "scalar_loop/wording.rs"]

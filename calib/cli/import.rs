@@ -24,6 +24,7 @@ use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, wr
       --stimulus x --response y --model linear --out sessions/pontius
   wcal import ballbar.csv --kind axis --commanded cmd_mm --measured laser_um --scale measured_mm=0.001 \\
       --time t_s --out sessions/axis-x
+  wcal import laser.csv --kind axis --commanded target_mm --error deviation_um --error-unit um --cycle run --out sessions/axis-y
   wcal import OPTIC.csv bottle_1_action.csv bottle_1.stl --kind whiskerfbg-sweep --out sessions/bottle-1
 
 whiskerfbg-sweep: the layout of the WhiskerFBG release. OPTIC has a row a sample at 2 kHz with fbg_2, fbg_6 (sensing) and fbg_4 (temperature) in
@@ -81,8 +82,14 @@ pub struct ImportArgs {
     #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
     pub commanded: Option<String>,
     /// Column of the measured position (axis)
-    #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
+    #[arg(long, value_name = "COL")]
     pub measured: Option<String>,
+    /// Column of the position error, measured less commanded, in place of --measured (axis); a correction is its negative: --scale measured_mm=-1
+    #[arg(long, value_name = "COL", conflicts_with = "measured")]
+    pub error: Option<String>,
+    /// Unit of --error
+    #[arg(long, value_enum, default_value_t = ErrorUnit::Um, requires = "error")]
+    pub error_unit: ErrorUnit,
     /// Session description with [whisker], [fbg], [moments] and [[trajectory]] (whisker)
     #[arg(long, value_name = "TOML", required_if_eq("kind", "whisker"))]
     pub meta: Option<PathBuf>,
@@ -155,6 +162,28 @@ pub enum Kind {
     WhiskerfbgSweep,
 }
 
+/// Unit of a column of position errors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ErrorUnit {
+    /// Micrometres.
+    Um,
+    /// Millimetres.
+    Mm,
+    /// Inches.
+    In,
+}
+
+impl ErrorUnit {
+    /// Millimetres in one.
+    fn mm(self) -> f64 {
+        match self {
+            Self::Um => 1e-3,
+            Self::Mm => 1.0,
+            Self::In => 25.4,
+        }
+    }
+}
+
 /// Declared model of a transducer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Model {
@@ -224,6 +253,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let mut files = SessionFiles::default();
     files.tables.push(("points.csv".to_owned(), columns::convert(args, &table)?));
     let mut left_out = columns::left_out(args, &table)?;
+    let repeated = columns::repeated(args, &table)?;
     let mut sources = vec![&table];
     let holdout = args.holdout.as_deref().map(|path| read_text_table(path, &layout)).transpose()?;
     if let Some(holdout) = &holdout {
@@ -249,7 +279,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         let kind = name_of(args.kind);
         let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
             "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
-            "columns_left_out": left_out, "warnings": session.warnings, "inputs": session.inputs });
+            "columns_left_out": left_out,
+            "warnings": session.warnings.iter().map(ToString::to_string).chain(repeated.clone()).collect::<Vec<_>>(), "inputs": session.inputs });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
@@ -257,10 +288,9 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if !left_out.is_empty() {
         eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::way_in(args.kind));
     }
-    for warning in &session.warnings {
-        eprintln!("warning: {warning}");
-    }
-    Ok(ExitCode::from(if session.warnings.is_empty() { 0 } else { 3 }))
+    let warnings = session.warnings.iter().map(ToString::to_string).chain(repeated);
+    let count = warnings.map(|warning| eprintln!("warning: {warning}")).count();
+    Ok(ExitCode::from(if count == 0 { 0 } else { 3 }))
 }
 
 fn layout(args: &ImportArgs) -> TextTableLayout {

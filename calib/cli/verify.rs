@@ -38,7 +38,7 @@ use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 A table that is no session yet: wcal import TABLE.csv ... --out SESSION first.
 
-Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session was read with warnings; 4: ambiguous, unknown-effect or twin-fault.")]
+Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session was read with warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault.")]
 pub struct VerifyArgs {
     /// Session folder
     pub session: PathBuf,
@@ -115,7 +115,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     } else {
         print_text(&done, &args.out);
     }
-    Ok(exit_code(done.verify.verdict, doubtful))
+    Ok(exit_code(done.verify.verdict, doubtful || done.verify.after_trimmed.is_some()))
 }
 
 /// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result.
@@ -139,7 +139,7 @@ fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionErr
     }
 }
 
-/// Exit code of a verdict; `doubtful` where the session was read with warnings.
+/// Exit code of a verdict; `doubtful` where the session was read with warnings, or sealed readings lie far outside the noise.
 pub fn exit_code(verdict: Verdict, doubtful: bool) -> ExitCode {
     ExitCode::from(match verdict {
         Verdict::Refused => 1,

@@ -62,9 +62,10 @@ impl Calibration for ScalarModel {
             (false, true) => gappy_column(&table, "measured_mm")?,
             (false, false) => gappy_column(&table, "response")?,
         };
-        let [t_s, temperature, direction, point] =
-            ["t_s", "temperature_degc", "direction", "point"].map(|name| column(&table, name, false));
-        let (t_s, temperature, direction, point) = (t_s?, temperature?, direction?, point?);
+        let [t_s, temperature, direction, cycle, point] =
+            ["t_s", "temperature_degc", "direction", "cycle", "point"]
+                .map(|name| column(&table, name, false));
+        let (t_s, temperature, direction, cycle, point) = (t_s?, temperature?, direction?, cycle?, point?);
         let needed = self.effects.iter().any(|e| e.id == "cross-axis");
         let mut covariates = Vec::new();
         for name in &self.covariates {
@@ -82,7 +83,7 @@ impl Calibration for ScalarModel {
                     t_s: at(&t_s),
                     temperature_degc: at(&temperature),
                     direction: at(&direction),
-                    cycle: None,
+                    cycle: at(&cycle).map(|c| c as u32),
                     covariates: covariates.iter().map(|c| at(c).unwrap_or(0.0)).collect(),
                     place: None,
                 }

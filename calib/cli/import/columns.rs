@@ -15,6 +15,8 @@ const TEXT_COLUMNS: &[&str] = &["role"];
 enum Source {
     /// A column of the foreign table, times a factor where one was given.
     Column { index: usize, factor: Option<f64> },
+    /// A commanded position and the error of the measured one, each times a factor: their sum.
+    Position { commanded: (usize, f64), error: (usize, f64) },
     /// Number of the row, from 1.
     Order,
     /// The role "calibration".
@@ -27,6 +29,13 @@ enum Source {
 /// Where a column is missing, a mapping is malformed, or a cell is not what its column needs.
 pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<u8>> {
     let plan = plan(args, table)?;
+    for (name, source) in &plan {
+        if let Source::Column { index, .. } = source
+            && !TEXT_COLUMNS.contains(&name.as_str())
+        {
+            table.check_thousands(*index)?;
+        }
+    }
     let mut out = plan.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
     out.push('\n');
     for row in 0..table.rows.len() {
@@ -37,6 +46,13 @@ pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Ve
             match source {
                 Source::Order => out.push_str(&(row + 1).to_string()),
                 Source::Calibration => out.push_str("calibration"),
+                Source::Position { commanded, error } => {
+                    let [commanded, error] = [commanded, error]
+                        .map(|(index, factor)| table.number(row, *index).map(|value| Some(value? * factor)));
+                    if let (Some(commanded), Some(error)) = (commanded?, error?) {
+                        out.push_str(&format!("{}", commanded + error));
+                    }
+                }
                 Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
                     let text = table.rows[row].1[*index].trim();
                     ensure!(!text.contains([',', '"', '\n']), "{}: role {text:?} is not a word", table.file);
@@ -108,11 +124,34 @@ fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Sou
         );
         plan.push(("stimulus".to_owned(), Source::Order));
     }
+    let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm").cloned();
     for (name, column) in wanted {
-        let source = Source::Column { index: table.column(&column)?, factor: factors.get(&name).copied() };
+        let (index, factor) = (table.column(&column)?, factors.get(&name).copied());
+        let source = match &commanded {
+            Some((_, place)) if name == "measured_mm" && args.error.is_some() => Source::Position {
+                commanded: (table.column(place)?, factors.get("commanded_mm").copied().unwrap_or(1.0)),
+                error: (index, args.error_unit.mm() * factor.unwrap_or(1.0)),
+            },
+            _ => Source::Column { index, factor },
+        };
         plan.push((name, source));
     }
     Ok(plan)
+}
+
+/// Columns that stand in the table more than once, with the same cells, in words.
+///
+/// # Errors
+/// As [`convert`].
+pub(super) fn repeated(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
+    let wanted = wanted(args, table)?;
+    let again = |(_, column): &(String, String)| {
+        let count = table.columns_named(column).len();
+        (count > 1).then(|| {
+            format!("{}: {count} columns named {column} with the same cells; counted once", table.file)
+        })
+    };
+    Ok(wanted.iter().filter_map(again).collect())
 }
 
 /// Name in the session and name in the foreign table of every column to import.
@@ -123,8 +162,18 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         !(axis && args.cycle.is_some() && args.replicate.is_some()),
         "--replicate: expected --cycle or --replicate for an axis (the repetition of a stroke is its cycle), found both"
     );
+    ensure!(
+        !axis
+            || args.measured.is_some()
+            || args.error.is_some()
+            || args.map.iter().any(|m| m.starts_with("measured_mm=")),
+        "--measured: expected the column of the measured position, or of its error (--error), found neither"
+    );
     let (cycle, replicate) = if axis {
         (args.cycle.clone().or_else(|| args.replicate.clone()), None)
+    } else if args.kind == Kind::Transducer {
+        // The cycle of a transducer is its repetition: readings of one are left out together, and it is no quantity that acts.
+        (None, args.replicate.clone().or_else(|| args.cycle.clone()))
     } else {
         (args.cycle.clone(), args.replicate.clone())
     };
@@ -134,7 +183,7 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         ("stimulus", &args.stimulus),
         ("response", &args.response),
         ("commanded_mm", &args.commanded),
-        ("measured_mm", &args.measured),
+        ("measured_mm", if axis && args.error.is_some() { &args.error } else { &args.measured }),
         ("t_s", &args.time),
         ("direction", &args.direction),
         ("temperature_degc", &args.temperature),

@@ -97,6 +97,14 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             let name = if name == "response_rmse" { named(name, unit) } else { name.clone() };
             println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
         }
+        if let Some(trimmed) = &v.after_trimmed {
+            let error = trimmed.rmse.values().next().copied().unwrap_or(f64::NAN);
+            let dropped = a.points - trimmed.points;
+            println!(
+                "    without {dropped} sealed reading(s) far outside the noise        {:>10}",
+                readable(error)
+            );
+        }
         if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
             for (k, axis) in ["1", "2"].iter().enumerate() {
                 let [before, after] = [b, a].map(|m| readable(m.moment_rmse_nmm_each[k]));

@@ -17,6 +17,7 @@ pub mod map_document;
 pub mod observation;
 pub mod provenance;
 pub mod ranges;
+pub mod repeats;
 pub mod residual;
 pub mod rig_devices;
 pub mod sealed;

@@ -74,6 +74,9 @@ pub struct VerifyDocument {
     pub before: Option<HeldOutError>,
     /// Held-out error of the accepted model.
     pub after: Option<HeldOutError>,
+    /// The same without sealed readings far outside the noise; absent where there is none. Where it stands, the exit code is 3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub after_trimmed: Option<HeldOutError>,
     /// Held-out coverage of the stated 95 % intervals.
     pub coverage95: Option<f64>,
     /// What to measure next.
@@ -133,6 +136,7 @@ impl VerifyDocument {
             flagged: Vec::new(),
             before: None,
             after: None,
+            after_trimmed: None,
             coverage95: None,
             next_measurement: None,
             detectable: Vec::new(),

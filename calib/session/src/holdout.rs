@@ -103,13 +103,13 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             table.input
         }
         SessionData::Transducer(data) => {
-            let table = transducer::read_rows(path, &name, &mut session.warnings)?;
+            let table = transducer::read_rows(path, &name, &data.rows, &mut session.warnings)?;
             check_covariates(&name, &data.covariates, &table.covariates)?;
             data.holdout.extend(table.rows);
             table.input
         }
         SessionData::Axis(data) => {
-            let (rows, input) = axis::read_rows(path, &name, &mut session.warnings)?;
+            let (rows, input) = axis::read_rows(path, &name, &data.rows, &mut session.warnings)?;
             data.holdout.extend(rows);
             input
         }

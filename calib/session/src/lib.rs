@@ -5,14 +5,18 @@
 //! deserves attention is a warning in [`LoadedSession::warnings`].
 
 mod axis;
+mod copies;
 mod document;
 mod edit;
 mod error;
 mod findings;
 mod holdout;
 mod left_out;
+mod overflow;
 mod released_sweep;
 mod row;
+mod screening;
+mod sequence;
 mod session;
 mod shapes;
 mod table;

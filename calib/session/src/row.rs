@@ -186,6 +186,13 @@ impl Clock {
         self.latest_s = Some(t_s);
     }
 
+    /// Of rows by line.
+    pub(crate) fn of(rows: impl Iterator<Item = (usize, Option<f64>)>) -> Self {
+        let mut clock = Self::default();
+        rows.for_each(|(line, t_s)| clock.note(line, t_s));
+        clock
+    }
+
     /// A warning, if time ran backwards.
     pub(crate) fn warning(&self, file: &str) -> Option<SessionWarning> {
         let (line, back_s) = self.first_jump?;

@@ -11,8 +11,8 @@ use wcal_core::format::is_newer;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::{self, OutOfRange};
 use wcal_core::{
-    AxisData, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData, WhiskerData,
-    WhiskerRow,
+    AxisData, AxisRow, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData,
+    WhiskerData, WhiskerRow,
 };
 
 /// Format tag of `session.toml`.
@@ -314,12 +314,12 @@ fn load_transducer(
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerData, SessionError> {
     let meta = transducer::read_meta(root, warnings)?;
-    let table = transducer::read_rows(&folder.join(&files.points), &files.points, warnings)?;
+    let table = transducer::read_rows(&folder.join(&files.points), &files.points, &[], warnings)?;
     inputs.push(InputFile { purpose: Purpose::Fit, ..table.input });
     let (mut rows, covariates) = (table.rows, table.covariates);
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        let sealed = transducer::read_rows(&folder.join(name), name, warnings)?;
+        let sealed = transducer::read_rows(&folder.join(name), name, &rows, warnings)?;
         check_covariates(name, &covariates, &sealed.covariates)?;
         inputs.push(InputFile { purpose: Purpose::Holdout, ..sealed.input });
         holdout.extend(sealed.rows);
@@ -349,15 +349,15 @@ fn load_axis(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<AxisData, SessionError> {
-    let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) = axis::read_rows(&folder.join(name), name, warnings)?;
+    let mut read = |name: &str, points: &[AxisRow], purpose: Purpose| -> Result<Vec<_>, SessionError> {
+        let (rows, input) = axis::read_rows(&folder.join(name), name, points, warnings)?;
         inputs.push(InputFile { purpose, ..input });
         Ok(rows)
     };
-    let mut rows = read(&files.points, Purpose::Fit)?;
+    let mut rows = read(&files.points, &[], Purpose::Fit)?;
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        holdout.extend(read(name, Purpose::Holdout)?);
+        holdout.extend(read(name, &rows, Purpose::Holdout)?);
     }
     require_unsealed(&files.points, rows.len())?;
     Ok(AxisData { rows, holdout })

@@ -140,6 +140,14 @@ fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<St
     out
 }
 
+/// Digits in groups of three with dots between them, as 1.000 or 12.500.000.
+fn grouped(text: &str) -> bool {
+    let mut groups = text.split('.');
+    let digits = |g: &str| g.chars().all(|c| c.is_ascii_digit());
+    let first = groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));
+    first && text.contains('.') && groups.all(|g| g.len() == 3 && digits(g))
+}
+
 impl TextTable {
     fn check_widths(&self) -> Result<(), InputError> {
         if self.rows.is_empty() {
@@ -158,19 +166,62 @@ impl TextTable {
         }
     }
 
-    /// Index of a column.
+    /// Index of a column; of several with one name and the same cells the first.
     ///
     /// # Errors
-    /// Where there is no such column; the message lists those that there are.
+    /// Where there is no such column (the message lists those that there are), or several that differ.
     pub fn column(&self, name: &str) -> Result<usize, InputError> {
-        self.columns.iter().position(|c| c == name).ok_or_else(|| {
+        let own = self.columns_named(name);
+        let first = *own.first().ok_or_else(|| {
             let found = format!("the columns {}", listed(&self.columns));
             let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
             match &self.hint {
                 Some(hint) => error.hint(hint),
                 None => error,
             }
-        })
+        })?;
+        let cell = |cells: &[String], k: usize| cells.get(k).map(|c| c.trim().to_owned());
+        let other = |k: usize| self.rows.iter().find(|(_, cells)| cell(cells, k) != cell(cells, first));
+        if let Some((k, (line, _))) = own.iter().skip(1).find_map(|&k| Some((k, other(k)?))) {
+            let found = format!("columns {} and {} of that name, which differ", first + 1, k + 1);
+            let error =
+                InputError::new(&self.file, format!("one column {name}"), found).at(*line).field(name);
+            return Err(error.hint("name every column by --columns, and skip the header by --skip-lines"));
+        }
+        Ok(first)
+    }
+
+    /// Indices of the columns of one name.
+    #[must_use]
+    pub fn columns_named(&self, name: &str) -> Vec<usize> {
+        (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
+    }
+
+    /// A column in which a dot stands between thousands beside plain numbers: nobody writes 1.500 beside 500 for one and a half.
+    ///
+    /// # Errors
+    /// Where the column looks so and decimals are not declared to have a comma.
+    pub fn check_thousands(&self, column: usize) -> Result<(), InputError> {
+        let cell = |cells: &[String]| {
+            cells.get(column).map_or("", |c| c.trim()).trim_start_matches(['-', '+']).to_owned()
+        };
+        let cells: Vec<(usize, String)> =
+            self.rows.iter().map(|(line, cells)| (*line, cell(cells))).collect();
+        let plain = |c: &str| c.len() >= 3 && c.chars().all(|d| d.is_ascii_digit());
+        let dotted = || cells.iter().filter(|(_, c)| c.contains('.'));
+        let suspect = dotted().find(|(_, c)| grouped(c) && c.ends_with('0'));
+        let Some((line, cell)) = suspect.filter(|_| !self.decimal_comma) else { return Ok(()) };
+        if !dotted().all(|(_, c)| grouped(c)) || !cells.iter().any(|(_, c)| plain(c)) {
+            return Ok(());
+        }
+        let name = self.columns.get(column).map_or("", String::as_str);
+        let error = InputError::new(
+            &self.file,
+            "decimals written alike in a column",
+            format!("{cell} beside whole numbers"),
+        );
+        let hint = "a thousands separator? --decimal-comma reads the dot as one";
+        Err(error.at(*line).field(name).hint(hint))
     }
 
     /// Finite number in a cell; none when empty.
@@ -182,9 +233,24 @@ impl TextTable {
         let Some(cell) = cells.get(column).map(|c| c.trim()).filter(|c| !c.is_empty()) else {
             return Ok(None);
         };
-        let parsed =
-            if self.decimal_comma { cell.replace(',', ".").parse::<f64>() } else { cell.parse::<f64>() };
         let name = self.columns.get(column).map_or("", String::as_str);
+        let number = if self.decimal_comma && cell.contains('.') {
+            // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
+            let unsigned = cell.trim_start_matches(['-', '+']);
+            let whole = unsigned.split_once(',').map_or(unsigned, |(whole, _)| whole);
+            let commas = || self.rows.iter().any(|(_, cells)| cells.iter().any(|c| c.contains(',')));
+            if !grouped(whole) || !commas() {
+                let error = InputError::new(&self.file, "decimals with a comma", quote(cell)).at(*line);
+                let hint = "leave --decimal-comma out where decimals have a dot; with it a dot stands between thousands";
+                return Err(error.field(name).hint(hint));
+            }
+            cell.replace('.', "").replace(',', ".")
+        } else if self.decimal_comma {
+            cell.replace(',', ".")
+        } else {
+            cell.to_owned()
+        };
+        let parsed = number.parse::<f64>();
         match parsed {
             Ok(value) if value.is_finite() => Ok(Some(value)),
             Ok(_) => Err(InputError::new(&self.file, "a finite number", quote(cell)).at(*line).field(name)),

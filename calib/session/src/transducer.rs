@@ -3,6 +3,7 @@
 use crate::document::Section;
 use crate::error::{InputError, SessionError, quote};
 use crate::row::{Clock, PointNumbers};
+use crate::screening::{Names, Screened, View, screen};
 use crate::table::Table;
 use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::warn_unknown;
@@ -46,10 +47,26 @@ pub(crate) struct TransducerTable {
     pub(crate) input: InputFile,
 }
 
-/// Reads a table. Columns beyond the known ones are covariates when their first cell is a number.
+impl Screened for TransducerRow {
+    fn view(&self) -> View {
+        View {
+            line: self.line,
+            role: self.role,
+            setting: self.stimulus,
+            reading: self.response,
+            t_s: self.t_s,
+            direction: self.direction,
+            temperature_degc: self.temperature_degc,
+            more: self.covariates.clone(),
+        }
+    }
+}
+
+/// Reads a table; `reference` are the rows of the points table, where this is another one. Columns beyond the known ones are covariates when their first cell is a number.
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
+    reference: &[TransducerRow],
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerTable, SessionError> {
     let mut table = Table::open(path, name)?;
@@ -58,7 +75,7 @@ pub(crate) fn read_rows(
     let (t_s, temperature) = (table.optional("t_s")?, table.optional("temperature_degc")?);
     let (direction, replicate) = (table.optional("direction")?, table.optional("replicate")?);
     let mut extra = table.unused();
-    let (mut points, mut clock) = (PointNumbers::default(), Clock::default());
+    let mut points = PointNumbers::default();
     let mut rows: Vec<TransducerRow> = Vec::new();
     while let Some(row) = table.next_row()? {
         if rows.is_empty() {
@@ -83,16 +100,17 @@ pub(crate) fn read_rows(
             stimulus: row.required(stimulus)?,
             response: row.required(response)?,
             t_s: row.number(t_s)?,
-            temperature_degc: row.temperature(temperature)?,
+            temperature_degc: row.number(temperature)?,
             direction: row.sign(direction)?,
             replicate: row.count(replicate, 0)?,
             covariates: extra.iter().map(covariate).collect::<Result<_, InputError>>()?,
         };
         points.note(&row, reading.point)?;
-        clock.note(row.line, reading.t_s);
         rows.push(reading);
     }
-    warnings.extend(clock.warning(name));
-    let covariates = extra.into_iter().map(|(_, column)| column).collect();
+    let covariates: Vec<String> = extra.into_iter().map(|(_, column)| column).collect();
+    let names = Names { setting: "stimulus", reading: "response", more: &covariates };
+    screen(name, &names, &mut rows, reference, warnings)?;
+    warnings.extend(Clock::of(rows.iter().map(|r| (r.line, r.t_s))).warning(name));
     Ok(TransducerTable { rows, covariates, input: table.finish()? })
 }

@@ -26,6 +26,22 @@ pub enum WarningKind {
         /// By how much there, s.
         back_s: f64,
     },
+    /// Rows in which an instrument wrote a code because it had no value.
+    Overflow {
+        /// Column.
+        column: String,
+        /// The code.
+        value: f64,
+        /// Lines of the rows, which are left out.
+        lines: Vec<usize>,
+    },
+    /// Rows that repeat others to the last digit where their noise would not let them.
+    CopiedRows {
+        /// Lines of the rows, which are left out.
+        lines: Vec<usize>,
+        /// Rows of the table.
+        of: usize,
+    },
     /// A column that no reader knows.
     UnknownColumn(String),
     /// A column that would be a covariate, but holds no numbers.
@@ -137,6 +153,19 @@ impl fmt::Display for SessionWarning {
                 f,
                 "clock_problem: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
             ),
+            WarningKind::Overflow { column, value, lines } => write!(
+                f,
+                "{file}: {column} {} in {} row(s) is an overflow value of the instrument; left out as missing: line(s) {}",
+                short(*value),
+                lines.len(),
+                named(lines)
+            ),
+            WarningKind::CopiedRows { lines, of } => write!(
+                f,
+                "{file}: {} of {of} rows are copies of others (same digits where repeats scatter); counted once, left out: line(s) {}",
+                lines.len(),
+                named(lines)
+            ),
             WarningKind::UnknownColumn(column) => {
                 write!(f, "{file}: column {column} is not known and not used")
             }
@@ -204,8 +233,13 @@ impl fmt::Display for SessionWarning {
     }
 }
 
-/// Points by number; many are counted.
-fn named(points: &[i64]) -> String {
+/// A number as short as it reads back, with an exponent where zeros would fill a line.
+fn short(value: f64) -> String {
+    if value.abs() >= 1e12 { format!("{value:e}") } else { value.to_string() }
+}
+
+/// Points or lines by number; many are counted.
+fn named(points: &[impl ToString]) -> String {
     /// More points are counted, not named.
     const MAX_NAMED: usize = 20;
     let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();

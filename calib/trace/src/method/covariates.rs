@@ -130,7 +130,7 @@ pub fn signatures_of_covariates(
                 maker.add(name, "linear", None, &[map(&|u| u)]);
                 maker.add(name, "exponential", None, &[values.iter().map(|v| (1.0 + v).ln()).collect()]);
             }
-            _ if is_clock(name) => {
+            _ if is_clock(name) || system.further_columns().contains(name) => {
                 maker.add(name, "linear", None, &[map(&|u| u)]);
                 maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
                 for q in quantiles(&unit, 24) {

@@ -131,12 +131,15 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// A residual below this share of the largest measured value is rounding.
+/// A residual below this share of the measured values is rounding.
 const ROUNDING: f64 = 1e-13;
 
+/// Beside the upper quartile of the values: one that is huge says nothing of the digits of the others.
 fn fits_exactly(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
-    let largest = system.measured().amax();
-    base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * largest)
+    let mut sizes: Vec<f64> = system.measured().iter().map(|v| v.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let size = sizes.get(3 * sizes.len() / 4).copied().unwrap_or(0.0);
+    base.fit.residual.iter().all(|r| r.abs() <= ROUNDING * size)
 }
 
 /// Whether two noise models whiten alike, within a quarter.

@@ -33,7 +33,11 @@ impl Basis {
 
     /// Adds the new part of `v`, if any; says whether there was one.
     pub fn push(&mut self, v: &DVector<f64>) -> bool {
-        let size = v.norm();
+        self.push_beside(v, v.norm())
+    }
+
+    /// The same where `v` is what is left of something of norm `size`: rounding of that is no direction.
+    pub fn push_beside(&mut self, v: &DVector<f64>, size: f64) -> bool {
         let left = self.project_off(v);
         let norm = left.norm();
         if !(norm > NEW_SHARE * size && norm > 0.0 && norm.is_finite()) {

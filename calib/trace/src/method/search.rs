@@ -167,7 +167,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         not_converged.extend(open.map(|h| names(system, &h.effects(outliers))));
         let mut physical: Vec<Hypothesis> = next
             .into_iter()
-            .filter(|h| h.acceptable(system) && h.effects(outliers).len() == given + size)
+            .filter(|h| h.acceptable(system) && h.effects(outliers).len() == given + size && system.admits(h))
             .collect();
         let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
         physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));

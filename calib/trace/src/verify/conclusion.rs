@@ -1,12 +1,13 @@
 //! Stages 8 and 9: the verdict from what the search found, in the order of docs/src/formats.md.
 
+use super::acceptance::supported;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::in_class;
 use crate::method::min_p::f_test;
-use crate::method::omnibus::{LACK_OF_FIT_LEVEL, OmnibusTest};
+use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
 /// Conclusion in parts.
@@ -74,13 +75,7 @@ impl Conclusion {
     }
 
     /// The accepted effects make the unsealed readings worse: they are no explanation, and nothing of them stays accepted.
-    pub fn withdrawn(
-        &mut self,
-        base: &Hypothesis,
-        noise: Option<NamedEffect>,
-        errors: &str,
-        contradicted: bool,
-    ) {
+    pub fn withdrawn(&mut self, base: &Hypothesis, noise: Option<NamedEffect>, errors: &str, left: bool) {
         let names: Vec<String> = self.effects.iter().map(|e| e.id.clone()).collect();
         let found = format!(
             "The fitted readings asked for {}, but with it the held-out error {errors}: it is not accepted.",
@@ -90,15 +85,45 @@ impl Conclusion {
         self.effects = noise.into_iter().collect();
         self.rivals = Vec::new();
         self.accepted = base.clone();
-        (self.verdict, self.reason) = if contradicted {
+        (self.verdict, self.reason) = if left {
             let left = "Something is left that nothing in the catalogue explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))
         } else if self.effects.is_empty() {
-            let enough = "The declared model and the noise explain the held-out readings.";
+            let enough = "The declared model and the noise explain the readings.";
             (Verdict::Adequate, format!("{enough} {found}"))
         } else {
             (Verdict::Effect, format!("{} {found}", self.effects[0].sentence))
         };
+    }
+
+    /// Effects that are none are dropped: nothing of them stays accepted.
+    pub fn only_supported<M: SessionModel>(&mut self, model: &M, found: &SearchResult) {
+        if self.verdict == Verdict::Ambiguous || self.accepted.fit.terms.is_empty() {
+            return;
+        }
+        let kept = supported(model, found, &self.accepted);
+        if kept.fit.terms.len() == self.accepted.fit.terms.len() {
+            return;
+        }
+        let noise = model.noise_effect();
+        self.effects = named(model, found, &kept, &[]);
+        self.effects.extend(noise);
+        self.alternatives = vec![self.effects.iter().map(|e| e.id.clone()).collect()];
+        self.alternatives.retain(|a| !a.is_empty());
+        self.accepted = kept;
+        if self.verdict == Verdict::Effect {
+            (self.verdict, self.reason) = if self.effects.is_empty() {
+                (Verdict::Adequate, "Nothing that the data support is left by the declared model.".to_owned())
+            } else {
+                (Verdict::Effect, sentences(&self.effects))
+            };
+        }
+    }
+
+    /// The model is not accepted, whatever the fitted readings say; effects that were found stay listed.
+    pub fn not_accepted(&mut self, why: &str) {
+        self.verdict = Verdict::UnknownEffect;
+        self.reason = format!("{why} {}", self.reason);
     }
 
     /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
@@ -179,6 +204,11 @@ fn named<M: SessionModel>(
         .collect()
 }
 
+/// What the effects do, in their catalogue's words.
+fn sentences(effects: &[NamedEffect]) -> String {
+    effects.iter().map(|e| e.sentence.as_str()).collect::<Vec<_>>().join(" ")
+}
+
 fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
     let first = test.covariates.first()?;
     Some(UnknownEffect {
@@ -233,18 +263,24 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     let against_pure_error = model.lack_of_fit(&c.accepted);
     let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
     let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
-    if !c.rivals.is_empty() {
+    if !c.rivals.is_empty() && lack.is_none() {
         c.verdict = Verdict::Ambiguous;
         let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
         c.reason = format!("The data ask for an effect but cannot decide between {}.", names.join("; "));
     } else if left || lack.is_some() {
         c.verdict = Verdict::UnknownEffect;
         let test = if something { &found.last_test } else { &found.first_test };
-        c.unknown = if left { unknown(test) } else { lack.map(|(_, driver)| driver) };
+        let clock = |s: &CovariateScore| matches!(s.covariate.as_str(), "order" | "t_s");
+        let fitted = if something { &found.best } else { &found.base };
+        // What repeats with the protocol follows its places, not the clock that counts them.
+        let protocol = |s: &CovariateScore| clock(s) && model.repeats_with_protocol(fitted, &s.columns);
+        let by_place = lack.is_some() && test.covariates.first().is_none_or(protocol);
+        c.unknown = if left && !by_place { unknown(test) } else { lack.map(|(_, driver)| driver) };
         c.reason = unknown_reason(c.unknown.as_ref(), &c.effects);
+        c.rivals.clear();
     } else if !c.effects.is_empty() {
         c.verdict = Verdict::Effect;
-        c.reason = c.effects.iter().map(|e| e.sentence.as_str()).collect::<Vec<_>>().join(" ");
+        c.reason = sentences(&c.effects);
     } else if !faults.is_empty() {
         c.verdict = Verdict::TwinFault;
         let count: usize = faults.iter().map(|f| f.points.len()).sum();

@@ -49,6 +49,10 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
     if let Some(why) = model.not_observable(effect) {
         return entry("not-observable", None, unit, model.worded(&why));
     }
+    if laws.is_empty() {
+        let why = "taken where repeats contradict every law";
+        return entry("testable", None, model.unit(), why.into());
+    }
     if laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
         return if Some(effect) == model.outliers() {
             let why = "single readings far outside the noise are flagged";

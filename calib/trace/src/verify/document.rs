@@ -45,6 +45,7 @@ pub fn document<M: SessionModel>(
         flagged: flagged(model, whole, conclusion, unsealed),
         before: errors.before.clone(),
         after: errors.after.clone(),
+        after_trimmed: errors.trimmed.as_ref().and_then(|[_, after]| after.clone()),
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, test),

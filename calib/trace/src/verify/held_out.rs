@@ -19,12 +19,18 @@ pub struct Errors {
     pub before: Option<HeldOutError>,
     /// Accepted model.
     pub after: Option<HeldOutError>,
+    /// Both without single readings that do not belong, where there are some.
+    pub trimmed: Option<[Option<HeldOutError>; 2]>,
+    /// Noise of the readings that count over that of a typical reading, root mean square.
+    pub noise_ratio: f64,
     /// Share of values inside their stated intervals.
     pub coverage95: Option<f64>,
     /// Further models by name.
     pub further: Vec<(String, HeldOutError)>,
     /// What the verdict's reason must add.
     pub remark: String,
+    /// How readings were left out, where they were.
+    pub words: String,
 }
 
 impl Errors {
@@ -54,17 +60,24 @@ pub fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out
 
 /// Errors on the unsealed readings of `whole`, beside a rival that names nothing.
 pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
-    let of = |p: &M::Predictions| scored(whole, p, &unsealed.left_out);
+    // Every sealed reading counts: which ones belong is no choice of the model that they judge.
+    let of = |p: &M::Predictions| scored(whole, p, &[]);
     let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
     let rows = of(&unsealed.after);
-    let black_box = rival(whole, &unsealed.before, &unsealed.left_out);
+    let without = |p: &M::Predictions| sum(&scored(whole, p, &unsealed.left_out));
+    let trimmed =
+        (!unsealed.left_out.is_empty()).then(|| [without(&unsealed.before), without(&unsealed.after)]);
+    let black_box = rival(whole, &unsealed.before, &[]);
+    let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
     Errors {
         before: sum(&of(&unsealed.before)),
         after: sum(&rows),
+        trimmed,
+        noise_ratio: noise_ratio(whole, &unsealed.noise, &counted),
         coverage95: coverage95(&rows),
         further: sum(&black_box).map(|e| (name, e)).into_iter().collect(),
-        remark: String::new(),
+        ..Errors::default()
     }
 }
 
@@ -88,7 +101,7 @@ pub fn completed<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: impl F
             "{} No sealed reading shows {}: it is {}.",
             sealed.remark,
             keys.join(", "),
-            model.folds().words
+            in_turn.words
         );
     }
     sealed
@@ -109,9 +122,15 @@ pub fn left_out_in_turn<M: SessionModel>(
     } else {
         std::iter::once(&found.base).chain(&found.refitted).collect()
     };
-    let folds = model.folds();
-    let leave =
-        LeaveOut { model, found, accepted: &conclusion.accepted, noise: &unsealed.noise, folds: &folds };
+    let folds = model.folds_under(&conclusion.accepted);
+    let leave = LeaveOut {
+        model,
+        found,
+        accepted: &conclusion.accepted,
+        noise: &unsealed.noise,
+        folds: &folds,
+        every: false,
+    };
     let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), folds.split, seed);
     let after = leave.errors(&conclusion.accepted, &rivals, false);
     let repaired = leave.errors(&found.base, &[], false);
@@ -126,16 +145,41 @@ pub fn left_out_in_turn<M: SessionModel>(
         further.push(("declared model, labels repaired by the rod".to_owned(), e));
     }
     let declared = if by_twin.is_empty() { &repaired } else { &by_twin };
+    let counted: Vec<usize> = (0..folds.fold.len())
+        .filter(|&i| folds.fold[i].is_some() && conclusion.accepted.weights.counts(i))
+        .collect();
+    // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
+    let ignored =
+        (0..folds.fold.len()).any(|i| folds.fold[i].is_some() && !conclusion.accepted.weights.counts(i));
+    if ignored
+        && let Some(e) = sum(&LeaveOut { every: true, ..leave }.errors(&conclusion.accepted, &rivals, false))
+    {
+        further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
+    }
     Errors {
         before: with_map(sum(declared), &unsealed.before, true),
         after: with_map(sum(&after), &unsealed.after, false),
         coverage95: coverage95(&after),
         further,
+        trimmed: None,
+        noise_ratio: noise_ratio(model, &unsealed.noise, &counted),
+        words: folds.words.clone(),
         remark: format!(
             " Errors are {}: the choice among the refitted explanations and every fitted value were made without what is left out.",
             folds.words
         ),
     }
+}
+
+/// Noise of `readings` over that of a typical one of them: root mean square over median. Where it differs from reading to reading, an error
+/// over all of them lies above a typical reading's by this.
+fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
+    let all = noise.reading_sd(&model.noise_inputs());
+    let mut sd: Vec<f64> = readings.iter().map(|&i| all[i]).collect();
+    sd.sort_by(f64::total_cmp);
+    let typical = sd.get(sd.len() / 2).copied().unwrap_or(1.0);
+    let square = sd.iter().map(|s| s * s).sum::<f64>() / sd.len().max(1) as f64;
+    if typical > 0.0 { square.sqrt() / typical } else { 1.0 }
 }
 
 /// The explanation that the readings of `weights` alone would choose among `rivals` (tangent models, Akaike's price).
@@ -165,12 +209,15 @@ fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights
 }
 
 /// Leaves folds out in turn.
+#[derive(Clone, Copy)]
 struct LeaveOut<'a, M> {
     model: &'a M,
     found: &'a SearchResult,
     accepted: &'a Hypothesis,
     noise: &'a Noise,
     folds: &'a Folds,
+    /// Errors of readings that the accepted model flags count, too; they are in no fit all the same.
+    every: bool,
 }
 
 impl<M: SessionModel> LeaveOut<'_, M> {
@@ -194,7 +241,7 @@ impl<M: SessionModel> LeaveOut<'_, M> {
                     model.predict(&Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() }, &sd)
                 })
             };
-            let rows = (0..fold.len()).filter(|&i| inside(i) && counts(i));
+            let rows = (0..fold.len()).filter(|&i| inside(i) && (self.every || counts(i)));
             predictions.map_or(Vec::new(), |p| {
                 rows.map(|i| HeldOut { group: f as u32, ..model.errors(&p, i) }).collect()
             })

@@ -13,8 +13,8 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 pub const HOLDOUT_LEVEL: f64 = 1e-4;
 /// Family-wise level of single held-out readings.
 const SINGLE_LEVEL: f64 = 1e-3;
-/// More of them than this share are no single readings.
-const MAX_SHARE: f64 = 0.08;
+/// More of them than this share are no single readings; of fewer than ten none is.
+const MAX_SHARE: f64 = 0.1;
 
 /// Measured less predicted at every reading of `whole`, in the engine's channels.
 fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
@@ -37,7 +37,7 @@ pub fn flagged<M: SessionModel>(whole: &M, h: &Hypothesis, noise: &Noise) -> Vec
     };
     let level = SINGLE_LEVEL / (left.ncols() * rows.len().max(1)) as f64;
     let out: Vec<usize> = rows.iter().copied().filter(|&i| tail(size(i)) < level).collect();
-    if out.len() as f64 > MAX_SHARE * rows.len() as f64 + 1.0 { Vec::new() } else { out }
+    if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }
 }
 
 /// From standard deviations to the scale of the heaviest tails.

@@ -1,5 +1,6 @@
 //! `wcal verify`: one procedure, generic over the measurement model of a session, from the twin check to the unsealed holdout.
 
+pub mod acceptance;
 pub mod conclusion;
 pub mod copied_holdout;
 pub mod detect;

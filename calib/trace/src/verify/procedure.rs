@@ -1,17 +1,18 @@
 //! `verify`: the residual loop, one procedure for every kind of session. The stages are those of docs/src/method.md.
 
+use super::acceptance::{Fault, claims, fault, readable};
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
-use super::error_summary::rmse;
 use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
-use super::refutation;
-use super::session_model::{Record, SessionModel};
+use super::refutation::refuted;
+use super::session_model::{FloorStatement, Record, SessionModel};
 use crate::error::TraceError;
 use crate::method::explain::Explained;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::Noise;
+use crate::method::omnibus::LACK_OF_FIT_LEVEL;
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{ResidualRecord, Sealed, Unsealing};
 
@@ -39,9 +40,6 @@ pub struct Verification<M: SessionModel> {
     pub unsealing: Option<Unsealing>,
 }
 
-/// Rise of the sealed error with which accepted effects are no explanation.
-const SEALED_RISE: f64 = 1.1;
-
 /// Runs the stages on a model of the open readings; sealed ones come out at the last stage, once.
 ///
 /// # Errors
@@ -60,21 +58,18 @@ pub fn verify<M: SessionModel>(
     let found = &explained.found;
     let mut conclusion =
         if explained.exact { Conclusion::exact(&found.base) } else { conclude(&model, found, &faults) };
-    if !asked.is_empty() {
+    if asked.is_empty() {
+        conclusion.only_supported(&model, found);
+    } else {
         conclusion.accept(&model, found, asked)?;
     }
     // Stages 2 and 11: the seal held until here and is broken once; the unsealed readings have the last word.
     let (rows, unsealing) = sealed.unseal(&options.seal);
     let whole = model.whole(rows)?;
-    let unsealed = last_word(&model, &whole, &explained, &mut conclusion, !asked.is_empty())?;
-    let in_turn = || left_out_in_turn(&model, found, &conclusion, &unsealed, !asked.is_empty(), seed);
-    let errors = if whole.scored().contains(&true) {
-        completed(&model, on_unsealed(&whole, &unsealed, seed), in_turn)
-    } else {
-        in_turn()
-    };
-    // Floor, what could have been seen, stage 10 (next measurement), and what a reader must know.
-    let floor = model.floor(&conclusion.accepted, &unsealed.noise, found.left().is_some());
+    let stage =
+        Stage { model: &model, whole: &whole, explained: &explained, on_request: !asked.is_empty(), seed };
+    let (unsealed, errors, floor) = stage.last_word(&mut conclusion)?;
+    // What could have been seen, stage 10 (next measurement), and what a reader must know.
     let document =
         document(&model, &whole, &explained, &conclusion, &faults, &floor, &unsealed, &errors, seed);
     let residuals = residuals(&model, &whole, &conclusion, &unsealed);
@@ -94,53 +89,95 @@ pub fn verify<M: SessionModel>(
     })
 }
 
-/// Predicts every reading under both models; accepted effects that make the unsealed readings worse are withdrawn, and a verdict that they
-/// contradict is taken back.
-fn last_word<M: SessionModel>(
-    model: &M,
-    whole: &M,
-    explained: &Explained,
-    conclusion: &mut Conclusion,
+/// What the last stage works on.
+struct Stage<'a, M> {
+    model: &'a M,
+    whole: &'a M,
+    explained: &'a Explained,
     on_request: bool,
-) -> Result<Unsealed<M::Predictions>, TraceError> {
-    let found = &explained.found;
-    let at = |h: &Hypothesis, noise: &Noise| {
-        whole.predict(h, &noise.reading_sd(&whole.noise_inputs())).ok_or(TraceError::NoSolution)
-    };
-    let mut noise = &explained.noise;
-    let before = at(&found.base, noise)?;
-    let mut after = at(&conclusion.accepted, noise)?;
-    let mut left_out = flagged(whole, &conclusion.accepted, noise);
-    let error = |p: &M::Predictions| rmse(&scored(whole, p, &left_out), 0);
-    let [low, high] = [error(&before), error(&after)];
-    let refuted = || {
-        let sd = noise.reading_sd(&whole.noise_inputs());
-        let counts = (0..sd.len()).filter(|i| whole.scored()[*i] && !left_out.contains(i));
-        let sd: Vec<f64> = counts.map(|i| sd[i] * whole.noise_factor()).collect();
-        let of = |p: &M::Predictions| scored(whole, p, &left_out);
-        refutation::refuted(&of(&before), &of(&after), &sd)
-    };
-    let worse =
-        high > SEALED_RISE * low && !conclusion.accepted.fit.terms.is_empty() && !on_request && refuted();
-    if worse {
-        noise = &explained.declared_noise;
-        after = at(&found.base, noise)?;
-        left_out = flagged(whole, &found.base, noise);
-        let p = holdout_p(whole, &found.base, noise, &left_out);
-        let unit = whole.quantities()[0].unit;
-        let rise = format!("rises from {} to {} {unit}", readable(low), readable(high));
-        let contradicted = p.is_some_and(|p| p < HOLDOUT_LEVEL);
-        conclusion.withdrawn(&found.base, model.noise_effect(), rise.trim_end(), contradicted);
-    }
-    if let Some(p) = holdout_p(whole, &conclusion.accepted, noise, &left_out).filter(|p| *p < HOLDOUT_LEVEL) {
-        conclusion.contradicted(p, on_request);
-    }
-    Ok(Unsealed { noise: noise.clone(), before, after, left_out })
+    seed: u64,
 }
 
-/// Three decimals, or an exponent where these would hide the number.
-fn readable(value: f64) -> String {
-    if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
+/// Predictions, held-out errors and floor of a conclusion.
+type Judged<M> = (Unsealed<<M as SessionModel>::Predictions>, Errors, FloorStatement);
+
+impl<M: SessionModel> Stage<'_, M> {
+    /// The held-out readings have the last word: what they or the last rule contradict is taken back.
+    fn last_word(&self, conclusion: &mut Conclusion) -> Result<Judged<M>, TraceError> {
+        let unit = self.whole.quantities()[0].unit;
+        let mut judged = self.judged(conclusion, &self.explained.noise)?;
+        let speaks = |conclusion: &Conclusion, judged: &Judged<M>| {
+            fault(self.model, &conclusion.accepted, &judged.1, &judged.2, self.shown(&judged.0))
+                .filter(|_| claims(conclusion, self.on_request))
+        };
+        let mut noise = &self.explained.noise;
+        let (base, declared) = (&self.explained.found.base, &self.explained.declared_noise);
+        if let Some(Fault::Worse([low, high])) = speaks(conclusion, &judged)
+            && !self.on_request
+            && !self.by_sealed(base, declared)
+        {
+            // Where the sealed readings contradict both models, which of them is further off says nothing.
+            noise = declared;
+            let rise = format!("rises from {} to {} {unit}", readable(low), readable(high));
+            conclusion.withdrawn(base, self.model.noise_effect(), rise.trim_end(), self.left_by(base));
+            judged = self.judged(conclusion, noise)?;
+        }
+        let p = holdout_p(self.whole, &conclusion.accepted, noise, &judged.0.left_out);
+        if let Some(p) = p.filter(|p| *p < HOLDOUT_LEVEL) {
+            conclusion.contradicted(p, self.on_request);
+        }
+        if let Some(fault) = speaks(conclusion, &judged) {
+            conclusion.not_accepted(&fault.sentence(unit));
+        }
+        Ok(judged)
+    }
+
+    /// The declared model leaves something that is no noise, by its own tests or its repeats.
+    fn left_by(&self, base: &Hypothesis) -> bool {
+        let by_repeats = self.model.lack_of_fit(base).is_some_and(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+        self.explained.found.first_test.generic() || by_repeats
+    }
+
+    /// The sealed readings contradict `h`.
+    fn by_sealed(&self, h: &Hypothesis, noise: &Noise) -> bool {
+        let left_out = flagged(self.whole, h, noise);
+        holdout_p(self.whole, h, noise, &left_out).is_some_and(|p| p < HOLDOUT_LEVEL)
+    }
+
+    /// A rise of the error is beyond chance: sealed readings must be able to show it; errors left out in turn are taken as they are.
+    fn shown(&self, unsealed: &Unsealed<M::Predictions>) -> bool {
+        let whole = self.whole;
+        if !whole.scored().contains(&true) {
+            return true;
+        }
+        let sd = unsealed.noise.reading_sd(&whole.noise_inputs());
+        let counts = (0..sd.len()).filter(|i| whole.scored()[*i] && !unsealed.left_out.contains(i));
+        let sd: Vec<f64> = counts.map(|i| sd[i] * whole.noise_factor()).collect();
+        let of = |p: &M::Predictions| scored(whole, p, &unsealed.left_out);
+        refuted(&of(&unsealed.before), &of(&unsealed.after), &sd)
+    }
+
+    /// Predicts every reading under both models, and states errors and floor.
+    fn judged(&self, conclusion: &Conclusion, noise: &Noise) -> Result<Judged<M>, TraceError> {
+        let (model, whole, found) = (self.model, self.whole, &self.explained.found);
+        let at = |h: &Hypothesis| {
+            whole.predict(h, &noise.reading_sd(&whole.noise_inputs())).ok_or(TraceError::NoSolution)
+        };
+        let unsealed = Unsealed {
+            noise: noise.clone(),
+            before: at(&found.base)?,
+            after: at(&conclusion.accepted)?,
+            left_out: flagged(whole, &conclusion.accepted, noise),
+        };
+        let in_turn = || left_out_in_turn(model, found, conclusion, &unsealed, self.on_request, self.seed);
+        let errors = if whole.scored().contains(&true) {
+            completed(model, on_unsealed(whole, &unsealed, self.seed), in_turn)
+        } else {
+            in_turn()
+        };
+        let floor = model.floor(&conclusion.accepted, noise, found.left().is_some());
+        Ok((unsealed, errors, floor))
+    }
 }
 
 /// Records of every reading and channel.

@@ -130,12 +130,21 @@ pub trait SessionModel: MeasurementModel + Sized {
     fn excuses(&self, _found: &SearchResult) -> bool {
         false
     }
+    /// A driver of what is left that repeats with the protocol: its columns explain nothing among readings that are equal in every input.
+    fn repeats_with_protocol(&self, _h: &Hypothesis, _columns: &[Vec<f64>]) -> bool {
+        false
+    }
     /// Lack of fit against pure error, and what it would follow.
     fn lack_of_fit(&self, _h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
         None
     }
     /// Floor under the accepted model; `left`: something is left, so that only replicates tell.
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
+
+    /// Degrees of freedom of the replicates that the floor comes from, where they are counted.
+    fn floor_dof(&self, _h: &Hypothesis) -> Option<f64> {
+        None
+    }
 
     /// Stage 10: what would decide between the best explanation and its rivals of another class.
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement>;
@@ -161,6 +170,14 @@ pub trait SessionModel: MeasurementModel + Sized {
     fn corrected(&self, predictions: &Self::Predictions, reading: usize, added: &[f64]) -> HeldOut;
     /// Folds where nothing is sealed.
     fn folds(&self) -> Folds;
+    /// The same where the accepted model asks for others: what it learned of a place cannot be left out with all readings there.
+    fn folds_under(&self, _accepted: &Hypothesis) -> Folds {
+        self.folds()
+    }
+    /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own rows could be predicted by.
+    fn useless(&self, _accepted: &Hypothesis) -> Option<String> {
+        None
+    }
     /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
     fn by_outside_twin(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None

@@ -2,8 +2,10 @@
 
 use super::frame::{Declared, ScalarRow, Scaling};
 use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
+use wcal_core::repeats::decimal_step;
 
 /// Fewer readings than this are refused.
 const MIN_ROWS: usize = 8;
@@ -39,7 +41,19 @@ pub(super) fn refusal(
         );
     }
     let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
-    clock_fault(rows.iter().map(|r| r.t_s)).or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
+    clock_fault(rows.iter().map(|r| r.t_s))
+        .or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
+        .or_else(|| jittered_holdout(rows, sealed))
+        .or_else(|| constant_response(rows, declared))
+        .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))
+}
+
+/// One value throughout, where the declared model follows the stimulus.
+fn constant_response(rows: &[ScalarRow], declared: Declared) -> Option<String> {
+    let first = rows.first()?.y;
+    let stuck =
+        matches!(declared, Declared::Polynomial(degree) if degree > 0) && rows.iter().all(|r| r.y == first);
+    stuck.then(|| format!("the response is {first} in every reading: no sensitivity to the stimulus"))
 }
 
 /// Where the clock of a table in file order runs backwards, in words.
@@ -62,6 +76,155 @@ fn compared(r: &ScalarRow) -> ComparedRow {
         reading: vec![r.y],
         rest: more.into_iter().chain(r.covariates.iter().map(|v| Some(*v))).map(|v| bits(&[v])[0]).collect(),
         t_s: r.t_s,
+    }
+}
+
+/// Sealed readings that agree with fitted ones of the same stimulus far better than these agree with each other: copies with a little noise
+/// added. Fisher's combination of the chances that m repeats come as near; asked only where repeats tell the noise.
+fn jittered_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
+    /// Degrees of freedom of the repeats, and sealed readings, below which nothing is said.
+    const MIN_DOF: usize = 8;
+    const MIN_SEALED: usize = 5;
+    /// An accusation: not once in a million honest sessions.
+    const LEVEL: f64 = 1e-6;
+    let mut cells: BTreeMap<[u64; 2], Vec<f64>> = BTreeMap::new();
+    let key = |r: &ScalarRow| [(r.x + 0.0).to_bits(), r.direction.unwrap_or(0.0).to_bits()];
+    rows.iter().for_each(|r| cells.entry(key(r)).or_default().push(r.y));
+    let (mut square, mut dof) = (0.0, 0);
+    for y in cells.values() {
+        let mean = y.iter().sum::<f64>() / y.len() as f64;
+        square += y.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        dof += y.len() - 1;
+    }
+    let sd = (square / dof.max(1) as f64).sqrt();
+    if dof < MIN_DOF || !(sd > 0.0) {
+        return None;
+    }
+    // What rounding makes equal is no nearer than half a digit.
+    let step = decimal_step(&rows.iter().map(|r| r.y).collect::<Vec<f64>>()).unwrap_or(0.0);
+    let chances: Vec<f64> = sealed
+        .admission(|r| {
+            let own = cells.get(&key(r))?;
+            let nearest = own.iter().map(|y| (y - r.y).abs()).fold(f64::INFINITY, f64::min).max(0.5 * step);
+            let single = statrs::function::erf::erf(nearest / (2.0 * sd));
+            Some((1.0 - (1.0 - single).powi(i32::try_from(own.len()).unwrap_or(i32::MAX))).max(1e-12))
+        })
+        .into_iter()
+        .flatten()
+        .collect();
+    if chances.len() < MIN_SEALED {
+        return None;
+    }
+    let statistic = -2.0 * chances.iter().map(|p| p.ln()).sum::<f64>();
+    let chance = ChiSquared::new(2.0 * chances.len() as f64).map_or(1.0, |d| d.sf(statistic));
+    (chance < LEVEL).then(|| {
+        format!(
+            "{} rows of the holdout agree with fitted ones better than repeats do (p = {chance:.0e}): copies with a little noise prove nothing",
+            chances.len()
+        )
+    })
+}
+
+/// Factors of a decimal point in the wrong place.
+const DECIMALS: [f64; 6] = [10.0, 0.1, 100.0, 0.01, 1e3, 1e-3];
+/// Standard deviations beyond which a reading contradicts the others, and within which it agrees once the decimal point is moved.
+const CONTRADICTS: f64 = 20.0;
+const AGREES: f64 = 4.0;
+/// More levels than this are no table that was typed.
+const MAX_LEVELS: usize = 200;
+
+/// A level that contradicts all others, and agrees with them once the decimal point of its stimulus or its responses is moved.
+fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
+    let (degree, axis) = match declared {
+        Declared::Polynomial(0) => return None,
+        Declared::Polynomial(degree) => (degree, false),
+        Declared::Axis => (1, true),
+    };
+    let y = |r: &ScalarRow| if axis { r.x + 1e-3 * r.y } else { r.y };
+    let mut levels: Vec<f64> = rows.iter().map(|r| r.x).collect();
+    levels.sort_by(f64::total_cmp);
+    levels.dedup();
+    if levels.len() < degree + 4 || levels.len() > MAX_LEVELS {
+        return None;
+    }
+    levels.iter().find_map(|&level| {
+        let (own, others): (Vec<&ScalarRow>, Vec<&ScalarRow>) = rows.iter().partition(|r| r.x == level);
+        let (low, high) = others.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| (a.min(r.x), b.max(r.x)));
+        let curve = Curve::fit(&others.iter().map(|r| (r.x, y(r))).collect::<Vec<_>>(), degree)?;
+        let wrong: Vec<&ScalarRow> =
+            own.iter().copied().filter(|r| curve.deviation(r.x, y(r)) > CONTRADICTS).collect();
+        // A single reading within the others' range is an outlier like any other.
+        let first = *wrong.first().filter(|r| wrong.len() > 1 || r.x < low || r.x > high)?;
+        let agrees = |stimulus: f64, response: f64| {
+            wrong.iter().all(|r| curve.deviation(stimulus * r.x, response * y(r)) < AGREES)
+        };
+        let count = wrong.len();
+        DECIMALS.into_iter().find_map(|factor| {
+            let right = first.x * factor;
+            if agrees(factor, 1.0) && first.x != 0.0 {
+                return Some(format!(
+                    "the stimulus {level} of {count} readings contradicts all others: their responses are those of {right} (a decimal point in the wrong place?)"
+                ));
+            }
+            (agrees(1.0, factor) && count > 1).then(|| {
+                format!(
+                    "{count} responses at the stimulus {level} contradict all others: times {factor} they agree (a decimal point in the wrong place?)"
+                )
+            })
+        })
+    })
+}
+
+/// A polynomial by least squares that knows how well it predicts.
+struct Curve {
+    middle: f64,
+    half: f64,
+    degree: usize,
+    coefficients: nalgebra::DVector<f64>,
+    inverse: nalgebra::DMatrix<f64>,
+    sd: f64,
+}
+
+impl Curve {
+    fn powers(&self, x: f64) -> nalgebra::DVector<f64> {
+        let u = (x - self.middle) / self.half;
+        nalgebra::DVector::from_fn(self.degree + 1, |k, _| u.powi(k as i32))
+    }
+
+    fn fit(pairs: &[(f64, f64)], degree: usize) -> Option<Self> {
+        let [low, high] =
+            pairs.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], p| [a.min(p.0), b.max(p.0)]);
+        let mut curve = Self {
+            middle: 0.5 * (low + high),
+            half: 0.5 * (high - low),
+            degree,
+            coefficients: nalgebra::DVector::zeros(degree + 1),
+            inverse: nalgebra::DMatrix::zeros(degree + 1, degree + 1),
+            sd: 0.0,
+        };
+        let dof = pairs.len().checked_sub(degree + 2).filter(|_| high > low)? + 1;
+        let mut normal = nalgebra::DMatrix::zeros(degree + 1, degree + 1);
+        let mut right = nalgebra::DVector::zeros(degree + 1);
+        for (x, y) in pairs {
+            let p = curve.powers(*x);
+            normal += &p * p.transpose();
+            right += p * *y;
+        }
+        curve.inverse = normal.try_inverse()?;
+        curve.coefficients = &curve.inverse * right;
+        let left: f64 =
+            pairs.iter().map(|(x, y)| (y - curve.powers(*x).dot(&curve.coefficients)).powi(2)).sum();
+        // Readings that agree to the last bit are as good as their rounding.
+        let rounding = 1e-12 * pairs.iter().map(|p| p.1.abs()).fold(0.0, f64::max);
+        curve.sd = (left / dof as f64).sqrt().max(rounding);
+        (curve.sd > 0.0).then_some(curve)
+    }
+
+    /// Distance of a reading from the prediction in standard deviations of both.
+    fn deviation(&self, x: f64, y: f64) -> f64 {
+        let p = self.powers(x);
+        let spread = 1.0 + p.dot(&(&self.inverse * &p));
+        (y - p.dot(&self.coefficients)).abs() / (self.sd * spread.sqrt())
     }
 }
 
@@ -143,5 +306,39 @@ mod tests {
         // Control: every second row has one direction only.
         assert!(all.iter().step_by(2).all(|r| r.direction == Some(1.0)));
         assert_eq!(thin(rows(900)).len(), 900);
+    }
+
+    /// `sweeps` repeats of ten stimuli; the reading of number and stimulus.
+    fn table(sweeps: usize, y: impl Fn(usize, f64) -> f64) -> Vec<ScalarRow> {
+        let of = |(k, r): (usize, ScalarRow)| {
+            let x = (k % 10) as f64;
+            ScalarRow { x, y: y(k, x), direction: None, ..r }
+        };
+        rows(10 * sweeps).into_iter().enumerate().map(of).collect()
+    }
+
+    fn scatter(k: usize) -> f64 {
+        (k as f64 * 12.9898).sin() * 43758.5453 % 1.0
+    }
+
+    #[test]
+    fn a_holdout_that_was_in_the_fit_is_refused_and_an_honest_one_is_not() {
+        let points = table(4, |k, x| 2.0 * x + 0.1 * scatter(k));
+        let again = |jitter: f64| {
+            Sealed::new(
+                points[10..20]
+                    .iter()
+                    .map(|r| ScalarRow { y: r.y + jitter * scatter(r.origin.1), ..r.clone() })
+                    .collect(),
+            )
+        };
+        assert!(copied_holdout(&points, &again(0.0)).is_some());
+        assert!(jittered_holdout(&points, &again(1e-4)).is_some());
+        let honest = Sealed::new(table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000)));
+        assert!(jittered_holdout(&points, &honest).is_none() && copied_holdout(&points, &honest).is_none());
+        // A coarse gauge reads the same again.
+        let coarse = table(4, |k, x| (2.0 * x + 0.01 * scatter(k)).round());
+        let sealed = Sealed::new(table(2, |k, x| (2.0 * x + 0.01 * scatter(k + 1000)).round()));
+        assert!(copied_holdout(&coarse, &sealed).is_none() && jittered_holdout(&coarse, &sealed).is_none());
     }
 }

@@ -1,6 +1,6 @@
 //! The noise floor: pure error of replicates, else differences of neighbours.
 
-use super::frame::{Declared, Frame};
+use super::frame::{Declared, Frame, ways};
 use crate::method::hypothesis::Hypothesis;
 
 /// Floor of the response.
@@ -18,11 +18,22 @@ const MIN_DOF: usize = 8;
 /// One key for readings that ought to agree: same stimulus, same direction.
 #[must_use]
 pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
+    keys(frame, frame.direction.as_deref())
+}
+
+/// The same by the way of the stimulus in the order of the table, where that is known: what repeats with the protocol.
+#[must_use]
+pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
+    let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.rows));
+    keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
+}
+
+fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
     let mut seen: Vec<(u64, bool)> = Vec::new();
     (0..frame.rows.len())
         .map(|i| {
             // + 0.0 turns -0 into 0.
-            let down = frame.direction.as_ref().is_some_and(|d| d[i] < 0.0);
+            let down = direction.is_some_and(|d| d[i] < 0.0);
             let key = ((frame.rows[i].x + 0.0).to_bits(), down);
             match seen.iter().position(|s| *s == key) {
                 Some(k) => k as u64,

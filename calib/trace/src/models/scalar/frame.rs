@@ -171,6 +171,9 @@ pub struct Scaling {
     pub covariates: Vec<[f64; 2]>,
     /// Readings of the points table, those that the search left out among them.
     pub count: usize,
+    /// Places of an axis that were all read more than once, rising, as commanded: those of a table of errors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub places: Vec<f64>,
 }
 
 /// Rows and normalised covariates, in the order of the measurement.
@@ -245,9 +248,24 @@ impl Scaling {
             temperature: temperature.map(|t| t.iter().sum::<f64>() / t.len() as f64),
             covariates,
             count: rows.len(),
+            places: Vec::new(),
         }
     }
+
+    /// The same with the places of an axis.
+    #[must_use]
+    pub fn with_places(self, rows: &[ScalarRow]) -> Self {
+        let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
+        x.sort_by(f64::total_cmp);
+        let all: Vec<&[f64]> = x.chunk_by(|a, b| a == b).collect();
+        let repeated = all.len() <= MAX_PLACES && all.iter().all(|level| level.len() > 1);
+        let places = if repeated { all.iter().map(|level| level[0]).collect() } else { Vec::new() };
+        Self { places, ..self }
+    }
 }
+
+/// A table of more places is a list of readings.
+const MAX_PLACES: usize = 100;
 
 /// Directions are usable where each occurs this often.
 const MIN_EACH_WAY: usize = 3;
@@ -265,10 +283,24 @@ fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
             let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
             out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
         }
+        None if rows.iter().all(|r| r.cycle.is_some()) && !sorted_with_repetitions(rows) => ways(rows),
         None => return None,
     };
     let up = found.iter().filter(|d| **d > 0.0).count();
     (up >= least && found.len() - up >= least).then_some(found)
+}
+
+/// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
+#[must_use]
+pub fn ways(rows: &[ScalarRow]) -> Vec<f64> {
+    let step = |k: usize| rows.get(k + 1).map_or(0.0, |next| next.x - rows[k].x);
+    let mut out = vec![0.0; rows.len()];
+    for k in (0..rows.len()).rev() {
+        let before = if k > 0 { step(k - 1) } else { 0.0 };
+        let ahead = if step(k) != 0.0 { step(k).signum() } else { out.get(k + 1).copied().unwrap_or(0.0) };
+        out[k] = if before != 0.0 { before.signum() } else { ahead };
+    }
+    out
 }
 
 /// Cycles or replicates that are runs over several stimuli; else one group.
@@ -331,6 +363,13 @@ impl Frame {
             scaling: scaling.clone(),
             rows,
         }
+    }
+
+    /// Places of a table of errors in half ranges.
+    #[must_use]
+    pub fn places(&self) -> Vec<f64> {
+        let half = if self.scaling.half > 0.0 { self.scaling.half } else { 1.0 };
+        self.scaling.places.iter().map(|x| (x - self.scaling.mid) / half).collect()
     }
 
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.

@@ -1,13 +1,15 @@
 //! A transducer or axis session as a measurement model of the procedure.
 
-use super::effects::HETEROSCEDASTIC_NOISE;
+use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::Declared;
 use super::parameters::{self, of_effect};
-use super::predictions::{Fitted, folds, predict};
-use super::spread_trend::explain_with_spread;
+use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
+use super::spread_trend::explain_session;
 use super::steadiness::{UNSTEADY, steadiness};
 use super::system::ScalarSystem;
+use super::table::{deviations, has_table};
+use super::usable::{inapplicable, insensitive};
 use super::{ScalarRow, next};
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
@@ -67,6 +69,9 @@ impl SessionModel for ScalarSystem {
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+        if self.catalogue()[effect].id() == ERROR_TABLE {
+            return deviations(self, &h.fit);
+        }
         of_effect(self, &h.fit, effect, self.names())
     }
 
@@ -91,7 +96,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        explain_with_spread(self, options)
+        explain_session(self, options)
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {
@@ -134,6 +139,10 @@ impl SessionModel for ScalarSystem {
         ))
     }
 
+    fn repeats_with_protocol(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
+        self.only_between_cells(h, columns)
+    }
+
     fn lack_of_fit(&self, h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
         let driver = if self.axis() { "commanded_mm" } else { "stimulus" };
         let unknown = UnknownEffect {
@@ -155,6 +164,10 @@ impl SessionModel for ScalarSystem {
             NoiseFloor { response: sd, source, ..NoiseFloor::default() }
         };
         FloorStatement { floor, sd: sd.unwrap_or(noise.repeat.value), ..FloorStatement::default() }
+    }
+
+    fn floor_dof(&self, h: &Hypothesis) -> Option<f64> {
+        self.pure_error(h).map(|l| l.pure_dof)
     }
 
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
@@ -196,7 +209,22 @@ impl SessionModel for ScalarSystem {
     }
 
     fn folds(&self) -> Folds {
-        folds(&self.frame)
+        folds(&self.frame, Grouping::Stimuli)
+    }
+
+    fn folds_under(&self, accepted: &Hypothesis) -> Folds {
+        let grouping = if has_table(self, accepted) {
+            Grouping::Repeats
+        } else if follows_neighbours(self, accepted) {
+            Grouping::Blocks
+        } else {
+            Grouping::Stimuli
+        };
+        folds(&self.frame, grouping)
+    }
+
+    fn useless(&self, accepted: &Hypothesis) -> Option<String> {
+        insensitive(self, accepted).or_else(|| inapplicable(self, accepted))
     }
 
     fn records(

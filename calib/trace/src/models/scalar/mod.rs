@@ -1,6 +1,7 @@
 //! Measurement models with one value a reading: kinds "transducer" and "axis".
 
 pub mod admission;
+pub mod cells;
 pub mod effects;
 pub mod floor;
 pub mod frame;
@@ -15,6 +16,8 @@ mod scalar_effect;
 mod spread_trend;
 pub mod steadiness;
 pub mod system;
+pub mod table;
+mod usable;
 pub mod verify;
 
 pub use crate::method::lack_of_fit::LackOfFit;

@@ -265,7 +265,10 @@ impl ScalarModel {
             Need::Time | Need::Clock if self.scaling.time.is_none() => Some(ONLY_THAT_SESSION),
             Need::Time | Need::Clock => frame.time.is_none().then_some("t_s in every row"),
             Need::Temperature => frame.temperature.is_none().then_some("temperature_degc in every row"),
-            Need::BothDirections => frame.direction.is_none().then_some("direction, or t_s, in every row"),
+            Need::BothDirections => frame
+                .direction
+                .is_none()
+                .then_some("direction, t_s or the cycles of a to-and-fro table in every row"),
             _ => None,
         };
         needs.iter().find_map(lacks)

@@ -1,11 +1,13 @@
 //! Predictions of a fit at other rows, and how rows are left out in turn.
 
+use super::floor::replicate_keys;
 use super::frame::Frame;
 use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::t95;
 use crate::verify::session_model::Folds;
 use nalgebra::{DMatrix, DVector};
@@ -15,9 +17,41 @@ const MAX_FOLDS: usize = 40;
 /// Steps of a refit without a fold.
 const REFIT_STEPS: usize = 15;
 
-/// Cycles where there are three, else stimuli (replicates stay together), else blocks of readings.
+/// What is left out together where there are no cycles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Grouping {
+    /// A stimulus with all its readings.
+    Stimuli,
+    /// One repeat of every place: a table knows nothing of a place that it has not seen.
+    Repeats,
+    /// Readings that follow each other: neighbours in time share what is interpolated between them.
+    Blocks,
+}
+
+/// Blocks of a series that are left out.
+const BLOCKS: usize = 10;
+/// Level at which neighbours count as sharing something; one in a hundred series is left out in blocks for nothing.
+const NEIGHBOURS_LEVEL: f64 = 0.01;
+
+/// Neighbours in a session whose order is known share what the accepted model leaves (lag-one correlation).
 #[must_use]
-pub fn folds(frame: &Frame) -> Folds {
+pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool {
+    if !system.frame.ordered || system.frame.rows.len() < 2 * BLOCKS {
+        return false;
+    }
+    let left: Vec<f64> = (0..system.frame.rows.len())
+        .filter(|&i| accepted.weights.counts(i))
+        .map(|i| accepted.fit.raw_residual[(i, 0)] * accepted.weights.relative()[i])
+        .collect();
+    let square = left.iter().map(|r| r * r).sum::<f64>() / left.len().max(1) as f64;
+    let product = left.windows(2).map(|r| r[0] * r[1]).sum::<f64>();
+    let z = product / square.max(1e-300) / (left.len().max(2) as f64 - 1.0).sqrt();
+    statrs::distribution::ContinuousCDF::sf(&statrs::distribution::Normal::standard(), z) < NEIGHBOURS_LEVEL
+}
+
+/// Cycles where there are three, else what `grouping` asks for.
+#[must_use]
+pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
     let of = |split, words, fold: Vec<usize>| Folds {
         split,
         words,
@@ -34,6 +68,19 @@ pub fn folds(frame: &Frame) -> Folds {
     let (fold, count) = number(frame.groups.iter().map(|g| i64::from(*g)).collect());
     if count >= 3 {
         return of("loto", format!("by leaving out each of {count} cycles in turn"), fold);
+    }
+    if grouping == Grouping::Repeats {
+        let keys = replicate_keys(frame);
+        let visit = |i: usize| keys[..i].iter().filter(|k| **k == keys[i]).count();
+        let visits: Vec<usize> = (0..keys.len()).map(visit).collect();
+        let folds = (1 + visits.iter().max().copied().unwrap_or(0)).min(BLOCKS);
+        let words = format!("by leaving out each of {folds} repeats of the places in turn");
+        return of("loo", words, visits.into_iter().map(|v| v % folds).collect());
+    }
+    if grouping == Grouping::Blocks {
+        let n = frame.rows.len();
+        let words = format!("by leaving out each of {BLOCKS} blocks of neighbouring readings in turn");
+        return of("loo", words, (0..n).map(|i| i * BLOCKS / n).collect());
     }
     let (fold, count) = number(frame.u.iter().map(|u| (u * 1e9).round() as i64).collect());
     let n = frame.rows.len();

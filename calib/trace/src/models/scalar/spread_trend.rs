@@ -3,9 +3,11 @@
 use super::frame::Frame;
 use super::steadiness::{UNSTEADY, steadiness};
 use super::system::ScalarSystem;
+use super::table::in_place_of_laws;
 use crate::method::explain::{Explained, explain};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
+use crate::method::omnibus::LACK_OF_FIT_LEVEL;
 use crate::method::signature::nuisance;
 use crate::verify::VerifyOptions;
 
@@ -44,19 +46,36 @@ pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, options: &VerifyOptions
     Some(spread)
 }
 
-/// Search with equal weights; where the spread turns out to follow the stimulus, again with the readings weighted by it.
-pub(super) fn explain_with_spread(
+/// The search with the spread that it shows, and a table of errors where the places of an axis ask for one.
+pub(super) fn explain_session(
     system: ScalarSystem,
     options: &VerifyOptions,
 ) -> Option<(ScalarSystem, Explained)> {
-    let plain = explain(&system, &options.search)?;
+    let mut plain = explain(&system, &options.search)?;
+    // The spread that a wrong law leaves is no law of the noise: the table comes first.
+    if in_place_of_laws(&system, &mut plain, options) {
+        return Some((system, plain));
+    }
+    explain_with_spread(system, plain, options)
+}
+
+/// `plain` is the search with equal weights; where the spread turns out to follow the stimulus, again with the readings weighted by it.
+fn explain_with_spread(
+    system: ScalarSystem,
+    plain: Explained,
+    options: &VerifyOptions,
+) -> Option<(ScalarSystem, Explained)> {
     // A period that is not steady leaves more toward the ends: that is no law of the noise.
     let of = |e: &Explained, system: &ScalarSystem| {
         test_spread(&system.frame, &e.found.best, options)
             .filter(|s| s.p_value <= SPREAD_LEVEL)
             .filter(|_| steadiness(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
     };
-    let Some(spread) = of(&plain, &system).filter(|_| !plain.exact) else { return Some((system, plain)) };
+    // What a model leaves where repeats contradict it grows where it is wrong: that is no noise either.
+    let contradicted = system.pure_error(&plain.found.best).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
+    let Some(spread) = of(&plain, &system).filter(|_| !plain.exact && !contradicted) else {
+        return Some((system, plain));
+    };
     let weighted_system = system.with_spread(spread.clone());
     let weighted = explain(&weighted_system, &options.search)?;
     // The trend must outlive the effects that the weighted search adds.

@@ -7,11 +7,13 @@ use super::parameters::Names;
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
+use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::NoiseInputs;
 use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use wcal_core::repeats::decimal_step;
 
 /// Why a session does not give what a law needs; none where it does.
 fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {
@@ -192,16 +194,6 @@ impl ScalarSystem {
     }
 }
 
-/// Coarsest decimal step of which all values are multiples; none where it is fine beside their range, as noise then hides it.
-fn step(values: &[f64]) -> Option<f64> {
-    let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    if !(largest > 0.0) {
-        return None;
-    }
-    let on = |step: f64| values.iter().all(|v| ((v / step) - (v / step).round()).abs() < 1e-6);
-    (0..8).map(|k| 10f64.powi(largest.log10().floor() as i32 - k)).find(|s| on(*s))
-}
-
 impl MeasurementModel for ScalarSystem {
     fn measured(&self) -> &DMatrix<f64> {
         &self.measured
@@ -253,6 +245,14 @@ impl MeasurementModel for ScalarSystem {
         unmet.map(str::to_owned).or_else(|| effect.not_observable(&self.frame))
     }
 
+    fn admits(&self, h: &Hypothesis) -> bool {
+        self.earned_by_cells(h)
+    }
+
+    fn further_columns(&self) -> &[String] {
+        &self.names.covariates
+    }
+
     fn groups(&self) -> &[u32] {
         &self.frame.groups
     }
@@ -299,7 +299,7 @@ impl MeasurementModel for ScalarSystem {
         NoiseInputs {
             clock: clock.map(Arc::new),
             known: self.weights.clone(),
-            step: vec![step(&values)],
+            step: vec![decimal_step(&values)],
             ..NoiseInputs::none(n)
         }
     }

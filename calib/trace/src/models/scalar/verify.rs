@@ -96,6 +96,7 @@ pub fn verify_scalar(
     number(&mut points);
     let rows = thin(points.clone());
     let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) };
+    let scaling = if declared == Declared::Axis { scaling.with_places(&rows) } else { scaling };
     if let Some(why) = clock.or_else(|| refusal(&rows, &sealed, &scaling, declared)) {
         return Ok(refused(session, data, options.search.seed, &why));
     }

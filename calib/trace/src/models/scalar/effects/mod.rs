@@ -8,6 +8,7 @@ mod creep;
 mod cross_axis;
 mod dead_zone;
 mod drift;
+mod error_table;
 mod heteroscedastic_noise;
 mod hysteresis;
 mod lag;
@@ -28,6 +29,8 @@ use std::sync::Arc;
 
 /// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
 pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
+/// Identifier of the table of errors by place.
+pub const ERROR_TABLE: &str = "error-table";
 /// Identifier of the periodic effect.
 pub const PERIODIC: &str = "periodic";
 
@@ -51,6 +54,7 @@ pub fn scalar_catalogue(frame: &Frame, covariate_names: &[String]) -> Vec<Arc<dy
         Arc::new(outliers::Outliers),
         Arc::new(heteroscedastic_noise::HeteroscedasticNoise),
         Arc::new(cross_axis::CrossAxis { count: covariate_names.len() }),
+        Arc::new(error_table::ErrorTable { places: frame.places() }),
     ]
 }
 

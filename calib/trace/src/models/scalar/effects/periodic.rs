@@ -13,14 +13,14 @@ const GRID: [f64; 197] = {
     let mut grid = [0.0; 197];
     let mut k = 0;
     while k < 197 {
-        grid[k] = 2.0 + 0.5 * k as f64;
+        grid[k] = 2.25 + 0.5 * k as f64;
         k += 1;
     }
     grid
 };
 
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
-const MIN_CYCLES: f64 = 1.5;
+const MIN_CYCLES: f64 = 2.0;
 
 impl Effect for Periodic {
     fn id(&self) -> &'static str {

@@ -1,0 +1,158 @@
+//! Residuals between and within cells: readings that are equal in every input (stimulus, direction) make a cell.
+//!
+//! ```text
+//! S = S_between + S_within,   S_within = |(I - P_[M, D]) y|^2        M: model's columns and tangents, D: one column a cell
+//! ```
+//!
+//! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus can all take it. So each has to earn its
+//! gain where it says something of its own (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
+//! a law over time or order within cells, beside their pure error; a law of the stimulus between cells, beside what it leaves among them.
+
+use super::floor::{protocol_keys, replicate_keys};
+use super::system::ScalarSystem;
+use crate::effect::{EffectTerm, Need};
+use crate::measurement_model::MeasurementModel;
+use crate::method::fit::{Fit, Weights, fit};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::linear::Basis;
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// Repeats from which cells say something of a law.
+const MIN_PURE_DOF: usize = 5;
+/// Level within cells: the search has chosen the law by its whole gain, a wave's frequency among some two hundred.
+const WITHIN_LEVEL: f64 = 1e-4;
+/// Level between cells, where the law stands against an arbitrary table of as many places.
+const BETWEEN_LEVEL: f64 = 0.01;
+/// Steps of a refit without a term.
+const STEPS: usize = 10;
+
+/// A sum of squares with its degrees of freedom.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// Sum of squares.
+    pub ss: f64,
+    /// Degrees of freedom.
+    pub dof: f64,
+}
+
+/// What a fit leaves, between cells and within.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Split {
+    /// Between cells.
+    pub between: Part,
+    /// Within cells.
+    pub within: Part,
+}
+
+/// Rows that count, by cell.
+fn members(cells: &[u64], weights: &[f64]) -> Vec<Vec<usize>> {
+    let mut rows: Vec<usize> = (0..cells.len()).filter(|&i| weights[i] > 0.0).collect();
+    rows.sort_by_key(|&i| cells[i]);
+    rows.chunk_by(|&a, &b| cells[a] == cells[b]).map(<[usize]>::to_vec).collect()
+}
+
+/// `values` weighted, less the weighted mean of each cell where `within`.
+fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool) -> DVector<f64> {
+    let mut out = DVector::from_fn(values.len(), |i, _| weights[i] * values[i]);
+    for cell in cells.iter().filter(|_| within) {
+        let square: f64 = cell.iter().map(|&i| weights[i].powi(2)).sum();
+        let mean = cell.iter().map(|&i| weights[i].powi(2) * values[i]).sum::<f64>() / square;
+        cell.iter().for_each(|&i| out[i] -= weights[i] * mean);
+    }
+    out
+}
+
+/// Splits what `fit` leaves; readings independent but for their relative spread.
+#[must_use]
+pub fn split(fit: &Fit, weights: &Weights, cells: &[u64]) -> Split {
+    let w = weights.relative();
+    let cells = members(cells, w);
+    let of = |within: bool| {
+        let mut basis = Basis::default();
+        let tangents = fit.raw_tangents.iter().map(|t| t.column(0).clone_owned());
+        for column in fit.raw_design.column_iter().map(|c| c.clone_owned()).chain(tangents) {
+            basis.push_beside(
+                &weighted(column.as_slice(), w, &cells, within),
+                weighted(column.as_slice(), w, &cells, false).norm(),
+            );
+        }
+        let left = weighted(fit.raw_residual.column(0).clone_owned().as_slice(), w, &cells, within);
+        (basis.project_off(&left).norm_squared(), basis.rank() as f64)
+    };
+    let readings = cells.iter().map(Vec::len).sum::<usize>() as f64;
+    let ((whole, rank), (inside, rank_inside)) = (of(false), of(true));
+    let within = Part { ss: inside, dof: readings - cells.len() as f64 - rank_inside };
+    let between = Part { ss: (whole - inside).max(0.0), dof: readings - rank - within.dof };
+    Split { between, within }
+}
+
+/// p-value of a fall from `without` to `with` beside what is left; 1 where nothing is gained or nothing left to compare with.
+fn fall(without: Part, with: Part) -> f64 {
+    let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
+    if extra < 0.5 || with.dof < 0.5 || gain <= 0.0 {
+        return 1.0;
+    }
+    let f = gain / extra / (with.ss / with.dof).max(1e-300);
+    FisherSnedecor::new(extra, with.dof).map_or(1.0, |d| d.sf(f))
+}
+
+/// Cells hold repeats enough to say something.
+fn repeated(cells: &[u64], weights: &[f64]) -> bool {
+    let counted = members(cells, weights);
+    counted.iter().map(Vec::len).sum::<usize>() >= counted.len() + MIN_PURE_DOF
+}
+
+impl ScalarSystem {
+    /// A law over time or over the order of the readings: it says nothing of a cell, and everything of when its readings were taken.
+    fn runs_with_the_clock(&self, term: &EffectTerm) -> bool {
+        let effect = &self.catalogue()[term.effect];
+        let law = effect.law(term.law);
+        // Laws with memory of the stimulus need the time, but follow the protocol; the settling of an earlier load does not.
+        let by_stimulus = effect.has_memory() && law.name != "settling";
+        !by_stimulus && law.needs.iter().any(|n| matches!(n, Need::Clock | Need::Order | Need::Time))
+    }
+
+    /// Each term of `h` earns its gain where it says something of its own; true where no cell is repeated.
+    #[must_use]
+    pub fn earned_by_cells(&self, h: &Hypothesis) -> bool {
+        let cells = replicate_keys(&self.frame);
+        if !repeated(&cells, h.weights.relative()) {
+            return true;
+        }
+        // A law of the clock that follows stimulus and way repeats with the protocol, whether the way has a column or not.
+        let protocol = protocol_keys(&self.frame);
+        let protocol = if repeated(&protocol, h.weights.relative()) { protocol } else { cells.clone() };
+        let with = split(&h.fit, &h.weights, &cells);
+        let with_protocol = split(&h.fit, &h.weights, &protocol);
+        (0..h.fit.terms.len()).all(|k| {
+            let mut terms = h.fit.terms.clone();
+            let term = terms.remove(k);
+            let Some(fit) = fit(self, &terms, &h.weights, STEPS) else { return true };
+            if self.runs_with_the_clock(&term) {
+                let without = split(&fit, &h.weights, &protocol);
+                return fall(without.within, with_protocol.within) < WITHIN_LEVEL;
+            }
+            let without = split(&fit, &h.weights, &cells);
+            fall(without.within, with.within) < WITHIN_LEVEL
+                || fall(without.between, with.between) < BETWEEN_LEVEL
+        })
+    }
+
+    /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.
+    #[must_use]
+    pub fn only_between_cells(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
+        let cells = protocol_keys(&self.frame);
+        if !repeated(&cells, h.weights.relative()) {
+            return false;
+        }
+        let n = cells.len();
+        let old = &h.fit.raw_design;
+        let added = DMatrix::from_fn(n, old.ncols() + columns.len(), |i, j| {
+            if j < old.ncols() { old[(i, j)] } else { columns[j - old.ncols()][i] }
+        });
+        let richer = Fit { raw_design: added, ..h.fit.clone() };
+        fall(split(&h.fit, &h.weights, &cells).within, split(&richer, &h.weights, &cells).within)
+            >= WITHIN_LEVEL
+    }
+}

@@ -1,0 +1,153 @@
+//! Where no law describes the errors of an axis and repeats show that they belong to its places: a table of them.
+
+use super::effects::ERROR_TABLE;
+use super::frame::Declared;
+use super::parameters::covariance;
+use super::system::ScalarSystem;
+use crate::effect::EffectTerm;
+use crate::measurement_model::MeasurementModel;
+use crate::method::explain::{Explained, noise_for_predictions};
+use crate::method::fit::{Fit, Status, fit};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::t95;
+use crate::method::min_p::{f_test, signature_p};
+use crate::method::omnibus::{CATALOGUE_LEVEL, LACK_OF_FIT_LEVEL, OmnibusTest, omnibus_test};
+use crate::method::options::Options;
+use crate::method::signature::Signature;
+use crate::verify::VerifyOptions;
+use nalgebra::DVector;
+use wcal_core::verify_document::EffectParameter;
+
+/// Index of the table in the catalogue.
+fn index(system: &ScalarSystem) -> Option<usize> {
+    system.catalogue().iter().position(|e| e.id() == ERROR_TABLE)
+}
+
+/// An explanation that holds the table.
+#[must_use]
+pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
+    h.fit.terms.iter().any(|t| Some(t.effect) == index(system))
+}
+
+/// Takes the table in place of an explanation that repeats contradict; true where it did.
+pub(super) fn in_place_of_laws(
+    system: &ScalarSystem,
+    explained: &mut Explained,
+    options: &VerifyOptions,
+) -> bool {
+    let found = &explained.found;
+    let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
+    let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return false };
+    if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
+        return false;
+    }
+    let Some(table) = table(system, effect, &found.base) else { return false };
+    let (table, last_test) = extended(system, table, &found.base, &options.search);
+    if let Some(noise) = noise_for_predictions(system, &table, options.search.seed) {
+        explained.noise = noise;
+    }
+    let found = &mut explained.found;
+    found.covariate_beats_catalogue = false;
+    found.survivors = vec![table.clone()];
+    found.refitted = vec![table.clone()];
+    (found.best, found.last_test) = (table, last_test);
+    true
+}
+
+/// Refit of `terms` with every reading that the declared model counts.
+fn refitted(system: &ScalarSystem, terms: &[EffectTerm], base: &Hypothesis) -> Option<Hypothesis> {
+    let fit = fit(system, terms, &base.weights, 15).filter(|f| f.status != Status::RankDeficient)?;
+    Some(Hypothesis { fit, ..base.clone() })
+}
+
+/// The plainest table that no richer one beats: by place, with one reversal value for all, with one for each place.
+fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypothesis> {
+    let of = |law: usize| EffectTerm { effect, law, values: Vec::new() };
+    let reversal = system.catalogue().iter().position(|e| e.id() == "backlash").and_then(|e| {
+        let (law, _) = system.catalogue()[e].law_named("reversal")?;
+        Some(EffectTerm { effect: e, law, values: Vec::new() })
+    });
+    let mut kept = refitted(system, &[of(0)], base)?;
+    let common = reversal.map(|r| vec![of(0), r]);
+    for terms in common.into_iter().chain([vec![of(1)]]) {
+        kept = refitted(system, &terms, base).filter(|rich| earns(&kept.fit, &rich.fit)).unwrap_or(kept);
+    }
+    earns(&base.fit, &kept.fit).then_some(kept)
+}
+
+/// What the table leaves may follow the clock or another column: effects that the omnibus test asks for and that earn their gain in cells.
+fn extended(
+    system: &ScalarSystem,
+    table: Hypothesis,
+    base: &Hypothesis,
+    options: &Options,
+) -> (Hypothesis, OmnibusTest) {
+    let mut kept = table;
+    let mut test = omnibus_test(system, &kept.fit, &kept.weights, options);
+    for _ in 1..options.largest {
+        let left = kept.fit.stacked();
+        let best = test
+            .signatures
+            .iter()
+            .filter(|s| kept.fit.terms.iter().all(|t| t.effect != s.term.effect))
+            .min_by(|a, b| {
+                let p = |s: &Signature| signature_p(s, s.gain(&left), kept.fit.ssr, kept.fit.dof);
+                p(a).total_cmp(&p(b))
+            });
+        let Some(best) = best.filter(|_| test.p_catalogue < CATALOGUE_LEVEL) else { break };
+        let law = system.catalogue()[best.term.effect].law(best.term.law);
+        let mut terms = kept.fit.terms.clone();
+        terms.push(best.start(&left, &law));
+        match refitted(system, &terms, base).filter(|h| h.physical(system) && system.earned_by_cells(h)) {
+            Some(more) => kept = more,
+            None => break,
+        }
+        test = omnibus_test(system, &kept.fit, &kept.weights, options);
+    }
+    (kept, test)
+}
+
+/// F test of a richer model at the level of lack of fit.
+fn earns(plain: &Fit, rich: &Fit) -> bool {
+    let extra = plain.dof - rich.dof;
+    extra >= 1.0 && f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize) < LACK_OF_FIT_LEVEL
+}
+
+/// The table's deviations by place and direction with 95 % intervals, as measured less commanded.
+#[must_use]
+pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
+    let Some(effect) = index(system) else { return Vec::new() };
+    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+    let Some(at) = fit.terms.iter().position(|t| t.effect == effect) else { return Vec::new() };
+    let own: usize = fit.terms.iter().map(linear).sum();
+    let first = fit.design.ncols() - own + fit.terms[..at].iter().map(linear).sum::<usize>();
+    let places = &system.frame.scaling.places;
+    let by_direction = fit.terms[at].law == 1;
+    let (c, t) = (covariance(fit), t95(fit.dof));
+    let coefficients = fit.coefficients.column(0);
+    let ways: &[(&str, bool)] =
+        if by_direction { &[(", rising", false), (", falling", true)] } else { &[("", false)] };
+    let mut out = Vec::new();
+    for (k, place) in places.iter().enumerate() {
+        for (way, falling) in ways {
+            let mut g = DVector::zeros(c.nrows());
+            g[0] = 1.0;
+            if k > 0 {
+                g[first + k - 1] = 1.0;
+            }
+            if *falling {
+                g[first + places.len() - 1 + k] = 1.0;
+            }
+            let value =
+                (0..coefficients.len()).map(|j| g[j] * coefficients[j]).sum::<f64>() - system.offset();
+            let half = t * g.dot(&(&c * &g)).max(0.0).sqrt();
+            out.push(EffectParameter {
+                name: format!("deviation at {place}{way}"),
+                value,
+                unit: system.names().response.clone(),
+                interval95: [value - half, value + half],
+            });
+        }
+    }
+    out
+}

@@ -1,0 +1,40 @@
+//! Can an accepted model serve as a calibration: does the response depend on the stimulus, and can its own rows be predicted by it?
+
+use super::frame::Declared;
+use super::model::ScalarModel;
+use super::system::ScalarSystem;
+use crate::method::hypothesis::Hypothesis;
+use crate::method::linear::Basis;
+use crate::method::min_p::f_test;
+use nalgebra::DVector;
+
+/// A slope that chance gives once in a thousand sessions is known to a third of itself: less is no sensitivity.
+const SENSITIVITY_LEVEL: f64 = 1e-3;
+
+/// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted.
+pub(super) fn insensitive(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
+    let Declared::Polynomial(degree @ 1..) = system.frame.declared else { return None };
+    let fit = &h.fit;
+    let column = |j: usize| DVector::from_column_slice(fit.design.column(j).clone_owned().as_slice());
+    let mut beside = Basis::default();
+    for j in (0..fit.design.ncols()).filter(|j| !(1..=degree).contains(j)) {
+        beside.push(&column(j));
+    }
+    let left = fit.residual.column(0).clone_owned();
+    let reading = (0..fit.design.ncols()).fold(left, |sum, j| sum + column(j) * fit.coefficients[(j, 0)]);
+    let constant = beside.project_off(&reading).norm_squared();
+    let extra = degree + fit.tangents.len();
+    let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra);
+    (p > SENSITIVITY_LEVEL).then(|| {
+        format!(
+            "The response does not depend on the stimulus (p = {p:.2}): there is no sensitivity to calibrate."
+        )
+    })
+}
+
+/// The model cannot be applied to the rows that it was fitted to.
+pub(super) fn inapplicable(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
+    let model = ScalarModel::of(system, h, system.spread(), 0.0, system.names(), None, [None; 2]);
+    let why = model.predict(&system.frame.rows).err()?;
+    Some(format!("The model cannot be applied to its own rows ({why}); no calibration follows from it."))
+}

@@ -1,0 +1,164 @@
+//! The last rule, for every verdict and kind: what is called adequate or explained has names that the data support, a calibration that can be
+//! used and applied, and a held-out error that is neither above the one before nor far above the floor.
+//!
+//! ```text
+//! after <= before,     after^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n held-out values, dof of the floor's replicates
+//! ```
+
+use super::conclusion::Conclusion;
+use super::held_out::Errors;
+use super::judgement::MIN_COVERAGE;
+use super::session_model::{FloorStatement, SessionModel};
+use crate::effect::Role;
+use crate::method::fit::{Fit, fit};
+use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::inference::{covariance, t95};
+use crate::method::min_p::f_test;
+use crate::method::omnibus::CATALOGUE_LEVEL;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use wcal_core::verify_document::Verdict;
+
+/// At twice the floor three quarters of the error's variance is no noise of the readings.
+const FAR_ABOVE: f64 = 2.0;
+/// Level at which the error is above the floor by more than chance.
+const ABOVE_LEVEL: f64 = 1e-3;
+/// Degrees of freedom of a floor that does not state them.
+const FLOOR_DOF: f64 = 8.0;
+
+/// Why a model is not accepted.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Fault {
+    /// It cannot be used, or not on its own rows.
+    Useless(String),
+    /// Its held-out error is above the declared model's: before, after.
+    Worse([f64; 2]),
+    /// Its held-out error is far above the floor: error, floor.
+    FarAboveFloor([f64; 2]),
+}
+
+impl Fault {
+    /// In a sentence; `unit` of the error.
+    #[must_use]
+    pub fn sentence(&self, unit: &str) -> String {
+        let with = |v: f64| format!("{} {unit}", readable(v)).trim_end().to_owned();
+        match self {
+            Self::Useless(why) => why.clone(),
+            Self::Worse([before, after]) => {
+                format!("The held-out error rises from {} to {}.", readable(*before), with(*after))
+            }
+            Self::FarAboveFloor([error, floor]) => format!(
+                "The held-out error of {} is {:.1} times what repeats differ by ({}): the model lacks what acts there.",
+                with(*error),
+                error / floor,
+                with(*floor)
+            ),
+        }
+    }
+}
+
+/// Three decimals, or an exponent where these would hide the number.
+#[must_use]
+pub fn readable(value: f64) -> String {
+    if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
+}
+
+/// What speaks against the accepted model; none where nothing does. `errors` count without single readings that do not belong;
+/// `rise_shown`: a rise of the error would be beyond chance.
+#[must_use]
+pub fn fault<M: SessionModel>(
+    model: &M,
+    accepted: &Hypothesis,
+    errors: &Errors,
+    floor: &FloorStatement,
+    rise_shown: bool,
+) -> Option<Fault> {
+    if let Some(why) = model.useless(accepted) {
+        return Some(Fault::Useless(why));
+    }
+    let key = model.quantities()[0].key;
+    let counted = errors.trimmed.as_ref().map_or([&errors.before, &errors.after], |[b, a]| [b, a]);
+    let [before, after] = counted.map(|e| e.as_ref().and_then(|e| Some((*e.rmse.get(key)?, e.points))));
+    let (after, points) = after?;
+    if let Some((before, _)) = before.filter(|_| !accepted.fit.terms.is_empty())
+        && after > before
+        && rise_shown
+    {
+        return Some(Fault::Worse([before, after]));
+    }
+    let above = floor.floor.source == "replicates" && floor.sd > 0.0 && {
+        let values = (points * model.measured().ncols()).max(1) as f64;
+        let ratio = after / (floor.sd * errors.noise_ratio.max(1.0));
+        let chance = FisherSnedecor::new(values, model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0))
+            .map_or(1.0, |f| f.sf(ratio * ratio));
+        ratio > FAR_ABOVE && chance < ABOVE_LEVEL
+    };
+    // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
+    let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd
+        && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);
+    let above = above && !stated;
+    above.then_some(Fault::FarAboveFloor([after, floor.sd * errors.noise_ratio.max(1.0)]))
+}
+
+/// Whether a verdict claims that a model holds.
+#[must_use]
+pub fn claims(conclusion: &Conclusion, on_request: bool) -> bool {
+    match conclusion.verdict {
+        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
+        Verdict::Ambiguous => on_request,
+        Verdict::UnknownEffect | Verdict::Refused => false,
+    }
+}
+
+/// `h` without the effects that are none: beside the others each has to pass the level at which the search names. The least supported one first; itself where all are.
+#[must_use]
+pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+    let mut kept = h.clone();
+    while let Some(without) = least_supported(model, found, &kept) {
+        kept = without;
+    }
+    kept
+}
+
+/// `h` refitted without its least supported effect, where that is none.
+fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
+    let mut effects: Vec<usize> = h.fit.terms.iter().map(|t| t.effect).collect();
+    effects.dedup();
+    let without = |effect: usize| {
+        let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
+        let fit = fit(model, &terms, &h.weights, 15)?;
+        let extra = (fit.dof - h.fit.dof).max(1.0) as usize;
+        let p = found.first_test.family.adjusted(f_test(fit.ssr - h.fit.ssr, fit.ssr, fit.dof, extra));
+        Some((p, Hypothesis { fit, ..h.clone() }))
+    };
+    effects
+        .into_iter()
+        .filter_map(|effect| {
+            let (p, without) = without(effect)?;
+            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, effect)).then_some((p, without))
+        })
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, without)| without)
+}
+
+/// Every amplitude of an effect, linear coefficients among them, has a 95 % interval that holds zero.
+fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
+    let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
+    let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
+    let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+    let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
+    let holds = |value: f64, slot: usize| value.abs() <= t * c[(slot, slot)].max(0.0).sqrt();
+    let (mut column, mut slot) = (q - own.min(q), q * channels);
+    let mut all = true;
+    for (term, law) in fit.terms.iter().zip(&laws) {
+        let is = term.effect == effect;
+        for j in column..column + law.linear.len() {
+            all &= !is || (0..channels).all(|k| holds(fit.coefficients[(j, k)], k * q + j));
+        }
+        column += law.linear.len();
+        for (p, value) in law.parameters.iter().zip(&term.values) {
+            all &= !is || !matches!(p.role, Role::Amplitude { .. }) || holds(*value, slot);
+            slot += 1;
+        }
+    }
+    all
+}

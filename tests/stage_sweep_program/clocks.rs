@@ -39,6 +39,8 @@ fn a_clock_that_steps_ahead_or_stands_still_ends_the_sweep() {
         let (kind, said, stopped) = cause(&run);
         assert!(kind == "clock" && said.contains(word) && stopped, "{said}");
         assert!(!text(&run.stderr).contains("fell behind"), "{}", text(&run.stderr));
+        let (code, said) = reduced(&bench);
+        assert!(code == Some(3) && said.contains(word) && !said.contains("fell behind"), "{said}");
     }
 }
 

@@ -45,10 +45,10 @@ fn record(recorder: &Recorder, serial: u64, host_s: f64, device_s: f64) {
         ..FbgReading::default()
     };
     recorder.scan(&reading).expect("recorded");
-    if serial % 500 == 0 {
+    if serial.is_multiple_of(500) {
         recorder.flush().expect("flushed");
     }
-    if serial % 10 == 0 {
+    if serial.is_multiple_of(10) {
         let t_s = serial as f64 / RATE_HZ;
         let clocks = Clocks { host_s: 1e9 + t_s, device_s: None };
         let measured_mm = 20.0 + (t_s / 10.0).floor();

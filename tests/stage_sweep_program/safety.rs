@@ -81,7 +81,11 @@ pub(crate) fn finished(run: &Output, rows: u64) {
     let sweep = document(run);
     assert_eq!((&sweep["ending"], &sweep["rows"]), (&"finished".into(), &rows.into()), "{sweep}");
     let warnings = sweep["warnings"].as_array().expect("warnings");
-    let busy = |w: &Value| w.as_str().is_some_and(|w| w.contains("late") && !w.contains("clock step"));
+    // At 20 times real time a busy computer makes scans late, or a clock seem to drift.
+    let busy = |w: &Value| {
+        let said = w.as_str().unwrap_or_default();
+        said.contains(" late") || said.contains("the device clock drifts by")
+    };
     assert!(warnings.iter().all(busy), "{sweep}");
     assert_eq!(run.status.code(), Some(if warnings.is_empty() { 0 } else { 3 }), "{sweep}");
 }

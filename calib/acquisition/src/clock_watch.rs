@@ -104,6 +104,8 @@ pub struct ClockWatch {
     first_periods: Vec<f64>,
     period_s: Option<f64>,
     doubt: Option<Doubt>,
+    /// Device time has not risen with the last reading.
+    standing: bool,
     stopped: bool,
 }
 
@@ -119,6 +121,7 @@ impl ClockWatch {
             first_periods: Vec::new(),
             period_s: None,
             doubt: None,
+            standing: false,
             stopped: false,
         }
     }
@@ -145,10 +148,10 @@ impl ClockWatch {
         stopped
     }
 
-    /// Whether the last readings may turn out to have come after a step.
+    /// Whether the last readings may turn out to have come after a step, or from a clock that stands still.
     #[must_use]
     pub fn is_unsure(&self) -> bool {
-        self.doubt.is_some()
+        self.doubt.is_some() || self.standing
     }
 
     /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem to have come before it was made.
@@ -160,7 +163,7 @@ impl ClockWatch {
     /// After a step nothing known before holds but the rate.
     fn begin_anew(&mut self, now: Seen) {
         (self.risen, self.earliest_s, self.doubt) = (Some(now), now.device_s - now.host_s, None);
-        self.stopped = false;
+        (self.standing, self.stopped) = (false, false);
     }
 
     /// How far device time is off its course since a good reading, s.
@@ -210,7 +213,9 @@ impl ClockWatch {
 
     fn stands_still(&mut self, now: Seen) -> Option<ClockFault> {
         let risen = *self.risen.get_or_insert(now);
-        if now.device_s > risen.device_s {
+        // No number does not rise either.
+        self.standing = !(now.device_s > risen.device_s);
+        if !self.standing {
             if self.doubt.is_none() {
                 (self.risen, self.stopped) = (Some(now), false);
             }

@@ -1,6 +1,6 @@
 //! Which scans of a recording came before a fault of the interrogator's clock.
 
-use crate::clock_watch::{ClockFault, ClockWatch};
+use crate::clock_watch::ClockWatch;
 use crate::clocks::ClockPair;
 use crate::message::Scan;
 
@@ -8,7 +8,7 @@ use crate::message::Scan;
 pub(crate) struct SoundClock {
     watch: ClockWatch,
     count: usize,
-    /// Scans of which it is not certain yet whether they came after a step.
+    /// Scans of which it is not certain yet whether they came after a fault.
     held: Vec<(f64, f64)>,
     /// Number of the first scan, and of the first event, from after the fault.
     pub(crate) broken: Option<(usize, usize)>,
@@ -30,11 +30,7 @@ impl SoundClock {
         let fault = self.watch.take(scan.serial, scan.host_s, scan.device_s);
         if let Some(fault) = fault {
             faults.push(fault.to_string());
-            let after = match fault {
-                ClockFault::Step { .. } => self.held.len(),
-                ClockFault::Stopped { .. } => 0,
-            };
-            self.broken.get_or_insert((self.count - after, events));
+            self.broken.get_or_insert((self.count - self.held.len(), events));
             self.held.clear();
         }
         self.count += 1;

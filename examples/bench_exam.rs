@@ -222,12 +222,9 @@ fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     std::fs::write(folder.join("bench.json"), line)?;
     let plan = root.join("rigs/plans").join(format!("{}.toml", d.plan));
     let run = |arguments: &[&str]| -> anyhow::Result<Option<i32>> {
-        let status = Command::new(&o.wcal)
-            .args(arguments)
-            .current_dir(folder)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null());
-        Ok(status.status()?.code())
+        let mut command = Command::new(&o.wcal);
+        command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null());
+        Ok(command.status()?.code())
     };
     let plan = plan.display().to_string();
     let swept = run(&[

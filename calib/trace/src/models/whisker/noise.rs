@@ -55,10 +55,9 @@ fn known(readings: &[Reading]) -> Vec<f64> {
     let mut sizes = own.clone();
     sizes.sort_by(f64::total_cmp);
     let limit = FEW_SAMPLES * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-    let of = |(s, r): (&f64, &Reading)| match () {
-        () if r.unsteady => 0.0,
-        () if limit > 0.0 && *s > limit => limit / s,
-        () => 1.0,
+    let of = |(s, r): (&f64, &Reading)| {
+        let weight = if limit > 0.0 && *s > limit { limit / s } else { 1.0 };
+        if r.unsteady { 0.0 } else { weight }
     };
     own.iter().zip(readings).map(of).collect()
 }

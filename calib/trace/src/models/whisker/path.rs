@@ -271,19 +271,24 @@ fn one_motion(a: &Reading, b: &Reading) -> bool {
 /// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
 /// speed, which is wrong on a ramp and where an answer came late.
 fn mark_unsteady(readings: &mut [Reading]) {
+    let (mut off, mut on_the_fly) = (Vec::new(), 0_usize);
     let mut start = 0;
     while start < readings.len() {
         let more = readings[start..].windows(2).take_while(|w| one_motion(&w[0], &w[1])).count();
-        let length = 1 + more;
-        let stroke = &mut readings[start..start + length];
-        let mut speeds: Vec<f64> = stroke.iter().map(|r| r.velocity_mm_s.abs()).collect();
-        speeds.sort_by(f64::total_cmp);
-        let off = |r: &Reading| (r.velocity_mm_s.abs() / speeds[length / 2] - 1.0).abs() > STEADY;
-        let count = stroke.iter().filter(|r| off(r)).count() as f64;
-        if length >= MIN_STROKE && count <= MAX_UNSTEADY * length as f64 {
-            stroke.iter_mut().for_each(|r| r.unsteady = off(r));
+        let stroke = start..start + 1 + more;
+        start = stroke.end;
+        if stroke.len() < MIN_STROKE {
+            continue;
         }
-        start += length;
+        on_the_fly += stroke.len();
+        let mut speeds: Vec<f64> = stroke.clone().map(|i| readings[i].velocity_mm_s.abs()).collect();
+        speeds.sort_by(f64::total_cmp);
+        // Ramps and late answers make a stage seem slow: its speed is the upper quartile.
+        let top = speeds[3 * (speeds.len() - 1) / 4];
+        off.extend(stroke.filter(|&i| (readings[i].velocity_mm_s.abs() / top - 1.0).abs() > STEADY));
+    }
+    if off.len() as f64 <= MAX_UNSTEADY * on_the_fly as f64 {
+        off.into_iter().for_each(|i| readings[i].unsteady = true);
     }
 }
 

@@ -26,7 +26,7 @@ const SAME_DIRECTION: f64 = 1e-3;
 /// Consecutive readings that a grating at work does not repeat to the last digit while the load changes.
 const MIN_FROZEN: usize = 5;
 /// Change of the predicted shift over such a run, in steps of the written values and in robust deviations of the readings around it.
-const FROZEN_STEPS: f64 = 20.0;
+const FROZEN_STEPS: f64 = 10.0;
 
 /// Why the session's gratings cannot carry a calibration; none where they respond to the load in two directions.
 ///
@@ -83,7 +83,7 @@ fn frozen(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
         // The response outside the runs says how far the reading should have moved within one.
         let x =
             DMatrix::from_fn(outside.len(), 3, |k, j| if j == 0 { 1.0 } else { moments[outside[k]][j - 1] });
-        let y = DVector::from_fn(outside.len(), |k, _| raw(system, outside[k], g));
+        let y = DVector::from_fn(outside.len(), |k, _| system.path.readings[outside[k]].shift_pm[g]);
         let Ok(b) = x.clone().svd(true, true).solve(&y, 1e-9) else { continue };
         let scatter = robust_sd((&y - &x * &b).as_slice());
         let limit = FROZEN_STEPS * step_pm(&system.data, g).unwrap_or(0.0).max(scatter).max(1e-6);
@@ -126,13 +126,16 @@ fn runs_of(n: usize, alike: impl Fn(usize, usize) -> bool) -> Vec<std::ops::Rang
 /// Gratings whose readings do not follow the load, or follow one direction of it only.
 fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
     let n = moments.len();
-    // A zero that drifts, and one a seating, are no response.
+    // A zero that drifts, one a seating, and the temperature (a dead grating that is compensated follows it) are no response.
     let mut course = Basis::default();
     for power in 0..3 {
         course.push(&DVector::from_fn(n, |i, _| (i as f64 / n as f64).powi(power)));
     }
     for column in system.path.seating_columns(system.seatings()) {
         course.push(&DVector::from_vec(column));
+    }
+    if system.path.columns.temperature {
+        course.push(&DVector::from_iterator(n, system.path.readings.iter().map(|r| r.rise_degc)));
     }
     let off = |values: Vec<f64>| course.project_off(&DVector::from_vec(values));
     let y: Vec<DVector<f64>> =
@@ -144,7 +147,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
     }
     let dof = n as f64 - course.rank() as f64;
     let dead: Vec<String> = (0..2)
-        .filter(|&g| response_p(&[y[g].clone()], &load, 0, dof) > RESPONSE_LEVEL)
+        .filter(|&g| response_p(&y[g..=g], &load, 0, dof) > RESPONSE_LEVEL)
         .map(|g| format!("fbg_{}", g + 1))
         .collect();
     if !dead.is_empty() {

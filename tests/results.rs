@@ -181,7 +181,10 @@ fn nulls() -> Row {
             lines.said()
         ),
         String::new(),
-        format!("{} with a false name, {unknown} more called unknown-effect", share(named, of)),
+        format!(
+            "{} with a false name; {unknown} called unknown-effect, with a name or without",
+            share(named, of)
+        ),
         EXAM.to_owned(),
     ]
 }

@@ -6,25 +6,22 @@ use std::collections::BTreeSet;
 use std::process::Command;
 
 /// One package.
+#[allow(dead_code, reason = "not every test that includes this file reads all of it")]
 #[derive(Debug, Clone)]
 pub struct Package {
     /// Name.
     pub name: String,
     /// Version.
-    #[allow(dead_code, reason = "not every test that includes this file prints it")]
     pub version: String,
     /// SPDX expression of its manifest.
-    #[allow(dead_code, reason = "see above")]
     pub licence: Option<String>,
     /// Where its source is kept.
-    #[allow(dead_code, reason = "see above")]
     pub repository: Option<String>,
     /// Registry or repository that Cargo takes it from; none: this workspace.
     pub source: Option<String>,
     /// Oldest compiler that it states.
     pub rust_version: Option<String>,
     /// Whether a program of ours carries it: reached without development and build dependencies.
-    #[allow(dead_code, reason = "see above")]
     pub shipped: bool,
 }
 

@@ -65,7 +65,6 @@ mod tests {
             all: Scores::default(),
             followed: Scores::default(),
             detection: Detection::default(),
-            bound: None,
             sweeps: vec![SweepSums { surface: sum, ..SweepSums::default() }],
         }
     }

@@ -14,16 +14,16 @@ const SUB: usize = 4;
 /// Grey value of a printed board at a place on it, mm from its middle, x right, y down; none beyond its edge.
 pub type Print = Box<dyn Fn(f64, f64) -> Option<u8> + Sync>;
 
-/// Squares of 14 mm with this many inner corners, stretched along the columns.
-pub fn chessboard([columns, rows]: [usize; 2], stretch: f64) -> Print {
-    let [width, height] = [(columns + 1) as f64 * 14.0, (rows + 1) as f64 * 14.0];
+/// Squares of this side (mm) with this many inner corners, stretched along the columns.
+pub fn chessboard([columns, rows]: [usize; 2], side_mm: f64, stretch: f64) -> Print {
+    let [width, height] = [columns + 1, rows + 1].map(|n| n as f64 * side_mm);
     Box::new(move |x, y| {
         let (u, v) = (x + 0.5 * width, y / stretch + 0.5 * height);
         if u < -8.0 || v < -8.0 || u > width + 8.0 || v > height + 8.0 {
             return None;
         }
         let inside = (0.0..width).contains(&u) && (0.0..height).contains(&v);
-        let dark = inside && ((u / 14.0) as usize + (v / 14.0) as usize) % 2 == 0;
+        let dark = inside && ((u / side_mm) as usize + (v / side_mm) as usize) % 2 == 0;
         Some(if dark { 40 } else { 210 })
     })
 }
@@ -62,11 +62,8 @@ pub fn tilted(roll: f64) -> Vec<Isometry3<f64>> {
             let tilt = Vector3::new(0.45 * (1.9 * t).sin(), 0.45 * (1.1 * t + 1.0).cos(), 0.0);
             let turn =
                 UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll * (0.9 * (2.3 * t).sin() + 0.07));
-            let place = Vector3::new(
-                24.0 + 15.0 * (1.3 * t).sin(),
-                14.0 * (2.1 * t).cos(),
-                240.0 + 20.0 * (0.7 * t).sin(),
-            );
+            let (x, y) = (24.0 + 12.0 * (1.3 * t).sin(), 10.0 * (2.1 * t).cos());
+            let place = Vector3::new(x, y, 240.0 + 20.0 * (0.7 * t).sin());
             Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(tilt) * turn)
         })
         .collect()

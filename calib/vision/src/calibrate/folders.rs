@@ -11,7 +11,7 @@ use crate::calibrate::markers::{MarkerBoard, grid_places};
 use crate::calibrate::noise::CornerNoise;
 use crate::calibrate::refinement::{View, choose_refinement};
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
-use crate::calibrate::statements::{Optics, Statement, calibrate_as_stated};
+use crate::calibrate::statements::{Optics, Others, Statement, calibrate_as_stated};
 use crate::calibrate::views::{
     MarkerPairs, check_board, marker_pairs, usable, whole_board, with_guess, with_rejections,
 };
@@ -59,7 +59,7 @@ struct Found<'a> {
     remarks: Vec<String>,
     refinement: BTreeMap<String, f64>,
     chosen: String,
-    others: Box<dyn Fn(&CornerNoise) -> Vec<Statement> + 'a>,
+    others: Box<Others<'a>>,
 }
 
 fn chessboard<'a>(

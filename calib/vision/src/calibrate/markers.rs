@@ -105,8 +105,8 @@ impl MarkerBoard {
                         format!("{marker_mm} mm"),
                     ));
                 }
-                let known = |d: &&str| d.eq_ignore_ascii_case(dictionary);
-                let index = DICTIONARIES.iter().position(|d| known(&d)).ok_or_else(|| {
+                let known = |d: &str| d.eq_ignore_ascii_case(dictionary);
+                let index = DICTIONARIES.iter().position(|d| known(d)).ok_or_else(|| {
                     let expected = format!("one of {}", DICTIONARIES.join(", "));
                     VisionError::result("lay out the board", expected, dictionary)
                 })?;

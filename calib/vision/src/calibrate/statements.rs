@@ -39,6 +39,9 @@ pub(crate) struct Statement {
     pub views: Result<Vec<BoardView>, VisionError>,
 }
 
+/// Other statements about a board, once its corners' noise is known.
+pub(crate) type Others<'a> = dyn Fn(&CornerNoise) -> Vec<Statement> + 'a;
+
 /// Size of the pictures and model of the lenses.
 pub(crate) type Optics = ([usize; 2], &'static dyn Lens);
 
@@ -49,7 +52,7 @@ pub(crate) type Optics = ([usize; 2], &'static dyn Lens);
 pub(crate) fn calibrate_as_stated(
     stated: Statement,
     (image_size, lens): Optics,
-    others: &dyn Fn(&CornerNoise) -> Vec<Statement>,
+    others: &Others<'_>,
 ) -> Result<(StereoSolution, CornerNoise), VisionError> {
     let Statement { points, places, views, .. } = stated;
     let seen = views.as_ref().map_or_else(|_| Vec::new(), Clone::clone);

@@ -170,7 +170,7 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
         ("nowire", "no wire"),
         ("black", "no contrast"),
         ("white", "saturated"),
-        ("colour", "coloured"),
+        ("colour", "as calibrated"),
         ("small", "1280x960"),
         ("twice", "the same"),
         ("sixteen", "16-bit"),

@@ -254,18 +254,20 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     out.put("session.toml", files.session_toml);
     out.finish()?;
     let rows = table.rows.len();
+    let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
     if args.json {
         let kind = name_of(args.kind);
         let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
             "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
-            "warnings": session.warnings.iter().map(ToString::to_string).chain(repeated.clone()).collect::<Vec<_>>(), "inputs": session.inputs });
+            "warnings": warnings, "inputs": session.inputs });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
     }
-    let warnings = session.warnings.iter().map(ToString::to_string).chain(repeated);
-    let count = warnings.map(|warning| eprintln!("warning: {warning}")).count();
-    Ok(ExitCode::from(if count == 0 { 0 } else { 3 }))
+    for warning in &warnings {
+        eprintln!("warning: {warning}");
+    }
+    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }
 
 fn layout(args: &ImportArgs) -> TextTableLayout {

@@ -275,12 +275,12 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     out.put("session.toml", files.session_toml);
     out.finish()?;
     let rows = table.rows.len();
+    let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
     if args.json {
         let kind = name_of(args.kind);
         let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
             "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
-            "columns_left_out": left_out,
-            "warnings": session.warnings.iter().map(ToString::to_string).chain(repeated.clone()).collect::<Vec<_>>(), "inputs": session.inputs });
+            "columns_left_out": left_out, "warnings": warnings, "inputs": session.inputs });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
@@ -288,9 +288,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if !left_out.is_empty() {
         eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::way_in(args.kind));
     }
-    let warnings = session.warnings.iter().map(ToString::to_string).chain(repeated);
-    let count = warnings.map(|warning| eprintln!("warning: {warning}")).count();
-    Ok(ExitCode::from(if count == 0 { 0 } else { 3 }))
+    for warning in &warnings {
+        eprintln!("warning: {warning}");
+    }
+    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }
 
 fn layout(args: &ImportArgs) -> TextTableLayout {

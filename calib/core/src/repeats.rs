@@ -103,10 +103,14 @@ fn left_by_polynomial(x: &[f64], y: &[f64], degree: usize) -> Option<f64> {
 mod tests {
     use super::*;
 
+    /// Between -1.7 and 1.7 with a standard deviation of 1.
+    fn scatter(k: f64) -> f64 {
+        3.46 * (((k + 1.0) * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 1.73
+    }
+
     /// A line over eleven settings with a repeatable scatter of `counts` last digits.
     fn agreement(counts: f64) -> f64 {
         let x: Vec<f64> = (0..11).map(f64::from).collect();
-        let scatter = |k: f64| (k * 12.9898).sin() * 1.41;
         let y: Vec<f64> = x.iter().map(|v| (100.0 * v + counts * scatter(*v)).round() / 100.0).collect();
         agreement_by_chance(&x, &y)
     }
@@ -128,7 +132,7 @@ mod tests {
         let x: Vec<f64> = (0..11).map(f64::from).collect();
         let exact: Vec<f64> = x.iter().map(|v| 0.1 + v / 3.0).collect();
         assert_eq!(agreement_by_chance(&x, &exact), 1.0);
-        let rough: Vec<f64> = x.iter().map(|v| v / 3.0 + 0.01 * (v * 12.9898).sin()).collect();
+        let rough: Vec<f64> = x.iter().map(|v| v / 3.0 + 0.01 * scatter(*v)).collect();
         assert!(agreement_by_chance(&x, &rough) < 1e-6);
     }
 

@@ -113,8 +113,8 @@ fn blocks(content: &[Vec<u64>]) -> Vec<Block> {
             }
             _ => 1,
         };
-        for k in copy..copy + step {
-            known.entry(&content[k]).or_default().push(k);
+        for (k, row) in content.iter().enumerate().skip(copy).take(step) {
+            known.entry(row).or_default().push(k);
         }
         copy += step;
     }

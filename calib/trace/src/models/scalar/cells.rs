@@ -13,8 +13,10 @@ use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights, fit};
-use crate::method::hypothesis::Hypothesis;
+use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::linear::Basis;
+use crate::method::min_p::signature_p;
+use crate::method::signature::Signature;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
@@ -137,6 +139,19 @@ impl ScalarSystem {
             fall(without.within, with.within) < WITHIN_LEVEL
                 || fall(without.between, with.between) < BETWEEN_LEVEL
         })
+    }
+
+    /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.
+    #[must_use]
+    pub fn only_a_clock_is_left(&self, found: &SearchResult) -> bool {
+        let (best, test) = (&found.best, &found.last_test);
+        if test.generic() || !repeated(&protocol_keys(&self.frame), best.weights.relative()) {
+            return false;
+        }
+        let left = best.fit.stacked();
+        let p = |s: &Signature| signature_p(s, s.gain(&left), best.fit.ssr, best.fit.dof);
+        let strongest = test.signatures.iter().min_by(|a, b| p(a).total_cmp(&p(b)));
+        strongest.is_some_and(|s| self.runs_with_the_clock(&s.term))
     }
 
     /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.

@@ -34,7 +34,9 @@ fn german(text: &str) -> String {
 fn a_table_in_another_form_is_named_with_the_option_that_reads_it() {
     let crlf = TEXT.replace('\n', "\r\n");
     let tabs = TEXT.replace(',', "\t");
-    let cases: Vec<(&str, Vec<u8>, &[&str], &[&str])> = vec![
+    // Name, bytes, what the error says, and the options that read it.
+    type Case = (&'static str, Vec<u8>, &'static [&'static str], &'static [&'static str]);
+    let cases: Vec<Case> = vec![
         ("tabs", tabs.clone().into_bytes(), &["--separator tab"], &["--separator", "tab"]),
         (
             "semicolons",

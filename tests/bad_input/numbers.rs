@@ -80,7 +80,6 @@ fn walk(place: &Path, document: &Document) -> Vec<String> {
     numbers(&document.content, "", &mut ways);
     assert!(!ways.is_empty(), "{}: numbers", document.name);
     let cases: Vec<(&String, &str)> = ways.iter().flat_map(|way| VALUES.map(|value| (way, value))).collect();
-    println!("{}: {} numbers, {} runs", document.name, ways.len(), cases.len());
     in_parallel(&cases, |(way, value)| {
         let own = tempfile::tempdir().unwrap();
         copy_folder(place, own.path());

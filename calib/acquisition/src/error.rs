@@ -52,6 +52,9 @@ impl AcquisitionError {
     pub(crate) fn document(place: &str, expected: &str, error: DocumentError) -> Self {
         match error {
             DocumentError::Range(e) => Self::input(format!("{place}: {}", e.key), e.expected, e.found),
+            DocumentError::Format(e) => {
+                Self::input(format!("{place}: format"), e.expected, e.found.replace('"', ""))
+            }
             other => Self::input(place, expected, other.to_string()),
         }
     }

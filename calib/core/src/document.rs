@@ -1,6 +1,6 @@
 //! Documents as they are read: syntax, format and version, the range of every number, and only then the type.
 
-use crate::format;
+use crate::format::{self, OtherFormat};
 use crate::ranges::{self, Numbers, OutOfRange, Range};
 use serde::de::DeserializeOwned;
 
@@ -11,8 +11,8 @@ pub enum DocumentError {
     #[error("{0}")]
     Content(String),
     /// Another format or version.
-    #[error("{0}")]
-    Format(String),
+    #[error(transparent)]
+    Format(#[from] OtherFormat),
     /// A number that its key cannot have.
     #[error(transparent)]
     Range(#[from] OutOfRange),
@@ -59,7 +59,7 @@ fn checked(
     format: &str,
     ranges: &[&[Range]],
 ) -> Result<(), DocumentError> {
-    format::expect(format, found).map_err(DocumentError::Format)?;
+    format::expect(format, found)?;
     Ok(ranges::check(document, ranges)?)
 }
 

@@ -1,19 +1,28 @@
 //! Formats and their versions: `wcal-plan/1`. A document of another version may mean something else by the same key.
 
+/// Another format or version than the one that is read.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("field `format`: expected {expected:?}, found {found}")]
+pub struct OtherFormat {
+    /// The one that is read.
+    pub expected: String,
+    /// What the document states, and whether a newer wcal reads it.
+    pub found: String,
+}
+
 /// Holds the `format` of a document against the one that is read.
 ///
 /// # Errors
-/// What was expected and found; for a newer version of the same format, that a newer wcal reads it.
-pub fn expect(expected: &str, found: Option<&str>) -> Result<(), String> {
-    let Some(found) = found else {
-        return Err(format!("field `format`: expected {expected:?}, found nothing"));
-    };
-    if found == expected {
+/// What was expected and found.
+pub fn expect(expected: &str, found: Option<&str>) -> Result<(), OtherFormat> {
+    if found == Some(expected) {
         return Ok(());
     }
-    let hint = if is_newer(expected, found) { " (a newer version: update wcal to read it)" } else { "" };
-    let shown: String = found.chars().take(60).collect();
-    Err(format!("field `format`: expected {expected:?}, found {shown:?}{hint}"))
+    let newer = found.is_some_and(|found| is_newer(expected, found));
+    let hint = if newer { " (a newer version: update wcal to read it)" } else { "" };
+    let shown = |found: &str| format!("{:?}{hint}", found.chars().take(60).collect::<String>());
+    let found = found.map_or_else(|| "nothing".to_owned(), shown);
+    Err(OtherFormat { expected: expected.to_owned(), found })
 }
 
 /// Whether `found` is a later version of the format.
@@ -33,7 +42,7 @@ mod tests {
     #[test]
     fn another_format_or_version_is_refused_and_a_newer_one_named() {
         assert_eq!(expect("wcal-plan/1", Some("wcal-plan/1")), Ok(()));
-        let says = |found| expect("wcal-plan/1", found).unwrap_err();
+        let says = |found| expect("wcal-plan/1", found).unwrap_err().to_string();
         assert!(says(Some("wcal-plan/9")).contains("update wcal"));
         for other in [None, Some("wcal-plan/0"), Some("wcal-rig/9"), Some("wcal-plan/1 "), Some("")] {
             let error = says(other);

@@ -90,13 +90,15 @@ impl Page {
     /// Another format, a document that is cut off or lacks keys, or a session without its result.
     pub fn from_json(text: &str, verify: Option<&str>) -> Result<Self, PageError> {
         let mut document: Value = serde_json::from_str(text)?;
-        format::expect(REPORT_FORMAT, document["format"].as_str()).map_err(PageError::Format)?;
+        format::expect(REPORT_FORMAT, document["format"].as_str())
+            .map_err(|e| PageError::Format(e.to_string()))?;
         ranges::check(&document, &[RANGES]).map_err(|e| PageError::Format(e.to_string()))?;
         let mut page = document["page"].take();
         if let Some(Value::Object(session)) = page.get_mut("session") {
             let verify = verify.ok_or(PageError::NoResult)?;
             let verify: Value = serde_json::from_str(verify).map_err(PageError::Result)?;
-            format::expect(VERIFY_FORMAT, verify["format"].as_str()).map_err(PageError::ResultFormat)?;
+            format::expect(VERIFY_FORMAT, verify["format"].as_str())
+                .map_err(|e| PageError::ResultFormat(e.to_string()))?;
             ranges::check(&verify, &[RANGES]).map_err(|e| PageError::ResultFormat(e.to_string()))?;
             session.insert("verify".to_owned(), verify);
         }

@@ -139,7 +139,7 @@ fn parsed(name: &str, bytes: &[u8]) -> Result<Shapes, InputError> {
         InputError::new(name, "shapes.json as stereo-shape writes it", e.to_string()).at(e.line())
     })?;
     if let Err(why) = format::expect(SHAPES_FORMAT, Some(&document.format)) {
-        return Err(InputError::new(name, "shapes.json of this version", why).field("format"));
+        return Err(InputError::new(name, "shapes.json of this version", why.to_string()).field("format"));
     }
     if document.pairs.len() > MAX_PAIRS {
         let found = document.pairs.len().to_string();

@@ -17,7 +17,7 @@ pub const FORMAT: &str = "wcal-scenario/1";
 /// Numbers that a scenario may state, where a wrong one would stop or drown the bench.
 const RANGES: &[Range] = &[
     Range::whole("seed", 0.0, 1.9e19),
-    Range::real("speed", 1e-3, 1e3),
+    Range::real("speed", 1e-3, 1e6),
     Range::whole("baud", 300.0, 1e7),
     Range::real("microstep_um", 1e-6, 1e3),
     Range::whole("limit_steps", 1.0, 1e12),

@@ -101,9 +101,9 @@ impl LeftOut {
             }
         }
         let overflowed = self.overflowed.into_iter().map(|(column, points)| {
-            SessionWarning::new(file, WarningKind::Overflow { column: column.to_owned(), points })
+            SessionWarning::new(file, WarningKind::OverflowAtPoints { column: column.to_owned(), points })
         });
-        let copied = (!copies.is_empty()).then(|| SessionWarning::new(file, WarningKind::RowsCopied(copies)));
+        let copied = (!copies.is_empty()).then(|| SessionWarning::new(file, WarningKind::CopiedPoints(copies)));
         Ok(overflowed.chain(copied).collect())
     }
 }

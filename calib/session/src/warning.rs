@@ -57,14 +57,14 @@ pub enum WarningKind {
     /// Points whose scans came late, or whose clocks could not be aligned.
     ScansLate(Vec<i64>),
     /// Rows left out: an instrument's overflow value stands where a reading should.
-    Overflow {
+    OverflowAtPoints {
         /// Column.
         column: String,
         /// Their points.
         points: Vec<i64>,
     },
     /// Rows left out: they repeat an earlier row in every column.
-    RowsCopied(Vec<i64>),
+    CopiedPoints(Vec<i64>),
     /// A grating reads the same in every row while another grating changes.
     Stuck {
         /// Grating.
@@ -126,7 +126,7 @@ impl SessionWarning {
     /// Points of rows that were left out of the table.
     pub(crate) fn left_out(&self) -> &[i64] {
         match &self.kind {
-            WarningKind::Overflow { points, .. } | WarningKind::RowsCopied(points) => points,
+            WarningKind::OverflowAtPoints { points, .. } | WarningKind::CopiedPoints(points) => points,
             _ => &[],
         }
     }
@@ -186,13 +186,13 @@ impl fmt::Display for SessionWarning {
                  behind",
                 named(points)
             ),
-            WarningKind::Overflow { column, points } => write!(
+            WarningKind::OverflowAtPoints { column, points } => write!(
                 f,
                 "{file}: {} row(s) left out as missing: {column} holds an overflow value, no reading (points {})",
                 points.len(),
                 named(points)
             ),
-            WarningKind::RowsCopied(points) => write!(
+            WarningKind::CopiedPoints(points) => write!(
                 f,
                 "{file}: {} row(s) repeat an earlier row in every column and count once (points {})",
                 points.len(),

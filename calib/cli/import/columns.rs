@@ -78,9 +78,10 @@ pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Ve
 pub(super) fn left_out(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
     let taken: Vec<usize> = plan(args, table)?
         .iter()
-        .filter_map(|(_, source)| match source {
-            Source::Column { index, .. } => Some(*index),
-            Source::Order | Source::Calibration => None,
+        .flat_map(|(_, source)| match source {
+            Source::Column { index, .. } => vec![*index],
+            Source::Position { commanded, error } => vec![commanded.0, error.0],
+            Source::Order | Source::Calibration => Vec::new(),
         })
         .collect();
     let left = table.columns.iter().enumerate().filter(|(k, _)| !taken.contains(k));

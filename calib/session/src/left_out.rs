@@ -103,7 +103,8 @@ impl LeftOut {
         let overflowed = self.overflowed.into_iter().map(|(column, points)| {
             SessionWarning::new(file, WarningKind::OverflowAtPoints { column: column.to_owned(), points })
         });
-        let copied = (!copies.is_empty()).then(|| SessionWarning::new(file, WarningKind::CopiedPoints(copies)));
+        let copied =
+            (!copies.is_empty()).then(|| SessionWarning::new(file, WarningKind::CopiedPoints(copies)));
         Ok(overflowed.chain(copied).collect())
     }
 }

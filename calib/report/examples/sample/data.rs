@@ -154,6 +154,7 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         flagged: Vec::new(),
         before: None,
         after: None,
+        after_trimmed: None,
         coverage95: None,
         next_measurement: None,
         detectable: vec![],

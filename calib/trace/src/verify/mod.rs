@@ -14,7 +14,7 @@ pub mod noise_report;
 pub mod options;
 pub mod procedure;
 pub mod refutation;
-mod rival;
+pub mod rival;
 pub mod session_model;
 
 pub use options::VerifyOptions;

@@ -38,7 +38,7 @@ fn foreign_tables_are_read_by_their_layout() {
         skip_lines: 2,
         columns: Some(vec!["y".into(), "x".into()]),
         separator: Separator::Whitespace,
-        decimal_comma: false,
+        ..TextTableLayout::default()
     };
     let table = read_text_table(&path, &blanks).unwrap();
     assert_eq!((table.number(0, 0).unwrap(), table.number(1, 0).unwrap()), (Some(0.5), Some(-10.0)));

@@ -16,7 +16,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
         skip_lines: 25,
         columns: Some(columns.iter().map(|c| (*c).to_owned()).collect()),
         separator: Separator::Whitespace,
-        decimal_comma: false,
+        ..TextTableLayout::default()
     };
     let table = read_text_table(&path, &layout).unwrap();
     let at = |row: usize, name: &str| table.column(name).ok().map(|c| table.number(row, c).unwrap().unwrap());

@@ -151,18 +151,19 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     if let Some(reference) = &reference {
         document.warnings.extend(differences(&document, reference));
     }
-    let text = serde_json::to_string_pretty(&document)?;
-    for (name, content) in wcal_vision::calibrate::export::exports(&document)? {
-        out.put(&name, content);
-    }
-    out.put("stereo.json", text.as_str());
-    out.finish()?;
+    // Before anything is written: they say why a board that is stated wrongly gives no cameras.
     for view in &document.rejected_views {
         eprintln!("stereo-calibrate: {} left out: {}", view.view, view.why);
     }
     for warning in &document.warnings {
         eprintln!("stereo-calibrate: warning: {warning}");
     }
+    let text = serde_json::to_string_pretty(&document)?;
+    for (name, content) in wcal_vision::calibrate::export::exports(&document)? {
+        out.put(&name, content);
+    }
+    out.put("stereo.json", text.as_str());
+    out.finish()?;
     if document.provenance.simulated {
         eprintln!("stereo-calibrate: SIMULATED: the pictures are rendered, not taken");
     }

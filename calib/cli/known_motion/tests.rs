@@ -68,13 +68,11 @@ fn less_certain(model: &PhysicalModel, times: f64, seed: u64) -> PhysicalModel {
     let mut model = model.clone();
     let size = model.covariance.len();
     model.covariance.iter_mut().flatten().for_each(|v| *v *= times * times);
-    let eigen = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]).symmetric_eigen();
+    // By the Cholesky factor, which moves with the covariance; the signs of eigenvectors jump with its last digits.
+    let root = DMatrix::from_fn(size, size, |i, j| model.covariance[i][j]).cholesky().unwrap().unpack();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let draw = DVector::from_fn(size, |k, _| {
-        let z: f64 = StandardNormal.sample(&mut rng);
-        z * eigen.eigenvalues[k].max(0.0).sqrt()
-    });
-    let off = &eigen.eigenvectors * draw;
+    let draw = DVector::from_fn(size, |_, _| -> f64 { StandardNormal.sample(&mut rng) });
+    let off = root * draw;
     let count = model.coefficients.len();
     for (k, row) in model.coefficients.iter_mut().enumerate() {
         (0..2).for_each(|c| row[c] += off[c * count + k]);

@@ -140,7 +140,7 @@ impl ScalarModel {
         let declared = match self.declared {
             Declared::Polynomial(degree) if degree > MAX_DEGREE => {
                 return Err(ModelError::shape(
-                    "declared",
+                    "declared.polynomial",
                     format!("a degree of at most {MAX_DEGREE}"),
                     degree,
                 ));

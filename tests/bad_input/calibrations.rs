@@ -111,7 +111,12 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
         (&map, "/valid_region/kind", "sphere".into(), &["valid_region.kind", "sphere"]),
         (&scalar, "/effects/0/id", "warp".into(), &["catalogue", "warp"]),
         (&scalar, "/effects/0/law", "power-9".into(), &["catalogue", "power-9"]),
-        (&scalar, "/declared/polynomial", far.into(), &["`declared.polynomial`", "at most 2", "found 4000000000"]),
+        (
+            &scalar,
+            "/declared/polynomial",
+            far.into(),
+            &["`declared.polynomial`", "at most 2", "found 4000000000"],
+        ),
         (&scalar, "/coefficients", vec![1.0].into(), &["`coefficients`", "expected 3, found 1"]),
         (&scalar, "/covariance", vec![vec![0.0]].into(), &["`covariance`", "3 rows"]),
         (

@@ -15,7 +15,7 @@ timeout_s = 3.0
 role = "calibration"
 trajectories = [1, 5]
 depths_mm = [1.5, 3.0]
-dwell_s = 0.5
+dwell_s = 2.0
 average_s = 0.5
 "#;
 /// A run that lasts this long hangs: the longest wait of the program is a tenth of it.

@@ -97,7 +97,7 @@ fn open(path: &Path) -> std::io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false);
     match options.open(path) {
-        Err(e) if e.kind() == ErrorKind::PermissionDenied => File::open(path),
+        Err(e) if e.kind() == ErrorKind::PermissionDenied => crate::files::open(path),
         other => other,
     }
 }

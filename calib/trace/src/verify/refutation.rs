@@ -5,24 +5,46 @@
 //! the explanation being right, D has the mean |d|^2 and the standard deviation 2 |d|
 //! ```
 //!
-//! Where both models predict the sealed readings alike, |d| is small and nothing that they show speaks against either.
+//! Where both models predict the sealed readings alike, |d| is small and nothing that they show speaks against either. Errors that readings of
+//! a group share are no noise of a reading: the rise has to be beyond what it scatters between groups, too.
+//!
+//! ```text
+//! T = sum over groups g of T_g,   T_g = sum (e_after^2 - e_before^2) / s^2;   asked: T > 2 sqrt(G var(T_g))
+//! ```
 
 use super::session_model::HeldOut;
+use std::collections::BTreeMap;
 
 /// Standard deviations below what a right explanation gives: one in a hundred.
 const REFUTES: f64 = 2.33;
+
+/// Standard deviations of the sum over groups beyond which a rise is none of a few groups.
+const BEYOND_GROUPS: f64 = 2.0;
 
 /// Whether readings with standard deviations `sd` are so much worse under `after` that it cannot be right.
 #[must_use]
 pub fn refuted(before: &[HeldOut], after: &[HeldOut], sd: &[f64]) -> bool {
     let (mut gain, mut change) = (0.0, 0.0);
+    let mut rises: BTreeMap<u32, f64> = BTreeMap::new();
     for ((b, a), sd) in before.iter().zip(after).zip(sd) {
+        let rise = rises.entry(b.group).or_default();
         for (b, a) in b.errors[0].iter().zip(&a.errors[0]) {
             gain += (b * b - a * a) / (sd * sd);
             change += (b - a).powi(2) / (sd * sd);
+            *rise += (a * a - b * b) / (sd * sd);
         }
     }
-    change > 0.0 && gain - change < -REFUTES * 2.0 * f64::sqrt(change)
+    change > 0.0
+        && gain - change < -REFUTES * 2.0 * f64::sqrt(change)
+        && beyond_scatter(&rises.into_values().collect::<Vec<f64>>())
+}
+
+/// Whether a sum over groups is beyond what it scatters between them; a single group has no scatter to compare with.
+fn beyond_scatter(of_groups: &[f64]) -> bool {
+    let n = of_groups.len() as f64;
+    let mean = of_groups.iter().sum::<f64>() / n;
+    let variance = of_groups.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    n * mean > BEYOND_GROUPS * (n * variance).sqrt()
 }
 
 #[cfg(test)]
@@ -30,7 +52,12 @@ mod tests {
     use super::*;
 
     fn rows(errors: &[f64]) -> Vec<HeldOut> {
-        errors.iter().map(|e| HeldOut { group: 0, errors: vec![vec![*e]], inside95: Vec::new() }).collect()
+        let row = |(k, e): (usize, &f64)| HeldOut {
+            group: k as u32 / 2,
+            errors: vec![vec![*e]],
+            inside95: Vec::new(),
+        };
+        errors.iter().enumerate().map(row).collect()
     }
 
     #[test]
@@ -45,5 +72,10 @@ mod tests {
         assert!(refuted(&rows(&noise), &rows(&moved), &sd));
         assert!(!refuted(&rows(&moved), &rows(&noise), &sd), "the right explanation");
         assert!(!refuted(&rows(&noise), &rows(&noise), &sd), "the same predictions");
+        // One group of three is off: its shared error, not the explanation's.
+        let mut one = noise;
+        one[0] += 8.0;
+        one[1] += 8.0;
+        assert!(!refuted(&rows(&noise), &rows(&one), &sd));
     }
 }

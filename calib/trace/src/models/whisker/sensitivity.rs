@@ -43,8 +43,25 @@ pub fn lost_sensitivity(data: &WhiskerData) -> Result<Option<String>, TraceError
 
 /// The same of a session whose model is there.
 pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
-    let moments = system.moments(&[])?.0;
-    constant(system).or_else(|| frozen(system, &moments)).or_else(|| without_response(system, &moments))
+    let rod = system.moments(&[])?.0;
+    let lost =
+        |moments: &Vec<[f64; 2]>| frozen(system, moments).or_else(|| without_response(system, moments));
+    // A response to either twin is one.
+    let of_either = || {
+        let by_rod = lost(&rod)?;
+        labels(system).map_or(Some(by_rod), |outside| lost(&outside))
+    };
+    constant(system).or_else(of_either)
+}
+
+/// Moments of an outside twin at every reading, 0 at rest, N mm; none where it does not label all of them.
+fn labels(system: &WhiskerSystem) -> Option<Vec<[f64; 2]>> {
+    let of = |i: usize| {
+        let label = system.data.twin.iter().find(|l| l.point == system.row(i).point);
+        let rest = system.path.readings[i].rest;
+        label.map(|l| l.moment_nmm).or(rest.then_some([0.0; 2]))
+    };
+    (0..system.path.readings.len()).map(of).collect()
 }
 
 /// Shift of a grating as it was read, pm.

@@ -101,8 +101,8 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
         "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
         "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
         _ => {
-            let known =
-                frame.time.as_ref().is_some_and(|t| same(t, &frame.order)) || same(&frame.u, &frame.order);
+            // The order of the rows stands in for a clock only where there is none.
+            let known = frame.time.is_some() || same(&frame.u, &frame.order);
             (!known && frame.ordered).then(|| (frame.order.clone(), n))
         }
     }

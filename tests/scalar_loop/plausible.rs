@@ -117,11 +117,11 @@ fn copies_are_counted_once_and_a_coarse_gauge_keeps_its_repeats() {
 
 #[test]
 fn a_reading_that_is_one_in_the_last_digit_off_is_no_outlier() {
-    // Every load is a whole number of digits, so that all readings but a few are exact; the control is ten digits off.
+    // Every load is a whole number of digits, so that all readings but a few are exact; the control is thirteen digits off.
     let coarse = |off: f64| cell(3, |k, x| format!("{:.2}", 4e-4 * x + if k % 17 == 3 { off } else { 0.0 }));
     let run = imported(&coarse(0.01), CELL).run.unwrap();
     assert_eq!((run.code, run.verify["verdict"].as_str()), (0, Some("adequate")), "{}", reason(&run));
-    let run = imported(&coarse(0.1), CELL).run.unwrap();
+    let run = imported(&coarse(0.13), CELL).run.unwrap();
     assert!(run.verify["effects"].to_string().contains("outliers"), "{}", reason(&run));
 }
 

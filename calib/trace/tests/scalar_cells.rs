@@ -120,13 +120,7 @@ fn laws_keep_their_names_where_places_repeat() {
             let mut rng = Noise::new(200 + seed);
             let law = |p: usize, way: f64| match seed % 4 {
                 0 => 6e-5 * (places[p] - 212.0).powi(2),
-                1 => {
-                    if way < 0.0 {
-                        4.0
-                    } else {
-                        0.0
-                    }
-                }
+                1 if way < 0.0 => 4.0,
                 2 => 0.02 * places[p],
                 _ => 0.0,
             };

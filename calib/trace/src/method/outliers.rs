@@ -34,13 +34,13 @@ const LEVEL: f64 = 0.002;
 const ROUNDS: usize = 6;
 
 /// Residuals in standard deviations of their own, readings x channels: a reading that counts by its whitened residual over the share that
-/// the fit leaves, one that does not by its prediction. `rounding`: least standard deviation of each channel.
+/// the fit leaves, one that does not by its prediction.
 #[must_use]
-pub fn standardised(fit: &Fit, weights: &Weights, rounding: &[f64]) -> DMatrix<f64> {
+pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
     let (n, channels) = fit.residual.shape();
+    let s = fit.variance().sqrt().max(1e-300);
     let basis = nuisance(fit);
     DMatrix::from_fn(n, channels, |i, c| {
-        let s = fit.variance().sqrt().max(rounding[c]);
         if weights.counts(i) {
             let leverage: f64 = basis.vectors().iter().map(|q| q[c * n + i] * q[c * n + i]).sum();
             fit.residual[(i, c)] / (s * (1.0 - leverage).max(0.05).sqrt())
@@ -50,13 +50,15 @@ pub fn standardised(fit: &Fit, weights: &Weights, rounding: &[f64]) -> DMatrix<f
     })
 }
 
-/// Standard deviation of the rounding of each channel, step / sqrt(12): a reading that is one in the last digit off is no outlier, however well
-/// the others agree.
-fn rounding(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
+/// Last digit of each channel's readings, 0 where they are written finely: a reading that is one digit off is no outlier, however well the others
+/// agree.
+fn digits(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
     let steps = system.noise_inputs().step;
-    let of = |c: usize| steps.get(c).copied().flatten().unwrap_or(0.0) / 12.0_f64.sqrt();
-    (0..channels).map(|c| of(c).max(1e-300)).collect()
+    (0..channels).map(|c| steps.get(c).copied().flatten().unwrap_or(0.0)).collect()
 }
+
+/// A difference of one digit, rounding of the difference included.
+const ONE_DIGIT: f64 = 1.001;
 
 /// Flags readings that no tails explain, refits, and flags anew from all readings until nothing changes. `weights` may hold earlier flags.
 pub fn clean(
@@ -74,16 +76,19 @@ pub fn clean(
     let mut current = start.clone();
     let mut weights = weights.clone();
     let mut flagged: Vec<usize> = (0..n).filter(|&i| all.counts(i) && !weights.counts(i)).collect();
-    let (mut p_value, rounding) = (1.0, rounding(system, channels));
+    let (mut p_value, digit) = (1.0, digits(system, channels));
     for _ in 0..ROUNDS {
-        let z = standardised(&current, &weights, &rounding);
+        let z = standardised(&current, &weights);
         let judged: Vec<f64> = (0..n)
             .filter(|&i| all.counts(i))
             .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())
             .collect();
         let found = outlying(&judged, most * channels, LEVEL);
         let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
-            (0..n).filter(|&i| all.counts(i) && z.row(i).iter().any(|v| v.abs() >= f.beyond)).collect()
+            let beyond = |i: usize, c: usize| {
+                z[(i, c)].abs() >= f.beyond && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]
+            };
+            (0..n).filter(|&i| all.counts(i) && (0..channels).any(|c| beyond(i, c))).collect()
         });
         p_value = found.map_or(1.0, |f| f.p_value);
         if next.len() > most {
@@ -150,13 +155,17 @@ pub fn gross(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec
         |m: &DMatrix<f64>| DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]));
     let (x, y) = (scaled(&raw), scaled(system.measured()));
     let channels = y.ncols();
-    let rounding = rounding(system, channels);
+    let digit = digits(system, channels);
     // Channels may have noises of different sizes; a reading is as far out as its worst channel.
     let sizes = |subset: &[usize]| -> Vec<f64> {
         let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
         let r = &y - &x * b;
         let scale: Vec<f64> = (0..channels)
-            .map(|c| median(r.column(c).iter().map(|v| v.abs()).collect()).max(0.6745 * rounding[c]))
+            .map(|c| {
+                median(r.column(c).iter().map(|v| v.abs()).collect())
+                    .max(0.6745 * digit[c] / 12.0_f64.sqrt())
+                    .max(1e-300)
+            })
             .collect();
         (0..n)
             .map(|k| (0..channels).map(|c| r[(k, c)].abs() / scale[c]).fold(0.0, f64::max) * 0.6745)

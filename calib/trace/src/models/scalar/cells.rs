@@ -115,11 +115,20 @@ impl ScalarSystem {
         !by_stimulus && law.needs.iter().any(|n| matches!(n, Need::Clock | Need::Order | Need::Time))
     }
 
+    /// The law depends on the stimulus of earlier times (lag, creep).
+    fn remembers_in_time(&self, term: &EffectTerm) -> bool {
+        let effect = &self.catalogue()[term.effect];
+        let by_time = |n: &Need| matches!(n, Need::Clock | Need::Time);
+        effect.has_memory() && effect.law(term.law).needs.iter().any(by_time)
+    }
+
     /// Each term of `h` earns its gain where it says something of its own; true where no cell is repeated.
     #[must_use]
     pub fn earned_by_cells(&self, h: &Hypothesis) -> bool {
         let cells = replicate_keys(&self.frame);
-        if !repeated(&cells, h.weights.relative()) {
+        // With a memory in time the readings of a cell differ in their past, too: they are no repeats.
+        let remembers = h.fit.terms.iter().any(|t| self.remembers_in_time(t));
+        if remembers || !repeated(&cells, h.weights.relative()) {
             return true;
         }
         // A law of the clock that follows stimulus and way repeats with the protocol, whether the way has a column or not.

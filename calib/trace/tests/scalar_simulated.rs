@@ -180,7 +180,10 @@ fn share(id: &str, draws: u64, make: impl Fn(u64) -> ScalarVerification + Sync) 
             let right = effects.len() == 1 && effects[0].class.iter().any(|c| c == id);
             (
                 right && v.document.verdict == Verdict::Effect,
-                format!("{seed}: {:?} {:?} {}", v.document.verdict, v.document.alternatives, v.document.reason),
+                format!(
+                    "{seed}: {:?} {:?} {}",
+                    v.document.verdict, v.document.alternatives, v.document.reason
+                ),
             )
         })
         .collect();

@@ -23,7 +23,7 @@ pub fn chessboard([columns, rows]: [usize; 2], side_mm: f64, stretch: f64) -> Pr
             return None;
         }
         let inside = (0.0..width).contains(&u) && (0.0..height).contains(&v);
-        let dark = inside && ((u / side_mm) as usize + (v / side_mm) as usize) % 2 == 0;
+        let dark = inside && ((u / side_mm) as usize + (v / side_mm) as usize).is_multiple_of(2);
         Some(if dark { 40 } else { 210 })
     })
 }

@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(read_text(&path).unwrap(), "a = 1\n");
         assert_eq!(read(&path).unwrap().len(), 9);
         assert!(read(folder.path()).unwrap_err().to_string().contains("a folder"));
-        assert_eq!(read(&folder.path().join("b")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(read(folder.path().join("b")).unwrap_err().kind(), io::ErrorKind::NotFound);
         if cfg!(unix) {
             assert!(read(Path::new("/dev/zero")).unwrap_err().to_string().contains("a device"));
         }

@@ -116,8 +116,11 @@ impl Rig {
     /// # Errors
     /// As [`Rig::read`].
     pub fn parse(name: &str, text: &str) -> Result<Self, VisionError> {
+        // Rigs for pictures alone have been written without a format.
+        let named = text.lines().any(|l| l.trim_start().starts_with("format"));
+        let whole = if named { text.to_owned() } else { format!("format = \"{RIG_FORMAT}\"\n{text}") };
         let file: RigFile =
-            from_toml(text, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES]).map_err(|e| match e {
+            from_toml(&whole, RIG_FORMAT, &[RIG_RANGES, WHISKER_RANGES]).map_err(|e| match e {
                 DocumentError::Range(e) => {
                     VisionError::content(name, format!("{}: {}", e.key, e.expected), e.found)
                 }

@@ -136,7 +136,7 @@ fn black_and_white_pictures_are_told_apart_and_colours_become_grey() {
 fn a_broken_stereo_json_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stereo.json");
-    for (text, word) in [("", "none of these"), ("{}", "missing field"), ("{\"format\": 3}", "invalid type")]
+    for (text, word) in [("", "none of these"), ("{}", "wcal-stereo/1"), ("{\"format\": 3}", "wcal-stereo/1")]
     {
         std::fs::write(&path, text).unwrap();
         let error = read_cameras(std::slice::from_ref(&path)).unwrap_err().to_string();

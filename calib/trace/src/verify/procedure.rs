@@ -68,7 +68,7 @@ pub fn verify<M: SessionModel>(
     let whole = model.whole(rows)?;
     let stage =
         Stage { model: &model, whole: &whole, explained: &explained, on_request: !asked.is_empty(), seed };
-    let (unsealed, errors, floor) = stage.last_word(&mut conclusion)?;
+    let (unsealed, errors, floor) = stage.apply_holdout(&mut conclusion)?;
     // What could have been seen, stage 10 (next measurement), and what a reader must know.
     let document =
         document(&model, &whole, &explained, &conclusion, &faults, &floor, &unsealed, &errors, seed);
@@ -103,7 +103,7 @@ type Judged<M> = (Unsealed<<M as SessionModel>::Predictions>, Errors, FloorState
 
 impl<M: SessionModel> Stage<'_, M> {
     /// The held-out readings have the last word: what they or the last rule contradict is taken back.
-    fn last_word(&self, conclusion: &mut Conclusion) -> Result<Judged<M>, TraceError> {
+    fn apply_holdout(&self, conclusion: &mut Conclusion) -> Result<Judged<M>, TraceError> {
         let unit = self.whole.quantities()[0].unit;
         let mut judged = self.judged(conclusion, &self.explained.noise)?;
         let speaks = |conclusion: &Conclusion, judged: &Judged<M>| {

@@ -2,50 +2,10 @@
 //!
 //! `WCAL_DRAWS=20 cargo test --workspace --test clean_bench -- --nocapture` prints the rate over more of them.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
-
+use crate::support::virtual_bench::VirtualBench;
+use crate::support::{code_and_messages, fixture};
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-/// Runs the program; exit code and messages.
-fn wcal(arguments: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
-    (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
-
-/// A virtual bench, ended when it is dropped.
-struct Bench(Child);
-
-impl Bench {
-    /// Serves `scenario`; its addresses go into `addresses`.
-    fn start(scenario: &Path, addresses: &Path) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_wcal"))
-            .args(["virtual-bench", "--scenario"])
-            .arg(scenario)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        std::fs::write(addresses, line).unwrap();
-        Self(child)
-    }
-}
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        // Its input closes, and it ends.
-        drop(self.0.stdin.take());
-        let _ = self.0.wait();
-    }
-}
+use std::path::Path;
 
 /// Verdict on one session of twelve poses under the bench's `effects`.
 fn verdict(seed: u64, effects: &str) -> Value {
@@ -54,23 +14,21 @@ fn verdict(seed: u64, effects: &str) -> Value {
     let scenario = format!(
         "format = \"wcal-scenario/1\"\nseed = {seed}\nspeed = 3.0\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n{effects}"
     );
-    std::fs::write(at("scenario.toml"), scenario).unwrap();
-    let bench = Bench::start(Path::new(&at("scenario.toml")), Path::new(&at("bench.json")));
-    let fixture = |name: &str| repository("fixtures/pictured").join(name).display().to_string();
-    let (rig, plan) = (fixture("rig.toml"), fixture("plan.toml"));
+    let bench = VirtualBench::serve(folder.path(), "", &scenario);
+    let [rig, plan] = ["rig.toml", "plan.toml"].map(|name| fixture("pictured").join(name).display().to_string());
     let (session, cameras, out) = (at("session"), at("cameras"), at("verify"));
     let bench_file = at("bench.json");
     let sweep = ["--rig", &rig, "--plan", &plan, "--bench", &bench_file, "--out", &session];
-    let (code, text) = wcal(&[&["stage-sweep", "--home"][..], &sweep].concat());
+    let (code, text) = code_and_messages(&[&["stage-sweep", "--home"][..], &sweep].concat());
     assert!(code == 0 || code == 3, "{text}");
     drop(bench);
     let [left, right] = ["left", "right"].map(|side| format!("{session}/pictures/board/{side}"));
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &cameras];
-    let (code, text) = wcal(&[&["stereo-calibrate", &left, &right][..], &board].concat());
+    let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
     assert!(code == 0 || code == 3, "{text}");
-    let (code, text) = wcal(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
+    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
     assert!(code == 0 || code == 3, "{text}");
-    let (_, text) = wcal(&["verify", &session, "--out", &out]);
+    let (_, text) = code_and_messages(&["verify", &session, "--out", &out]);
     let document = std::fs::read(Path::new(&out).join("verify.json"));
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {text}"))).unwrap()
 }

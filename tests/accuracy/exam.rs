@@ -1,15 +1,13 @@
 //! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
 //! The rates themselves need hundreds of draws: `cargo run --release --example exam -- --draws 300 --mix all`.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
 use std::path::PathBuf;
 use wcal_plant::exam::{Examiner, Mark, Outcome};
 use wcal_plant::orders;
 
 fn examine(mix: &str, draws: usize, seed: u64) -> Vec<Outcome> {
     let folder = tempfile::tempdir().unwrap();
-    let program = PathBuf::from(env!("CARGO_BIN_EXE_wcal"));
+    let program = PathBuf::from(PROGRAM);
     let examiner = Examiner {
         program,
         folder: folder.path().to_path_buf(),

@@ -6,8 +6,7 @@
 //! ```
 //! over groove position and contact arc length of all pairs of a folder together: errors that pairs share and those of their own both count.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
-
+use crate::support::fixture;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -132,7 +131,7 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
         });
         truths.push(Truth { groove_mm: at, arclength_mm: found.arclength_mm, line_mm });
     }
-    let rig_file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/stereo_bench/rig.toml");
+    let rig_file = fixture("stereo_bench/rig.toml");
     let mut document =
         shapes_of_pairs(&calibrated(seed), &Rig::read(&rig_file).unwrap(), &files, None, &|_| {}).document;
     let good: Vec<bool> = document.pairs.iter().map(|p| p.status == "ok").collect();

@@ -1,19 +1,18 @@
 //! What `verify` says of sweeps that the program recorded itself: settled rows beside rows in motion, one effect each (SIMULATED).
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
+use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn recorded(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/recorded").join(name)
+    fixture("recorded").join(name)
 }
 
 /// verify.json of a session folder.
 fn verified(session: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .arg("verify")
         .arg(session)
         .arg("--out")

@@ -1,21 +1,14 @@
 //! The program on its own recordings, end to end, with negative controls.
-#![allow(clippy::expect_used, clippy::unwrap_used, reason = "a test that fails should say where")]
 
-#[path = "support/copy.rs"]
-mod copy;
-
-use copy::copy_folder;
+use crate::support::{fixture, program, repository};
+use crate::support::copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
-}
-
 fn verify(session: &Path) -> (i32, Value) {
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .arg("verify")
         .arg(session)
         .arg("--out")
@@ -61,7 +54,7 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     assert!(map("after", 0) < 0.5 * map("before", 0) && map("after", 1) < map("before", 1), "{}", v["after"]);
     // The guide quotes this run and nothing else (README's row: tests/results.rs).
     let page =
-        |name: &str| std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("page");
+        |name: &str| std::fs::read_to_string(repository(name)).expect("page");
     let guide = page("docs/src/guide/whisker.md");
     let quoted = format!(
         "| {before:.1} pm | {after:.1} pm | {:.2} / {:.2} N mm | {:.2} / {:.2} N mm | 11, 14, 17, 20, 23, 26 | {} |",
@@ -115,7 +108,7 @@ fn the_rods_own_labels_are_taken_without_a_fault() {
     copy_folder(&fixture("practice/case-004"), folder.path());
     let table = folder.path().join("twin.csv");
     let twin = |session: &Path| {
-        let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        let run = program()
             .arg("twin")
             .arg(session)
             .arg("--out")
@@ -165,7 +158,7 @@ fn labels_in_another_unit_are_named_so() {
 fn wavelengths_in_picometres_are_refused() {
     let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| format!("{:.4}", nm * 1000.0));
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .arg("verify")
         .arg(folder.path())
         .arg("--out")
@@ -206,7 +199,7 @@ fn a_simulated_null_session_is_adequate() {
 #[test]
 fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .args(["demo", "--out"])
         .arg(out.path())
         .output()
@@ -263,7 +256,7 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
 fn a_demonstration_takes_the_place_of_an_earlier_one() {
     let place = tempfile::tempdir().expect("temporary folder");
     let demo = || {
-        let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        let run = program()
             .args(["demo", "--out", "demo"])
             .current_dir(place.path())
             .output()

@@ -1,39 +1,29 @@
 //! Transducer and axis sessions through the program, end to end: measured data with certified answers, negative controls, broken input.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
-#[path = "scalar_loop/applied.rs"]
 mod applied;
-#[path = "scalar_loop/measured.rs"]
 mod measured;
-#[path = "scalar_loop/plausible.rs"]
 mod plausible;
-#[path = "scalar_loop/refusals.rs"]
 mod refusals;
-#[path = "scalar_loop/wording.rs"]
 mod wording;
 
+use crate::support::{fixture, wcal};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist").join(name)
-}
-
-fn wcal(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap()
+fn nist(name: &str) -> PathBuf {
+    fixture("nist").join(name)
 }
 
 /// A session with the points table of a fixture rewritten line by line (header left out).
 fn disturbed(name: &str, change: impl Fn(usize, &[&str]) -> String) -> tempfile::TempDir {
-    let text = fs::read_to_string(fixture(name).join("points.csv")).unwrap();
+    let text = fs::read_to_string(nist(name).join("points.csv")).unwrap();
     let mut lines = text.lines();
     let header = lines.next().unwrap().to_owned();
     let rows = lines.enumerate().map(|(k, line)| change(k, &line.split(',').collect::<Vec<_>>()));
     let table: Vec<String> = std::iter::once(header).chain(rows).collect();
-    let toml = fs::read_to_string(fixture(name).join("session.toml")).unwrap();
+    let toml = fs::read_to_string(nist(name).join("session.toml")).unwrap();
     session(&toml, &table.join("\n"))
 }
 

@@ -1,8 +1,5 @@
 //! The second witness: pictures in addition to the wavelengths, on paper-like sessions of the independent plant (SIMULATED).
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
-
-#[path = "second_witness/draws.rs"]
 mod draws;
 
 use draws::{Answer, BOARD, Draw, answer, both, compliance, offset};

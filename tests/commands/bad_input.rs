@@ -1,37 +1,25 @@
 //! Broken input through the program: one clear error, the documented exit code, no panic, nothing half-written.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
-#[path = "../calib/session/tests/broken/mod.rs"]
+#[path = "../../calib/session/tests/session/broken.rs"]
 mod broken;
-#[path = "bad_input/calibrations.rs"]
 mod calibrations;
-#[path = "bad_input/closed_pipes.rs"]
 mod closed_pipes;
-#[path = "support/copy.rs"]
-mod copy;
-#[path = "bad_input/foreign_files.rs"]
 mod foreign_files;
-#[path = "bad_input/gratings.rs"]
 mod gratings;
-#[path = "bad_input/imports.rs"]
 mod imports;
-#[path = "bad_input/limits.rs"]
 mod limits;
-#[path = "bad_input/numbers.rs"]
 mod numbers;
-#[path = "bad_input/paths.rs"]
 mod paths;
-#[path = "bad_input/tracking.rs"]
 mod tracking;
 
+use crate::support::{PROGRAM, program};
 use broken::{Base, TABLE};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
 fn wcal(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).current_dir(folder).output().unwrap()
+    program().args(arguments).current_dir(folder).output().unwrap()
 }
 
 /// What is wrong with an outcome, if anything.
@@ -214,7 +202,7 @@ fn a_table_in_place_of_a_session_is_told_how_to_become_one() {
     let text = String::from_utf8_lossy(&run.stderr).into_owned();
     let line = text.lines().find(|l| l.trim().starts_with("wcal import")).unwrap().trim().to_owned();
     assert!(line.contains("--stimulus load_n --response 'out v'"), "{line}");
-    let script = format!("{} {}", env!("CARGO_BIN_EXE_wcal"), line.strip_prefix("wcal ").unwrap());
+    let script = format!("{PROGRAM} {}", line.strip_prefix("wcal ").unwrap());
     let done = Command::new("sh").args(["-c", &script]).current_dir(place.path()).output().unwrap();
     judge(&done, 0, &["20 rows"]).unwrap();
     judge(&wcal(place.path(), &["doctor", "cell"]), 0, &["20"]).unwrap();

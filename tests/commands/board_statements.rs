@@ -1,11 +1,8 @@
 //! What `stereo-calibrate` says of boards that are not what is stated, on pictures drawn here (SIMULATED): each mistake is named with the option that
 //! mends it, and the same pictures with the right statement pass without a word.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
-#[path = "support/drawn_boards.rs"]
-mod drawn_boards;
-
-use drawn_boards::{Print, april_grid, chessboard, grid_of, tilted, write_pairs};
+use crate::support::program;
+use crate::support::drawn_boards::{Print, april_grid, chessboard, grid_of, tilted, write_pairs};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
@@ -37,7 +34,7 @@ fn pictured(print: &Print, views: &[Isometry3<f64>], right: &Isometry3<f64>) -> 
 /// Exit code, messages, and `stereo.json` where there is one.
 fn calibrate(folder: &Path, arguments: &[&str]) -> (i32, String, Option<Value>) {
     let [left, right, out] = ["left", "right", "out"].map(|n| folder.join(n).display().to_string());
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let output = program()
         .args(["stereo-calibrate", &left, &right, "--force", "--out", &out])
         .args(arguments)
         .output()

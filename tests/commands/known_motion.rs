@@ -1,6 +1,6 @@
 //! `wcal track` along a known motion as a user runs it, on a session whose groove is known (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::{text, wcal};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -8,14 +8,6 @@ use std::process::{Command, Output};
 use std::sync::LazyLock;
 
 const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");
-
-fn wcal(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 /// Readings and motion of three trajectories: time, wavelengths and groove as written, the motion along each from its stage.
 struct Record {

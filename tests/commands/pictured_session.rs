@@ -1,11 +1,7 @@
 //! A recorded session with pictures (fixtures/pictured, SIMULATED) through the program: shapes, then a verdict that they sharpen.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
-#[path = "support/copy.rs"]
-mod copy;
-
-use copy::copy_folder;
+use crate::support::{code_and_messages, fixture};
+use crate::support::copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,15 +9,10 @@ use std::process::Command;
 /// What the bench's scenario moved the groove by, base frame, mm.
 const OFFSET_MM: [f64; 3] = [0.0, 0.06, 0.08];
 
-fn wcal(arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
-
 /// Exit code, messages and verify.json.
-fn verify(session: &str) -> (Option<i32>, String, Value) {
+fn verify(session: &str) -> (i32, String, Value) {
     let out = tempfile::tempdir().unwrap();
-    let (code, text) = wcal(&["verify", session, "--out", out.path().to_str().unwrap(), "--force"]);
+    let (code, text) = code_and_messages(&["verify", session, "--out", out.path().to_str().unwrap(), "--force"]);
     let document = std::fs::read(out.path().join("verify.json")).unwrap();
     (code, text, serde_json::from_slice(&document).unwrap())
 }
@@ -40,7 +31,7 @@ fn offsets(document: &Value) -> Option<Vec<[f64; 2]>> {
 fn pictures_tell_where_the_groove_is() {
     let folder = tempfile::tempdir().unwrap();
     let place: PathBuf = folder.path().join("session");
-    copy_folder(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictured"), &place);
+    copy_folder(&fixture("pictured"), &place);
     let session = place.to_str().unwrap();
     // Negative control: without shapes the same session tells it at least ten times less sharply, if at all.
     let (_, _, blind) = verify(session);
@@ -48,10 +39,10 @@ fn pictures_tell_where_the_groove_is() {
     let before = offsets(&blind);
 
     let (code, text) =
-        wcal(&["stereo-shape", session, "--cameras", place.join("stereo.json").to_str().unwrap()]);
-    assert!(code == Some(0) && text.contains("SIMULATED") && text.contains("12 of 12 pairs"), "{text}");
+        code_and_messages(&["stereo-shape", session, "--cameras", place.join("stereo.json").to_str().unwrap()]);
+    assert!(code == 0 && text.contains("SIMULATED") && text.contains("12 of 12 pairs"), "{text}");
     let (code, text, document) = verify(session);
-    assert_eq!((code, &document["verdict"]), (Some(0), &Value::from("effect")), "{text}");
+    assert_eq!((code, &document["verdict"]), (0, &Value::from("effect")), "{text}");
     let found = offsets(&document).unwrap_or_else(|| unreachable!("{}", document["effects"]));
     for ([low, high], truth) in found.iter().zip(OFFSET_MM) {
         // Three 95 % intervals of one recorded session: half as wide again as stated is allowed.
@@ -76,7 +67,7 @@ fn pictures_tell_where_the_groove_is() {
     {
         std::fs::write(&file, good.replace(&format!("{key} = \""), &format!("{key} = \"0"))).unwrap();
         let (code, text, document) = verify(session);
-        assert!(code == Some(3) && text.contains("12 pair(s)") && text.contains(why), "{key}: {text}");
+        assert!(code == 3 && text.contains("12 pair(s)") && text.contains(why), "{key}: {text}");
         assert!(document["after"]["contact_rmse_mm"].is_null(), "{key}");
     }
 }

@@ -1,16 +1,10 @@
 //! `wcal report` as a user meets it: a page again, and what it says of documents that give none. That every page comes again byte for byte
 //! stands in `schemas.rs`, which has them all.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
+use crate::support::{code_and_messages, fixture};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-
-fn wcal(arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
 
 /// What the program says of a folder in which `name` holds `text`; every page must be as it was.
 fn said_of(folder: &Path, name: &str, text: Option<&str>) -> String {
@@ -20,8 +14,8 @@ fn said_of(folder: &Path, name: &str, text: Option<&str>) -> String {
         Some(text) => fs::write(&path, text).unwrap(),
         None => fs::remove_file(&path).unwrap(),
     }
-    let (code, said) = wcal(&["report", folder.to_str().unwrap()]);
-    assert_eq!(code, Some(1), "{name}: {said}");
+    let (code, said) = code_and_messages(&["report", folder.to_str().unwrap()]);
+    assert_eq!(code, 1, "{name}: {said}");
     assert_eq!(fs::read(&page).ok(), first, "{name}: a page was written");
     match before {
         Some(bytes) => fs::write(&path, bytes).unwrap(),
@@ -35,12 +29,12 @@ fn a_page_comes_again_and_documents_that_give_none_are_named() {
     let place = tempfile::tempdir().unwrap();
     let folder = place.path().join("out");
     let out = folder.to_str().unwrap();
-    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
-    assert_eq!(wcal(&["verify", session.to_str().unwrap(), "--out", out]).0, Some(0));
+    let session = fixture("nist/pontius");
+    assert_eq!(code_and_messages(&["verify", session.to_str().unwrap(), "--out", out]).0, 0);
     let page = folder.join("report.html");
     let first = fs::read(&page).unwrap();
     fs::write(&page, "another").unwrap();
-    assert_eq!(wcal(&["report", folder.join("report.json").to_str().unwrap()]).0, Some(0));
+    assert_eq!(code_and_messages(&["report", folder.join("report.json").to_str().unwrap()]).0, 0);
     assert!(fs::read(&page).unwrap() == first, "the same page");
 
     let stored = fs::read_to_string(folder.join("report.json")).unwrap();
@@ -68,7 +62,7 @@ fn a_page_comes_again_and_documents_that_give_none_are_named() {
 
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();
-    let (code, said) = wcal(&["report", empty.to_str().unwrap()]);
+    let (code, said) = code_and_messages(&["report", empty.to_str().unwrap()]);
     assert!(code == Some(1) && said.contains("report.json") && said.contains("found none"), "{said}");
     assert_eq!(fs::read_dir(&empty).unwrap().count(), 0);
 }

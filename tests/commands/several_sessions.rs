@@ -1,13 +1,9 @@
 //! `--add` and `--accept` through the program, on a SIMULATED session (fixtures/practice) cut into two seatings.
-#![allow(clippy::expect_used, reason = "a test that fails should say where")]
 
+use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
-}
 
 /// The rows of `name` for which `keep(t_s)` holds, channel 1 raised by `shift_pm`, as a session of its own.
 fn part(name: &str, shift_pm: f64, keep: impl Fn(f64) -> bool) -> tempfile::TempDir {
@@ -37,7 +33,7 @@ fn part(name: &str, shift_pm: f64, keep: impl Fn(f64) -> bool) -> tempfile::Temp
 
 fn verify(session: &Path, more: &[&str]) -> (Output, Option<Value>, tempfile::TempDir) {
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .arg("verify")
         .arg(session)
         .args(more)
@@ -104,7 +100,7 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
         serde_json::from_slice(&std::fs::read(&calibration).expect("calibration")).expect("json");
     assert_eq!(file["model"]["effects"][0]["id"], "groove-friction");
     let csv = out.path().join("moments.csv");
-    let predicted = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let predicted = program()
         .arg("predict")
         .arg(session.join("holdout.csv"))
         .arg("--calibration")

@@ -1,15 +1,7 @@
 //! `wcal simulate` as a user runs it (SIMULATED sweeps).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::{program, text, wcal};
 use std::process::{Command, Output};
-
-fn wcal(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 #[test]
 fn a_dataset_is_made_and_a_second_run_finds_it_there() {
@@ -232,7 +224,7 @@ fn a_missing_mujoco_engine_is_named_and_nothing_else_needs_it() {
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/whiskerfbg");
     let table = folder.path().join("twin.csv");
     let run = |args: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+        let mut command = program();
         command.args(args).env("WCAL_MUJOCO", "/nonexistent/wcal-mujoco").output().unwrap()
     };
     let sweeps = ["simulate", "--object", "can", "--sweeps", "1", "--out", out.to_str().unwrap()];

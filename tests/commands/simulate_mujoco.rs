@@ -1,23 +1,12 @@
 //! `wcal simulate --engine mujoco` as a user runs it (SIMULATED sweeps); without libmujoco they say so, and fail in CI.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-#[path = "support/not_run.rs"]
-mod not_run;
-
-use not_run::not_run;
+use crate::support::{program, text, wcal};
+use crate::support::not_run::not_run;
 use std::process::{Command, Output};
-
-fn wcal(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 /// MuJoCo's program in the folder of wcal; none where it was built without libmujoco or not at all.
 fn mujoco() -> Option<std::path::PathBuf> {
-    let path = std::path::Path::new(env!("CARGO_BIN_EXE_wcal")).with_file_name("wcal-mujoco");
+    let path = std::path::Path::new(PROGRAM).with_file_name("wcal-mujoco");
     let asked = Command::new("sh")
         .args(["-c", "echo '{\"do\":\"hello\"}' | \"$0\"", path.to_str()?])
         .output()
@@ -39,7 +28,7 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
         .unwrap();
     let out = folder.path().join("out");
     let run = |program: &std::path::Path, more: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+        let mut command = program();
         command.args([
             "simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "4", "--jobs", "1", "--report",
         ]);
@@ -68,7 +57,7 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
     .unwrap();
     std::fs::set_permissions(&hanging, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
     let other = folder.path().join("hung");
-    let hung = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let hung = program()
         .args(["simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "2", "--json", "--out"])
         .arg(&other)
         .envs([("WCAL_MUJOCO", hanging.as_os_str()), ("WCAL_MUJOCO_WAIT_S", "0.5".as_ref())])
@@ -137,7 +126,7 @@ fn softening_is_refused_by_mujoco_with_the_reason() {
         &at("out"),
     ];
     let run =
-        Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).env("WCAL_MUJOCO", engine).output().unwrap();
+        program().args(args).env("WCAL_MUJOCO", engine).output().unwrap();
     let error = text(&run.stderr);
     assert!(
         run.status.code() == Some(1)
@@ -162,7 +151,7 @@ fn the_dynamics_of_a_fitted_whisker_are_used() {
         std::fs::write(&toml, format!("{whisker}{dynamics}")).unwrap();
         let out = at(name);
         let args = ["simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "1", "--seed", "3"];
-        let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        let done = program()
             .args(args)
             .args(["--whisker", &toml, "--plan", &at("plan.toml"), "--out", &out])
             .env("WCAL_MUJOCO", &engine)

@@ -1,11 +1,7 @@
 //! `wcal simulate --slurm` against a real Slurm on this machine (SIMULATED sweeps); where Slurm cannot start it says so, and fails in CI.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
-#[path = "support/not_run.rs"]
-mod not_run;
-
-use not_run::not_run;
+use crate::support::{program, text};
+use crate::support::not_run::not_run;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -145,7 +141,7 @@ impl Slurm {
     }
 
     fn simulate(&self, out: &str, more: &[&str]) -> Output {
-        let mut command = self.command(env!("CARGO_BIN_EXE_wcal"));
+        let mut command = self.command(PROGRAM);
         let fixed = [
             "simulate",
             "--object",
@@ -176,10 +172,6 @@ impl Slurm {
         let log = std::fs::read_to_string(self.place(out).join("slurm/check.log")).unwrap();
         (log, code.unwrap(), show(&array).matches("ArrayTaskId=").count())
     }
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
 
 fn submitted(output: &Output) -> serde_json::Value {
@@ -261,7 +253,7 @@ fn the_scripts_are_printed_without_slurm() {
     std::fs::write(folder.path().join("setup.sh"), "module load wcal").unwrap();
     let given = "simulate --object can --sweeps 100 --slurm --dry-run --slurm-partition long --slurm-account lab --slurm-time 1:00:00 \
                  --slurm-memory 2G --slurm-option=--qos=night --slurm-tasks 2 --slurm-setup setup.sh --report --out sweeps";
-    let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let done = program()
         .current_dir(folder.path())
         .args(given.split_whitespace())
         .output()
@@ -284,7 +276,7 @@ fn the_scripts_are_printed_without_slurm() {
     assert!(scripts.contains("'--report' '--out' 'sweeps' --check"), "{scripts}");
     assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
     // Negative control: the options mean something only with --slurm.
-    let wrong = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let wrong = program()
         .args(["simulate", "--object", "can", "--dry-run", "--out", "sweeps"])
         .output()
         .unwrap();

@@ -1,22 +1,18 @@
 //! The picture commands as a user runs them, on ray-traced pictures of the bench (simulated by an outside renderer).
-#![allow(clippy::print_stdout, reason = "a test says what it found")]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
-#[path = "support/copy.rs"]
-mod copy;
-
-use copy::copy_folder;
+use crate::support::{fixture, program};
+use crate::support::copy::copy_folder;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/stereo_bench").join(name)
+fn bench_file(name: &str) -> PathBuf {
+    fixture("stereo_bench").join(name)
 }
 
 fn wcal(arguments: &[&str]) -> (i32, Output, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
+    let output = program().args(arguments).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!text.contains("panicked"), "{text}");
     (output.status.code().unwrap(), output, text)
@@ -47,7 +43,7 @@ fn made() -> &'static Made {
         for (kind, broken) in [("board", "99.png"), ("scene", "t9.png")] {
             for side in ["left", "right"] {
                 let to = folder.join(kind).join(side);
-                copy_folder(&fixture(&format!("{kind}/{side}")), &to);
+                copy_folder(&bench_file(&format!("{kind}/{side}")), &to);
                 std::fs::write(to.join(broken), b"").unwrap();
             }
         }
@@ -56,7 +52,7 @@ fn made() -> &'static Made {
         let (code, output, text) = wcal(&[&calibrate[..], &more].concat());
         let document = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
         let calibrated = (code, text, document);
-        std::fs::copy(fixture("scene/SIMULATED"), folder.join("scene/SIMULATED")).unwrap();
+        std::fs::copy(bench_file("scene/SIMULATED"), folder.join("scene/SIMULATED")).unwrap();
         let cameras = at("calibration/stereo.json");
         let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras];
         let more = ["--rig", &rig(), "--out", &at("shapes"), "--report"];
@@ -70,7 +66,7 @@ fn made() -> &'static Made {
 }
 
 fn rig() -> String {
-    fixture("rig.toml").display().to_string()
+    bench_file("rig.toml").display().to_string()
 }
 
 #[test]
@@ -89,7 +85,7 @@ fn a_wrong_board_is_refused_and_a_side_in_metres_is_asked_about() {
     let place = tempfile::tempdir().unwrap();
     let refused = place.path().join("refused").display().to_string();
     let (left, right) =
-        (fixture("board/left").display().to_string(), fixture("board/right").display().to_string());
+        (bench_file("board/left").display().to_string(), bench_file("board/right").display().to_string());
     let calibrate = |side_mm: &str, board: &str| {
         let pictures = ["stereo-calibrate", &left, &right, "--square-mm", side_mm];
         wcal(&[&pictures[..], &["--board", board, "--out", &refused]].concat())
@@ -153,7 +149,7 @@ fn shapes_become_the_rest_geometry_and_a_model() {
     assert_eq!(code, 3, "one shape was left out: {text}");
     assert!(text.contains("t9 is left out: ") && text.contains("zero bytes"), "{text}");
     let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let truth: Value = serde_json::from_slice(&std::fs::read(fixture("truth.json")).unwrap()).unwrap();
+    let truth: Value = serde_json::from_slice(&std::fs::read(bench_file("truth.json")).unwrap()).unwrap();
     for (key, drawn, limit) in
         [("straight_mm", "straight", 0.2), ("arc_radius_mm", "radius", 0.1), ("length_mm", "length", 0.2)]
     {
@@ -205,7 +201,7 @@ fn files_for_other_programs_say_where_pictures_are_rendered() {
     let (place, made) = (tempfile::tempdir().unwrap(), made());
     let at = |name: &str| place.path().join(name).display().to_string();
     copy_folder(&made.folder.join("board"), &place.path().join("board"));
-    std::fs::copy(fixture("scene/SIMULATED"), place.path().join("board/SIMULATED")).unwrap();
+    std::fs::copy(bench_file("scene/SIMULATED"), place.path().join("board/SIMULATED")).unwrap();
     let marked = at("marked");
     let (left, right) = (at("board/left"), at("board/right"));
     let (code, _, text) =
@@ -251,7 +247,7 @@ fn cameras_come_back_from_the_files_of_other_programs() {
             .collect()
     };
     for side in ["left", "right"] {
-        copy_folder(&fixture("board").join(side), &place.path().join("whole").join(side));
+        copy_folder(&bench_file("board").join(side), &place.path().join("whole").join(side));
     }
     let rig = rig();
     let export = |name: &str| made.at(&format!("calibration/{name}"));
@@ -408,7 +404,7 @@ fn tip(shapes: &Value, name: &str) -> Vec<f64> {
 
 #[test]
 fn a_tag_side_that_is_stated_wrongly_is_named_and_the_shapes_stay_right() {
-    let scene = fixture("scene");
+    let scene = bench_file("scene");
     let (left, right) = (scene.join("left").display().to_string(), scene.join("right").display().to_string());
     let (code, text, control) = shapes_with(&left, &right, &rig());
     assert!(code == 0 && !text.contains("tag size"), "{text}");
@@ -441,7 +437,7 @@ fn a_pair_that_mixes_two_poses_is_left_out_by_its_length() {
     let place = tempfile::tempdir().unwrap();
     let [left, right] = ["left", "right"].map(|side| {
         let to = place.path().join(side);
-        copy_folder(&fixture("scene").join(side), &to);
+        copy_folder(&bench_file("scene").join(side), &to);
         to
     });
     // Without a rig tag only the wire tells that the pictures show two poses.
@@ -462,7 +458,7 @@ fn a_pair_that_mixes_two_poses_is_left_out_by_its_length() {
 
 #[test]
 fn a_tag_that_a_rig_states_twice_counts_once_or_is_refused() {
-    let scene = fixture("scene");
+    let scene = bench_file("scene");
     let (left, right) = (scene.join("left").display().to_string(), scene.join("right").display().to_string());
     let text = std::fs::read_to_string(rig()).unwrap();
     let second = &text[text.find("[[tags]]\nid = 1").unwrap()..text.find("[groove]").unwrap()];

@@ -1,18 +1,17 @@
 //! Measured strokes of a pneumatic actuator: friction by direction through the program.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
+use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pneumatic").join(name)
+fn pneumatic(name: &str) -> PathBuf {
+    fixture("pneumatic").join(name)
 }
 
 fn verify(folder: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
-    let run = Command::new(env!("CARGO_BIN_EXE_wcal"))
+    let run = program()
         .arg("verify")
         .arg(folder)
         .args(["--json", "--out"])
@@ -43,8 +42,8 @@ fn effect<'a>(v: &'a Value, id: &str) -> Option<&'a Value> {
 #[test]
 fn friction_by_direction_is_named_with_its_size() {
     for name in ["pk-7bar", "nap310-1bar"] {
-        let v = verify(&fixture(name));
-        let half = half_difference(&std::fs::read_to_string(fixture(name).join("points.csv")).unwrap());
+        let v = verify(&pneumatic(name));
+        let half = half_difference(&std::fs::read_to_string(pneumatic(name).join("points.csv")).unwrap());
         let hysteresis = effect(&v, "hysteresis").unwrap_or_else(|| panic!("{name}: {}", v["effects"]));
         let size =
             hysteresis["parameters"].as_array().unwrap().iter().find(|p| p["name"] == "half_loop").unwrap();
@@ -64,8 +63,8 @@ fn friction_by_direction_is_named_with_its_size() {
 #[test]
 fn without_the_difference_no_hysteresis_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::copy(fixture("pk-7bar").join("session.toml"), folder.path().join("session.toml")).unwrap();
-    let text = std::fs::read_to_string(fixture("pk-7bar").join("points.csv")).unwrap();
+    std::fs::copy(pneumatic("pk-7bar").join("session.toml"), folder.path().join("session.toml")).unwrap();
+    let text = std::fs::read_to_string(pneumatic("pk-7bar").join("points.csv")).unwrap();
     let half = half_difference(&text);
     let header: Vec<&str> = text.lines().next().unwrap().split(',').collect();
     let column = |name: &str| header.iter().position(|h| *h == name).unwrap();

@@ -1,6 +1,6 @@
 //! `wcal import --kind whiskerfbg-sweep` and the track of it, on a record in the release's layout that the rod engine made (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::{text, wcal};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -14,14 +14,6 @@ const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];
 const RATE_HZ: f64 = 2000.0;
 /// Samples before the sweep: longer than the zero of the release.
 const LEAD: usize = 4000;
-
-fn wcal(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 fn shifts(m: [f64; 2]) -> [f64; 2] {
     [0, 1].map(|c| K[c][0] * m[0] + K[c][1] * m[1])

@@ -1,16 +1,8 @@
 //! `wcal train`, `wcal evaluate` and `wcal track` as a user runs them (SIMULATED sweeps).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::{text, wcal};
 use std::path::Path;
 use std::process::{Command, Output};
-
-fn wcal(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 /// A table in which the base holds still in contact: tracked, and said to be a motion that the model was never trained on.
 fn doubted(run: &Output) {

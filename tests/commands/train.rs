@@ -1,13 +1,13 @@
 //! `wcal train` without sweeps: it makes its own, trains on them, and its card says how (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::program;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::SystemTime;
 
 fn wcal(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_wcal")).current_dir(folder).args(args).output().unwrap()
+    program().current_dir(folder).args(args).output().unwrap()
 }
 
 fn read(path: &Path) -> Value {

@@ -1,14 +1,12 @@
 //! `wcal twin --engine mujoco` as a user runs it, on two released poses (SIMULATED labels).
 
-#[path = "support/not_run.rs"]
-mod not_run;
-
-use not_run::not_run;
+use crate::support::{fixture, program};
+use crate::support::not_run::not_run;
 use std::process::Command;
 
 #[test]
 fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
-    let engine = std::path::Path::new(env!("CARGO_BIN_EXE_wcal")).with_file_name("wcal-mujoco");
+    let engine = std::path::Path::new(PROGRAM).with_file_name("wcal-mujoco");
     let hello = Command::new("sh")
         .args(["-c", "echo '{\"do\":\"hello\"}' | \"$0\"", engine.to_str().unwrap()])
         .output();
@@ -16,7 +14,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
         not_run(format!("{} has no MuJoCo", engine.display()));
         return;
     }
-    let fixture = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/whiskerfbg");
+    let fixture = fixture("whiskerfbg");
     let folder = tempfile::tempdir().unwrap();
     for name in ["session.toml", "rest_shape.csv", "points.csv", "twin.csv"] {
         let text = std::fs::read_to_string(fixture.join(name)).unwrap();
@@ -49,7 +47,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
             page.to_str().unwrap(),
             "--out",
         ];
-        let done = Command::new(env!("CARGO_BIN_EXE_wcal"))
+        let done = program()
             .args(args)
             .arg(&out)
             .env("WCAL_MUJOCO", &engine)
@@ -74,7 +72,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let first = std::fs::read(&page).unwrap();
     std::fs::remove_file(&page).unwrap();
     let again =
-        Command::new(env!("CARGO_BIN_EXE_wcal")).arg("report").arg(page.with_extension("json")).status();
+        program().arg("report").arg(page.with_extension("json")).status();
     assert!(again.unwrap().success() && std::fs::read(&page).unwrap() == first);
     // The same without any label.
     let (code, said) = run(false);

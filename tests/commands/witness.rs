@@ -1,7 +1,6 @@
 //! The plant's cameras and the picture commands: what the program finds in pictures of a bench that shares no code with it (SIMULATED).
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
-
+use crate::support::{code_and_messages, fixture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
@@ -15,13 +14,6 @@ use wcal_plant::table::{Path as GroovePath, equilibrium};
 type V3 = Vector3<f64>;
 
 const SIZE: [usize; 2] = [640, 480];
-
-fn wcal(arguments: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!text.contains("panicked"), "{text}");
-    (output.status.code().unwrap(), text)
-}
 
 /// What was drawn of a pose.
 struct Pose {
@@ -89,13 +81,13 @@ fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Look) -> Result<[f64;
     }
     let (left, right, out) = (at("board/left"), at("board/right"), at("cameras"));
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &out];
-    let (code, text) = wcal(&[&["stereo-calibrate", &left, &right][..], &board].concat());
+    let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
     assert!(code == 0 || code == 3, "{text}");
-    let rig_file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/stereo_bench/rig.toml");
+    let rig_file = fixture("stereo_bench/rig.toml");
     let (left, right, shapes) = (at("scene/left"), at("scene/right"), at("shapes"));
     let stereo = at("cameras/stereo.json");
     let rest = ["--cameras", &stereo, "--rig", rig_file.to_str().unwrap(), "--out", &shapes];
-    let (code, text) = wcal(&[&["stereo-shape", &left, &right][..], &rest].concat());
+    let (code, text) = code_and_messages(&[&["stereo-shape", &left, &right][..], &rest].concat());
     if code == 1 {
         return Err(text);
     }

@@ -1,7 +1,6 @@
 //! What the pages say is there: links, pages of the book, commands and their options, files, and the keys of the files that people write.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
+use crate::support::{program, repository};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,10 +9,6 @@ use std::process::Command;
 /// Folders that a page's `path` in backticks may begin with.
 const ROOTS: [&str; 9] =
     ["calib/", "rigs/", "tests/", "fixtures/", "docs/", "examples/", "firmware-notes/", "fuzz/", ".ci/"];
-
-fn repository(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
 
 /// Files of the repository, by path; what a build writes and what git keeps are none.
 fn files() -> Vec<String> {
@@ -109,7 +104,7 @@ fn the_book_has_every_page() {
 }
 
 fn help(arguments: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
+    let output = program().args(arguments).output().unwrap();
     String::from_utf8(output.stdout).unwrap()
 }
 

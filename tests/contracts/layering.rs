@@ -1,5 +1,4 @@
 //! The dependency directions of the design, read from `cargo metadata`.
-#![allow(clippy::expect_used, reason = "a test that fails should say where")]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;

@@ -4,8 +4,7 @@
 //! A line is one command, continued by a backslash; it must end with exit code 0, or with N where the line says `# exit N`. What is not run
 //! as it stands is listed below with the reason.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
+use crate::support::repository;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -35,10 +34,6 @@ const SAID: &str =
 /// Longest wait for the virtual bench's addresses.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-fn repository(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
-
 /// Commands of each `sh` block.
 fn blocks(page: &str) -> Vec<Vec<String>> {
     let mut blocks = Vec::new();
@@ -59,7 +54,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 fn shell(folder: &Path, command: &str) -> Command {
-    let program = Path::new(env!("CARGO_BIN_EXE_wcal")).parent().unwrap();
+    let program = Path::new(PROGRAM).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let mut shell = Command::new("sh");
     shell.args(["-c", command]).current_dir(folder).env("PATH", path);

@@ -1,8 +1,8 @@
 //! README's table of results, row by row from what makes it: commands that are run here, records that the exam wrote, and dated lab notes.
 //!
 //! `make results` writes the table (`WCAL_WRITE_DOCS=1 cargo test --workspace --test results`); without it the test compares.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use crate::support::{program, repository};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,6 @@ const BEGIN: &str = "<!-- results: written by `make results` -->\n";
 const END: &str = "<!-- end of results -->\n";
 const RECORDS: &str = "docs/src/lab-notes/exam";
 const TRACKING: &str = "docs/src/lab-notes/tracking.md";
-
-fn repository(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
 
 fn read(name: &str) -> String {
     fs::read_to_string(repository(name)).unwrap_or_else(|e| unreachable!("{name}: {e}"))
@@ -30,7 +26,7 @@ fn verified(session: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
     let place = out.path().join("out");
     let run =
-        Command::new(env!("CARGO_BIN_EXE_wcal")).arg("verify").arg(session).arg("--out").arg(&place).output();
+        program().arg("verify").arg(session).arg("--out").arg(&place).output();
     let said = String::from_utf8_lossy(&run.unwrap().stderr).into_owned();
     let document = fs::read(place.join("verify.json"));
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {said}"))).unwrap()

@@ -3,15 +3,11 @@
 //! The schemas are open, as a reader should be: keys may be added. Here they are closed, so that the program writes no key that they lack.
 //! `docs/src/json.md` is made from them: `WCAL_WRITE_DOCS=1 cargo test --workspace --test schemas` writes it anew.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
-#[path = "schemas/page.rs"]
 mod page;
-#[path = "schemas/validator.rs"]
 mod validator;
-#[path = "schemas/written.rs"]
 mod written;
 
+use crate::support::repository;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -20,10 +16,6 @@ use validator::{errors, faults};
 /// Schemas whose documents are not written here, and why; a document by hand stands for them below.
 const BY_HAND: [(&str, &str); 2] =
     [("submission", "needs Slurm: slurm_program"), ("peers", "needs the peers: make peers, for hours")];
-
-fn repository(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
 
 /// The schemas by name.
 fn schemas() -> BTreeMap<String, Value> {

@@ -1,14 +1,11 @@
 //! The compiler that is stated is the one that is pinned, and old enough for nothing that is used.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-#[path = "support/packages.rs"]
-mod packages;
-
+use crate::support::repository;
 use std::fs;
 use std::path::Path;
 
 fn text(name: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
+    fs::read_to_string(repository(name)).unwrap()
 }
 
 /// Major and minor version.

@@ -1,19 +1,12 @@
 //! What others wrote: under which licence, from where, and that `THIRD-PARTY.md` says so. No LGPL code is in the program.
 //!
 //! `WCAL_WRITE_DOCS=1 cargo test --workspace --test third_party` writes the notice anew.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-#[path = "support/packages.rs"]
-mod packages;
-
-use packages::Package;
+use crate::support::repository;
+use crate::support::packages::{self, Package};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-fn repository(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
 
 /// `deny.toml`: allowed licences and registries.
 struct Rules {
@@ -173,7 +166,7 @@ fn holds(bytes: &[u8], text: &str) -> bool {
 
 #[test]
 fn no_lgpl_solver_is_in_the_program() {
-    let program = fs::read(env!("CARGO_BIN_EXE_wcal")).unwrap();
+    let program = fs::read(PROGRAM).unwrap();
     // NLopt is there with its names: the search would find those of the solvers.
     assert!(holds(&program, "bobyqa") && holds(&program, "nlopt_optimize"));
     assert!(

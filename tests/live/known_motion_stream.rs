@@ -1,11 +1,8 @@
 //! `wcal track` on a recording without a model, as a user runs it: a sweep on the virtual bench, its calibration, its own recording
 //! (SIMULATED).
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
-#[allow(dead_code, reason = "calibrations by fit-gpr are another test's")]
-mod live_bench;
-
-use live_bench::{Bench, go, repository, reseal, text, wcal};
+use super::moving_base::{Bench, go, reseal};
+use crate::support::{program, repository, text};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -61,7 +58,7 @@ impl Swept {
         let rig = std::fs::read_to_string(&bench.rig).unwrap();
         let (plain, _) = rig.split_once("[base]").unwrap();
         std::fs::write(swept.path("rig.toml"), plain).unwrap();
-        let sweep = wcal()
+        let sweep = program()
             .args(["stage-sweep", "--home", "--json", "--rig"])
             .arg(swept.path("rig.toml"))
             .arg("--plan")
@@ -74,7 +71,7 @@ impl Swept {
             .unwrap();
         assert_eq!(sweep.status.code(), Some(0), "{}", text(&sweep.stderr));
         drop(bench);
-        let verify = wcal()
+        let verify = program()
             .arg("verify")
             .arg(swept.path("session"))
             .arg("--out")
@@ -97,7 +94,7 @@ impl Swept {
     fn track(&self, rig: &str, calibration: &str, more: &[&str]) -> Run {
         let out = self.path("track.csv");
         let _ = std::fs::remove_file(&out);
-        let run = wcal()
+        let run = program()
             .arg("track")
             .arg(self.path("session/recording.mcap"))
             .arg("--rig")
@@ -207,7 +204,7 @@ fn live(swept: &Swept) {
     let mut stage = bench.stage(SPEED);
     for (name, rig, agrees) in [("right", right, true), ("wrong", rig, false)] {
         std::fs::write(swept.path("live.toml"), rig).unwrap();
-        let child = wcal()
+        let child = program()
             .args(["track", "--json", "--seconds", "14", "--motion-clock-sd-s", "0.04", "--rig"])
             .arg(swept.path("live.toml"))
             .arg("--bench")

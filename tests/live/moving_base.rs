@@ -1,9 +1,9 @@
 //! A virtual bench with a base that the stage carries, and calibrations made on it (SIMULATED).
 
+use crate::support::virtual_bench::{VirtualBench, rig_at};
+use crate::support::{program, repository, text};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
@@ -11,53 +11,28 @@ use wcal_core::clock::HostClock;
 use wcal_core::rig_devices::DeviceOpener;
 use wcal_drivers::Drivers;
 
-pub fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-pub fn wcal() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_wcal"))
-}
-
-pub fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-/// A running `wcal virtual-bench`, ended when dropped.
+/// A running `wcal virtual-bench` and its rig.
 pub struct Bench {
-    child: Child,
+    bench: VirtualBench,
     pub addresses: PathBuf,
     pub rig: PathBuf,
 }
 
 impl Bench {
     pub fn start(folder: &Path, speed: f64, rate_hz: f64) -> Self {
-        let path = |name: &str| folder.join(format!("{speed}-{name}"));
         let scenario = format!(
             "format = \"wcal-scenario/1\"\nseed = 7\nspeed = {speed}\n[interrogator]\nrate_hz = {rate_hz}\n[cameras]\nrate_hz = 1\n\
              size_px = [64, 48]\n"
         );
-        std::fs::write(path("scenario.toml"), scenario).unwrap();
-        let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
         let base = "[base]\nworld_from_base = [[1, 0, 0, 100], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\ncarried_along = [0, 0, 1]\n";
-        let rig = rig.replace("rate_hz = 2000.0", &format!("rate_hz = {rate_hz:?}"));
-        std::fs::write(path("rig.toml"), format!("{rig}\n{base}")).unwrap();
-        let mut child = wcal()
-            .arg("virtual-bench")
-            .arg("--scenario")
-            .arg(path("scenario.toml"))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        std::fs::write(path("bench.json"), line).unwrap();
-        Self { child, addresses: path("bench.json"), rig: path("rig.toml") }
+        let rig = folder.join(format!("{speed}-rig.toml"));
+        std::fs::write(&rig, format!("{}\n{base}", rig_at(rate_hz))).unwrap();
+        let bench = VirtualBench::serve(folder, &format!("{speed}-"), &scenario);
+        Self { addresses: bench.addresses.clone(), bench, rig }
     }
 
     pub fn type_fault(&mut self, line: &str) {
-        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
+        self.bench.type_fault(line);
     }
 
     /// The stage, homed, trajectory 1 presented, free of the wire.
@@ -74,13 +49,6 @@ impl Bench {
         devices.mount(&rig.mount, clock).unwrap().unwrap().select(1).unwrap();
         go(stage.as_mut(), 18.0);
         stage
-    }
-}
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        drop(self.child.stdin.take());
-        let _ = self.child.wait();
     }
 }
 
@@ -103,7 +71,7 @@ pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
     let bench = Bench::start(folder, 20.0, 500.0);
     let (session, fit) = (folder.join("session"), folder.join("fit"));
     let plan = repository("rigs/plans/paper-27.toml");
-    let sweep = wcal()
+    let sweep = program()
         .args(["stage-sweep", "--home", "--json", "--rig"])
         .arg(&bench.rig)
         .arg("--plan")
@@ -115,7 +83,7 @@ pub fn calibrations(folder: &Path) -> [PathBuf; 2] {
         .output()
         .unwrap();
     assert_eq!(sweep.status.code(), Some(0), "{}", text(&sweep.stderr));
-    let run = wcal().arg("fit-gpr").arg(&session).arg("--out").arg(&fit).output().unwrap();
+    let run = program().arg("fit-gpr").arg(&session).arg("--out").arg(&fit).output().unwrap();
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let raw = fit.join("calibration.json");
     let good = folder.join("verified.json");

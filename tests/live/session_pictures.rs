@@ -1,21 +1,12 @@
 //! From a sweep with pictures to shapes in the session, through the program alone: virtual bench, board pictures, `stereo-calibrate`,
 //! `stereo-shape SESSION` (SIMULATED). The bench's camera faults and spoilt pictures are the negative controls.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test that fails should say where"
-)]
-
-#[path = "support/copy.rs"]
-mod copy;
-
-use copy::copy_folder;
+use crate::support::copy::copy_folder;
+use crate::support::virtual_bench::{VirtualBench, rig_at};
+use crate::support::{code_and_messages, program, text};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 use wcal_acquisition::replay::completed_steps;
 use wcal_core::provenance::sha256_hex;
@@ -29,59 +20,31 @@ const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\nboard_views = 12
     [[block]]\nrole = \"calibration\"\ntrajectories = [1, 5, 9]\ndepths_mm = [2.0, 4.5]\ndwell_s = 0.4\naverage_s = 0.3\n\
     [[block]]\nrole = \"holdout\"\ntrajectories = [9]\ndepths_mm = [3.0, 4.0]\nrest = false\ndwell_s = 0.4\naverage_s = 0.3\n";
 
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-fn wcal(arguments: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).output().unwrap();
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!text.contains("panicked"), "{text}");
-    (output.status.code().unwrap(), text)
-}
-
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
-    child: Child,
+    bench: VirtualBench,
     folder: tempfile::TempDir,
 }
 
 impl Bench {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let path = |name: &str| folder.path().join(name);
         let scenario = format!(
             "format = \"wcal-scenario/1\"\nseed = 3\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n"
         );
-        std::fs::write(path("scenario.toml"), scenario).unwrap();
-        let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
-        std::fs::write(path("rig.toml"), rig.replace("rate_hz = 2000.0", "rate_hz = 500.0")).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_wcal"))
-            .args(["virtual-bench", "--scenario"])
-            .arg(path("scenario.toml"))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        std::fs::write(path("bench.json"), line).unwrap();
-        Self { child, folder }
+        std::fs::write(folder.path().join("rig.toml"), rig_at(500.0)).unwrap();
+        Self { bench: VirtualBench::serve(folder.path(), "", &scenario), folder }
     }
 
     fn at(&self, name: &str) -> String {
         self.folder.path().join(name).display().to_string()
     }
 
-    fn type_fault(&mut self, line: &str) {
-        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
-    }
-
     /// Begins a sweep into `session`.
     fn begin(&self, session: &str, plan: &str) -> Child {
         let file = self.at(&format!("{session}.plan.toml"));
         std::fs::write(&file, plan).unwrap();
-        Command::new(env!("CARGO_BIN_EXE_wcal"))
+        program()
             .args(["stage-sweep", "--home", "--rig", &self.at("rig.toml"), "--plan", &file])
             .args(["--bench", &self.at("bench.json"), "--out", &self.at(session)])
             .stderr(Stdio::piped())
@@ -100,7 +63,7 @@ impl Bench {
             assert!(start.elapsed() < Duration::from_secs(60), "{session}");
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.type_fault(fault);
+        self.bench.type_fault(fault);
         ended(child)
     }
 }
@@ -108,14 +71,6 @@ impl Bench {
 fn ended(child: Child) -> (i32, String) {
     let output = child.wait_with_output().unwrap();
     (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        // Its input closes, and it ends.
-        drop(self.child.stdin.take());
-        let _ = self.child.wait();
-    }
 }
 
 fn shapes(session: &str, file: &str) -> ShapesDocument {
@@ -161,11 +116,11 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let (left, right) = (board("left"), board("right"));
     assert_eq!(std::fs::read_dir(&left).unwrap().count(), 12);
     let (code, text) =
-        wcal(&["stereo-calibrate", &left, &right, "--board", "9x6", "--square-mm", "6", "--out", &cameras]);
+        code_and_messages(&["stereo-calibrate", &left, &right, "--board", "9x6", "--square-mm", "6", "--out", &cameras]);
     assert!(code == 0 || code == 3, "{text}");
     said("calibrated");
     let stereo = format!("{cameras}/stereo.json");
-    let (code, text) = wcal(&["stereo-shape", &session, "--cameras", &stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &stereo]);
     assert_eq!(code, 0, "{text}");
     assert!(text.contains("SIMULATED"), "{text}");
     said("shapes");
@@ -195,12 +150,12 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert_eq!(document.source.session.as_deref(), table["id"].as_str());
     wcal_session::load(Path::new(&session)).unwrap();
     // Reducing again keeps what was added, and shapes are replaced by their own kind alone.
-    assert_eq!(wcal(&["reduce", &session]).0, 0);
+    assert_eq!(code_and_messages(&["reduce", &session]).0, 0);
     assert_eq!(toml().parse::<toml::Table>().unwrap(), table);
     std::fs::write(Path::new(&session).join("shapes-holdout.json"), "{}").unwrap();
-    let (code, text) = wcal(&["stereo-shape", &session, "--cameras", &stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &stereo]);
     assert!(code == 1 && text.contains("shapes-holdout.json") && text.contains("--force"), "{text}");
-    let (code, text) = wcal(&["stereo-shape", &session, "--cameras", &stereo, "--force"]);
+    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &stereo, "--force"]);
     assert_eq!(code, 0, "{text}");
     said("again");
     spoilt_pictures_are_named(&session, &bench.at("spoilt"), &stereo);
@@ -210,7 +165,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let (code, text) = bench.with_fault("bright", "{\"kind\":\"exposure\",\"factor\":3}", 2);
     assert_eq!(code, 0, "{text}");
     let bright = bench.at("bright");
-    let (code, text) = wcal(&["stereo-shape", &bright, "--cameras", &stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", &bright, "--cameras", &stereo]);
     assert!(code == 3 && text.contains("saturated"), "{text}");
     let used = shapes(&bright, "shapes.json").pairs.iter().filter(|p| p.status == "ok").count();
     assert!((1..3).contains(&used), "{text}");
@@ -223,7 +178,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let (code, text) = bench.with_fault("moved", knock, 0);
     assert_eq!(code, 0, "{text}");
     let moved = bench.at("moved");
-    let (code, text) = wcal(&["stereo-shape", &moved, "--cameras", &stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", &moved, "--cameras", &stereo]);
     if code != 1 {
         let off = worst(&shapes(&moved, "shapes.json").pairs, &grooves(&moved, "points.csv"));
         println!("moved camera: {:.4} mm, {:.1} sd", off[0], off[1]);
@@ -236,7 +191,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let (code, text) = bench.with_fault("lost", "{\"kind\":\"lost-frames\",\"count\":100000}", 2);
     assert!(code == 1 && text.contains("camera") && text.contains("--resume"), "{text}");
     let lost = bench.at("lost");
-    let (code, text) = wcal(&["stereo-shape", &lost, "--cameras", &stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", &lost, "--cameras", &stereo]);
     assert!(code == 0 || code == 3, "{text}");
     assert!((1..3).contains(&shapes(&lost, "shapes.json").pairs.len()), "{text}");
     said("lost");
@@ -269,7 +224,7 @@ fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
     table = change(table, "4,right,", 6, &|_| "\"another\"".to_owned());
     table = change(table, "5,left,", 3, &|t_s| format!("{}", t_s.parse::<f64>().unwrap() + 30.0));
     std::fs::write(&list, table).unwrap();
-    let (code, text) = wcal(&["stereo-shape", to, "--cameras", stereo]);
+    let (code, text) = code_and_messages(&["stereo-shape", to, "--cameras", stereo]);
     assert_eq!(code, 3, "{text}");
     let document = shapes(to, "shapes.json");
     for (point, why) in [

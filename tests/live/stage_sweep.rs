@@ -1,78 +1,50 @@
 //! The program against its own virtual bench: record, fit, verify; crash and resume; signals; faults of stage, line and clock; dry run.
-#![allow(clippy::expect_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
-#[path = "stage_sweep_program/clocks.rs"]
 mod clocks;
-#[path = "stage_sweep_program/plans.rs"]
 mod plans;
-#[path = "stage_sweep_program/reduction.rs"]
 mod reduction;
-#[path = "stage_sweep_program/safety.rs"]
 mod safety;
 
+use crate::support::virtual_bench::{VirtualBench, rig_at};
+use crate::support::{program, repository, text};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::MutexGuard;
 use std::time::{Duration, Instant};
 use wcal_acquisition::replay::completed_steps;
 
 /// Bench seconds per wall second.
 const SPEED: f64 = 20.0;
 
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-fn wcal() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_wcal"))
-}
-
-/// One bench at a time: several at this speed starve each other on a small machine.
-static ONE: Mutex<()> = Mutex::new(());
-
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
     _turn: MutexGuard<'static, ()>,
-    child: Child,
-    addresses: PathBuf,
+    bench: VirtualBench,
     rig: PathBuf,
     folder: tempfile::TempDir,
 }
 
 impl Bench {
     fn start(scenario: &str) -> Self {
-        let turn = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let turn = crate::turn();
         let folder = tempfile::tempdir().expect("temporary folder");
-        let path = |name: &str| folder.path().join(name);
         let head = format!("format = \"wcal-scenario/1\"\nseed = 7\nspeed = {SPEED}\n");
         let rest = "[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
-        std::fs::write(path("scenario.toml"), format!("{head}{scenario}\n{rest}")).expect("scenario");
-        let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).expect("rig");
-        std::fs::write(path("rig.toml"), rig.replace("rate_hz = 2000.0", "rate_hz = 500.0")).expect("rig");
-        let mut child = wcal()
-            .arg("virtual-bench")
-            .arg("--scenario")
-            .arg(path("scenario.toml"))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the bench starts");
-        let mut line = String::new();
-        let out = child.stdout.take().expect("stdout");
-        BufReader::new(out).read_line(&mut line).expect("addresses");
+        let bench = VirtualBench::serve(folder.path(), "", &format!("{head}{scenario}\n{rest}"));
+        let line = std::fs::read_to_string(&bench.addresses).expect("addresses");
         let all: Value = serde_json::from_str(&line).expect("one JSON line");
         for key in ["stage_pty", "stage_tcp", "sm130", "hyperion", "cameras"] {
             assert!(!all[key].is_null(), "{key}: {line}");
         }
-        let (addresses, rig) = (path("bench.json"), path("rig.toml"));
-        std::fs::write(&addresses, line).expect("addresses");
-        Self { _turn: turn, child, addresses, rig, folder }
+        let rig = folder.path().join("rig.toml");
+        std::fs::write(&rig, rig_at(500.0)).expect("rig");
+        Self { _turn: turn, bench, rig, folder }
     }
 
     fn type_fault(&mut self, line: &str) {
-        writeln!(self.child.stdin.as_mut().expect("stdin"), "{line}").expect("typed");
+        self.bench.type_fault(line);
     }
 
     fn session(&self) -> PathBuf {
@@ -81,10 +53,10 @@ impl Bench {
 
     /// `wcal stage-sweep` with the paper's plan and the given further arguments.
     fn sweep(&self, arguments: &[&str]) -> Command {
-        let mut command = wcal();
+        let mut command = program();
         command.arg("stage-sweep").arg("--rig").arg(&self.rig);
         command.arg("--plan").arg(repository("rigs/plans/paper-27.toml"));
-        command.arg("--bench").arg(&self.addresses).args(["--home", "--json"]).args(arguments);
+        command.arg("--bench").arg(&self.bench.addresses).args(["--home", "--json"]).args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -98,21 +70,9 @@ impl Bench {
     }
 }
 
-impl Drop for Bench {
-    fn drop(&mut self) {
-        // Its input closes, and it ends.
-        drop(self.child.stdin.take());
-        let _ = self.child.wait();
-    }
-}
-
 fn document(run: &Output) -> Value {
     serde_json::from_slice(&run.stdout)
         .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)))
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
 
 /// Waits until that many steps of the plan are done.
@@ -126,7 +86,7 @@ fn until_done(session: &Path, steps: usize) {
 }
 
 fn doctor(session: &Path) -> i32 {
-    let run = wcal().arg("doctor").arg(session).output().expect("wcal runs");
+    let run = program().arg("doctor").arg(session).output().expect("wcal runs");
     run.status.code().unwrap_or(-1)
 }
 
@@ -151,13 +111,13 @@ fn the_27_points_are_recorded_fitted_and_verified() {
     // The same tables from the raw streams, by the program alone.
     let points = || std::fs::read(bench.session().join("points.csv")).expect("points");
     let before = points();
-    let reduced = wcal().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    let reduced = program().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
     assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
     assert_eq!(before, points(), "reducing again changes nothing");
     marked_as_simulated(&bench, &sweep);
     // Fit and verify what was recorded.
     let out = bench.folder.path().join("fit");
-    let fit = wcal().arg("fit-gpr").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let fit = program().arg("fit-gpr").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
     let fit = fit.expect("wcal runs");
     assert_eq!(fit.status.code(), Some(0), "{}", text(&fit.stderr));
     assert_eq!(document(&fit)["points"], 27);
@@ -199,7 +159,7 @@ fn marked_as_simulated(bench: &Bench, sweep: &Value) {
     let mut run: Value = serde_json::from_str(&read("run.json")).expect("JSON");
     let reduce = |run: &Value| {
         std::fs::write(bench.session().join("run.json"), run.to_string()).expect("written");
-        let reduced = wcal().arg("reduce").arg(bench.session()).output().expect("wcal runs");
+        let reduced = program().arg("reduce").arg(bench.session()).output().expect("wcal runs");
         assert_eq!(reduced.status.code(), Some(0), "{}", text(&reduced.stderr));
         mark(&read("session.toml"))
     };
@@ -222,7 +182,7 @@ fn marked_as_simulated(bench: &Bench, sweep: &Value) {
 /// Exit code and verdict of `verify` on what a bench recorded.
 fn verdict(bench: &Bench) -> (i32, String) {
     let out = bench.folder.path().join("verify");
-    let verify = wcal().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
+    let verify = program().arg("verify").arg(bench.session()).arg("--out").arg(&out).arg("--json").output();
     let verify = verify.expect("wcal runs");
     let found = document(&verify);
     println!("{} {} {}", found["verdict"], found["before"], found["reason"]);
@@ -238,7 +198,7 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
     // SIGKILL: nothing can be tidied up.
     child.kill().expect("killed");
     child.wait().expect("gone");
-    let reduced = wcal().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
+    let reduced = program().arg("reduce").arg(bench.session()).arg("--json").output().expect("wcal runs");
     assert_eq!(reduced.status.code(), Some(3), "{}", text(&reduced.stderr));
     let first = document(&reduced);
     let rows = first["rows"].as_u64().expect("rows");
@@ -302,7 +262,7 @@ fn a_virtual_bench_that_falls_behind_its_clock_says_so() {
     let scenario = folder.path().join("scenario.toml");
     std::fs::write(&scenario, "format = \"wcal-scenario/1\"\n[cameras]\ncount = 0\n").expect("written");
     let run = |speed: &str| {
-        let mut command = wcal();
+        let mut command = program();
         command.args(["virtual-bench", "--speed", speed, "--scenario"]).arg(&scenario);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
         let child = child.as_mut().expect("the bench starts");

@@ -1,10 +1,8 @@
 //! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and everything that it must refuse or flag.
 //! Bench and sweeps are SIMULATED.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-mod live_bench;
-
-use live_bench::{Bench, calibrations, go, repository, reseal, text, wcal};
+use super::moving_base::{Bench, calibrations, go, reseal};
+use crate::support::{program, repository, text};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -17,7 +15,7 @@ use wcal_core::CalibrationFile;
 use wcal_core::device::FbgReading;
 
 fn track(arguments: &[&str]) -> Command {
-    let mut command = wcal();
+    let mut command = program();
     let model = repository("fixtures/tracker");
     command.arg("track").args(arguments).arg("--model").arg(model).arg("--json");
     command.stdout(Stdio::piped()).stderr(Stdio::piped());

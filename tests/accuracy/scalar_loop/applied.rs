@@ -34,7 +34,7 @@ fn an_axis_shows_its_backlash_and_predicts_with_it() {
 fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
-    let (table, read) = (fixture("pontius/points.csv"), |name: &str| fs::read_to_string(at(name)).unwrap());
+    let (table, read) = (nist("pontius/points.csv"), |name: &str| fs::read_to_string(at(name)).unwrap());
     for (name, flag) in [("marked", Some("--simulated")), ("measured", None)] {
         let marked = flag.is_some();
         let (session, out, csv) = (at(name), at(&format!("{name}-out")), at(&format!("{name}.csv")));

@@ -23,7 +23,7 @@ fn agreement(run: &Run) -> f64 {
 
 #[test]
 fn pontius_gets_its_quadratic_term_and_the_certified_numbers() {
-    let run = verify(&fixture("pontius"));
+    let run = verify(&nist("pontius"));
     assert_eq!((run.code, run.verdict()), (0, "effect"), "{}", run.verify["reason"]);
     assert_eq!(run.effects(), ["nonlinearity-quadratic"]);
     assert!(agreement(&run) >= 12.0, "{}", agreement(&run));
@@ -101,7 +101,7 @@ fn a_changed_pontius_does_not_pass() {
 
 #[test]
 fn loadcell_gets_its_quadratic_term() {
-    let run = verify(&fixture("loadcell"));
+    let run = verify(&nist("loadcell"));
     assert_eq!((run.code, run.verdict()), (0, "effect"), "{}", run.verify["reason"]);
     assert_eq!(run.effects(), ["nonlinearity-quadratic"]);
     // e-Handbook mpc365, printed with six digits.
@@ -119,7 +119,7 @@ fn loadcell_gets_its_quadratic_term() {
 
 #[test]
 fn berger_spread_grows_with_the_stimulus() {
-    let run = verify(&fixture("berger1"));
+    let run = verify(&nist("berger1"));
     assert_eq!(run.code, 4);
     assert!(run.effects().contains(&"heteroscedastic-noise"), "{}", run.verify["reason"]);
     let named = |run: &Run| -> Option<f64> {
@@ -129,7 +129,7 @@ fn berger_spread_grows_with_the_stimulus() {
     };
     assert!(named(&run).unwrap() > 0.0, "it grows");
     // Negative control: the scatter dealt out anew, without regard to the stimulus (row k takes the residual of row 53 k + 7 mod 107).
-    let text = fs::read_to_string(fixture("berger1").join("points.csv")).unwrap();
+    let text = fs::read_to_string(nist("berger1").join("points.csv")).unwrap();
     let rows: Vec<Vec<f64>> =
         text.lines().skip(1).map(|l| l.split(',').skip(2).map(|v| v.parse().unwrap()).collect()).collect();
     let residual = |k: usize| rows[k][1] - (4.99368 + 0.731111 * rows[k][0]);
@@ -142,7 +142,7 @@ fn berger_spread_grows_with_the_stimulus() {
 
 #[test]
 fn lew_is_periodic_and_not_steady() {
-    let run = verify(&fixture("lew"));
+    let run = verify(&nist("lew"));
     assert_eq!((run.code, run.verdict()), (0, "effect"));
     let effects = run.verify["effects"].as_array().unwrap();
     let periodic = effects.iter().find(|e| e["id"] == "periodic").unwrap();
@@ -152,7 +152,7 @@ fn lew_is_periodic_and_not_steady() {
     assert!(run.verify["reason"].as_str().unwrap().contains("not steady"));
     assert!(run.rmse("after", "response_rmse") < 0.6 * run.rmse("before", "response_rmse"));
     // Negative control: the same readings in another order hold no period.
-    let text = fs::read_to_string(fixture("lew").join("points.csv")).unwrap();
+    let text = fs::read_to_string(nist("lew").join("points.csv")).unwrap();
     let y: Vec<String> = text.lines().skip(1).map(|l| l.split(',').nth(3).unwrap().to_owned()).collect();
     let mixed =
         disturbed("lew", |k, c| format!("{},{},{},{}", c[0], c[1], c[2], y[(k * k + 77 * k) * 3 % 200]));

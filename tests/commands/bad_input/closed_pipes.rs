@@ -1,11 +1,12 @@
 //! `wcal ... | head`: a reader that closes its end early ends no command with an error of its own.
 
+use crate::support::program;
 use super::*;
 use std::process::Stdio;
 
 /// What the command ends with where nobody reads its outputs.
 fn unread(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+    let mut command = program();
     let closed = || {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
@@ -79,7 +80,7 @@ fn every_result_is_complete_where_nobody_reads() {
             (code, listing(own.path()))
         };
         let read = run(&|folder, arguments| {
-            let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+            let mut command = program();
             command.args(arguments).current_dir(folder).stdin(Stdio::null()).output().unwrap()
         });
         assert_eq!(run(&unread), read, "{arguments:?}");
@@ -92,7 +93,7 @@ fn every_result_is_complete_where_nobody_reads() {
 #[test]
 fn a_full_disk_is_an_error() {
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wcal"));
+    let mut command = program();
     let output = command.arg("formats").stdout(full).output().unwrap();
     judge(&output, 1, &["writing to stdout"]).unwrap();
 }

@@ -1,5 +1,6 @@
 //! Tables and meshes as other programs write them: read, or named with the option that reads them.
 
+use crate::support::fixture;
 use super::*;
 
 const TEXT: &str =
@@ -241,7 +242,7 @@ fn formats_of_other_versions_are_refused() {
         judge(&wcal(place.path(), &simulate), code, says).unwrap_or_else(|why| panic!("{format:?}: {why}"));
         let _ = fs::remove_dir_all(place.path().join("o"));
     }
-    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    let session = fixture("nist/pontius");
     judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
     let verify = fs::read_to_string(place.path().join("v/verify.json")).unwrap();
     write("v/verify.json", &verify.replace("wcal-verify/", "wcal-verify/7"));
@@ -289,7 +290,7 @@ fn a_whisker_of_metres_or_with_exchanged_moduli_is_named() {
 #[test]
 fn a_page_takes_no_other_files_place() {
     let place = tempfile::tempdir().unwrap();
-    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    let session = fixture("nist/pontius");
     judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
     fs::copy(place.path().join("v/report.json"), place.path().join("v/notes.json")).unwrap();
     let page = place.path().join("v/notes.html");

@@ -1,6 +1,7 @@
 //! Gratings that are dead, stuck, frozen or alike are named by every command and carry no calibration; overflow values and pasted rows are
 //! left out and counted.
 
+use crate::support::fixture;
 use super::{judge, wcal};
 use std::fs;
 use std::path::Path;
@@ -10,7 +11,7 @@ const COMMANDS: [&[&str]; 3] =
 
 /// The simulated session without an effect, its table changed by `edit`.
 fn session(place: &Path, edit: impl Fn(&mut Vec<Vec<String>>)) {
-    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/practice/case-004");
+    let from = fixture("practice/case-004");
     fs::create_dir(place.join("s")).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();

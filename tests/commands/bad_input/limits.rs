@@ -7,8 +7,7 @@ use super::*;
 /// wide: what waits takes no time of a processor, and a busy machine makes everything long.
 pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 8000000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
-    let program = env!("CARGO_BIN_EXE_wcal");
-    Command::new("sh").args(["-c", script, program]).args(arguments).current_dir(folder).output().unwrap()
+    Command::new("sh").args(["-c", script, PROGRAM]).args(arguments).current_dir(folder).output().unwrap()
 }
 
 /// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no memory.

@@ -2,9 +2,10 @@
 //!
 //! Of an array the first entry stands for all: they have one range.
 
+use crate::support::{fixture, repository};
 use super::limits::{in_parallel, limited, sound};
 use super::*;
-use copy::copy_folder;
+use crate::support::copy::copy_folder;
 use serde_json::Value;
 
 /// What is put in place of a number. A whole number where one is wanted: otherwise the type alone would be refused.
@@ -112,7 +113,7 @@ fn toml(text: &str) -> Value {
 }
 
 fn read(name: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
+    fs::read_to_string(repository(name)).unwrap()
 }
 
 /// Writes the documents as they are, and holds every change of them against the rule.
@@ -384,7 +385,7 @@ fn models_hold_only_numbers_that_a_network_can_have() {
     fs::create_dir(place.path().join("model")).unwrap();
     let weights = "fixtures/tracker_small/model.safetensors";
     fs::copy(
-        Path::new(env!("CARGO_MANIFEST_DIR")).join(weights),
+        repository(weights),
         place.path().join("model/model.safetensors"),
     )
     .unwrap();
@@ -402,7 +403,7 @@ fn weights_that_are_no_numbers_are_refused_by_their_tensor() {
     let place = tempfile::tempdir().unwrap();
     let folder = place.path().join("model");
     fs::create_dir(&folder).unwrap();
-    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/tracker_small");
+    let fixture = fixture("tracker_small");
     let good = fs::read(fixture.join("model.safetensors")).unwrap();
     let mut card = json(&read("fixtures/tracker_small/model.json"));
     for (bits, code) in [(1.0_f32, 0), (f32::NAN, 1), (f32::NEG_INFINITY, 1)] {
@@ -420,7 +421,7 @@ fn weights_that_are_no_numbers_are_refused_by_their_tensor() {
 #[test]
 fn pages_come_from_documents_with_any_number_or_are_refused() {
     let place = tempfile::tempdir().unwrap();
-    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    let session = fixture("nist/pontius");
     let session = session.to_str().unwrap();
     judge(&wcal(place.path(), &["verify", session, "--out", "v"]), 0, &[]).unwrap();
     let stored = |name: &str| json(&fs::read_to_string(place.path().join("v").join(name)).unwrap());
@@ -436,7 +437,7 @@ fn pages_come_from_documents_with_any_number_or_are_refused() {
 #[test]
 fn cameras_and_shapes_hold_only_numbers_that_pictures_can_have() {
     let place = tempfile::tempdir().unwrap();
-    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictured");
+    let fixture = fixture("pictured");
     // One pair is enough for the cameras.
     for side in ["left", "right"] {
         fs::create_dir(place.path().join(side)).unwrap();

@@ -1,5 +1,6 @@
 //! Documents and tables as the program writes them, on small sessions.
 
+use crate::support::program;
 use super::repository;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
@@ -23,7 +24,7 @@ struct Place<'a>(&'a Path);
 impl Place<'_> {
     /// Runs the program; its standard output. Words are separated by spaces.
     fn run(&self, command: &str, codes: &[i32]) -> String {
-        let mut program = Command::new(env!("CARGO_BIN_EXE_wcal"));
+        let mut program = program();
         let output = program.args(command.split_whitespace()).current_dir(self.0).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         let code = output.status.code().unwrap_or(-1);
@@ -171,16 +172,6 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
     ]
 }
 
-/// A virtual bench, ended when dropped.
-struct Bench(Child);
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        drop(self.0.stdin.take());
-        let _ = self.0.wait();
-    }
-}
-
 const SCENARIO: &str = "format = \"wcal-scenario/1\"\nseed = 7\nspeed = 20\n[interrogator]\nrate_hz = 250\n[fbg]\nnominal_nm = [1545.249, 1543.606]\nreference_nominal_nm = 1542.461\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
 const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\n[settle]\ntimeout_s = 2\n[[block]]\nrole = \"calibration\"\ntrajectories = [1]\ndepths_mm = [1, 2]\n\
     [[block]]\nrole = \"holdout\"\ntrajectories = [1]\ndepths_mm = [1.5]\n";
@@ -188,7 +179,6 @@ const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\n[settle]\ntimeou
 /// A sweep on a virtual bench.
 fn swept(place: &Place<'_>) -> Vec<Written> {
     let write = |name: &str, text: &str| std::fs::write(place.0.join(name), text).unwrap();
-    write("scenario.toml", SCENARIO);
     write("plan.toml", PLAN);
     let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
     // The gratings of the calibration that the recording is tracked with.
@@ -203,18 +193,7 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
         rig.replace(from, to)
     });
     write("rig.toml", &changed);
-    let mut child = Command::new(env!("CARGO_BIN_EXE_wcal"))
-        .args(["virtual-bench", "--scenario", "scenario.toml"])
-        .current_dir(place.0)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let _bench = Bench(child);
-    write("bench.json", &line);
+    let _bench = VirtualBench::serve(place.0, "", SCENARIO);
     vec![
         place.file("bench", "bench.json"),
         // On a busy machine the bench's scans may come late, which the program says with 3.

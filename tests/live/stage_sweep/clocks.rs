@@ -4,7 +4,7 @@ use super::safety::{cause, ended, finished};
 use super::*;
 
 fn reduced(bench: &Bench) -> (Option<i32>, String) {
-    let run = wcal().arg("reduce").arg(bench.session()).output().expect("wcal runs");
+    let run = program().arg("reduce").arg(bench.session()).output().expect("wcal runs");
     (run.status.code(), text(&run.stderr))
 }
 

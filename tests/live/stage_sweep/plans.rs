@@ -3,7 +3,7 @@
 use super::*;
 
 fn dry_run(rig: &Path, plan: &Path, json: bool) -> Output {
-    let mut command = wcal();
+    let mut command = program();
     command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(rig).arg("--plan").arg(plan);
     command.args(json.then_some("--json")).output().expect("wcal runs")
 }
@@ -40,14 +40,14 @@ fn a_dry_run_draws_the_path_and_checks_the_limits() {
     assert!(format.contains("format.toml: format: expected wcal-plan/1, found wcal-plan/9"), "{format}");
     let missing = dry_run(&rig, &folder.path().join("none.toml"), false);
     assert!(missing.status.code() == Some(1) && text(&missing.stderr).contains("none.toml"));
-    let usage = wcal().arg("stage-sweep").output().expect("wcal runs");
+    let usage = program().arg("stage-sweep").output().expect("wcal runs");
     assert_eq!(usage.status.code(), Some(2));
 }
 
 #[test]
 fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
     let check = |more: &[&str]| -> Value {
-        let run = wcal().arg("plan-check").args(more).arg("--json").output().expect("wcal runs");
+        let run = program().arg("plan-check").args(more).arg("--json").output().expect("wcal runs");
         assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
         document(&run)
     };
@@ -74,7 +74,7 @@ fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
 fn the_templates_are_a_rig_and_a_plan_that_fit() {
     let folder = tempfile::tempdir().expect("temporary folder");
     for kind in ["rig", "plan"] {
-        let run = wcal().args(["init", "--kind", kind]).arg(folder.path()).output().expect("wcal runs");
+        let run = program().args(["init", "--kind", kind]).arg(folder.path()).output().expect("wcal runs");
         assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     }
     let run = dry_run(folder.path(), &folder.path().join("plan.toml"), true);

@@ -78,7 +78,7 @@ fn record_windows(recorder: &Recorder, step_s: f64) {
 }
 
 fn reduce(session: &Path) -> Output {
-    wcal().arg("reduce").arg(session).arg("--json").output().expect("wcal runs")
+    program().arg("reduce").arg(session).arg("--json").output().expect("wcal runs")
 }
 
 /// Column of points.csv.

@@ -1,0 +1,29 @@
+//! Each command as a user runs it: what it prints and writes, its exit codes, and what it refuses.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod bad_input;
+mod board_statements;
+mod known_motion;
+mod pictured_session;
+mod report;
+mod several_sessions;
+mod simulate;
+mod simulate_mujoco;
+mod slurm;
+mod stereo;
+mod strokes;
+mod sweep_import;
+mod track;
+mod train;
+mod twin;
+mod witness;
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "each target uses a part")]
+mod support;

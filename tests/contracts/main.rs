@@ -1,0 +1,20 @@
+//! What the repository says of itself is true: README and pages, schemas, layers, versions, licences.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod docs;
+mod layering;
+mod readme;
+mod results;
+mod schemas;
+mod stated_versions;
+mod third_party;
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "each target uses a part")]
+mod support;

@@ -1,0 +1,49 @@
+//! What the tests of all targets share: the program, the repository's files, a virtual bench.
+
+pub mod copy;
+pub mod drawn_boards;
+pub mod not_run;
+pub mod packages;
+pub mod virtual_bench;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Path of the program.
+pub const PROGRAM: &str = env!("CARGO_BIN_EXE_wcal");
+
+/// A file or folder of the repository.
+pub fn repository(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// A file or folder below `fixtures`.
+pub fn fixture(name: &str) -> PathBuf {
+    repository("fixtures").join(name)
+}
+
+/// The program, not yet started.
+pub fn program() -> Command {
+    Command::new(PROGRAM)
+}
+
+/// Runs the program to its end.
+pub fn wcal(arguments: &[&str]) -> Output {
+    program().args(arguments).output().unwrap()
+}
+
+/// Exit code and messages of a run.
+///
+/// # Panics
+/// Where the program did.
+pub fn code_and_messages(arguments: &[&str]) -> (i32, String) {
+    let run = wcal(arguments);
+    let messages = text(&run.stderr);
+    assert!(!messages.contains("panicked"), "{messages}");
+    (run.status.code().unwrap(), messages)
+}
+
+/// What a program printed.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}

@@ -20,14 +20,14 @@ test: setup
 	cargo test --workspace --locked
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
-# Licences and sources are a test (tests/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.
+# Licences and sources are a test (tests/contracts/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.
 check: setup
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	@if command -v cargo-deny >/dev/null; then cargo deny --workspace check; else echo "check: cargo-deny is not installed: known vulnerabilities are not checked"; fi
 
 # README's table of results: what takes minutes is run, what takes an hour comes from the dated records of docs/src/lab-notes.
 results: setup
-	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test results
+	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test contracts results::
 
 exam:
 	cargo build --release --locked --bin wcal --example exam

@@ -1,6 +1,6 @@
 //! Clean sessions of the virtual bench with pictures, from the sweep to the verdict, through the program alone (SIMULATED).
 //!
-//! `WCAL_DRAWS=20 cargo test --workspace --test clean_bench -- --nocapture` prints the rate over more of them.
+//! `WCAL_DRAWS=20 cargo test --workspace --test accuracy clean_bench:: -- --nocapture` prints the rate over more of them.
 
 use crate::support::virtual_bench::VirtualBench;
 use crate::support::{code_and_messages, fixture};
@@ -15,7 +15,8 @@ fn verdict(seed: u64, effects: &str) -> Value {
         "format = \"wcal-scenario/1\"\nseed = {seed}\nspeed = 3.0\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n{effects}"
     );
     let bench = VirtualBench::serve(folder.path(), "", &scenario);
-    let [rig, plan] = ["rig.toml", "plan.toml"].map(|name| fixture("pictured").join(name).display().to_string());
+    let [rig, plan] =
+        ["rig.toml", "plan.toml"].map(|name| fixture("pictured").join(name).display().to_string());
     let (session, cameras, out) = (at("session"), at("cameras"), at("verify"));
     let bench_file = at("bench.json");
     let sweep = ["--rig", &rig, "--plan", &plan, "--bench", &bench_file, "--out", &session];
@@ -26,7 +27,8 @@ fn verdict(seed: u64, effects: &str) -> Value {
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &cameras];
     let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
     assert!(code == 0 || code == 3, "{text}");
-    let (code, text) = code_and_messages(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
+    let (code, text) =
+        code_and_messages(&["stereo-shape", &session, "--cameras", &format!("{cameras}/stereo.json")]);
     assert!(code == 0 || code == 3, "{text}");
     let (_, text) = code_and_messages(&["verify", &session, "--out", &out]);
     let document = std::fs::read(Path::new(&out).join("verify.json"));

@@ -1,6 +1,7 @@
 //! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
 //! The rates themselves need hundreds of draws: `cargo run --release --example exam -- --draws 300 --mix all`.
 
+use crate::support::PROGRAM;
 use std::path::PathBuf;
 use wcal_plant::exam::{Examiner, Mark, Outcome};
 use wcal_plant::orders;

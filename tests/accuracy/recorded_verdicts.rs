@@ -3,7 +3,6 @@
 use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 fn recorded(name: &str) -> PathBuf {
     fixture("recorded").join(name)
@@ -12,13 +11,7 @@ fn recorded(name: &str) -> PathBuf {
 /// verify.json of a session folder.
 fn verified(session: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
-    let run = program()
-        .arg("verify")
-        .arg(session)
-        .arg("--out")
-        .arg(out.path().join("v"))
-        .output()
-        .unwrap();
+    let run = program().arg("verify").arg(session).arg("--out").arg(out.path().join("v")).output().unwrap();
     let text = std::fs::read(out.path().join("v/verify.json"));
     serde_json::from_slice(&text.unwrap_or_else(|e| unreachable!("{e}: {run:?}"))).unwrap()
 }

@@ -1,10 +1,9 @@
 //! The program on its own recordings, end to end, with negative controls.
 
-use crate::support::{fixture, program, repository};
 use crate::support::copy::copy_folder;
+use crate::support::{fixture, program, repository};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 fn verify(session: &Path) -> (i32, Value) {
     let out = tempfile::tempdir().expect("temporary folder");
@@ -52,9 +51,8 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
         v["before"]
     );
     assert!(map("after", 0) < 0.5 * map("before", 0) && map("after", 1) < map("before", 1), "{}", v["after"]);
-    // The guide quotes this run and nothing else (README's row: tests/results.rs).
-    let page =
-        |name: &str| std::fs::read_to_string(repository(name)).expect("page");
+    // The guide quotes this run and nothing else (README's row: tests/contracts/results.rs).
+    let page = |name: &str| std::fs::read_to_string(repository(name)).expect("page");
     let guide = page("docs/src/guide/whisker.md");
     let quoted = format!(
         "| {before:.1} pm | {after:.1} pm | {:.2} / {:.2} N mm | {:.2} / {:.2} N mm | 11, 14, 17, 20, 23, 26 | {} |",
@@ -108,12 +106,7 @@ fn the_rods_own_labels_are_taken_without_a_fault() {
     copy_folder(&fixture("practice/case-004"), folder.path());
     let table = folder.path().join("twin.csv");
     let twin = |session: &Path| {
-        let run = program()
-            .arg("twin")
-            .arg(session)
-            .arg("--out")
-            .arg(&table)
-            .output();
+        let run = program().arg("twin").arg(session).arg("--out").arg(&table).output();
         run.expect("wcal runs").status.code()
     };
     assert_eq!(twin(folder.path()), Some(0));
@@ -158,13 +151,8 @@ fn labels_in_another_unit_are_named_so() {
 fn wavelengths_in_picometres_are_refused() {
     let folder = edited(&fixture("practice/case-004"), "fbg_1_nm", |_, nm| format!("{:.4}", nm * 1000.0));
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = program()
-        .arg("verify")
-        .arg(folder.path())
-        .arg("--out")
-        .arg(out.path())
-        .output()
-        .expect("wcal runs");
+    let run =
+        program().arg("verify").arg(folder.path()).arg("--out").arg(out.path()).output().expect("wcal runs");
     assert_eq!(run.status.code(), Some(1));
     let v: Value = serde_json::from_slice(&std::fs::read(out.path().join("verify.json")).expect("written"))
         .expect("json");
@@ -199,11 +187,7 @@ fn a_simulated_null_session_is_adequate() {
 #[test]
 fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
     let out = tempfile::tempdir().expect("temporary folder");
-    let run = program()
-        .args(["demo", "--out"])
-        .arg(out.path())
-        .output()
-        .expect("wcal runs");
+    let run = program().args(["demo", "--out"]).arg(out.path()).output().expect("wcal runs");
     let said = String::from_utf8_lossy(&run.stdout);
     assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
     let read = |name: &str| std::fs::read_to_string(out.path().join(name)).expect(name);
@@ -256,11 +240,8 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
 fn a_demonstration_takes_the_place_of_an_earlier_one() {
     let place = tempfile::tempdir().expect("temporary folder");
     let demo = || {
-        let run = program()
-            .args(["demo", "--out", "demo"])
-            .current_dir(place.path())
-            .output()
-            .expect("wcal runs");
+        let run =
+            program().args(["demo", "--out", "demo"]).current_dir(place.path()).output().expect("wcal runs");
         (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
     };
     // As an earlier one left it: an explanation was accepted then.

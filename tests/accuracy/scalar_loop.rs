@@ -10,7 +10,6 @@ use crate::support::{fixture, wcal};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 fn nist(name: &str) -> PathBuf {
     fixture("nist").join(name)

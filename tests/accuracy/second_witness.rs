@@ -70,7 +70,7 @@ fn a_fault_of_the_cameras_is_called_one() {
     }
 }
 
-/// Rates over some tens of draws, printed: `cargo test --test second_witness rates -- --ignored --nocapture`.
+/// Rates over some tens of draws, printed: `cargo test --test accuracy second_witness::rates -- --ignored --nocapture`.
 #[test]
 #[ignore = "some minutes"]
 fn rates() {

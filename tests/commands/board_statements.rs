@@ -1,12 +1,11 @@
 //! What `stereo-calibrate` says of boards that are not what is stated, on pictures drawn here (SIMULATED): each mistake is named with the option that
 //! mends it, and the same pictures with the right statement pass without a word.
 
-use crate::support::program;
 use crate::support::drawn_boards::{Print, april_grid, chessboard, grid_of, tilted, write_pairs};
+use crate::support::program;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
-use std::process::Command;
 use std::time::{Duration, Instant};
 use wcal_vision::calibrate::board::TagOrder;
 

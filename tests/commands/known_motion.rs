@@ -4,7 +4,6 @@ use crate::support::{text, wcal};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 use std::sync::LazyLock;
 
 const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/practice/case-004");

@@ -19,11 +19,11 @@ mod simulate_mujoco;
 mod slurm;
 mod stereo;
 mod strokes;
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "each target uses a part")]
+mod support;
 mod sweep_import;
 mod track;
 mod train;
 mod twin;
 mod witness;
-#[path = "../support/mod.rs"]
-#[allow(dead_code, reason = "each target uses a part")]
-mod support;

@@ -1,10 +1,9 @@
 //! A recorded session with pictures (fixtures/pictured, SIMULATED) through the program: shapes, then a verdict that they sharpen.
 
-use crate::support::{code_and_messages, fixture};
 use crate::support::copy::copy_folder;
+use crate::support::{code_and_messages, fixture};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::PathBuf;
 
 /// What the bench's scenario moved the groove by, base frame, mm.
 const OFFSET_MM: [f64; 3] = [0.0, 0.06, 0.08];
@@ -12,7 +11,8 @@ const OFFSET_MM: [f64; 3] = [0.0, 0.06, 0.08];
 /// Exit code, messages and verify.json.
 fn verify(session: &str) -> (i32, String, Value) {
     let out = tempfile::tempdir().unwrap();
-    let (code, text) = code_and_messages(&["verify", session, "--out", out.path().to_str().unwrap(), "--force"]);
+    let (code, text) =
+        code_and_messages(&["verify", session, "--out", out.path().to_str().unwrap(), "--force"]);
     let document = std::fs::read(out.path().join("verify.json")).unwrap();
     (code, text, serde_json::from_slice(&document).unwrap())
 }
@@ -38,8 +38,12 @@ fn pictures_tell_where_the_groove_is() {
     assert!(blind["witness"].is_null() && blind["after"]["contact_rmse_mm"].is_null(), "{blind}");
     let before = offsets(&blind);
 
-    let (code, text) =
-        code_and_messages(&["stereo-shape", session, "--cameras", place.join("stereo.json").to_str().unwrap()]);
+    let (code, text) = code_and_messages(&[
+        "stereo-shape",
+        session,
+        "--cameras",
+        place.join("stereo.json").to_str().unwrap(),
+    ]);
     assert!(code == 0 && text.contains("SIMULATED") && text.contains("12 of 12 pairs"), "{text}");
     let (code, text, document) = verify(session);
     assert_eq!((code, &document["verdict"]), (0, &Value::from("effect")), "{text}");

@@ -4,7 +4,6 @@
 use crate::support::{code_and_messages, fixture};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// What the program says of a folder in which `name` holds `text`; every page must be as it was.
 fn said_of(folder: &Path, name: &str, text: Option<&str>) -> String {

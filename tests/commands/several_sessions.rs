@@ -2,8 +2,8 @@
 
 use crate::support::{fixture, program};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Output;
 
 /// The rows of `name` for which `keep(t_s)` holds, channel 1 raised by `shift_pm`, as a session of its own.
 fn part(name: &str, shift_pm: f64, keep: impl Fn(f64) -> bool) -> tempfile::TempDir {
@@ -121,7 +121,7 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
 
 #[test]
 fn a_holdout_that_contradicts_the_points_is_said() {
-    // The points of the null session (adequate, tests/residual_loop.rs) with a holdout whose channel 1 reads 5 pm more.
+    // The points of the null session (adequate, tests/accuracy/residual_loop.rs) with a holdout whose channel 1 reads 5 pm more.
     let whole = part("practice/case-004", 0.0, |_| true);
     let session =
         std::fs::read_to_string(fixture("practice/case-004").join("session.toml")).expect("session");

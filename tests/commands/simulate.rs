@@ -1,7 +1,6 @@
 //! `wcal simulate` as a user runs it (SIMULATED sweeps).
 
 use crate::support::{program, text, wcal};
-use std::process::{Command, Output};
 
 #[test]
 fn a_dataset_is_made_and_a_second_run_finds_it_there() {

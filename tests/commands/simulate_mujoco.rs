@@ -1,8 +1,8 @@
 //! `wcal simulate --engine mujoco` as a user runs it (SIMULATED sweeps); without libmujoco they say so, and fail in CI.
 
-use crate::support::{program, text, wcal};
 use crate::support::not_run::not_run;
-use std::process::{Command, Output};
+use crate::support::{PROGRAM, program, text, wcal};
+use std::process::Command;
 
 /// MuJoCo's program in the folder of wcal; none where it was built without libmujoco or not at all.
 fn mujoco() -> Option<std::path::PathBuf> {
@@ -125,8 +125,7 @@ fn softening_is_refused_by_mujoco_with_the_reason() {
         "--out",
         &at("out"),
     ];
-    let run =
-        program().args(args).env("WCAL_MUJOCO", engine).output().unwrap();
+    let run = program().args(args).env("WCAL_MUJOCO", engine).output().unwrap();
     let error = text(&run.stderr);
     assert!(
         run.status.code() == Some(1)

@@ -1,7 +1,7 @@
 //! `wcal simulate --slurm` against a real Slurm on this machine (SIMULATED sweeps); where Slurm cannot start it says so, and fails in CI.
 
-use crate::support::{program, text};
 use crate::support::not_run::not_run;
+use crate::support::{PROGRAM, program, text};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -253,11 +253,7 @@ fn the_scripts_are_printed_without_slurm() {
     std::fs::write(folder.path().join("setup.sh"), "module load wcal").unwrap();
     let given = "simulate --object can --sweeps 100 --slurm --dry-run --slurm-partition long --slurm-account lab --slurm-time 1:00:00 \
                  --slurm-memory 2G --slurm-option=--qos=night --slurm-tasks 2 --slurm-setup setup.sh --report --out sweeps";
-    let done = program()
-        .current_dir(folder.path())
-        .args(given.split_whitespace())
-        .output()
-        .unwrap();
+    let done = program().current_dir(folder.path()).args(given.split_whitespace()).output().unwrap();
     let scripts = text(&done.stdout);
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
     for line in [
@@ -276,9 +272,7 @@ fn the_scripts_are_printed_without_slurm() {
     assert!(scripts.contains("'--report' '--out' 'sweeps' --check"), "{scripts}");
     assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
     // Negative control: the options mean something only with --slurm.
-    let wrong = program()
-        .args(["simulate", "--object", "can", "--dry-run", "--out", "sweeps"])
-        .output()
-        .unwrap();
+    let wrong =
+        program().args(["simulate", "--object", "can", "--dry-run", "--out", "sweeps"]).output().unwrap();
     assert_eq!(wrong.status.code(), Some(2));
 }

@@ -1,10 +1,10 @@
 //! The picture commands as a user runs them, on ray-traced pictures of the bench (simulated by an outside renderer).
 
-use crate::support::{fixture, program};
 use crate::support::copy::copy_folder;
+use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::LazyLock;
 
 fn bench_file(name: &str) -> PathBuf {

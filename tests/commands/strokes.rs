@@ -3,7 +3,6 @@
 use crate::support::{fixture, program};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 fn pneumatic(name: &str) -> PathBuf {
     fixture("pneumatic").join(name)
@@ -11,13 +10,7 @@ fn pneumatic(name: &str) -> PathBuf {
 
 fn verify(folder: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
-    let run = program()
-        .arg("verify")
-        .arg(folder)
-        .args(["--json", "--out"])
-        .arg(out.path())
-        .output()
-        .unwrap();
+    let run = program().arg("verify").arg(folder).args(["--json", "--out"]).arg(out.path()).output().unwrap();
     serde_json::from_slice(&run.stdout).unwrap()
 }
 

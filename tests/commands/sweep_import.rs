@@ -3,7 +3,6 @@
 use crate::support::{text, wcal};
 use std::fmt::Write as _;
 use std::path::Path;
-use std::process::{Command, Output};
 use wcal_core::observation::WhiskerSpec;
 use wcal_sim::{Mesh, SweepPlan, objects};
 use wcal_track::SweepSeries;

@@ -2,7 +2,7 @@
 
 use crate::support::{text, wcal};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 /// A table in which the base holds still in contact: tracked, and said to be a motion that the model was never trained on.
 fn doubted(run: &Output) {

@@ -3,7 +3,7 @@
 use crate::support::program;
 use serde_json::{Value, json};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use std::time::SystemTime;
 
 fn wcal(folder: &Path, args: &[&str]) -> Output {

@@ -1,7 +1,7 @@
 //! `wcal twin --engine mujoco` as a user runs it, on two released poses (SIMULATED labels).
 
-use crate::support::{fixture, program};
 use crate::support::not_run::not_run;
+use crate::support::{PROGRAM, fixture, program};
 use std::process::Command;
 
 #[test]
@@ -47,12 +47,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
             page.to_str().unwrap(),
             "--out",
         ];
-        let done = program()
-            .args(args)
-            .arg(&out)
-            .env("WCAL_MUJOCO", &engine)
-            .output()
-            .unwrap();
+        let done = program().args(args).arg(&out).env("WCAL_MUJOCO", &engine).output().unwrap();
         (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
     };
     let (code, said) = run(true);
@@ -71,8 +66,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     // The page comes again from the document in its folder.
     let first = std::fs::read(&page).unwrap();
     std::fs::remove_file(&page).unwrap();
-    let again =
-        program().arg("report").arg(page.with_extension("json")).status();
+    let again = program().arg("report").arg(page.with_extension("json")).status();
     assert!(again.unwrap().success() && std::fs::read(&page).unwrap() == first);
     // The same without any label.
     let (code, said) = run(false);

@@ -4,7 +4,6 @@ use crate::support::{code_and_messages, fixture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
-use std::process::Command;
 use wcal_plant::cameras::{
     CameraFaults, Groove, Lens, Look, RigGeometry, View, clean, default_pair, exposed,
 };

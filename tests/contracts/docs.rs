@@ -3,7 +3,7 @@
 use crate::support::{program, repository};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 /// Folders that a page's `path` in backticks may begin with.
@@ -207,7 +207,8 @@ fn every_source_file_that_a_page_names_by_its_last_part_is_there() {
     assert_eq!(missing_sources(bad, &files), ["nowhere/fit.rs", "lost.rs"], "negative control");
 }
 
-/// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME` and so on.
+/// Examples, tests, benches and programs of the workspace as `cargo` names them: `--example NAME` and so on, and the modules of a test:
+/// `--test NAME MODULE::`.
 fn targets() -> BTreeSet<String> {
     let metadata = Command::new(env!("CARGO"))
         .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
@@ -217,7 +218,18 @@ fn targets() -> BTreeSet<String> {
     let metadata: serde_json::Value = serde_json::from_slice(&metadata.stdout).unwrap();
     let packages = metadata["packages"].as_array().unwrap().iter();
     let all = packages.flat_map(|p| p["targets"].as_array().unwrap());
-    all.map(|t| format!("--{} {}", t["kind"][0].as_str().unwrap(), t["name"].as_str().unwrap())).collect()
+    let mut names = BTreeSet::new();
+    for target in all {
+        let name = format!("--{} {}", target["kind"][0].as_str().unwrap(), target["name"].as_str().unwrap());
+        let folder = Path::new(target["src_path"].as_str().unwrap()).parent().unwrap();
+        if name.starts_with("--test ") && target["src_path"].as_str().unwrap().ends_with("/main.rs") {
+            let files = fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+            let stems = files.filter_map(|f| Some(f.file_stem()?.to_str()?.to_owned()));
+            names.extend(stems.map(|stem| format!("{name} {stem}::")));
+        }
+        names.insert(name);
+    }
+    names
 }
 
 /// Targets of `cargo` and of the Makefile that a page names and that are not there. A name in capitals stands for any.
@@ -235,6 +247,13 @@ fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<Strin
                 && pair[1].contains(|c: char| c.is_lowercase())
                 && !targets.contains(&target)
             {
+                missing.push(target);
+            }
+        }
+        for three in words.windows(3).filter(|w| of_cargo && w[0] == "--test" && w[2].contains("::")) {
+            let module = three[2].split("::").next().unwrap_or_default();
+            let target = format!("--test {} {module}::", three[1]);
+            if !targets.contains(&target) {
                 missing.push(target);
             }
         }
@@ -259,9 +278,13 @@ fn every_target_that_a_page_names_is_there() {
     for (name, page) in pages().into_iter().filter(|p| p.0 != "CHANGELOG.md") {
         assert_eq!(missing_targets(&page, &targets, &make), Vec::<String>::new(), "{name}");
     }
-    let bad = "`cargo run --example brew_tea -- --draws 2`, `make tea`, `wcal verify --bench bench`\n```sh\ncargo test --test docs --bench tea\nmake docs\n```\n`--test NAME`";
+    let bad = "`cargo run --example brew_tea -- --draws 2`, `make tea`, `wcal verify --bench bench`\n```sh\ncargo test --test contracts docs:: --bench tea\ncargo test --test contracts tea::leaves\nmake docs\n```\n`--test NAME`";
     let found = missing_targets(bad, &targets, &make);
-    assert_eq!(found, ["--bench tea", "--example brew_tea", "make tea"], "negative control");
+    assert_eq!(
+        found,
+        ["--bench tea", "--test contracts tea::", "--example brew_tea", "make tea"],
+        "negative control"
+    );
 }
 
 /// Keys of a TOML document, those of its tables too.

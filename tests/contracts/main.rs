@@ -14,7 +14,7 @@ mod readme;
 mod results;
 mod schemas;
 mod stated_versions;
-mod third_party;
 #[path = "../support/mod.rs"]
 #[allow(dead_code, reason = "each target uses a part")]
 mod support;
+mod third_party;

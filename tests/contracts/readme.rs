@@ -4,9 +4,9 @@
 //! A line is one command, continued by a backslash; it must end with exit code 0, or with N where the line says `# exit N`. What is not run
 //! as it stands is listed below with the reason.
 
-use crate::support::repository;
+use crate::support::{PROGRAM, repository};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 

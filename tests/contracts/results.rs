@@ -1,12 +1,11 @@
 //! README's table of results, row by row from what makes it: commands that are run here, records that the exam wrote, and dated lab notes.
 //!
-//! `make results` writes the table (`WCAL_WRITE_DOCS=1 cargo test --workspace --test results`); without it the test compares.
+//! `make results` writes the table (`WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts results::`); without it the test compares.
 
 use crate::support::{program, repository};
 use serde_json::Value;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 use wcal_plant::exam::clopper_pearson;
 
 const BEGIN: &str = "<!-- results: written by `make results` -->\n";
@@ -25,8 +24,7 @@ type Row = [String; 5];
 fn verified(session: &Path) -> Value {
     let out = tempfile::tempdir().unwrap();
     let place = out.path().join("out");
-    let run =
-        program().arg("verify").arg(session).arg("--out").arg(&place).output();
+    let run = program().arg("verify").arg(session).arg("--out").arg(&place).output();
     let said = String::from_utf8_lossy(&run.unwrap().stderr).into_owned();
     let document = fs::read(place.join("verify.json"));
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {said}"))).unwrap()

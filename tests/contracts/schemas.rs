@@ -1,7 +1,7 @@
 //! Every JSON document that the program writes, held against `docs/schemas`; tables against the columns of `docs/src/formats.md`.
 //!
 //! The schemas are open, as a reader should be: keys may be added. Here they are closed, so that the program writes no key that they lack.
-//! `docs/src/json.md` is made from them: `WCAL_WRITE_DOCS=1 cargo test --workspace --test schemas` writes it anew.
+//! `docs/src/json.md` is made from them: `WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts schemas::` writes it anew.
 
 mod page;
 mod validator;

@@ -2,7 +2,6 @@
 
 use crate::support::repository;
 use std::fs;
-use std::path::Path;
 
 fn text(name: &str) -> String {
     fs::read_to_string(repository(name)).unwrap()

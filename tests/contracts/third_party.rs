@@ -1,12 +1,11 @@
 //! What others wrote: under which licence, from where, and that `THIRD-PARTY.md` says so. No LGPL code is in the program.
 //!
-//! `WCAL_WRITE_DOCS=1 cargo test --workspace --test third_party` writes the notice anew.
+//! `WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts third_party::` writes the notice anew.
 
-use crate::support::repository;
 use crate::support::packages::{self, Package};
+use crate::support::{PROGRAM, repository};
 use std::fmt::Write as _;
 use std::fs;
-use std::path::{Path, PathBuf};
 
 /// `deny.toml`: allowed licences and registries.
 struct Rules {
@@ -96,7 +95,7 @@ const NATIVE: &str = "\
 ";
 
 fn notice(packages: &[Package]) -> String {
-    let mut out = "# Third parties\n\nWritten by `WCAL_WRITE_DOCS=1 cargo test --workspace --test third_party` from `Cargo.lock`; the same test compares it. The text of each licence is in the package's \
+    let mut out = "# Third parties\n\nWritten by `WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts third_party::` from `Cargo.lock`; the same test compares it. The text of each licence is in the package's \
                    source.\n\n"
         .to_owned();
     out += NATIVE;

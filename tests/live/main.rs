@@ -14,10 +14,10 @@ mod known_motion_stream;
 mod moving_base;
 mod session_pictures;
 mod stage_sweep;
-mod track_live;
 #[path = "../support/mod.rs"]
 #[allow(dead_code, reason = "each target uses a part")]
 mod support;
+mod track_live;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -115,8 +115,17 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let board = |side: &str| format!("{session}/pictures/board/{side}");
     let (left, right) = (board("left"), board("right"));
     assert_eq!(std::fs::read_dir(&left).unwrap().count(), 12);
-    let (code, text) =
-        code_and_messages(&["stereo-calibrate", &left, &right, "--board", "9x6", "--square-mm", "6", "--out", &cameras]);
+    let (code, text) = code_and_messages(&[
+        "stereo-calibrate",
+        &left,
+        &right,
+        "--board",
+        "9x6",
+        "--square-mm",
+        "6",
+        "--out",
+        &cameras,
+    ]);
     assert!(code == 0 || code == 3, "{text}");
     said("calibrated");
     let stereo = format!("{cameras}/stereo.json");

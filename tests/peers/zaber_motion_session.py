@@ -2,7 +2,7 @@
 
 Usage: zaber_motion_session.py ADDRESSES [--out JSON]
 ADDRESSES is the JSON line of a virtual bench. Faults are asked for by printing `inject NAME`; the bench's owner answers
-with a line. Driven by rigs/drivers/tests/vendor_client.rs; by hand, press Enter after typing the fault into the bench.
+with a line. Driven by rigs/drivers/tests/drivers/vendor_client.rs; by hand, press Enter after typing the fault into the bench.
 """
 import argparse
 import json

@@ -12,7 +12,7 @@ use std::hint::black_box;
 use std::time::Instant;
 use wcal_map::{FitOptions, MapKind, fit_map};
 
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/map/support.rs"]
 mod support;
 
 /// The candidates that scikit-learn fits in tests/peers/map_peers.py.

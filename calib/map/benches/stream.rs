@@ -15,7 +15,7 @@ use std::hint::black_box;
 use std::time::Instant;
 use wcal_map::{FitOptions, MapKind, MapPredictor, fit_map};
 
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/map/support.rs"]
 mod support;
 
 fn stream(c: &mut Criterion) {

@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Configuration, Contact, ContactState, DiscreteRod, FrictionStep, Section, Shape, Surface};
 
-/// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/physics.rs).
+/// Links of the wire: 19 of 20 base moments are within 0.5 % of the continuous rod's (tests/sim/physics.rs).
 pub const LINKS: usize = 40;
 /// How often a step of the base is halved where Newton's method does not get there, or the wire springs.
 const HALVINGS: u32 = 2;

@@ -1,5 +1,5 @@
 //! Status of an answer of the network. It was trained on one motion, and two moments cannot exclude another one: presses and sweeps give
-//! the same moments (tests/untrained.rs). So a contact has one of three statuses:
+//! the same moments (tests/track/untrained.rs). So a contact has one of three statuses:
 //!
 //! | motion | status | point | regions |
 //! |---|---|---|---|

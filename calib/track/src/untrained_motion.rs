@@ -28,7 +28,7 @@ const ASIDE: f64 = 0.2;
 const TOWARD: f64 = 0.3;
 const FREE_S: f64 = 0.5;
 /// Rows over which the filters' predictive densities are averaged, the least that one row counts, and the mean logarithm below which no
-/// sweep's rows lie (tests/untrained.rs), 1/(N mm)^2.
+/// sweep's rows lie (tests/track/untrained.rs), 1/(N mm)^2.
 const EVIDENCE_ROWS: usize = 8;
 const EVIDENCE_FLOOR: f64 = -20.0;
 const EVIDENCE_LOW: f64 = 0.0;

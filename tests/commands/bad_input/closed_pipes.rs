@@ -1,7 +1,7 @@
 //! `wcal ... | head`: a reader that closes its end early ends no command with an error of its own.
 
-use crate::support::program;
 use super::*;
+use crate::support::program;
 use std::process::Stdio;
 
 /// What the command ends with where nobody reads its outputs.

@@ -1,8 +1,8 @@
 //! Gratings that are dead, stuck, frozen or alike are named by every command and carry no calibration; overflow values and pasted rows are
 //! left out and counted.
 
-use crate::support::fixture;
 use super::{judge, wcal};
+use crate::support::fixture;
 use std::fs;
 use std::path::Path;
 

@@ -2,10 +2,10 @@
 //!
 //! Of an array the first entry stands for all: they have one range.
 
-use crate::support::{fixture, repository};
 use super::limits::{in_parallel, limited, sound};
 use super::*;
 use crate::support::copy::copy_folder;
+use crate::support::{fixture, repository};
 use serde_json::Value;
 
 /// What is put in place of a number. A whole number where one is wanted: otherwise the type alone would be refused.
@@ -384,11 +384,7 @@ fn models_hold_only_numbers_that_a_network_can_have() {
     write("t.csv", "point,t_s,fbg_1_nm,fbg_2_nm\n1,0,1541.21,1535.81\n2,0.1,1551.4,1535.9\n");
     fs::create_dir(place.path().join("model")).unwrap();
     let weights = "fixtures/tracker_small/model.safetensors";
-    fs::copy(
-        repository(weights),
-        place.path().join("model/model.safetensors"),
-    )
-    .unwrap();
+    fs::copy(repository(weights), place.path().join("model/model.safetensors")).unwrap();
     let mut card = json(&read("fixtures/tracker_small/model.json"));
     // A coarse curve: the table is made in every run.
     let inverse = &mut card["inverse"];

@@ -1,11 +1,10 @@
 //! Documents and tables as the program writes them, on small sessions.
 
-use crate::support::program;
 use super::repository;
+use crate::support::program;
+use crate::support::virtual_bench::VirtualBench;
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 
 /// A document: its schema, what wrote it, and what it says.
 pub type Written = (&'static str, String, Value);

@@ -1,10 +1,7 @@
 //! The stored map: same numbers after a round trip, refusal of what is unsound, refusal outside the region.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
 
-mod support;
-
-use support::Plant;
+use crate::support::Plant;
 use wcal_map::{FitOptions, MapArtefact, MapError, MapKind, MapPredictor, MapTraining, fit_map};
 
 fn bent(candidate: MapKind) -> (MapTraining, wcal_map::MapFit) {

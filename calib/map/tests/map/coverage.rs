@@ -1,10 +1,7 @@
 //! Claimed against observed coverage on simulated sensors, and what breaks it.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(clippy::needless_range_loop, reason = "one index for both moments, as in the formulas")]
 
-mod support;
-
-use support::Plant;
+use crate::support::Plant;
 use wcal_map::{
     FitOptions, Kernel, MapKind, MapPredictor, Process, ProcessModel, Trend, binomial_bounds, fit_map, half95,
 };

@@ -1,7 +1,4 @@
 //! The thin-plate kernel: where it is positive definite, what its radius does, and what is refused.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
-mod support;
 
 use nalgebra::DMatrix;
 use proptest::prelude::*;
@@ -61,7 +58,7 @@ fn a_filled_disk_shows_that_a_small_radius_is_not_positive_definite() {
 
 #[test]
 fn a_radius_below_the_safe_one_is_refused() {
-    let training = support::whiskerfbg();
+    let training = crate::support::whiskerfbg();
     let needed = 1.6 * 1.2 * training.diameter_pm();
     let with = |radius_pm: f64| {
         fit_map(&training, &FitOptions { radius_pm: Some(radius_pm), ..FitOptions::default() })
@@ -82,7 +79,7 @@ fn a_radius_below_the_safe_one_is_refused() {
 
 #[test]
 fn with_an_affine_mean_the_radius_cancels() {
-    let training = support::Plant { bend: 0.3, noise_nmm: 0.02 }.draw(9, 4);
+    let training = crate::support::Plant { bend: 0.3, noise_nmm: 0.02 }.draw(9, 4);
     let inputs: Vec<[f64; 2]> = training.shifts_pm.iter().map(|s| s.map(|v| v / 60.0)).collect();
     let y = training.moment_nmm(0);
     let fit = |radius: f64| {

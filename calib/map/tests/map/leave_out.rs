@@ -1,10 +1,7 @@
 //! Closed-form leave-out errors against refits, and the restricted likelihood against its definition.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-mod support;
-
+use crate::support::Plant;
 use nalgebra::{Cholesky, DMatrix, DVector};
-use support::Plant;
 use wcal_map::{Kernel, Process, ProcessModel, Trend, log_evidence};
 
 fn cases() -> Vec<ProcessModel> {

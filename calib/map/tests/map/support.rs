@@ -1,5 +1,4 @@
 //! Test data: the measured set, and a smooth plant of known truth.
-#![allow(dead_code, reason = "each test file uses its own part")]
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -1,9 +1,6 @@
 //! The measured set: reference numbers of the released labels, the released map, the choice and its warnings.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-mod support;
-
-use support::whiskerfbg;
+use crate::support::whiskerfbg;
 use wcal_map::{FitOptions, MapPredictor, document, fit_map};
 
 fn rmse(fit: &wcal_map::MapFit, name: &str) -> [f64; 2] {

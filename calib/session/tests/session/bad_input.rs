@@ -1,9 +1,6 @@
 //! Every broken session gives one clear error; harmless variants load.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
-mod broken;
-
-use broken::{Base, TABLE, WHISKER_POINTS};
+use crate::broken::{Base, TABLE, WHISKER_POINTS};
 use std::fs;
 use std::path::Path;
 use wcal_core::{Role, Seal, SessionData, WhiskerData};
@@ -119,7 +116,7 @@ fn unknown_columns_and_keys_are_warnings() {
     Base::Whisker.write(folder.path());
     let path = folder.path().join("points.csv");
     fs::write(&path, WHISKER_POINTS.replace("samples", "colour")).unwrap();
-    let toml = broken::WHISKER_TOML.replace("[fbg]", "[fbg]\nnominal = 3");
+    let toml = crate::broken::WHISKER_TOML.replace("[fbg]", "[fbg]\nnominal = 3");
     fs::write(folder.path().join("session.toml"), toml).unwrap();
     let warnings = load(folder.path()).unwrap().warnings;
     let warnings = warnings.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
@@ -161,8 +158,9 @@ fn a_holdout_session_brings_its_trajectories_and_nominals() {
     let (_folder, mut session) = whisker_with(str::to_owned);
     let other = tempfile::tempdir().unwrap();
     Base::Whisker.write(other.path());
-    let toml =
-        broken::WHISKER_TOML.replace("[18.0, 0.0, 0.0]", "[20.0, 0.0, 0.0]").replace("[1545.0,", "[1545.5,");
+    let toml = crate::broken::WHISKER_TOML
+        .replace("[18.0, 0.0, 0.0]", "[20.0, 0.0, 0.0]")
+        .replace("[1545.0,", "[1545.5,");
     fs::write(other.path().join("session.toml"), toml).unwrap();
     fs::write(other.path().join("points.csv"), WHISKER_POINTS.replace(",18,0", ",20,0")).unwrap();
     attach_holdout(&mut session, other.path()).unwrap();

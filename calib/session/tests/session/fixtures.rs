@@ -1,5 +1,4 @@
 //! The fixtures are what their hashes say, and every file of theirs is hashed.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 use std::collections::BTreeSet;
 use std::fs;

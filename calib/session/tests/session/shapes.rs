@@ -1,10 +1,7 @@
 //! shapes.json of a session: what cannot be used is left out by name, and the rest is used.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 #[allow(dead_code, reason = "only the good session is of use here")]
-mod broken;
-
-use broken::Base;
+use crate::broken::Base;
 use serde_json::{Value, json};
 use std::fs;
 use wcal_core::{SessionData, WhiskerData};

@@ -1,5 +1,4 @@
 //! Files and sessions are written whole or not at all.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
 
 use std::fs;
 use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};

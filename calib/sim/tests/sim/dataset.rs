@@ -1,5 +1,4 @@
 //! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again; meshes refused by name.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use std::collections::BTreeMap;

@@ -1,5 +1,4 @@
 //! Physics of sweeps (SIMULATED): friction, softening and medium as drawn, and base moments against the continuous rod.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;

@@ -1,5 +1,4 @@
 //! Sweeps over built-in objects (SIMULATED): labels lie on the mesh, forces balance, the same draw gives the same sweep.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;

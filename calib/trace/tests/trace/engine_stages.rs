@@ -1,14 +1,10 @@
 //! The engine's stages one by one on a toy system with known answers (SIMULATED), each with a negative control.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
-mod toy;
-
+use crate::toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
 use wcal_trace::effect::{Effect, EffectTerm};
 use wcal_trace::measurement_model::MeasurementModel;
 use wcal_trace::method::fit::{Fit, Status, Weights, fit};

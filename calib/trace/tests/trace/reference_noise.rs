@@ -1,7 +1,5 @@
 //! A reference grating as noisy as the two that it compensates, on SIMULATED readings without any effect: nothing may be found there.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

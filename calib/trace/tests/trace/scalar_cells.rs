@@ -1,5 +1,4 @@
 //! Designs that repeat: what belongs to places, poses or levels is no law of the order, the time or the stimulus; true laws keep their names.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};

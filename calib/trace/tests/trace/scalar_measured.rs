@@ -1,5 +1,4 @@
 //! The residual loop on measured transducer data with certified or published answers (fixtures/nist/SOURCE.md).
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use std::path::PathBuf;
 use wcal_core::Sealed;

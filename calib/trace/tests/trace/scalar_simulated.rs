@@ -1,5 +1,4 @@
 //! Simulated transducer and axis sessions: nothing is named where nothing is, and every effect of the catalogue is named where it is.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};

@@ -1,7 +1,5 @@
 //! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED (fixtures/practice/case-004, no effect).
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
 use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::{Role, TwinLabel, WhiskerData};

@@ -1,6 +1,4 @@
 //! What the shipped model says of a wire that touches nothing, under the noise and drift of a bench (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-#![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::Device;
 use rand::{RngExt, SeedableRng};

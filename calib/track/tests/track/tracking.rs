@@ -1,6 +1,4 @@
 //! The tracker on small simulated series: gradients, order of time, streams, files, training.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-#![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Matrix3, Vector3};

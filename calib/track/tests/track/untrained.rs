@@ -1,6 +1,5 @@
 //! Contacts in motions that no sweep has, without any record of the motion: the moments reveal them, and their regions have the stated
 //! coverage (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use burn::tensor::Device;
 use nalgebra::{Matrix3, Vector3};
@@ -178,7 +177,7 @@ fn track((tracker, card): (&Tracker, &Card), rows: &[Row], vouched: bool, score:
     score.lowest.push(evidence.windows(8).map(mean).fold(f64::INFINITY, f64::min));
 }
 
-/// `cargo test --test untrained -- --nocapture` prints the table of the tracking page.
+/// `cargo test --test track untrained:: -- --nocapture` prints the table of the tracking page.
 #[test]
 fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/tracker");

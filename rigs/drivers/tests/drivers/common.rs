@@ -1,5 +1,4 @@
 //! A virtual bench, its rig, and a short plan, for the sweep tests.
-#![allow(dead_code, reason = "each test file uses its part")]
 
 use std::path::Path;
 use wcal_acquisition::AcquisitionError;

@@ -1,5 +1,4 @@
 //! The sm130 byte corpus (tests/corpus, written by a program of its own): every framing variant, cut in every way.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use serde_json::Value;
 use std::path::Path;

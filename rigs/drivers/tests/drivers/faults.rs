@@ -1,10 +1,7 @@
 //! The fault table: every fault of the virtual bench has a named outcome, a stage that stands, a session that opens, and
 //! the documented exit code. Several runs a fault, with the fault at other moments: on the move and at rest.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-mod common;
-
-use common::{NoMount, PLAN, bench, order, rows};
+use crate::common::{NoMount, PLAN, bench, order, rows};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use wcal_acquisition::record::{RecordResult, record};

@@ -19,7 +19,7 @@ fn items(bytes: &[u8], step: usize) -> Vec<String> {
 
 /// Bytes near the truth find more than noise does: a stream of the corpus, with some bytes replaced.
 fn damaged_stream() -> impl Strategy<Value = Vec<u8>> {
-    let corpus = include_bytes!("corpus/token_inside.bin");
+    let corpus = include_bytes!("../corpus/token_inside.bin");
     vec((0..corpus.len(), any::<u8>()), 0..12).prop_map(|changes| {
         let mut bytes = corpus.to_vec();
         changes.into_iter().for_each(|(at, value)| bytes[at] = value);

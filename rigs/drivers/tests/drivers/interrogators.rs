@@ -1,5 +1,4 @@
 //! sm130 and Hyperion clients, and the cameras, against the virtual bench.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -267,7 +266,7 @@ fn recorded_without_a_gap(bench_s: f64) -> u64 {
     let (bench, dir) = (self::bench("speed = 10"), tempfile::tempdir().unwrap());
     let path = dir.path().join("recording.mcap");
     let recorder = Recorder::create(&path, Default::default()).unwrap();
-    let rig = Rig::parse("rig.toml", include_str!("../../virtual/rig.toml")).unwrap();
+    let rig = Rig::parse("rig.toml", include_str!("../../../virtual/rig.toml")).unwrap();
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), [1.0, 1.0], rig.clock_scale));
     let done = AtomicBool::new(false);
     let mut unit = sm130(&bench);

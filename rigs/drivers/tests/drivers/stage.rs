@@ -1,5 +1,4 @@
 //! The stage driver against the virtual stage, over TCP and the pseudo-terminal, in good and bad weather.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use std::cell::RefCell;
 use std::rc::Rc;

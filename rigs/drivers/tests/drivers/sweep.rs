@@ -1,9 +1,6 @@
 //! Sweeps against the virtual bench: good weather, interruptions, resuming, limits. Faults: faults.rs.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-mod common;
-
-use common::{NoMount, PLAN, SPEED, bench, go, order, rows};
+use crate::common::{NoMount, PLAN, SPEED, bench, go, order, rows};
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};

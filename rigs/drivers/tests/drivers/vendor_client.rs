@@ -1,5 +1,4 @@
 //! The stage maker's own client (zaber-motion, from PyPI, in a virtual environment of its own) against the virtual stage.
-#![allow(clippy::expect_used, reason = "a test that fails should say where")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -1,7 +1,5 @@
 //! The plant's cameras against what they draw: geometry, areas, noise, faults.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
-
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use wcal_plant::cameras::{
     CameraFaults, Groove, Lens, Look, RigGeometry, View, clean, default_pair, exposed, tag_cells,

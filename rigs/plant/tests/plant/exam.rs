@@ -1,5 +1,4 @@
 //! The scorer: marks, held-out errors, bounds, and the whole run with a stand-in program.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use serde_json::{Value, json};
 use wcal_plant::exam::{

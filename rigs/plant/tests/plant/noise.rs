@@ -1,5 +1,4 @@
 //! Drawn noise has the property that its kind states, seen from the readings as written; white normal noise has not.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may panic")]
 
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, StudentsT};

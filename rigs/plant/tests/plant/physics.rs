@@ -1,5 +1,4 @@
 //! The plant's wire against a closed solution, under refinement, and against the practice sessions' truth.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use nalgebra::Vector3;
 use wcal_plant::bench::Bench;

@@ -1,5 +1,4 @@
 //! Drawn sessions: their form, their sizes, their laws, and tampering.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use wcal_plant::adversarial::Trick;
 use wcal_plant::effects::ALL;

@@ -1,0 +1,15 @@
+//! What `wcal-session` promises, through its public interface.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod bad_input;
+mod broken;
+mod fixtures;
+mod shapes;
+mod writing;

@@ -1,0 +1,18 @@
+//! What `wcal-drivers` promises, through its public interface.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod common;
+mod corpus;
+mod faults;
+mod fuzz_short;
+mod interrogators;
+mod stage;
+mod sweep;
+mod vendor_client;

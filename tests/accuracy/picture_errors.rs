@@ -11,7 +11,6 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point3, UnitQuaternion, Vector2, Vec
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal, Uniform};
-use std::path::Path;
 use wcal_core::shapes_document::{ErrorColumn, PairDocument, ShapesDocument};
 use wcal_plant::cameras::{Groove, Look, RigGeometry, clean, default_pair, exposed};
 use wcal_plant::rod::Wire;

@@ -27,13 +27,13 @@ fn mujoco_is_compared_with_the_rod_and_may_die() {
     std::fs::write(&plan, "most_mm = 24.0\nrate_hz = 2.0\nspeed_mm_s = [4.0, 6.0]\ngap_mm = [25.0, 35.0]\n")
         .unwrap();
     let out = folder.path().join("out");
-    let run = |program: &std::path::Path, more: &[&str]| {
+    let run = |engine: &std::path::Path, more: &[&str]| {
         let mut command = program();
         command.args([
             "simulate", "--engine", "mujoco", "--object", "block", "--sweeps", "4", "--jobs", "1", "--report",
         ]);
         command.args(["--plan", plan.to_str().unwrap(), "--out", out.to_str().unwrap()]).args(more);
-        command.env("WCAL_MUJOCO", program).output().unwrap()
+        command.env("WCAL_MUJOCO", engine).output().unwrap()
     };
     // Ends after some requests, as a killed program does.
     let dying = folder.path().join("dying.sh");

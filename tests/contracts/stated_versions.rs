@@ -1,6 +1,6 @@
 //! The compiler that is stated is the one that is pinned, and old enough for nothing that is used.
 
-use crate::support::repository;
+use crate::support::{packages, repository};
 use std::fs;
 
 fn text(name: &str) -> String {

@@ -1,13 +1,12 @@
 //! `wcal track` on a recording without a model, as a user runs it: a sweep on the virtual bench, its calibration, its own recording
 //! (SIMULATED).
 
-use super::moving_base::{Bench, go, reseal};
+use super::moving_base::{Bench, for_rows, go, reseal, until_rows};
 use crate::support::{program, repository, text};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 use wcal_acquisition::clocks::ClockPair;
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
@@ -204,8 +203,9 @@ fn live(swept: &Swept) {
     let mut stage = bench.stage(SPEED);
     for (name, rig, agrees) in [("right", right, true), ("wrong", rig, false)] {
         std::fs::write(swept.path("live.toml"), rig).unwrap();
+        let _ = std::fs::remove_file(swept.path("live.csv"));
         let child = program()
-            .args(["track", "--json", "--seconds", "14", "--motion-clock-sd-s", "0.04", "--rig"])
+            .args(["track", "--json", "--seconds", "20", "--motion-clock-sd-s", "0.04", "--rig"])
             .arg(swept.path("live.toml"))
             .arg("--bench")
             .arg(&bench.addresses)
@@ -218,10 +218,10 @@ fn live(swept: &Swept) {
             .spawn()
             .unwrap();
         // The prefix, then two depths.
-        std::thread::sleep(Duration::from_secs_f64(5.5 / SPEED));
+        until_rows(&swept.path("live.csv"), 55);
         for depth_mm in [22.0, 24.0, 18.0] {
             go(stage.as_mut(), depth_mm);
-            std::thread::sleep(Duration::from_secs_f64(0.8 / SPEED));
+            for_rows(&swept.path("live.csv"), 12);
         }
         let run = child.wait_with_output().unwrap();
         let (said, summary) = (text(&run.stderr), serde_json::from_slice::<Value>(&run.stdout).unwrap());

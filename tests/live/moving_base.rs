@@ -13,7 +13,7 @@ use wcal_drivers::Drivers;
 
 /// A running `wcal virtual-bench` and its rig.
 pub struct Bench {
-    bench: VirtualBench,
+    served: VirtualBench,
     pub addresses: PathBuf,
     pub rig: PathBuf,
 }
@@ -27,12 +27,12 @@ impl Bench {
         let base = "[base]\nworld_from_base = [[1, 0, 0, 100], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\ncarried_along = [0, 0, 1]\n";
         let rig = folder.join(format!("{speed}-rig.toml"));
         std::fs::write(&rig, format!("{}\n{base}", rig_at(rate_hz))).unwrap();
-        let bench = VirtualBench::serve(folder, &format!("{speed}-"), &scenario);
-        Self { addresses: bench.addresses.clone(), bench, rig }
+        let served = VirtualBench::serve(folder, &format!("{speed}-"), &scenario);
+        Self { addresses: served.addresses.clone(), served, rig }
     }
 
     pub fn type_fault(&mut self, line: &str) {
-        self.bench.type_fault(line);
+        self.served.type_fault(line);
     }
 
     /// The stage, homed, trajectory 1 presented, free of the wire.
@@ -59,6 +59,20 @@ pub fn until_standing(stage: &mut dyn wcal_core::device::Stage) {
         assert!(start.elapsed() < Duration::from_secs(60), "the stage does not come to rest");
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+/// Waits until a run has written that many rows, ten for each second of the bench.
+pub fn until_rows(table: &Path, rows: usize) {
+    let start = Instant::now();
+    while std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()) < rows {
+        assert!(start.elapsed() < Duration::from_secs(60), "no {rows} rows in {}", table.display());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Waits until a run has written that many rows more. Rows reach the file every half second: some of them may be older than the call.
+pub fn for_rows(table: &Path, rows: usize) {
+    until_rows(table, rows + std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()));
 }
 
 pub fn go(stage: &mut dyn wcal_core::device::Stage, mm: f64) {

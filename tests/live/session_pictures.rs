@@ -22,7 +22,7 @@ const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\nboard_views = 12
 
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
-    bench: VirtualBench,
+    served: VirtualBench,
     folder: tempfile::TempDir,
 }
 
@@ -33,7 +33,7 @@ impl Bench {
             "format = \"wcal-scenario/1\"\nseed = 3\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n"
         );
         std::fs::write(folder.path().join("rig.toml"), rig_at(500.0)).unwrap();
-        Self { bench: VirtualBench::serve(folder.path(), "", &scenario), folder }
+        Self { served: VirtualBench::serve(folder.path(), "", &scenario), folder }
     }
 
     fn at(&self, name: &str) -> String {
@@ -63,14 +63,14 @@ impl Bench {
             assert!(start.elapsed() < Duration::from_secs(60), "{session}");
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.bench.type_fault(fault);
+        self.served.type_fault(fault);
         ended(child)
     }
 }
 
 fn ended(child: Child) -> (i32, String) {
     let output = child.wait_with_output().unwrap();
-    (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
+    (output.status.code().unwrap(), text(&output.stderr))
 }
 
 fn shapes(session: &str, file: &str) -> ShapesDocument {
@@ -178,12 +178,12 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     assert!(code == 3 && text.contains("saturated"), "{text}");
     let used = shapes(&bright, "shapes.json").pairs.iter().filter(|p| p.status == "ok").count();
     assert!((1..3).contains(&used), "{text}");
-    bench.type_fault("{\"kind\":\"exposure\",\"factor\":1}");
+    bench.served.type_fault("{\"kind\":\"exposure\",\"factor\":1}");
     said("overexposed");
 
     // Somebody knocked a camera: what it shows is not where the stage has the groove, by far more than stated.
     let knock = "{\"kind\":\"camera-moved\",\"mm\":[0.3,0,0],\"deg\":[0,0.1,0]}";
-    bench.type_fault(knock);
+    bench.served.type_fault(knock);
     let (code, text) = bench.with_fault("moved", knock, 0);
     assert_eq!(code, 0, "{text}");
     let moved = bench.at("moved");
@@ -193,7 +193,7 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
         println!("moved camera: {:.4} mm, {:.1} sd", off[0], off[1]);
         assert!(off[1] > 8.0, "{off:?} {text}");
     }
-    bench.type_fault("{\"kind\":\"camera-moved\",\"mm\":[0,0,0],\"deg\":[0,0,0]}");
+    bench.served.type_fault("{\"kind\":\"camera-moved\",\"mm\":[0,0,0],\"deg\":[0,0,0]}");
     said("moved");
 
     // A camera that is lost ends the sweep; what was pictured until then is used.

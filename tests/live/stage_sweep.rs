@@ -8,7 +8,7 @@ mod safety;
 use crate::support::virtual_bench::{VirtualBench, rig_at};
 use crate::support::{program, repository, text};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::MutexGuard;
@@ -21,7 +21,7 @@ const SPEED: f64 = 20.0;
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
     _turn: MutexGuard<'static, ()>,
-    bench: VirtualBench,
+    served: VirtualBench,
     rig: PathBuf,
     folder: tempfile::TempDir,
 }
@@ -32,19 +32,19 @@ impl Bench {
         let folder = tempfile::tempdir().expect("temporary folder");
         let head = format!("format = \"wcal-scenario/1\"\nseed = 7\nspeed = {SPEED}\n");
         let rest = "[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";
-        let bench = VirtualBench::serve(folder.path(), "", &format!("{head}{scenario}\n{rest}"));
-        let line = std::fs::read_to_string(&bench.addresses).expect("addresses");
+        let served = VirtualBench::serve(folder.path(), "", &format!("{head}{scenario}\n{rest}"));
+        let line = std::fs::read_to_string(&served.addresses).expect("addresses");
         let all: Value = serde_json::from_str(&line).expect("one JSON line");
         for key in ["stage_pty", "stage_tcp", "sm130", "hyperion", "cameras"] {
             assert!(!all[key].is_null(), "{key}: {line}");
         }
         let rig = folder.path().join("rig.toml");
         std::fs::write(&rig, rig_at(500.0)).expect("rig");
-        Self { _turn: turn, bench, rig, folder }
+        Self { _turn: turn, served, rig, folder }
     }
 
     fn type_fault(&mut self, line: &str) {
-        self.bench.type_fault(line);
+        self.served.type_fault(line);
     }
 
     fn session(&self) -> PathBuf {
@@ -56,7 +56,7 @@ impl Bench {
         let mut command = program();
         command.arg("stage-sweep").arg("--rig").arg(&self.rig);
         command.arg("--plan").arg(repository("rigs/plans/paper-27.toml"));
-        command.arg("--bench").arg(&self.bench.addresses).args(["--home", "--json"]).args(arguments);
+        command.arg("--bench").arg(&self.served.addresses).args(["--home", "--json"]).args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }

@@ -1,7 +1,7 @@
 //! `wcal track` on streams, as a user runs it: live from the virtual bench, replayed, and everything that it must refuse or flag.
 //! Bench and sweeps are SIMULATED.
 
-use super::moving_base::{Bench, calibrations, go, reseal};
+use super::moving_base::{Bench, calibrations, for_rows, go, reseal, until_rows};
 use crate::support::{program, repository, text};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -111,7 +111,7 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let (mut said, address) = serving(&mut child);
     let channels = advertised(&address);
     assert!(channels.contains("/track/contact") && channels.contains("/track/event"), "{channels}");
-    press(stage.as_mut(), SPEED);
+    press(stage.as_mut(), &live_csv);
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     let run = child.wait_with_output().unwrap();
@@ -178,17 +178,17 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     the_cloud_is_the_contacts(&document(&run), Path::new(&replayed), &path);
 
     let most = m.iter().copied().map(f64::abs).fold(0.0, f64::max);
-    a_hyperion_gives_the_same(&bench, stage.as_mut(), SPEED, &good, most, &path);
+    a_hyperion_gives_the_same(&bench, stage.as_mut(), &good, most, &path);
     faults_are_flagged(&mut bench, &live, &path);
     refusals(&recording, &rig, [&raw, &good], &path);
     several_whiskers(&recording, &rig, &good, &path);
 }
 
-/// Presses the wire and lets it go: 4 s of prefix and 1 s more before, by the bench's clock.
-fn press(stage: &mut dyn wcal_core::device::Stage, speed: f64) {
-    std::thread::sleep(Duration::from_secs_f64(5.0 / speed));
+/// Presses the wire and lets it go: 4 s of prefix and 1 s more before, by the rows of the run.
+fn press(stage: &mut dyn wcal_core::device::Stage, table: &str) {
+    until_rows(Path::new(table), 50);
     go(stage, 22.0);
-    std::thread::sleep(Duration::from_secs_f64(1.0 / speed));
+    for_rows(Path::new(table), 20);
     go(stage, 18.0);
 }
 
@@ -217,7 +217,6 @@ fn the_cloud_is_the_contacts(summary: &Value, table: &Path, path: &dyn Fn(&str) 
 fn a_hyperion_gives_the_same(
     bench: &Bench,
     stage: &mut dyn wcal_core::device::Stage,
-    speed: f64,
     good: &str,
     most: f64,
     path: &dyn Fn(&str) -> String,
@@ -231,7 +230,7 @@ fn a_hyperion_gives_the_same(
     let more = ["--live", "127.0.0.1:0", "--seconds", "14"];
     let mut child = track(&[&live[..], &more].concat()).spawn().unwrap();
     let (mut said, _) = serving(&mut child);
-    press(stage, speed);
+    press(stage, &csv);
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     let run = child.wait_with_output().unwrap();
@@ -249,15 +248,11 @@ fn faults_are_flagged(bench: &mut Bench, live: &[&str], path: &dyn Fn(&str) -> S
     let csv = path("faults.csv");
     let live: Vec<&str> = live[..live.len() - 1].iter().copied().chain([csv.as_str()]).collect();
     let child = track(&[&live[..], &["--seconds", "18"]].concat()).spawn().unwrap();
-    let start = Instant::now();
-    while std::fs::read_to_string(&csv).map_or(0, |t| t.lines().count()) < 2 {
-        assert!(start.elapsed() < Duration::from_secs(30), "no rows");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    until_rows(Path::new(&csv), 1);
     bench.type_fault("{\"kind\":\"lost-samples\",\"count\":300}");
-    std::thread::sleep(Duration::from_secs_f64(0.3));
+    for_rows(Path::new(&csv), 9);
     bench.type_fault("{\"kind\":\"peak-lost\",\"grating\":1,\"on\":true}");
-    std::thread::sleep(Duration::from_secs_f64(0.1));
+    for_rows(Path::new(&csv), 20);
     bench.type_fault("{\"kind\":\"peak-lost\",\"grating\":1,\"on\":false}");
     let run = child.wait_with_output().unwrap();
     assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
@@ -292,10 +287,7 @@ fn a_clock_that_steps_or_stands_still_is_named(bench: &mut Bench, live: &[&str])
         let _ = std::fs::remove_file(csv);
         let mut child = track(&[live, &["--seconds", "9"]].concat()).spawn().unwrap();
         let start = Instant::now();
-        while std::fs::read_to_string(csv).map_or(0, |t| t.lines().count()) < 2 {
-            assert!(start.elapsed() < Duration::from_secs(60), "no rows");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        until_rows(Path::new(csv), 1);
         bench.type_fault(fault);
         while child.try_wait().unwrap().is_none() {
             if start.elapsed() > Duration::from_secs(240) {

@@ -1,4 +1,4 @@
-//! kill -9 while recording: less than a second is lost, the file opens, and what it holds is whole.
+//! kill -9 while recording: a quarter of a second is lost at most, the file opens, and what it holds is whole.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::io::{BufRead, BufReader, Write};
@@ -11,6 +11,8 @@ use wcal_acquisition::replay::{End, Message, read};
 use wcal_core::device::{Clocks, FbgReading};
 
 const RATE_HZ: f64 = 2000.0;
+/// Time after which the recorder passes on what it holds, s.
+const FLUSH_S: f64 = 0.25;
 
 fn scan(serial: u64) -> FbgReading {
     let t = serial as f64 / RATE_HZ;
@@ -22,21 +24,19 @@ fn scan(serial: u64) -> FbgReading {
     }
 }
 
-/// Not a test of its own: the process that is killed.
+/// Not a test of its own: the process that is killed. It prints each scan's number and, in seconds, when it gave it to the recorder.
 #[test]
 #[ignore = "run by the test below"]
 fn child_that_records() {
     let Ok(path) = std::env::var("WCAL_CRASH_FILE") else { return };
     let recorder = Recorder::create(Path::new(&path), Default::default()).unwrap();
-    let (start, mut serial) = (Instant::now(), 0);
-    loop {
-        while (serial as f64) < start.elapsed().as_secs_f64() * RATE_HZ {
-            recorder.scan(&scan(serial)).unwrap();
-            serial += 1;
-        }
-        println!("at {serial}");
+    let start = Instant::now();
+    for serial in 0.. {
+        let given_s = start.elapsed().as_secs_f64();
+        recorder.scan(&scan(serial)).unwrap();
+        println!("at {serial} {given_s}");
         std::io::stdout().flush().unwrap();
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_secs_f64(1.0 / RATE_HZ));
     }
 }
 
@@ -50,35 +50,47 @@ fn serials(path: &Path) -> (Vec<u64>, End) {
     (found, end.unwrap())
 }
 
+/// Time over which the scans were given that the file lacks, s. By the writer's own clock a loss is what came within one flush, however
+/// often the machine made the writer wait.
+fn lost_s(given_s: &[f64], found: &[u64]) -> f64 {
+    given_s.get(found.len()).map_or(0.0, |first| given_s[given_s.len() - 1] - first)
+}
+
 #[test]
-fn kill_9_at_any_moment_loses_less_than_a_second() {
+fn kill_9_at_any_moment_loses_no_more_than_a_flush() {
     let dir = tempfile::tempdir().unwrap();
     let mut worst_s: f64 = 0.0;
-    for (k, wait_ms) in [350, 777, 1203, 1640, 2111].into_iter().enumerate() {
-        let path = dir.path().join(format!("{k}.mcap"));
+    for scans in [300, 777, 1203, 1640, 2111] {
+        let path = dir.path().join(format!("{scans}.mcap"));
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "child_that_records", "--ignored", "--nocapture"])
             .env("WCAL_CRASH_FILE", &path)
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let reader = std::thread::spawn(move || {
-            lines.map_while(Result::ok).filter_map(|l| l.strip_prefix("at ")?.parse::<u64>().ok()).last()
-        });
-        std::thread::sleep(Duration::from_millis(wait_ms));
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let mut given = lines.filter_map(|l| l.strip_prefix("at ")?.split_once(' ')?.1.parse::<f64>().ok());
+        let mut given_s: Vec<f64> = given.by_ref().take(scans).collect();
         child.kill().unwrap();
         child.wait().unwrap();
-        // Killed before its first scan: nothing to lose.
-        let Some(written) = reader.join().unwrap() else { continue };
+        given_s.extend(given);
         let (found, end) = serials(&path);
         assert!(end.cut_off.is_some());
         assert_eq!(found, (0..found.len() as u64).collect::<Vec<_>>(), "whole up to the end");
-        // What was written after the last line that was read may be in the file as well.
-        worst_s = worst_s.max(written.saturating_sub(found.len() as u64) as f64 / RATE_HZ);
+        worst_s = worst_s.max(lost_s(&given_s, &found));
+        // Control: half of the file lacks more.
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        let (half, _) = serials(&path);
+        assert!(
+            scans < 1000 || lost_s(&given_s, &half) > FLUSH_S,
+            "{scans}: {} of {}",
+            half.len(),
+            found.len()
+        );
     }
-    println!("largest loss {:.3} s", worst_s);
-    assert!(worst_s < 1.0, "{worst_s} s lost");
+    println!("largest loss {worst_s:.3} s");
+    assert!(worst_s <= FLUSH_S, "{worst_s} s lost");
 }
 
 /// A closed recording of 3000 scans in several chunks.

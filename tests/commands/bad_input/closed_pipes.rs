@@ -1,6 +1,7 @@
 //! `wcal ... | head`: a reader that closes its end early ends no command with an error of its own.
 
 use super::*;
+use crate::support::copy::copy_folder;
 use crate::support::program;
 use std::process::Stdio;
 
@@ -48,7 +49,7 @@ fn every_result_is_complete_where_nobody_reads() {
     let place = tempfile::tempdir().unwrap();
     let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
     let copied = |from: &str, to: &str| {
-        copy::copy_folder(&repository.join(from), &place.path().join(to));
+        copy_folder(&repository.join(from), &place.path().join(to));
     };
     copied("fixtures/nist/pontius", "s");
     copied("rigs/virtual", "rig");
@@ -75,7 +76,7 @@ fn every_result_is_complete_where_nobody_reads() {
     ] {
         let run = |run: &dyn Fn(&Path, &[&str]) -> Output| {
             let own = tempfile::tempdir().unwrap();
-            copy::copy_folder(place.path(), own.path());
+            copy_folder(place.path(), own.path());
             let code = run(own.path(), arguments).status.code();
             (code, listing(own.path()))
         };

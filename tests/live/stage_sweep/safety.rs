@@ -28,7 +28,7 @@ impl Bench {
         std::fs::write(&plan, PLAN).expect("plan");
         let mut command = program();
         command.arg("stage-sweep").arg("--rig").arg(&self.rig).arg("--plan").arg(plan);
-        command.arg("--bench").arg(&self.bench.addresses).args(["--home", "--json"]).args(arguments);
+        command.arg("--bench").arg(&self.served.addresses).args(["--home", "--json"]).args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -151,7 +151,7 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     let mut bench = Bench::start("");
     bench.type_fault("{\"kind\":\"never-accept\",\"on\":true}");
     // Until the queue of its port is full, connections are made and not answered.
-    let address = document_of(&bench.bench.addresses)["stage_tcp"].as_str().expect("address").to_owned();
+    let address = document_of(&bench.served.addresses)["stage_tcp"].as_str().expect("address").to_owned();
     let address = address.parse().expect("an address");
     let start = Instant::now();
     while std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok() {
@@ -166,11 +166,11 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     refused(bench.run_short("--out"), "no answer from this address");
     // The stage is there, the interrogator is not.
     let closed = TcpListener::bind("127.0.0.1:0").expect("a port").local_addr().expect("an address");
-    let mut addresses = document_of(&bench.bench.addresses);
+    let mut addresses = document_of(&bench.served.addresses);
     let good = addresses.clone();
     addresses["sm130"] = closed.to_string().into();
     bench.type_fault("{\"kind\":\"never-accept\",\"on\":false}");
-    std::fs::write(&bench.bench.addresses, addresses.to_string()).expect("written");
+    std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let refused = |run: Output, word: &str| {
         let said = text(&run.stderr);
         assert_eq!(run.status.code(), Some(1), "{said}");
@@ -179,7 +179,7 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     };
     refused(bench.run_short("--out"), "a listening unit");
     // A live view on an address of another machine.
-    std::fs::write(&bench.bench.addresses, good.to_string()).expect("written");
+    std::fs::write(&bench.served.addresses, good.to_string()).expect("written");
     let session = bench.session().display().to_string();
     let live = bench.short(&["--live", "192.0.2.1:8765", "--out", &session]).spawn().expect("wcal runs");
     refused(ended(live), "live view");
@@ -234,9 +234,9 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
 fn a_signal_is_heard_while_a_device_hangs() {
     let bench = Bench::start("");
     let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
-    let mut addresses = document_of(&bench.bench.addresses);
+    let mut addresses = document_of(&bench.served.addresses);
     addresses["sm130"] = silent.local_addr().expect("an address").to_string().into();
-    std::fs::write(&bench.bench.addresses, addresses.to_string()).expect("written");
+    std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
     let session = bench.session().display().to_string();
     let begin = || {
         let child = bench.short(&["--out", &session]).spawn().expect("wcal runs");

@@ -1,17 +1,25 @@
 # `make demo` and `make test` set up a fresh Debian 12 machine and can be run again.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev chromium slurm-wlm munge python3-pip
+# What the program is built from and runs with; what only tests ask for.
+PROGRAM_PACKAGES := build-essential pkg-config cmake clang libclang-dev libopencv-dev libudev-dev python3-pip
+TEST_PACKAGES := chromium slurm-wlm munge
 export DEBIAN_FRONTEND := noninteractive
 
-.PHONY: demo test setup check results exam peers docs
+.PHONY: demo test program setup check results exam peers docs
 
-setup:
-	@missing=""; for p in $(PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
+# Installs those of the packages that are missing.
+install = @missing=""; for p in $(1); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
+
+program:
+	$(call install,$(PROGRAM_PACKAGES))
 	calib/mujoco/engine/fetch.sh
 
+setup: program
+	$(call install,$(TEST_PACKAGES))
+
 # With the engine beside it, so that `wcal twin --engine mujoco` works afterwards.
-demo: setup
+demo: program
 	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
 
@@ -21,22 +29,22 @@ test: setup
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
 # Licences and sources are a test (tests/contracts/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.
-check: setup
+check: program
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	@if command -v cargo-deny >/dev/null; then cargo deny --workspace check; else echo "check: cargo-deny is not installed: known vulnerabilities are not checked"; fi
 
 # README's table of results: what takes minutes is run, what takes an hour comes from the dated records of docs/src/lab-notes.
-results: setup
+results: program
 	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test contracts results::
 
-exam:
+exam: program
 	cargo build --release --locked --bin wcal --example exam
 	./target/release/examples/exam --draws 100 --mix all --wcal ./target/release/wcal
 
 # Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal, PyTorch and the stage maker's client in one run each; prints tables and writes
 # peers-*.json. One that fails does not stop the others: its JSON and the exit status say so. YCB=FOLDER of STL files: also the paper's whole
 # sweep set. PEERS="rod map": these alone.
-peers: setup
+peers: program
 	dpkg -s python3-venv >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
 	dpkg -s mrcal >/dev/null 2>&1 || $(SUDO) apt-get install -y -qq --no-install-recommends mrcal >/dev/null || echo "peers: without mrcal"
 	test -x tests/peers/.venv/bin/python || python3 -m venv tests/peers/.venv

@@ -250,7 +250,8 @@ fn missing_targets(page: &str, targets: &BTreeSet<String>, make: &BTreeSet<Strin
                 missing.push(target);
             }
         }
-        for three in words.windows(3).filter(|w| of_cargo && w[0] == "--test" && w[2].contains("::")) {
+        let modules = words.windows(3).filter(|w| of_cargo && w[0] == "--test" && w[2].contains("::"));
+        for three in modules.filter(|w| w[2].contains(|c: char| c.is_lowercase())) {
             let module = three[2].split("::").next().unwrap_or_default();
             let target = format!("--test {} {module}::", three[1]);
             if !targets.contains(&target) {

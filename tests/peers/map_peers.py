@@ -3,7 +3,7 @@
 
 Installs numpy, scipy and scikit-learn in tests/peers/.venv on the first run. Prints a table, and writes JSON rows for
 peers.json to the file named by --out (stdout without it). Single thread on both sides. wcal's numbers come from its
-criterion benches (cargo bench -p wcal-map) and from fit-gpr.json where --fit-gpr names one.
+criterion benches (cargo bench --workspace) and from fit-gpr.json where --fit-gpr names one.
 """
 
 import argparse
@@ -131,7 +131,7 @@ def run_ours():
     """wcal-map's criterion benches: lines of JSON among their output."""
     out = []
     for bench in ("fit", "stream"):
-        command = ["cargo", "bench", "-p", "wcal-map", "--bench", bench]
+        command = ["cargo", "bench", "--workspace", "--bench", bench]
         done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
         out += [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     fits = {r["candidates"]: r["median_ms"] for r in out if r["bench"] == "fit"}

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """The rod beside scipy's collocation solver: same poses, same start, same accuracy.
 
-Usage: tests/peers/.venv/bin/python tests/peers/rod_peers.py [--json OUT] [--binary PATH]
+Usage: tests/peers/.venv/bin/python tests/peers/rod_peers.py --binary PATH [--json OUT]
 Set-up: python3 -m venv tests/peers/.venv && tests/peers/.venv/bin/pip install numpy scipy
 
-Poses, moments and times of the rod come from `cargo run --release -p wcal-rod --example peer_poses` (calib/rod/examples). The peer is
+Poses, moments and times of the rod come from the built example `peer_poses` (calib/rod/examples). The peer is
 scipy.integrate.solve_bvp on the same boundary value problem: straight part and arc as two stacked segments (so that the jump of the
 rest curvature sits on a mesh border), 14 states (quaternion, position twice), four unknown parameters (force, contact arc length).
 It starts, like the rod, from the pose 0.3 mm before. Its tolerance is the loosest power of ten whose moment is as close to the rod's
@@ -118,10 +118,9 @@ def timed(action, repeats=7):
 def main():
     arguments = argparse.ArgumentParser(description="the rod beside scipy.integrate.solve_bvp")
     arguments.add_argument("--json", type=pathlib.Path, help="write rows in the peers.json format here")
-    arguments.add_argument("--binary", type=pathlib.Path, help="built example, instead of cargo run")
+    arguments.add_argument("--binary", type=pathlib.Path, required=True, help="the built example peer_poses")
     options = arguments.parse_args()
-    command = [options.binary] if options.binary else ["cargo", "run", "--release", "-q", "-p", "wcal-rod", "--example", "peer_poses"]
-    wire = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout)
+    wire = json.loads(subprocess.run([options.binary], cwd=ROOT, check=True, capture_output=True).stdout)
     peer, rows, agree = Peer(wire), [], True
     print(f"{'pose':>4} {'rod us':>8} {'rod err':>9} {'scipy us':>10} {'tol':>7} {'scipy err':>9} {'ratio':>8} {'differ':>9}")
     for number, pose in enumerate(wire["poses"], 1):

@@ -21,8 +21,8 @@ def script(name, *arguments, python=PYTHON):
     return [python, str(HERE / name), *arguments]
 
 
-def build(*arguments):
-    return ["cargo", "build", "--release", "--locked", *arguments]
+# One selection of packages for every row: another would unify features otherwise and compile all third-party code anew.
+BUILD = ["cargo", "build", "--release", "--locked", "--workspace", "--bins", "--examples"]
 
 
 def comparisons(ycb):
@@ -30,12 +30,12 @@ def comparisons(ycb):
     wcal = f"{RELEASE}/wcal"
     example = lambda name: f"{RELEASE}/examples/{name}"
     yield "rod", [
-        build("-p", "wcal-rod", "--example", "peer_poses"),
+        BUILD,
         script("rod_peers.py", "--binary", example("peer_poses"), "--json", "peers-rod.json"),
     ]
     yield "map", [script("map_peers.py", "--out", "peers-map.json")]
     yield "mujoco", [
-        build("-p", "wcal-mujoco", "--example", "write_mjcf"),
+        BUILD,
         script("mujoco_statics.py", example("write_mjcf"), "--json", "peers-mujoco.json"),
     ]
     yield "released-labels", [
@@ -45,27 +45,26 @@ def comparisons(ycb):
         script("released_labels.py"),
     ]
     yield "mujoco-rate", [
-        build("-p", "wcal-mujoco", "-p", "wcal-mujoco-engine", "--bin", "wcal-mujoco", "--example", "write_world",
-              "--example", "compare_engines"),
+        BUILD,
         script("mujoco_rate.py", example("write_world"), f"{RELEASE}/wcal-mujoco", "--json", "peers-mujoco-rate.json"),
         [example("compare_engines"), "target/convex", "4"],
     ]
     yield "stereo", [
-        build("-p", "wcal", "-p", "wcal-vision", "--bin", "wcal", "--example", "solve_corners"),
+        BUILD,
         script("stereo.py", wcal, example("solve_corners"), "peers-stereo.json"),
     ]
-    yield "stereo-bench", [build("-p", "wcal", "--bin", "wcal"), script("stereo_bench.py", wcal)]
+    yield "stereo-bench", [BUILD, script("stereo_bench.py", wcal)]
     yield "network", [
-        build("-p", "wcal-track", "--example", "network_time"),
+        BUILD,
         script("network_peers.py", example("network_time"), "--json", "peers-network.json", python=sys.executable),
     ]
     if ycb:
         yield "sweeps", [
-            build("-p", "wcal", "--bin", "wcal"),
+            BUILD,
             script("ycb_sweeps.py", wcal, ycb, "--json", "peers-sweeps.json"),
         ]
     yield "vendor-client", [
-        ["cargo", "test", "--locked", "-p", "wcal-drivers", "--test", "vendor_client", "--", "--ignored", "--nocapture"],
+        ["cargo", "test", "--release", "--locked", "--workspace", "--test", "drivers", "vendor_client::", "--", "--ignored", "--nocapture"],
     ]
 
 

@@ -1,37 +1,24 @@
 //! `wcal evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
-mod document;
+mod bench_calibration;
 pub mod report;
-mod tables;
-mod test_objects;
 mod text;
-mod virtual_bench;
-mod work;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::picture_output::provenance;
 use crate::progress::Progress;
 use crate::simulate::{MAX_SWEEPS, within};
+use crate::track::filters_for;
 use crate::train::burn_device;
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use clap::Args;
-use document::document;
-use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
-use text::{print, print_tables, print_told};
+use wcal_evaluate::{Model, Order, Sets, Surroundings, evaluate};
 use wcal_sim::read::manifests;
-use wcal_sim::{Mesh, objects};
-use wcal_track::classes::coverage_by_class;
-use wcal_track::evaluate::{Method, ObjectScores, score_objects};
-use wcal_track::filter::BayesSettings;
-use wcal_track::model_file::{Card, SplitBy, load};
-use wcal_track::two_contacts::{
-    contact_evidence, network_evidence, two_contacts, two_contacts_given_previous,
-};
-use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker, sweep_series};
-use work::{STREAMING, TWO_CONTACTS, Work, cost};
+use wcal_track::model_file::{Card, load};
+use wcal_track::{SweepSeries, Tracker, sweep_series};
 
 /// Arguments of `wcal evaluate`.
 #[derive(Debug, Clone, Args)]
@@ -79,9 +66,6 @@ pub struct EvaluateArgs {
     pub json: bool,
 }
 
-/// Format of evaluation.json.
-pub const FORMAT: &str = "wcal-evaluation/1";
-
 const RESULT: ResultKind<'_> = ResultKind {
     command: "evaluate",
     document: "evaluation.json",
@@ -116,6 +100,42 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let progress = Progress::new("evaluate");
     progress.says("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
+    let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
+    let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;
+    let model = Model { tracker: &tracker, card: &card, baseline: baseline.as_ref() };
+    let sets = sets(args, &card)?;
+    let order = Order {
+        meshes: args.meshes.as_deref(),
+        objects: args.objects,
+        sweeps_each: args.sweeps_each,
+        seed: args.seed,
+        quick: args.quick,
+        simulation_only: args.simulation_only,
+    };
+    let around = Surroundings {
+        calibrate: &|session| bench_calibration::calibrate(session, args.seed).map_err(Into::into),
+        filters_for,
+        progress: &|stage, done| progress.at(stage, done),
+        note: &|remark| eprintln!("{remark}"),
+        provenance: provenance([args.model.join("model.json").as_path()]),
+    };
+    let (document, scores) = evaluate(&model, &sets, &order, &around)?;
+    drop(progress);
+    let document = serde_json::to_value(&document)?;
+    let text = format!("{}\n", serde_json::to_string_pretty(&document)?);
+    out.put("evaluation.json", text.clone());
+    out.put("report.html", report::page(&document)?);
+    out.finish()?;
+    if args.json {
+        print!("{text}");
+    } else {
+        text::print(&scores, &document);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The sweeps of the dataset: those over objects of the training that were kept back, and those over objects that it did not see.
+fn sets(args: &EvaluateArgs, card: &Card) -> anyhow::Result<Sets> {
     let there: BTreeSet<String> = manifests(&args.sweeps)?.into_iter().map(|(_, m)| m.object).collect();
     let pick = |names: &[String], kept_back: bool| -> anyhow::Result<BTreeMap<String, Vec<SweepSeries>>> {
         let names: Vec<String> =
@@ -131,101 +151,13 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         all_series.retain(|_, c| !c.is_empty());
         Ok(all_series)
     };
-    let sets =
-        [("seen", pick(&card.objects.training, true)?), ("unseen", pick(&card.objects.unseen, false)?)];
-    ensure!(sets.iter().any(|s| !s.1.is_empty()), "{}: no sweep that was kept back", args.sweeps.display());
-    let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
-    // Two thirds out: the middle of what sweeps touch.
-    let middle = fine.nodes.last().map_or(40.0, |n| n.arclength_mm) * 2.0 / 3.0;
-    let (settings, multi_mu) = (BayesSettings::default(), BayesSettings::multi_mu());
-    let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
-    let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;
-    let mut methods = vec![
-        ("network, speed known", Method::Network(&tracker, true)),
-        ("network", Method::Network(&tracker, false)),
-        ("bayes, speed known", Method::Bayes(&fine, true, &multi_mu)),
-        ("bayes", Method::Bayes(&fine, false, &multi_mu)),
-        ("static inverse", Method::Static(&fine, middle)),
-        ("constant", Method::Constant([middle, 0.0, 0.0].into())),
-    ];
-    methods.extend(baseline.iter().map(|b| ("small transformer", Method::Network(b, true))));
-    let count = |k: usize| sets[k].1.values().map(Vec::len).sum::<usize>() as f64;
-    let work = Work::new(
-        &progress,
-        count(0) + count(1),
-        methods.iter().map(|m| cost(&m.1)).sum(),
-        tables::cost(&card, args) + test_objects::cost(args),
+    let sets = Sets { seen: pick(&card.objects.training, true)?, unseen: pick(&card.objects.unseen, false)? };
+    ensure!(
+        !sets.seen.is_empty() || !sets.unseen.is_empty(),
+        "{}: no sweep that was kept back",
+        args.sweeps.display()
     );
-    let mut rows: Vec<(&str, &str, Vec<ObjectScores>)> = Vec::new();
-    for (k, (set, all_series)) in sets.iter().enumerate() {
-        let meshes = meshes(all_series.keys(), args)?;
-        for (name, method) in &methods {
-            work.next(&format!("{name}, {set} objects"), count(k) * cost(method));
-            let run = |c: &SweepSeries| method.run(c);
-            rows.push((set, name, score_objects(&run, all_series, &meshes)?));
-        }
-    }
-    work.next("time of one sample", STREAMING);
-    let streaming = streaming(&tracker, sets.iter().flat_map(|s| s.1.values().flatten()));
-    let mut document = document(&rows, &streaming, &card.weights_sha256, args);
-    work.next("two contacts", (count(0) + count(1)) * TWO_CONTACTS);
-    let of = |given_truth: bool| {
-        [0, 1].map(|k| contact_evidence(&fine, sets[k].1.values().flatten(), settings, given_truth))
-    };
-    let [seen, unseen] = of(false);
-    // The limit is chosen on other objects than it is judged on.
-    document["two_contacts"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = [0, 1].map(|k| network_evidence(&tracker, sets[k].1.values().flatten()));
-    document["two_contacts_network"] = json!(two_contacts(&seen, &unseen));
-    let [seen, unseen] = of(true);
-    document["two_contacts_told_before"] = json!(two_contacts_given_previous(&seen, &unseen));
-    if !card.sd_factors_by_class.is_empty() {
-        let of = |set: usize| -> Vec<SweepSeries> { sets[set].1.values().flatten().cloned().collect() };
-        let rows = |set: usize| {
-            let (classes, by_class) = (&card.object_classes, &card.sd_factors_by_class);
-            coverage_by_class(&tracker, &of(set), classes, by_class, card.sd_factors)
-        };
-        document["classes"] = json!({"seen": rows(0), "unseen": rows(1)});
-    }
-    if card.split == SplitBy::Sweeps {
-        document["leak"] = json!({"split": "sweeps at random", "random_split_mm": document["simulation"]["seen_mean_mm"],
-            "unseen_objects_mm": document["simulation"]["unseen_mean_mm"], "interval95": {
-                "random_split_mm": document["simulation"]["interval95"]["seen_mean_mm"],
-                "unseen_objects_mm": document["simulation"]["interval95"]["unseen_mean_mm"]}});
-    }
-    if !args.simulation_only {
-        let folder = tempfile::tempdir().context("making a folder for what is in between")?;
-        let maker = tables::Maker {
-            tracker: &tracker,
-            card: &card,
-            args,
-            folder: folder.path(),
-            work: &work,
-            curve: &fine,
-        };
-        for (name, table) in maker.tables()? {
-            document[name] = table;
-        }
-        let of = (&tracker, &card.whisker);
-        document["test_objects"] = test_objects::table(of, args, &work)?;
-    }
-    drop(progress);
-    out.put("evaluation.json", format!("{}\n", serde_json::to_string_pretty(&document)?));
-    out.put("report.html", report::page(&document)?);
-    out.finish()?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&document)?);
-    } else {
-        if args.quick {
-            println!("QUICK: few objects and sweeps, wide intervals");
-        }
-        print(&rows);
-        println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
-        print_told(&document);
-        print_tables(&document);
-        test_objects::print(&document);
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok(sets)
 }
 
 /// The small transformer, trained on no object or sweep that the model was not.
@@ -238,43 +170,4 @@ fn baseline(folder: &Path, card: &Card) -> anyhow::Result<Tracker> {
         folder.display()
     );
     Ok(tracker)
-}
-
-fn meshes<'a>(
-    names: impl Iterator<Item = &'a String>,
-    args: &EvaluateArgs,
-) -> anyhow::Result<BTreeMap<String, Mesh>> {
-    names
-        .map(|name| {
-            let mesh = objects::named(name, args.meshes.as_deref()).with_context(|| {
-                format!("object {name}: expected it built in, or its mesh in --meshes DIR")
-            })?;
-            for note in &mesh.notes {
-                eprintln!("warning: object {name}: {note}");
-            }
-            Ok((name.clone(), mesh))
-        })
-        .collect()
-}
-
-/// Samples a second on one core, one by one, and the slowest of a hundred.
-fn streaming<'a>(tracker: &Tracker, all_series: impl Iterator<Item = &'a SweepSeries>) -> Value {
-    const SAMPLES: usize = 1000;
-    let mut times_us: Vec<f64> = Vec::new();
-    for series in all_series {
-        let mut stream = tracker.stream();
-        for i in &series.samples {
-            let sample = Sample { t_s: i.t_s, moment_nmm: i.moment_nmm, base_mm_s: Some(i.speed_mm_s) };
-            let begin = Instant::now();
-            std::hint::black_box(stream.push(&sample));
-            times_us.push(begin.elapsed().as_secs_f64() * 1e6);
-        }
-        if times_us.len() > SAMPLES {
-            break;
-        }
-    }
-    times_us.sort_by(f64::total_cmp);
-    let total: f64 = times_us.iter().sum();
-    let p99 = times_us.get(times_us.len() * 99 / 100).copied().unwrap_or(0.0);
-    json!({"samples_per_s": (times_us.len() as f64 / total * 1e6).round(), "p99_us": p99.round()})
 }

@@ -106,11 +106,11 @@ fn html_of(path: &Path) -> anyhow::Result<String> {
     Ok(match document["format"].as_str() {
         Some(REPORT_FORMAT) => read_page(path)?.render(),
         Some(MAP_FORMAT) => render_map(&serde_json::from_value(document)?),
-        Some(crate::evaluate::FORMAT) => crate::evaluate::report::page(&document)?,
+        Some(wcal_evaluate::FORMAT) => crate::evaluate::report::page(&document)?,
         Some(wcal_track::model_file::FORMAT) => crate::train::page(&read_card(folder)?),
         found => bail!(
             "format: expected {REPORT_FORMAT}, {MAP_FORMAT}, {} or {}, found {found:?}",
-            crate::evaluate::FORMAT,
+            wcal_evaluate::FORMAT,
             wcal_track::model_file::FORMAT
         ),
     })

@@ -9,7 +9,6 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-mod clean_bench;
 mod exam;
 mod picture_errors;
 mod recorded_verdicts;

@@ -18,6 +18,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         // A device needs its entry of the rig, no session.
         "wcal-drivers" => &["wcal-core"],
         "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-map", "wcal-trace"],
+        "wcal-evaluate" => &["wcal-core", "wcal-sim", "wcal-track", "wcal-calibration", "wcal-plant"],
         "wcal-plant" => &[],
         "wcal" => &[
             "wcal-core",
@@ -33,6 +34,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-sim",
             "wcal-mujoco",
             "wcal-track",
+            "wcal-evaluate",
             // The virtual bench's wire: physics that shares no code with the fitter.
             "wcal-plant",
         ],

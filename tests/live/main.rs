@@ -10,6 +10,7 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+mod clean_bench;
 mod known_motion_stream;
 mod moving_base;
 mod session_pictures;
@@ -19,11 +20,17 @@ mod stage_sweep;
 mod support;
 mod track_live;
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-/// One bench at a time: several at this speed starve each other on a small machine.
-static ONE: Mutex<()> = Mutex::new(());
+/// Benches that run now. Several fast ones starve each other on a small machine; those at a few times real time leave it idle.
+static BENCHES: RwLock<()> = RwLock::new(());
 
-fn turn() -> MutexGuard<'static, ()> {
-    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+/// For a fast bench, or one that may lose nothing: no other runs.
+fn alone() -> RwLockWriteGuard<'static, ()> {
+    BENCHES.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// For a slow bench: others like it may run.
+fn beside_others() -> RwLockReadGuard<'static, ()> {
+    BENCHES.read().unwrap_or_else(PoisonError::into_inner)
 }

@@ -105,6 +105,7 @@ fn worst(pairs: &[PairDocument], truth: &[Option<[f64; 3]>]) -> [f64; 2] {
 
 #[test]
 fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
+    let _turn = crate::beside_others();
     let start = Instant::now();
     let said = |what: &str| println!("{:5.1} s  {what}", start.elapsed().as_secs_f64());
     let mut bench = Bench::start();

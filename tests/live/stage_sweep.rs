@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::MutexGuard;
+use std::sync::RwLockWriteGuard;
 use std::time::{Duration, Instant};
 use wcal_acquisition::replay::completed_steps;
 
@@ -20,7 +20,7 @@ const SPEED: f64 = 20.0;
 
 /// A running `wcal virtual-bench`, ended with the test.
 struct Bench {
-    _turn: MutexGuard<'static, ()>,
+    _turn: RwLockWriteGuard<'static, ()>,
     served: VirtualBench,
     rig: PathBuf,
     folder: tempfile::TempDir,
@@ -28,7 +28,7 @@ struct Bench {
 
 impl Bench {
     fn start(scenario: &str) -> Self {
-        let turn = crate::turn();
+        let turn = crate::alone();
         let folder = tempfile::tempdir().expect("temporary folder");
         let head = format!("format = \"wcal-scenario/1\"\nseed = 7\nspeed = {SPEED}\n");
         let rest = "[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 1\nsize_px = [64, 48]\n";

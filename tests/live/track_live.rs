@@ -94,6 +94,7 @@ fn tracked(code: Option<i32>, said: &str) {
 
 #[test]
 fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
+    let _turn = crate::alone();
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let [raw, good] = calibrations(folder.path()).map(|p| p.to_str().unwrap().to_owned());

@@ -1,9 +1,19 @@
 //! `report.html` of an evaluation, out of its document.
 
-use super::document::stated;
 use anyhow::ensure;
 use serde_json::Value;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
+
+/// `0.22 [0.18, 0.27]` out of a row, `-` where there is no value.
+pub(super) fn stated(row: &Value, key: &str) -> String {
+    let Some(value) = row[key].as_f64() else { return "-".to_owned() };
+    let interval: Vec<f64> =
+        row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
+    match interval[..] {
+        [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
+        _ => format!("{value:.2}"),
+    }
+}
 
 /// A table out of rows: the names' key, then keys of errors in mm with their headings.
 fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -> Option<NumberTable> {
@@ -144,4 +154,17 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
         curves,
         tables: tables.into_iter().flatten().collect(),
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_value_stands_with_its_interval_or_as_a_dash() {
+        assert_eq!(stated(&json!({"seen_mean_mm": null}), "seen_mean_mm"), "-");
+        let row = json!({"rmse_mm": 0.224, "interval95": {"rmse_mm": [0.18, 0.27]}});
+        assert_eq!(stated(&row, "rmse_mm"), "0.22 [0.18, 0.27]");
+    }
 }

@@ -1,12 +1,25 @@
 //! What a person reads of an evaluation in the terminal.
 
-use super::document::{mean, method, stated};
-use super::tables::slope_s;
+use super::report::stated;
 use serde_json::Value;
-use wcal_track::evaluate::ObjectScores;
+use wcal_evaluate::document::mean;
+use wcal_evaluate::{MethodScores, slope_s};
+
+/// Methods, streaming, two contacts, and the tables.
+pub(super) fn print(scores: &[MethodScores], document: &Value) {
+    if document["quick"] == true {
+        println!("QUICK: few objects and sweeps, wide intervals");
+    }
+    print_methods(scores, document);
+    let streaming = &document["streaming"];
+    println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
+    print_told(document);
+    print_tables(document);
+    print_test_objects(document);
+}
 
 /// Two contacts, and what a random split hides.
-pub(super) fn print_told(document: &Value) {
+fn print_told(document: &Value) {
     let two = &document["two_contacts"];
     if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
         println!(
@@ -42,7 +55,7 @@ pub(super) fn print_told(document: &Value) {
     }
 }
 
-pub(super) fn print_tables(document: &Value) {
+fn print_tables(document: &Value) {
     let number = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
     let real = &document["virtual_real"];
     if real.is_null() {
@@ -114,7 +127,11 @@ pub(super) fn print_tables(document: &Value) {
             stated(r, "random_mm")
         );
     }
-    println!("  slope {:.3} s, {:.3} s", slope_s(&speeds, "constant_mm"), slope_s(&speeds, "random_mm"));
+    let slope = |key: &str| {
+        let point = |r: &Value| Some([r["mm_s"].as_f64()?, r[key].as_f64()?]);
+        slope_s(&speeds.iter().filter_map(point).collect::<Vec<_>>())
+    };
+    println!("  slope {:.3} s, {:.3} s", slope("constant_mm"), slope("random_mm"));
     println!("simulation, virtual air, virtual water (mm)");
     for r in rows("sim2real") {
         let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| stated(&r, k));
@@ -122,7 +139,7 @@ pub(super) fn print_tables(document: &Value) {
     }
 }
 
-pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
+fn print_methods(scores: &[MethodScores], document: &Value) {
     println!(
         "SIMULATED; mean over objects of the RMSE in mm; followed: 2 mm of the base's way after an onset, jump or slip"
     );
@@ -130,20 +147,41 @@ pub(super) fn print(rows: &[(&str, &str, Vec<ObjectScores>)]) {
         "{:7} {:21} {:>19} {:>19} {:>19} {:>19} {:>7} {:>6}",
         "objects", "method", "surface", "followed", "contact", "followed", "cover90", "F1"
     );
-    for (set, name, r) in rows.iter().filter(|r| !r.2.is_empty()) {
-        let cover = r.iter().filter_map(|o| o.all.coverage90).collect::<Vec<_>>();
+    let scored = scores.iter().filter(|s| !s.objects.is_empty());
+    for (s, row) in scored.zip(document["methods"].as_array().into_iter().flatten()) {
+        let cover = s.objects.iter().filter_map(|o| o.all.coverage90).collect::<Vec<_>>();
         let cover = if cover.is_empty() {
             "-".to_owned()
         } else {
             format!("{:.3}", cover.iter().sum::<f64>() / cover.len() as f64)
         };
-        let row = method(set, name, r);
         let [a, b, c, d] =
             ["rmse_mm", "followed_rmse_mm", "true_contact_rmse_mm", "followed_true_contact_rmse_mm"]
-                .map(|k| stated(&row, k));
+                .map(|k| stated(row, k));
         println!(
-            "{set:7} {name:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
-            mean(r, |o| o.detection.f1)
+            "{:7} {:21} {a:>19} {b:>19} {c:>19} {d:>19} {cover:>7} {:6.3}",
+            s.set,
+            s.method,
+            mean(&s.objects, |o| o.detection.f1)
+        );
+    }
+}
+
+/// Objects set aside for tests.
+fn print_test_objects(document: &Value) {
+    let rows = document["test_objects"]["rows"].as_array();
+    if rows.is_some() {
+        println!("test objects, which chose no design (surface, true contact, mm; coverage of 90 % regions)");
+    }
+    for r in rows.into_iter().flatten() {
+        let speed = if r["speed_known"] == true { "speed known" } else { "speed not known" };
+        println!(
+            "  {:8} {:8} {speed:16} {:>20} {:>20} {:>7.3}",
+            r["turns"].as_str().unwrap_or(""),
+            r["method"].as_str().unwrap_or(""),
+            stated(r, "rmse_mm"),
+            stated(r, "true_contact_rmse_mm"),
+            r["coverage90"].as_f64().unwrap_or(f64::NAN)
         );
     }
 }

@@ -1,7 +1,6 @@
 //! How much work each part of an evaluation is, for the time left. The costs are seconds on one core of a machine of 2026, by a run of the
 //! whole; only their ratios matter.
 
-use crate::progress::Progress;
 use std::cell::Cell;
 use wcal_track::evaluate::Method;
 
@@ -30,15 +29,15 @@ pub fn cost(method: &Method<'_>) -> f64 {
 
 /// The parts of an evaluation, one after the other.
 pub struct Work<'a> {
-    progress: &'a Progress,
+    progress: &'a dyn Fn(&str, f64),
     all: f64,
     done: Cell<f64>,
     now: Cell<f64>,
 }
 
 impl<'a> Work<'a> {
-    /// ErrorOf `sweeps` sweeps by methods that cost `methods` together, and the tables that the arguments ask for.
-    pub fn new(progress: &'a Progress, sweeps: f64, methods: f64, tables: f64) -> Self {
+    /// Of `sweeps` sweeps by methods that cost `methods` together, and the tables that the arguments ask for.
+    pub fn new(progress: &'a dyn Fn(&str, f64), sweeps: f64, methods: f64, tables: f64) -> Self {
         let all = sweeps * (methods + TWO_CONTACTS) + STREAMING + tables;
         Self { progress, all, done: Cell::new(0.0), now: Cell::new(0.0) }
     }
@@ -46,6 +45,6 @@ impl<'a> Work<'a> {
     /// A part begins, and with it ends the one before.
     pub fn next(&self, stage: &str, cost: f64) {
         self.done.set(self.done.get() + self.now.replace(cost));
-        self.progress.at(stage, (self.done.get() / self.all).min(0.99));
+        (self.progress)(stage, (self.done.get() / self.all).min(0.99));
     }
 }

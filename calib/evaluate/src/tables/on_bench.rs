@@ -1,11 +1,11 @@
 //! The tracker on the virtual real bench, and what each part of it buys there.
 
-use super::super::document::{both_means, intervals, mean, object};
-use super::super::virtual_bench::{STREAM_NOISES, VirtualBench};
-use super::super::work::ABLATION;
 use super::{Maker, Meshes, SeriesByObject};
-use crate::track::filters_for;
-use serde_json::{Value, json};
+use crate::document::{AblationRow, BySet, NoiseRow, VirtualReal, coverage90, intervals, mean};
+use crate::document::{Means, both_means};
+use crate::error::EvaluateError;
+use crate::virtual_bench::{STREAM_NOISES, VirtualBench};
+use crate::work::ABLATION;
 use wcal_calibration::CalibrationModel;
 use wcal_plant::noise::Noise;
 use wcal_sim::physics::Medium;
@@ -24,9 +24,9 @@ impl Maker<'_> {
         bench: &VirtualBench,
         meshes: &Meshes,
         medium: Medium,
-    ) -> anyhow::Result<SeriesByObject> {
+    ) -> Result<SeriesByObject, EvaluateError> {
         let plan = VirtualBench::plan(medium);
-        let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
+        let (seed, sweeps) = (self.seed(), self.order.sweeps_each);
         self.all_series(meshes, &SweepRequest { whisker: &bench.whisker, plan: &plan, seed, sweeps })
     }
 
@@ -37,7 +37,7 @@ impl Maker<'_> {
         by: &CalibrationModel,
         true_series: &SeriesByObject,
         meshes: &Meshes,
-    ) -> anyhow::Result<Vec<ObjectScores>> {
+    ) -> Result<Vec<ObjectScores>, EvaluateError> {
         let tracker = self.on_stream(by);
         let measured = self.measured(bench, by, true_series, Noise::Gaussian)?;
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
@@ -50,35 +50,44 @@ impl Maker<'_> {
         by: &CalibrationModel,
         all_series: &SeriesByObject,
         noise: Noise,
-    ) -> anyhow::Result<SeriesByObject> {
-        let one = |c: &SweepSeries| bench.through(c, by, self.args.seed, noise, self.folder);
-        let of = |all: &Vec<SweepSeries>| all.iter().map(one).collect::<anyhow::Result<Vec<SweepSeries>>>();
+    ) -> Result<SeriesByObject, EvaluateError> {
+        let one = |c: &SweepSeries| bench.through(c, by, self.order.seed, noise, self.folder);
+        let of =
+            |all: &Vec<SweepSeries>| all.iter().map(one).collect::<Result<Vec<SweepSeries>, EvaluateError>>();
         all_series.iter().map(|(name, all)| Ok((name.clone(), of(all)?))).collect()
     }
 
     /// The tracker with the measurement noise of a calibration and the standard deviations of a stream, as `wcal track` has it.
     fn on_stream(&self, by: &CalibrationModel) -> Tracker {
         Tracker {
-            filters: filters_for(self.tracker.filters, by),
+            filters: (self.around.filters_for)(self.tracker.filters, by),
             sd_factors: self.card.sd_factors_of_stream(),
             ..self.tracker.clone()
         }
     }
 
     /// The network on the bench under each kind of a stream's noise: error and coverage over the unseen objects.
-    pub(super) fn noises(&self, bench: &VirtualBench, unseen: &Meshes) -> anyhow::Result<Value> {
-        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+    pub(super) fn noises(
+        &self,
+        bench: &VirtualBench,
+        unseen: &Meshes,
+    ) -> Result<Vec<NoiseRow>, EvaluateError> {
+        let by = bench.calibration.best();
         let tracker = self.on_stream(by);
         let truth = self.sweeps_on_bench(bench, unseen, Medium::Air)?;
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
         let row = |noise: Noise| {
             let measured = self.measured(bench, by, &truth, noise)?;
             let rows = score_objects(&run, &measured, unseen)?;
-            Ok(json!({"noise": noise.name(), "rmse_mm": mean(&rows, |o| o.all.rmse_mm),
-                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm),
-                "coverage90": mean(&rows, |o| o.all.coverage90.unwrap_or(f64::NAN)), "interval95": intervals(&rows)}))
+            Ok(NoiseRow {
+                noise: noise.name(),
+                rmse_mm: mean(&rows, |o| o.all.rmse_mm),
+                true_contact_rmse_mm: mean(&rows, |o| o.all.true_contact_rmse_mm),
+                coverage90: coverage90(&rows),
+                interval95: intervals(&rows),
+            })
         };
-        Ok(Value::Array(STREAM_NOISES.into_iter().map(row).collect::<anyhow::Result<_>>()?))
+        STREAM_NOISES.into_iter().map(row).collect()
     }
 
     pub(super) fn virtual_real(
@@ -87,9 +96,9 @@ impl Maker<'_> {
         seen: &Meshes,
         unseen: &Meshes,
         ablations: f64,
-    ) -> anyhow::Result<(Value, Value)> {
-        let by = bench.verified.as_ref().unwrap_or(&bench.map);
-        let multi_mu = filters_for(BayesSettings::multi_mu().into(), by).frictional;
+    ) -> Result<(VirtualReal, Vec<AblationRow>), EvaluateError> {
+        let by = bench.calibration.best();
+        let multi_mu = (self.around.filters_for)(BayesSettings::multi_mu().into(), by).frictional;
         let tracker = self.on_stream(by);
         let [true_seen, true_unseen] = [
             self.sweeps_on_bench(bench, seen, Medium::Air)?,
@@ -108,22 +117,22 @@ impl Maker<'_> {
         let every: Vec<&ObjectScores> = rows_seen.iter().chain(&rows_unseen).collect();
         let worst = every.iter().map(|o| o.all.rmse_mm).fold(0.0, f64::max);
         let mut interval95 = both_means(&rows_seen, &rows_unseen);
-        interval95["worst_mm"] = json!(worst_interval95(&every, |s| s.surface));
-        let with_set = |set: &'static str| move |o: &ObjectScores| object(o, set);
-        let objects: Vec<Value> = rows_seen
-            .iter()
-            .map(with_set("seen"))
-            .chain(rows_unseen.iter().map(with_set("unseen")))
-            .collect();
-        let means = |rows: &[ObjectScores]| mean(rows, |o| o.all.rmse_mm);
-        let covers = |rows: &[ObjectScores]| mean(rows, |o| o.all.coverage90.unwrap_or(f64::NAN));
-        let real = json!({
-            "coverage90": {"seen": covers(&rows_seen), "unseen": covers(&rows_unseen)},
-            "virtual": true, "seen_mean_mm": means(&rows_seen), "unseen_mean_mm": means(&rows_unseen), "worst_mm": worst,
-            "interval95": interval95, "acting": bench.acting, "verdict": bench.verdict, "accepted": bench.accepted,
-            "calibration": if bench.verified.is_some() { "verify" } else { "fit-gpr" },
-            "objects": objects,
-        });
+        interval95.insert("worst_mm", worst_interval95(&every, |s| s.surface));
+        let means = Means::of(&rows_seen, &rows_unseen);
+        let calibration = &bench.calibration;
+        let real = VirtualReal {
+            coverage90: BySet { seen: coverage90(&rows_seen), unseen: coverage90(&rows_unseen) },
+            is_virtual: true,
+            seen_mean_mm: means.seen_mean_mm,
+            unseen_mean_mm: means.unseen_mean_mm,
+            worst_mm: worst,
+            interval95,
+            acting: bench.acting.clone(),
+            verdict: calibration.verdict,
+            accepted: calibration.accepted.clone(),
+            calibration: if calibration.verified.is_some() { "verify" } else { "fit-gpr" },
+            objects: means.objects,
+        };
         let later = |c: &SweepSeries| {
             // The estimate of the reading before; the first one has none.
             let estimates: Vec<Estimate> = Method::Network(&tracker, true).run(c);
@@ -133,11 +142,7 @@ impl Maker<'_> {
         let damped = |all_series: &SeriesByObject| -> SeriesByObject {
             all_series.iter().map(|(n, all)| (n.clone(), all.iter().map(damped).collect())).collect()
         };
-        let row = |name: &str, rows: Vec<ObjectScores>| {
-            json!({"name": name, "rmse_mm": means(&rows), "followed_rmse_mm": mean(&rows, |o| o.followed.rmse_mm),
-                "true_contact_rmse_mm": mean(&rows, |o| o.all.true_contact_rmse_mm), "p95_mm": mean(&rows, |o| o.all.p95_mm),
-                "interval95": intervals(&rows)})
-        };
+        let row = |name: &str, rows: Vec<ObjectScores>| AblationRow::of(name, &rows);
         let network = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
         let other = |all_series: &SeriesByObject| score_objects(&network, all_series, unseen);
         let filter = Method::Bayes(&tracker.inverse, true, &multi_mu);
@@ -145,7 +150,7 @@ impl Maker<'_> {
             row("effects-accepted", rows_unseen),
             row(
                 "effects-not-accepted",
-                other(&self.measured(bench, &bench.map, &true_unseen, Noise::Gaussian)?)?,
+                other(&self.measured(bench, &calibration.map, &true_unseen, Noise::Gaussian)?)?,
             ),
             row("moments-without-error", other(&true_unseen)?),
             row("speed-not-known", score(unseen, &measured, false)?),
@@ -153,11 +158,11 @@ impl Maker<'_> {
             row("damping-bias", other(&damped(&measured))?),
             row("bayes-filter", of(&filter, unseen, &measured)?),
         ];
-        for (name, map) in &bench.maps {
+        for (name, map) in &calibration.maps {
             let rows = other(&self.measured(bench, map, &true_unseen, Noise::Gaussian)?)?;
             ablations.push(row(&format!("map-{name}"), rows));
         }
-        Ok((real, Value::Array(ablations)))
+        Ok((real, ablations))
     }
 }
 

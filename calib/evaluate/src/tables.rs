@@ -3,12 +3,11 @@
 mod on_bench;
 mod upright;
 
-use super::document::mean;
-use super::virtual_bench::{STREAM_NOISES, VirtualBench};
-use super::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
-use super::{EvaluateArgs, meshes};
-use anyhow::Context;
-use serde_json::{Value, json};
+use crate::document::{Interval, KnownMotion, MediumRow, SpeedRow, Tables, mean};
+use crate::error::EvaluateError;
+use crate::virtual_bench::{STREAM_NOISES, VirtualBench};
+use crate::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
+use crate::{Order, Surroundings, meshes};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_sim::physics::Medium;
@@ -43,8 +42,10 @@ pub struct Maker<'a> {
     pub tracker: &'a Tracker,
     /// Its card.
     pub card: &'a Card,
-    /// Arguments of the command.
-    pub args: &'a EvaluateArgs,
+    /// What is asked for.
+    pub order: &'a Order<'a>,
+    /// What the caller supplies.
+    pub around: &'a Surroundings<'a>,
     /// Folder for what is in between.
     pub folder: &'a Path,
     /// How far the work is.
@@ -64,83 +65,90 @@ struct Sweeps {
 }
 
 impl Sweeps {
-    fn of(card: &Card, args: &EvaluateArgs) -> Self {
-        let objects = |names: &[String]| names.len().min(args.objects) as f64;
+    fn of(card: &Card, order: &Order<'_>) -> Self {
+        let objects = |names: &[String]| names.len().min(order.objects) as f64;
         let (each, [seen, unseen]) =
-            (args.sweeps_each as f64, [&card.objects.training, &card.objects.unseen].map(|n| objects(n)));
-        let faces = upright::sweeps_each(args.sweeps_each, args.quick)[0] as f64;
+            (order.sweeps_each as f64, [&card.objects.training, &card.objects.unseen].map(|n| objects(n)));
+        let faces = upright::sweeps_each(order.sweeps_each, order.quick)[0] as f64;
         Self {
             faces: (seen + unseen) * faces,
             real: (seen + unseen) * each,
             ablations: ABLATIONS * unseen * each,
-            speeds: if args.quick { 0.0 } else { 2.0 * SPEEDS_MM_S.len() as f64 * unseen * each },
-            media: if args.quick { 0.0 } else { 3.0 * SIM_TO_REAL.len() as f64 * each },
-            noises: if args.quick { 0.0 } else { STREAM_NOISES.len() as f64 * unseen * each },
+            speeds: if order.quick { 0.0 } else { 2.0 * SPEEDS_MM_S.len() as f64 * unseen * each },
+            media: if order.quick { 0.0 } else { 3.0 * SIM_TO_REAL.len() as f64 * each },
+            noises: if order.quick { 0.0 } else { STREAM_NOISES.len() as f64 * unseen * each },
         }
     }
 }
 
 /// Cost of all tables (see `work`).
-pub fn cost(card: &Card, args: &EvaluateArgs) -> f64 {
-    if args.simulation_only {
+pub fn cost(card: &Card, order: &Order<'_>) -> f64 {
+    if order.simulation_only {
         return 0.0;
     }
-    let s = Sweeps::of(card, args);
+    let s = Sweeps::of(card, order);
     BENCH + SWEEP * (s.faces + s.speeds) + ON_BENCH * (s.real + s.media + s.noises) + ABLATION * s.ablations
 }
 
 /// Known motion: the tracker on the groove of the bench's session by `verify`'s own calibration, beside the posterior Cramer-Rao bound.
-fn known_motion(bench: &VirtualBench) -> Value {
-    bench.groove.as_ref().map_or(Value::Null, |g| {
-        json!({"virtual": true, "error_mm": g.rmse_mm, "bound_mm": g.bound_mm, "error_over_bound": g.rmse_mm / g.bound_mm,
-            "trajectories": g.trajectories, "trajectories_held": g.trajectories_held, "readings": g.points, "split": g.split})
+fn known_motion(bench: &VirtualBench) -> Option<KnownMotion> {
+    bench.calibration.groove.as_ref().map(|g| KnownMotion {
+        is_virtual: true,
+        error_mm: g.rmse_mm,
+        bound_mm: g.bound_mm,
+        error_over_bound: g.rmse_mm / g.bound_mm,
+        trajectories: g.trajectories,
+        trajectories_held: g.trajectories_held,
+        readings: g.points,
+        split: g.split.clone(),
     })
 }
 
 impl Maker<'_> {
-    /// All tables by their names in evaluation.json.
-    pub fn tables(&self) -> anyhow::Result<BTreeMap<&'static str, Value>> {
+    /// All tables.
+    pub fn tables(&self) -> Result<Tables, EvaluateError> {
         self.work.next("calibrating the virtual bench", BENCH);
-        let bench = VirtualBench::new(&self.card.whisker, self.args.seed, self.folder)
-            .context("calibrating the virtual bench")?;
-        eprintln!(
+        let bench =
+            VirtualBench::new(&self.card.whisker, self.order.seed, self.folder, self.around.calibrate)?;
+        (self.around.note)(&format!(
             "virtual bench: {} act; verify says {:?} and accepts {:?}",
             bench.acting.join(", "),
-            bench.verdict,
-            bench.accepted
-        );
-        let objects = |names: &[String]| -> anyhow::Result<Meshes> {
-            meshes(names.iter().take(self.args.objects), self.args)
+            bench.calibration.verdict,
+            bench.calibration.accepted
+        ));
+        let objects = |names: &[String]| -> Result<Meshes, EvaluateError> {
+            meshes(names.iter().take(self.order.objects), self.order.meshes, self.around.note)
         };
         let (seen, unseen) = (objects(&self.card.objects.training)?, objects(&self.card.objects.unseen)?);
-        let sweeps = Sweeps::of(self.card, self.args);
+        let sweeps = Sweeps::of(self.card, self.order);
         self.work.next("virtual bench", ON_BENCH * sweeps.real);
-        let (real, ablations) = self.virtual_real(&bench, &seen, &unseen, sweeps.ablations)?;
+        let (virtual_real, ablations) = self.virtual_real(&bench, &seen, &unseen, sweeps.ablations)?;
         self.work.next("upright objects", SWEEP * sweeps.faces);
-        let mut all = BTreeMap::from([
-            ("faces", self.upright(&seen, &unseen)?),
-            ("virtual_real", real),
-            ("ablations", ablations),
-            ("known_motion", known_motion(&bench)),
-        ]);
-        if !self.args.quick {
-            all.insert("speed", self.speeds(&unseen, &sweeps)?);
-            all.insert("sim2real", self.sim_to_real(&bench, &sweeps)?);
+        let faces = self.upright(&seen, &unseen)?;
+        let (mut speed, mut sim2real, mut noise) = (None, None, None);
+        if !self.order.quick {
+            speed = Some(self.speeds(&unseen, &sweeps)?);
+            sim2real = Some(self.sim_to_real(&bench, &sweeps)?);
             self.work.next("noise of the stream", ON_BENCH * sweeps.noises);
-            all.insert("noise", self.noises(&bench, &unseen)?);
+            noise = Some(self.noises(&bench, &unseen)?);
         }
-        Ok(all)
+        let known_motion = known_motion(&bench);
+        Ok(Tables { ablations, faces, known_motion, noise, sim2real, speed, virtual_real })
     }
 
     /// Seed of sweeps that are drawn on the spot.
     fn seed(&self) -> u64 {
-        self.args.seed ^ ON_THE_SPOT
+        self.order.seed ^ ON_THE_SPOT
     }
 
-    fn all_series(&self, meshes: &Meshes, order: &SweepRequest<'_>) -> anyhow::Result<SeriesByObject> {
+    fn all_series(
+        &self,
+        meshes: &Meshes,
+        request: &SweepRequest<'_>,
+    ) -> Result<SeriesByObject, EvaluateError> {
         let mut all = SeriesByObject::new();
         for (name, mesh) in meshes {
-            let all_series = generate_sweeps(mesh, order)?;
+            let all_series = generate_sweeps(mesh, request)?;
             if !all_series.is_empty() {
                 all.insert(name.clone(), all_series);
             }
@@ -148,51 +156,67 @@ impl Maker<'_> {
         Ok(all)
     }
 
-    fn speeds(&self, meshes: &Meshes, sweeps: &Sweeps) -> anyhow::Result<Value> {
+    fn speeds(&self, meshes: &Meshes, sweeps: &Sweeps) -> Result<Vec<SpeedRow>, EvaluateError> {
         let mut rows = Vec::new();
         for speed in SPEEDS_MM_S {
             self.work.next("speeds", SWEEP * sweeps.speeds / SPEEDS_MM_S.len() as f64);
-            let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> anyhow::Result<MeanError> {
+            let run = |speed_mm_s: [f64; 2], acceleration_mm_s2: f64| -> Result<MeanError, EvaluateError> {
                 let plan =
                     SweepPlan { speed_mm_s, acceleration_mm_s2, rate_hz: RATE_HZ, ..SweepPlan::default() };
-                let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
+                let (seed, sweeps) = (self.seed(), self.order.sweeps_each);
                 let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
                 let all_series = self.all_series(meshes, &order)?;
                 Ok(MeanError::of(&self.score_simulated(&all_series, meshes)?))
             };
             let constant = run([speed, speed], 0.0)?;
             let random = run(RANDOM.map(|r| r * speed), RANDOM_MM_S2)?;
-            rows.push(json!({"mm_s": speed, "constant_mm": constant.mean_mm, "random_mm": random.mean_mm,
-                "interval95": {"constant_mm": constant.interval95, "random_mm": random.interval95}}));
+            rows.push(SpeedRow {
+                mm_s: speed,
+                constant_mm: constant.mean_mm,
+                random_mm: random.mean_mm,
+                interval95: BTreeMap::from([
+                    ("constant_mm", constant.interval95),
+                    ("random_mm", random.interval95),
+                ]),
+            });
         }
-        Ok(Value::Array(rows))
+        Ok(rows)
     }
 
-    fn sim_to_real(&self, bench: &VirtualBench, sweeps: &Sweeps) -> anyhow::Result<Value> {
-        let by = bench.verified.as_ref().unwrap_or(&bench.map);
+    fn sim_to_real(&self, bench: &VirtualBench, sweeps: &Sweeps) -> Result<Vec<MediumRow>, EvaluateError> {
+        let by = bench.calibration.best();
         let mut rows = Vec::new();
         for name in SIM_TO_REAL {
             self.work.next("air and water", ON_BENCH * sweeps.media / SIM_TO_REAL.len() as f64);
             let name = name.to_owned();
-            let Ok(mesh) = meshes(std::iter::once(&name), self.args) else {
-                eprintln!("table III: {name}: no mesh; left out");
+            let Ok(mesh) = meshes(std::iter::once(&name), self.order.meshes, self.around.note) else {
+                (self.around.note)(&format!("table III: {name}: no mesh; left out"));
                 continue;
             };
             let plan = SweepPlan { rate_hz: RATE_HZ, ..SweepPlan::default() };
-            let (seed, sweeps) = (self.seed(), self.args.sweeps_each);
+            let (seed, sweeps) = (self.seed(), self.order.sweeps_each);
             let order = SweepRequest { whisker: &self.card.whisker, plan: &plan, seed, sweeps };
             let simulated = self.all_series(&mesh, &order)?;
             let simulation = MeanError::of(&self.score_simulated(&simulated, &mesh)?);
-            let in_medium = |medium: Medium| -> anyhow::Result<MeanError> {
+            let in_medium = |medium: Medium| -> Result<MeanError, EvaluateError> {
                 let all_series = self.sweeps_on_bench(bench, &mesh, medium)?;
                 Ok(MeanError::of(&self.score_measured(bench, by, &all_series, &mesh)?))
             };
             let (air, water) = (in_medium(Medium::Air)?, in_medium(Medium::Water)?);
-            rows.push(json!({"name": name, "seen": self.card.objects.training.contains(&name),
-                "simulation_mm": simulation.mean_mm, "air_mm": air.mean_mm, "water_mm": water.mean_mm,
-                "interval95": {"simulation_mm": simulation.interval95, "air_mm": air.interval95, "water_mm": water.interval95}}));
+            rows.push(MediumRow {
+                seen: self.card.objects.training.contains(&name),
+                name,
+                simulation_mm: simulation.mean_mm,
+                air_mm: air.mean_mm,
+                water_mm: water.mean_mm,
+                interval95: BTreeMap::from([
+                    ("simulation_mm", simulation.interval95),
+                    ("air_mm", air.interval95),
+                    ("water_mm", water.interval95),
+                ]),
+            });
         }
-        Ok(Value::Array(rows))
+        Ok(rows)
     }
 
     /// The network with the base's speed known, on moments as the rod engine makes them.
@@ -200,7 +224,7 @@ impl Maker<'_> {
         &self,
         all_series: &SeriesByObject,
         meshes: &Meshes,
-    ) -> anyhow::Result<Vec<ObjectScores>> {
+    ) -> Result<Vec<ObjectScores>, EvaluateError> {
         let run = |c: &SweepSeries| Method::Network(self.tracker, true).run(c);
         Ok(score_objects(&run, all_series, meshes)?)
     }
@@ -209,7 +233,7 @@ impl Maker<'_> {
 /// Mean over objects of the RMSE (mm) with its 95 % interval.
 struct MeanError {
     mean_mm: f64,
-    interval95: Option<[f64; 2]>,
+    interval95: Interval,
 }
 
 impl MeanError {
@@ -218,10 +242,8 @@ impl MeanError {
     }
 }
 
-/// Slope of an error over the speed by least squares, s.
-pub fn slope_s(rows: &[Value], key: &str) -> f64 {
-    let points: Vec<[f64; 2]> =
-        rows.iter().filter_map(|r| Some([r["mm_s"].as_f64()?, r[key].as_f64()?])).collect();
+/// Slope of an error over the speed by least squares, s, of pairs of speed (mm/s) and error (mm).
+pub fn slope_s(points: &[[f64; 2]]) -> f64 {
     let n = points.len().max(1) as f64;
     let middle = points.iter().fold([0.0; 2], |a, p| [a[0] + p[0] / n, a[1] + p[1] / n]);
     let sum =

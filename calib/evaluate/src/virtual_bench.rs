@@ -3,21 +3,15 @@
 //! The wire differs a little from the one that the tracker was trained on, the groove of its calibration sat elsewhere than declared, and
 //! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
 
-use crate::fit_gpr::training_set;
-use crate::labels::{LabelSource, moment_labels};
-use crate::output::OutputFolder;
-use crate::verify::{self, VerifyOrder, verify_session};
-use anyhow::{Context, bail};
+use crate::error::EvaluateError;
+use crate::{BenchCalibration, Calibrate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_calibration::{CalibrationModel, read_calibration};
+use wcal_calibration::CalibrationModel;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_core::verify_document::GrooveTracking;
-use wcal_core::{SessionData, verify_document::Verdict};
-use wcal_map::{FitOptions, MapKind, fit_map};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::noise::Noise;
@@ -35,20 +29,10 @@ pub struct VirtualBench {
     squares: [f64; 3],
     /// The wire as it is.
     pub whisker: WhiskerSpec,
-    /// What `verify` said, and the effects it accepted.
-    pub verdict: Verdict,
-    /// See `verdict`.
-    pub accepted: Vec<String>,
+    /// Its calibration, as a user makes it.
+    pub calibration: BenchCalibration,
     /// Effects that act.
     pub acting: Vec<String>,
-    /// The map of `fit-gpr`, as if no effect had been found.
-    pub map: CalibrationModel,
-    /// The maps of each kind that `fit-gpr` can choose from, by name.
-    pub maps: Vec<(&'static str, CalibrationModel)>,
-    /// The sensitivity with the effects that `verify` accepted, where it vouches for one.
-    pub verified: Option<CalibrationModel>,
-    /// The tracker on the groove of the calibration session, whose motion is known, beside its bound.
-    pub groove: Option<GrooveTracking>,
 }
 
 /// By how much the wire is not the one of the twin: straight part and radius, mm, Young's modulus, share.
@@ -83,9 +67,21 @@ const TARE_S: f64 = 0.5;
 
 impl VirtualBench {
     /// Draws the bench around the wire of the twin, records its calibration session, and calibrates it twice.
-    pub fn new(twin: &WhiskerSpec, seed: u64, folder: &Path) -> anyhow::Result<Self> {
+    ///
+    /// # Errors
+    /// Where the wire has no arc, or the session cannot be drawn or calibrated.
+    pub fn new(
+        twin: &WhiskerSpec,
+        seed: u64,
+        folder: &Path,
+        calibrate: &Calibrate<'_>,
+    ) -> Result<Self, EvaluateError> {
         let RestShape::StraightArc { straight_mm, arc_radius_mm, .. } = twin.rest_shape else {
-            bail!("virtual bench: expected a wire of a straight part and an arc, found another rest shape");
+            return Err(EvaluateError::Value {
+                what: "virtual bench, wire".to_owned(),
+                expected: "a straight part and an arc",
+                found: "another rest shape",
+            });
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut bench = Bench::draw(&mut rng);
@@ -110,25 +106,7 @@ impl VirtualBench {
             .map_or([0.0; 3], |e| std::array::from_fn(|k| e.amplitude * FBG_PM * e.shape[k]));
         let session_folder = folder.join("session");
         case.write(&session_folder)?;
-        let session = wcal_session::load(&session_folder)?;
-        let SessionData::Whisker(data) = &session.data else {
-            bail!("virtual bench: not a whisker's session")
-        };
-        let labels = moment_labels(data, LabelSource::Rod)?;
-        let options =
-            FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
-        let training = training_set(data, &labels).0;
-        let map = fit_map(&training, &options)?.artefact;
-        let one_kind = |kind: MapKind| {
-            let options = FitOptions { candidates: vec![kind], ..options.clone() };
-            Ok((kind.name(), CalibrationModel::Map(fit_map(&training, &options)?.artefact)))
-        };
-        let maps = MapKind::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
-        let mut out = OutputFolder::open(&verify::RESULT, &folder.join("verify"), false)?;
-        let report = verify_session(&session, &mut out, &VerifyOrder { seed, ..VerifyOrder::default() })?;
-        out.finish()?;
-        let calibration = folder.join("verify/calibration.json");
-        let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
+        let calibration = calibrate(&session_folder).map_err(EvaluateError::Calibrate)?;
         let whisker = WhiskerSpec {
             youngs_gpa: bench.youngs_gpa,
             shear_gpa: bench.shear_gpa,
@@ -139,18 +117,7 @@ impl VirtualBench {
             },
             ..twin.clone()
         };
-        Ok(Self {
-            bench,
-            squares,
-            whisker,
-            verdict: report.verify.verdict,
-            accepted: report.verify.effects.iter().map(|e| e.id.clone()).collect(),
-            acting: case.truth.names.clone(),
-            map: CalibrationModel::Map(map),
-            maps,
-            verified,
-            groove: report.verify.groove_tracking,
-        })
+        Ok(Self { bench, squares, whisker, calibration, acting: case.truth.names.clone() })
     }
 
     /// Sweeps on this bench: friction, weight, and the medium's drag.
@@ -162,6 +129,9 @@ impl VirtualBench {
 
     /// The series as the calibration sees it: true moments become wavelengths, and those the moments that a user
     /// would get, the zero taken at the start.
+    ///
+    /// # Errors
+    /// Where the calibration is no whisker's, or the readings cannot be written or put through it.
     pub fn through(
         &self,
         series: &SweepSeries,
@@ -169,11 +139,15 @@ impl VirtualBench {
         seed: u64,
         noise: Noise,
         folder: &Path,
-    ) -> anyhow::Result<SweepSeries> {
+    ) -> Result<SweepSeries, EvaluateError> {
         let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
         std::fs::write(&path, self.readings(series, seed, noise))
-            .with_context(|| path.display().to_string())?;
-        let by = by.whisker().context("virtual bench: expected a whisker's calibration")?;
+            .map_err(|source| EvaluateError::Write { path: path.clone(), source })?;
+        let by = by.whisker().ok_or_else(|| EvaluateError::Value {
+            what: "virtual bench, calibration".to_owned(),
+            expected: "a whisker's",
+            found: "another kind",
+        })?;
         let rows = by.sensed(&path, &self.whisker)?.rows;
         let mut tare = Tare::new(TARE_S);
         let mut seen = series.clone();

@@ -2,10 +2,10 @@
 //!
 //! No setting may be chosen by looking at this table (fixtures/test_objects/README.md).
 
-use super::EvaluateArgs;
-use super::document::{intervals, mean, object, stated};
-use super::work::{SWEEP, Work, cost as cost_of};
-use serde_json::{Value, json};
+use crate::Order;
+use crate::document::{ObjectRow, TestObjects, TestRow, coverage90, intervals, mean};
+use crate::error::EvaluateError;
+use crate::work::{SWEEP, Work, cost as cost_of};
 use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
 use wcal_sim::objects::{TEST_NAMES, built_in};
@@ -31,11 +31,11 @@ fn draws(sweeps: usize) -> [(&'static str, SweepPlan, usize); 2] {
 }
 
 /// Cost of the table (see `work`).
-pub fn cost(args: &EvaluateArgs) -> f64 {
-    if args.simulation_only {
+pub fn cost(order: &Order<'_>) -> f64 {
+    if order.simulation_only {
         return 0.0;
     }
-    let sweeps: usize = draws(args.sweeps_each).iter().map(|d| d.2 * TEST_NAMES.len()).sum();
+    let sweeps: usize = draws(order.sweeps_each).iter().map(|d| d.2 * TEST_NAMES.len()).sum();
     // The network at both speeds, that of `SWEEP`, and the filter at one.
     (2.0 * SWEEP + 2.0) * sweeps as f64
 }
@@ -46,9 +46,9 @@ pub fn cost(args: &EvaluateArgs) -> f64 {
 /// Where whisker or network cannot be used.
 pub fn table(
     (tracker, whisker): (&Tracker, &WhiskerSpec),
-    args: &EvaluateArgs,
+    order: &Order<'_>,
     work: &Work<'_>,
-) -> anyhow::Result<Value> {
+) -> Result<TestObjects, EvaluateError> {
     let meshes: BTreeMap<String, Mesh> = TEST_NAMES
         .iter()
         .map(|name| Ok(((*name).to_owned(), built_in(name)?)))
@@ -60,12 +60,12 @@ pub fn table(
         ("bayes", true, Method::Bayes(&tracker.inverse, true, &multi_mu)),
     ];
     let mut rows = Vec::new();
-    for (turns, plan, sweeps) in &draws(args.sweeps_each) {
+    for (turns, plan, sweeps) in &draws(order.sweeps_each) {
         work.next(&format!("test objects, {turns}"), SWEEP * (TEST_NAMES.len() * sweeps) as f64);
-        let order = SweepRequest { whisker, plan, seed: args.seed ^ SEED, sweeps: *sweeps };
+        let request = SweepRequest { whisker, plan, seed: order.seed ^ SEED, sweeps: *sweeps };
         let mut all = BTreeMap::new();
         for (name, mesh) in &meshes {
-            let series = generate_sweeps(mesh, &order)?;
+            let series = generate_sweeps(mesh, &request)?;
             if !series.is_empty() {
                 all.insert(name.clone(), series);
             }
@@ -76,31 +76,17 @@ pub fn table(
                 cost_of(method) * (TEST_NAMES.len() * sweeps) as f64,
             );
             let scores = score_objects(&|c: &SweepSeries| method.run(c), &all, &meshes)?;
-            let covers = mean(&scores, |o| o.all.coverage90.unwrap_or(f64::NAN));
-            rows.push(json!({"turns": turns, "method": name, "speed_known": known, "rmse_mm": mean(&scores, |o| o.all.rmse_mm),
-                "true_contact_rmse_mm": mean(&scores, |o| o.all.true_contact_rmse_mm), "coverage90": covers,
-                "interval95": intervals(&scores),
-                "objects": scores.iter().map(|o| object(o, "test")).collect::<Vec<Value>>()}));
+            rows.push(TestRow {
+                turns,
+                method: name,
+                speed_known: *known,
+                rmse_mm: mean(&scores, |o| o.all.rmse_mm),
+                true_contact_rmse_mm: mean(&scores, |o| o.all.true_contact_rmse_mm),
+                coverage90: coverage90(&scores),
+                interval95: intervals(&scores),
+                objects: scores.iter().map(|o| ObjectRow::of(o, "test")).collect(),
+            });
         }
     }
-    Ok(json!({"set_aside": "2026-11-25", "names": TEST_NAMES, "rows": rows}))
-}
-
-/// The table in the terminal.
-pub fn print(document: &Value) {
-    let rows = document["test_objects"]["rows"].as_array();
-    if rows.is_some() {
-        println!("test objects, which chose no design (surface, true contact, mm; coverage of 90 % regions)");
-    }
-    for r in rows.into_iter().flatten() {
-        let speed = if r["speed_known"] == true { "speed known" } else { "speed not known" };
-        println!(
-            "  {:8} {:8} {speed:16} {:>20} {:>20} {:>7.3}",
-            r["turns"].as_str().unwrap_or(""),
-            r["method"].as_str().unwrap_or(""),
-            stated(r, "rmse_mm"),
-            stated(r, "true_contact_rmse_mm"),
-            r["coverage90"].as_f64().unwrap_or(f64::NAN)
-        );
-    }
+    Ok(TestObjects { set_aside: "2026-11-25", names: TEST_NAMES.to_vec(), rows })
 }

@@ -15,14 +15,7 @@
 //! - [`Page`]: any of them as `report.json` stores it, to be made again.
 //!
 //! ```
-//! # use wcal_core::verify_document::*;
-//! # let verify = VerifyDocument { format: VERIFY_FORMAT.into(), session: "s".into(), simulated: false, kind: "axis".into(),
-//! #     verdict: Verdict::Adequate, reason: "Nothing is left.".into(), twin: TwinCheck::default(), effects: vec![],
-//! #     noise: None, flagged: vec![],
-//! #     alternatives: vec![], unknown: None, noise_floor: NoiseFloor::default(), before: None, after: None,
-//! #     coverage95: None, next_measurement: None, detectable: vec![], seed: 1, inputs: vec![], notes: vec![],
-//! #     leave_one_effect_out: vec![], identifiability: vec![], calibration: None, groove_tracking: None,
-//! #     witness: None, pictures: None };
+//! let verify = wcal_core::verify_document::VerifyDocument::refused("session", "axis", "no readings", 1);
 //! let input = wcal_report::ReportInput::new(verify, wcal_core::Provenance::default());
 //! let page = wcal_report::render(&input);
 //! assert!(page.starts_with("<!DOCTYPE html>"));

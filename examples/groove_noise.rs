@@ -18,7 +18,7 @@ use known_motion::{Compared, track};
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
-use wcal_plant::exam::clopper_pearson;
+use wcal_exam::clopper_pearson;
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Make, Noise, Request, Want};
 use wcal_trace::verify::VerifyOptions;

@@ -1,10 +1,9 @@
 //! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
-//! The rates themselves need hundreds of draws: `cargo run --release --example exam -- --draws 300 --mix all`.
+//! The rates themselves need hundreds of draws: `cargo run --release --bin wcal-exam -- --draws 300 --mix all`.
 
 use crate::support::PROGRAM;
 use std::path::PathBuf;
-use wcal_plant::exam::{Examiner, Mark, Outcome};
-use wcal_plant::orders;
+use wcal_exam::{Examiner, Mark, Outcome, orders};
 
 fn examine(mix: &str, draws: usize, seed: u64) -> Vec<Outcome> {
     let folder = tempfile::tempdir().unwrap();

@@ -20,6 +20,8 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-map", "wcal-trace"],
         "wcal-evaluate" => &["wcal-core", "wcal-sim", "wcal-track", "wcal-calibration", "wcal-plant"],
         "wcal-plant" => &[],
+        // A program beside `wcal`: nothing that ships has it.
+        "wcal-exam" => &["wcal-plant"],
         "wcal" => &[
             "wcal-core",
             "wcal-session",

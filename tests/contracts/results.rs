@@ -6,7 +6,7 @@ use crate::support::{program, repository};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use wcal_plant::exam::clopper_pearson;
+use wcal_exam::clopper_pearson;
 
 const BEGIN: &str = "<!-- results: written by `make results` -->\n";
 const END: &str = "<!-- end of results -->\n";

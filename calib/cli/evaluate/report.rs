@@ -35,12 +35,8 @@ fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -
     })
 }
 
-/// The page of evaluation.json.
-///
-/// # Errors
-/// Where it has no rows of methods.
-pub fn page(document: &Value) -> anyhow::Result<String> {
-    ensure!(document["methods"].is_array(), "methods: expected rows, found none");
+/// The tables that the document has.
+fn tables(document: &Value) -> Vec<NumberTable> {
     let real = &document["virtual_real"];
     let surface = ("rmse_mm", "surface, mm");
     let [true_contact, followed] =
@@ -107,6 +103,16 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             &[("simulation_mm", "simulation, mm"), ("air_mm", "air, mm"), ("water_mm", "water, mm")],
         ),
     ];
+    tables.into_iter().flatten().collect()
+}
+
+/// The page of evaluation.json.
+///
+/// # Errors
+/// Where it has no rows of methods.
+pub fn page(document: &Value) -> anyhow::Result<String> {
+    ensure!(document["methods"].is_array(), "methods: expected rows, found none");
+    let real = &document["virtual_real"];
     let mut facts = Vec::new();
     if !real.is_null() {
         for (name, key) in [("seen", "seen_mean_mm"), ("unseen", "unseen_mean_mm"), ("worst", "worst_mm")] {
@@ -152,7 +158,7 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
         facts,
         notes,
         curves,
-        tables: tables.into_iter().flatten().collect(),
+        tables: tables(document),
     }))
 }
 

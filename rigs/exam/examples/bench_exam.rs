@@ -14,7 +14,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::time::Instant;
-use wcal_plant::exam::clopper_pearson;
+use wcal_exam::clopper_pearson;
 
 struct Options {
     draws: u64,
@@ -43,7 +43,7 @@ fn options() -> anyhow::Result<Options> {
             "--wcal" => o.wcal = value()?.into(),
             "--keep" => o.keep = Some(value()?.into()),
             "--json" => o.json = Some(value()?.into()),
-            other => bail!("unknown option {other}; see the head of examples/bench_exam.rs"),
+            other => bail!("unknown option {other}; see the head of rigs/exam/examples/bench_exam.rs"),
         }
     }
     ensure!(

@@ -1,10 +1,12 @@
 //! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was put in.
 
+pub mod orders;
 mod pictures;
 mod run;
 mod score;
 mod summary;
 
+pub use orders::{Order, orders};
 pub use run::{Examiner, Paper, answer};
 pub use score::{FollowUp, Kind as Mark, Outcome, Part, score, score_scalar};
 pub use summary::{Goal, NoiseRow, by_noise, clopper_pearson, summarise};

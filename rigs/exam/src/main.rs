@@ -1,6 +1,6 @@
 //! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
 //!
-//! `cargo run --release --example exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
+//! `cargo run --release --bin wcal-exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
 //! `[--follow-up] [--mix MIX] [--only EFFECT] [--json FILE] [--record FILE] [--no-rivals]`
 //! `[--keep DIR] [--write DIR]`
 //!
@@ -13,16 +13,16 @@
 //! A goal is met or missed where the 95 % interval lies on one side of it, else open.
 //! `--json FILE` has every session; `--record FILE` what a table quotes: date, commit, command, seed, and the counts of each row.
 //! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 
 use anyhow::{Context, bail};
+use wcal_exam::orders::MIXES;
+use wcal_exam::{Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise};
 use wcal_plant::Make;
-use wcal_plant::exam::{Examiner, Goal, NoiseRow, Outcome, by_noise, clopper_pearson, summarise};
-use wcal_plant::orders::{MIXES, Order, orders};
 
 struct Options {
     draws: usize,
@@ -41,8 +41,8 @@ struct Options {
 }
 
 fn options() -> anyhow::Result<Options> {
-    // The program lies beside the folder of the examples.
-    let beside = std::env::current_exe()?.parent().and_then(|p| p.parent()).map(|p| p.join("wcal"));
+    // The program lies beside this one.
+    let beside = std::env::current_exe()?.parent().map(|p| p.join("wcal"));
     let mut o = Options {
         draws: 40,
         seed: 1,
@@ -75,7 +75,7 @@ fn options() -> anyhow::Result<Options> {
             "--write" => o.write = Some(value()?.into()),
             "--follow-up" => o.follow_up = true,
             "--no-rivals" => o.rivals = false,
-            other => bail!("unknown option {other}; see the head of examples/exam.rs"),
+            other => bail!("unknown option {other}; see the head of rigs/exam/src/main.rs"),
         }
     }
     if !MIXES.contains(&o.mix.as_str()) {

@@ -6,15 +6,15 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::PlantError;
-use crate::adversarial::Trick;
-use crate::case::{Case, Looked, Make, Request, Want};
-use crate::effects::Kind;
-use crate::layout::Design;
-use crate::noise::Noise;
-use crate::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
-use crate::session::{draw_looked, draw_under};
-use crate::shapes::Fault;
+use wcal_plant::PlantError;
+use wcal_plant::adversarial::Trick;
+use wcal_plant::case::{Case, Looked, Make, Request, Want};
+use wcal_plant::effects::Kind;
+use wcal_plant::layout::Design;
+use wcal_plant::noise::Noise;
+use wcal_plant::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+use wcal_plant::session::{draw_looked, draw_under};
+use wcal_plant::shapes::Fault;
 
 /// One order of an exam.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,7 +104,7 @@ pub const MIXES: [&str; 16] = [
 /// `only` keeps one effect identifier. Orders repeat the same for the same seed.
 pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bool) -> Vec<Order> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed);
-    let kinds: Vec<Kind> = crate::effects::ALL
+    let kinds: Vec<Kind> = wcal_plant::effects::ALL
         .into_iter()
         .filter(|k| only.is_none_or(|o| k.name().0 == o || k.name().1 == o))
         .collect();

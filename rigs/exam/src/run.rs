@@ -6,12 +6,12 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use super::score::{FollowUp, Kind, Outcome, crash, score, score_scalar};
-use crate::PlantError;
-use crate::case::Case;
-use crate::layout::Asked;
 use crate::orders::{Drawn, Order};
-use crate::session::later;
+use crate::score::{FollowUp, Kind, Outcome, crash, score, score_scalar};
+use wcal_plant::PlantError;
+use wcal_plant::case::Case;
+use wcal_plant::layout::Asked;
+use wcal_plant::session::later;
 
 /// A drawn case with its name.
 #[derive(Debug, Clone)]

@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::case::{Case, Flag, Make, Truth};
-use crate::noise::Noise;
 use crate::orders::Drawn;
-use crate::scalar::ScalarCase;
+use wcal_plant::case::{Case, Flag, Make, Truth};
+use wcal_plant::noise::Noise;
+use wcal_plant::scalar::ScalarCase;
 
 /// How an answer counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -45,7 +45,7 @@ pub struct Outcome {
     /// Laws put in.
     pub laws: Vec<String>,
     /// Layout, for a whisker.
-    pub design: Option<crate::Design>,
+    pub design: Option<wcal_plant::Design>,
     /// Kind of noise.
     pub noise: String,
     /// Make of the wire.
@@ -341,7 +341,7 @@ pub fn crash(name: &str, case: &Drawn, why: String, seconds: f64, code: Option<i
 /// Effect whose name gross readings may bear.
 const OUTLIERS: &str = "slip-outliers";
 /// Seconds from reading to reading of a drawn line.
-const READING_S: f64 = crate::scalar::READING_S;
+const READING_S: f64 = wcal_plant::scalar::READING_S;
 
 /// Readings that the answer says are off: the list, or the note where there is no list.
 fn flags(verify: &Value) -> BTreeSet<Flag> {

@@ -4,12 +4,12 @@
 use serde::Serialize;
 use statrs::distribution::{Beta, Binomial, ContinuousCDF, DiscreteCDF};
 
-use super::pictures::picture_goals;
-use super::score::{FollowUp, Kind, Outcome, Part};
-use crate::Design;
-use crate::case::Make;
-use crate::noise::Noise;
-use crate::scalar::ScalarNoise;
+use crate::pictures::picture_goals;
+use crate::score::{FollowUp, Kind, Outcome, Part};
+use wcal_plant::Design;
+use wcal_plant::case::Make;
+use wcal_plant::noise::Noise;
+use wcal_plant::scalar::ScalarNoise;
 
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -335,177 +335,234 @@ fn noise_row(noise: &str, of: &[&Outcome]) -> NoiseRow {
     }
 }
 
+/// Sessions like the practice sessions, by what a goal asks of them.
+struct Practice<'a> {
+    outcomes: &'a [Outcome],
+    /// One effect of the catalogue, in a rich layout.
+    singles: Vec<&'a Outcome>,
+    /// Not tampered with, and without an effect outside the catalogue.
+    known: Vec<&'a Outcome>,
+}
+
+fn rich(o: &Outcome) -> bool {
+    o.design == Some(Design::Rich)
+}
+
+fn tampered(o: &Outcome) -> bool {
+    o.label == "adversarial"
+}
+
+fn right(o: &Outcome) -> bool {
+    o.kind == Kind::Right
+}
+
+impl<'a> Practice<'a> {
+    fn new(outcomes: &'a [Outcome]) -> Self {
+        let mut all = Self { outcomes, singles: Vec::new(), known: Vec::new() };
+        all.singles = all.pick(&|o| rich(o) && o.laws.len() == 1 && o.label != "unknown");
+        all.known = all.pick(&|o| !tampered(o) && o.label != "unknown");
+        all
+    }
+
+    fn pick(&self, f: &dyn Fn(&Outcome) -> bool) -> Vec<&'a Outcome> {
+        self.outcomes.iter().filter(|o| f(o)).collect()
+    }
+
+    /// Goals of the names that are given.
+    fn names(&self) -> Vec<Goal> {
+        let nulls = self.pick(&|o| o.label == "null");
+        let above = |sigma: f64| -> Vec<&Outcome> {
+            self.singles.iter().copied().filter(|o| o.delta >= 0.97 * sigma).collect()
+        };
+        let clear: Vec<&Outcome> =
+            above(8.0).into_iter().filter(|o| o.rival_sigma.is_none_or(|r| r >= 3.0)).collect();
+        let clear_big: Vec<&Outcome> = clear.iter().copied().filter(|o| o.delta >= 0.97 * 20.0).collect();
+        let pairs = self.pick(&|o| rich(o) && o.label == "pair" && o.delta_each >= 0.97 * 8.0);
+        vec![
+            share(
+                "false attribution on nulls",
+                "<= 5 %",
+                &nulls,
+                |o| o.kind == Kind::False,
+                Side::AtMost(0.05),
+            ),
+            share(
+                "right class, rich single >= 8 sigma, no rival within 3",
+                ">= 93 %",
+                &clear,
+                right,
+                Side::AtLeast(0.93),
+            ),
+            share(
+                "right class, rich single >= 20 sigma, no rival within 3",
+                ">= 98 %",
+                &clear_big,
+                right,
+                Side::AtLeast(0.98),
+            ),
+            share("right class, every rich single >= 8 sigma", "-", &above(8.0), right, Side::None),
+            share(
+                "right or in the set, rich single >= 8 sigma",
+                "-",
+                &above(8.0),
+                |o| o.kind == Kind::Right || o.kind == Kind::AmbiguousIn,
+                Side::None,
+            ),
+            share(
+                "confident wrong name, rich single >= 8 sigma",
+                "-",
+                &above(8.0),
+                |o| matches!(o.kind, Kind::Wrong | Kind::Part),
+                Side::None,
+            ),
+            share("exact set on pairs, each >= 8 sigma", ">= 80 %", &pairs, right, Side::AtLeast(0.80)),
+            share("wrong extra effect on pairs", "<= 5 %", &pairs, |o| o.extra > 0, Side::AtMost(0.05)),
+        ]
+    }
+
+    /// Goals of answers that leave several explanations, and of the measurement that they ask for.
+    fn ambiguities(&self) -> Vec<Goal> {
+        let named = |o: &Outcome| o.label != "unknown" && o.label != "null";
+        let ambiguous = self.pick(&|o| o.verdict == "ambiguous" && !tampered(o) && named(o));
+        let followed: Vec<&FollowUp> = self.outcomes.iter().filter_map(|o| o.follow_up.as_ref()).collect();
+        let resolvable: Vec<&FollowUp> =
+            followed.iter().copied().filter(|f| f.expected_power >= 0.95).collect();
+        vec![
+            share("truth inside the ambiguity set", ">= 95 %", &ambiguous, |o| o.in_set, Side::AtLeast(0.95)),
+            number(
+                "alternatives in an ambiguous answer, median",
+                "-",
+                ambiguous.iter().map(|o| o.set_size as f64).collect(),
+                0.5,
+                f64::INFINITY,
+            ),
+            number(
+                "alternatives listed over what the data allow (rivals within 3 noises), mean",
+                "<= 1.2",
+                set_over_allowed(&ambiguous),
+                0.5,
+                1.2,
+            ),
+            rate(
+                "ambiguities that the program calls resolvable by three poses (power >= 0.95)",
+                "-",
+                resolvable.len(),
+                followed.len(),
+                Side::None,
+            ),
+            rate(
+                "of these resolved by the measurement asked for",
+                ">= 95 %",
+                resolvable.iter().filter(|f| f.resolved).count(),
+                resolvable.len(),
+                Side::AtLeast(0.95),
+            ),
+            rate(
+                "a wrong name after the measurement asked for",
+                "-",
+                followed.iter().filter(|f| matches!(f.kind, Kind::Wrong | Kind::Part)).count(),
+                followed.len(),
+                Side::None,
+            ),
+        ]
+    }
+
+    /// Goals of held-out errors and of intervals.
+    fn errors(&self) -> Vec<Goal> {
+        let known = self.known.iter();
+        let (inside, values) = known.filter_map(|o| o.covered).fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
+        let sizeable: Vec<&Outcome> =
+            self.known.iter().copied().filter(|o| o.label == "null" || o.delta >= 6.0).collect();
+        let ratios = |f: &dyn Fn(&Outcome) -> Option<f64>, of: &[&Outcome]| {
+            of.iter().filter_map(|o| f(o)).collect::<Vec<_>>()
+        };
+        let after = |o: &Outcome| o.after_ratio;
+        vec![
+            number("held-out error after / floor, median", "<= 1.05", ratios(&after, &sizeable), 0.5, 1.05),
+            number(
+                "held-out error after / floor, 95th percentile",
+                "<= 1.2",
+                ratios(&after, &sizeable),
+                0.95,
+                1.2,
+            ),
+            number(
+                "the same of the oracle, median",
+                "-",
+                sizeable.iter().map(|o| o.oracle_ratio).collect(),
+                0.5,
+                f64::INFINITY,
+            ),
+            number(
+                "the same of the oracle, 95th percentile",
+                "-",
+                sizeable.iter().map(|o| o.oracle_ratio).collect(),
+                0.95,
+                f64::INFINITY,
+            ),
+            number(
+                "held-out error before / floor, median",
+                "-",
+                ratios(&|o| o.before_ratio, &sizeable),
+                0.5,
+                f64::INFINITY,
+            ),
+            rate(
+                "stated 95 % intervals cover, pooled",
+                "95 % within bounds",
+                inside,
+                values,
+                Side::Contains(0.95),
+            ),
+        ]
+    }
+
+    /// Goals of what the catalogue does not hold, and of sessions that were tampered with.
+    fn unknowns(&self) -> Vec<Goal> {
+        let unknown = self.pick(&|o| o.label == "unknown" && o.delta >= 0.97 * 8.0);
+        let paper = self.pick(&|o| !rich(o) && o.label != "null" && !tampered(o));
+        vec![
+            share(
+                "outside the catalogue, >= 8 sigma: unknown-effect",
+                ">= 90 %",
+                &unknown,
+                right,
+                Side::AtLeast(0.90),
+            ),
+            share(
+                "outside the catalogue: driver right",
+                ">= 85 %",
+                &unknown,
+                |o| o.driver_right == Some(true),
+                Side::AtLeast(0.85),
+            ),
+            share(
+                "false unknown on known effects and nulls",
+                "<= 5 %",
+                &self.known,
+                |o| o.verdict == "unknown-effect",
+                Side::AtMost(0.05),
+            ),
+            share(
+                "paper-like sessions: no confident wrong name",
+                "-",
+                &paper,
+                |o| !matches!(o.kind, Kind::Wrong | Kind::Part | Kind::Crash),
+                Side::None,
+            ),
+            share(
+                "tampered sessions: no confident wrong name",
+                "all of these",
+                &self.pick(&tampered),
+                right,
+                Side::All,
+            ),
+        ]
+    }
+}
+
 /// Goals of sessions like the practice sessions.
 fn practice_goals(outcomes: &[Outcome]) -> Vec<Goal> {
-    let pick = |f: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| f(o)).collect::<Vec<_>>();
-    let rich = |o: &Outcome| o.design == Some(Design::Rich);
-    let tampered = |o: &Outcome| o.label == "adversarial";
-    let single = |o: &Outcome| o.laws.len() == 1 && o.label != "unknown";
-    let right = |o: &Outcome| o.kind == Kind::Right;
-    let nulls = pick(&|o| o.label == "null");
-    let singles = pick(&|o| rich(o) && single(o));
-    let above = |sigma: f64| -> Vec<&Outcome> {
-        singles.iter().copied().filter(|o| o.delta >= 0.97 * sigma).collect()
-    };
-    let clear: Vec<&Outcome> =
-        above(8.0).into_iter().filter(|o| o.rival_sigma.is_none_or(|r| r >= 3.0)).collect();
-    let clear_big: Vec<&Outcome> = clear.iter().copied().filter(|o| o.delta >= 0.97 * 20.0).collect();
-    let pairs = pick(&|o| rich(o) && o.label == "pair" && o.delta_each >= 0.97 * 8.0);
-    let unknown = pick(&|o| o.label == "unknown" && o.delta >= 0.97 * 8.0);
-    let known = pick(&|o| !tampered(o) && o.label != "unknown");
-    let paper = pick(&|o| !rich(o) && o.label != "null" && !tampered(o));
-    let ambiguous =
-        pick(&|o| o.verdict == "ambiguous" && !tampered(o) && o.label != "unknown" && o.label != "null");
-    let followed: Vec<&FollowUp> = outcomes.iter().filter_map(|o| o.follow_up.as_ref()).collect();
-    let resolvable: Vec<&FollowUp> = followed.iter().copied().filter(|f| f.expected_power >= 0.95).collect();
-    let covered: Vec<(usize, usize)> =
-        outcomes.iter().filter(|o| !tampered(o) && o.label != "unknown").filter_map(|o| o.covered).collect();
-    let (inside, values) = covered.iter().fold((0, 0), |(a, b), (k, n)| (a + k, b + n));
-    let ratios = |f: &dyn Fn(&Outcome) -> Option<f64>, of: &[&Outcome]| {
-        of.iter().filter_map(|o| f(o)).collect::<Vec<_>>()
-    };
-    let after = |o: &Outcome| o.after_ratio;
-    let sizeable = pick(&|o| known.iter().any(|k| k.name == o.name) && (o.label == "null" || o.delta >= 6.0));
-
-    vec![
-        share("false attribution on nulls", "<= 5 %", &nulls, |o| o.kind == Kind::False, Side::AtMost(0.05)),
-        share(
-            "right class, rich single >= 8 sigma, no rival within 3",
-            ">= 93 %",
-            &clear,
-            right,
-            Side::AtLeast(0.93),
-        ),
-        share(
-            "right class, rich single >= 20 sigma, no rival within 3",
-            ">= 98 %",
-            &clear_big,
-            right,
-            Side::AtLeast(0.98),
-        ),
-        share("right class, every rich single >= 8 sigma", "-", &above(8.0), right, Side::None),
-        share(
-            "right or in the set, rich single >= 8 sigma",
-            "-",
-            &above(8.0),
-            |o| o.kind == Kind::Right || o.kind == Kind::AmbiguousIn,
-            Side::None,
-        ),
-        share(
-            "confident wrong name, rich single >= 8 sigma",
-            "-",
-            &above(8.0),
-            |o| matches!(o.kind, Kind::Wrong | Kind::Part),
-            Side::None,
-        ),
-        share("exact set on pairs, each >= 8 sigma", ">= 80 %", &pairs, right, Side::AtLeast(0.80)),
-        share("wrong extra effect on pairs", "<= 5 %", &pairs, |o| o.extra > 0, Side::AtMost(0.05)),
-        share("truth inside the ambiguity set", ">= 95 %", &ambiguous, |o| o.in_set, Side::AtLeast(0.95)),
-        number(
-            "alternatives in an ambiguous answer, median",
-            "-",
-            ambiguous.iter().map(|o| o.set_size as f64).collect(),
-            0.5,
-            f64::INFINITY,
-        ),
-        number(
-            "alternatives listed over what the data allow (rivals within 3 noises), mean",
-            "<= 1.2",
-            set_over_allowed(&ambiguous),
-            0.5,
-            1.2,
-        ),
-        rate(
-            "ambiguities that the program calls resolvable by three poses (power >= 0.95)",
-            "-",
-            resolvable.len(),
-            followed.len(),
-            Side::None,
-        ),
-        rate(
-            "of these resolved by the measurement asked for",
-            ">= 95 %",
-            resolvable.iter().filter(|f| f.resolved).count(),
-            resolvable.len(),
-            Side::AtLeast(0.95),
-        ),
-        rate(
-            "a wrong name after the measurement asked for",
-            "-",
-            followed.iter().filter(|f| matches!(f.kind, Kind::Wrong | Kind::Part)).count(),
-            followed.len(),
-            Side::None,
-        ),
-        number("held-out error after / floor, median", "<= 1.05", ratios(&after, &sizeable), 0.5, 1.05),
-        number(
-            "held-out error after / floor, 95th percentile",
-            "<= 1.2",
-            ratios(&after, &sizeable),
-            0.95,
-            1.2,
-        ),
-        number(
-            "the same of the oracle, median",
-            "-",
-            sizeable.iter().map(|o| o.oracle_ratio).collect(),
-            0.5,
-            f64::INFINITY,
-        ),
-        number(
-            "the same of the oracle, 95th percentile",
-            "-",
-            sizeable.iter().map(|o| o.oracle_ratio).collect(),
-            0.95,
-            f64::INFINITY,
-        ),
-        number(
-            "held-out error before / floor, median",
-            "-",
-            ratios(&|o| o.before_ratio, &sizeable),
-            0.5,
-            f64::INFINITY,
-        ),
-        rate(
-            "stated 95 % intervals cover, pooled",
-            "95 % within bounds",
-            inside,
-            values,
-            Side::Contains(0.95),
-        ),
-        share(
-            "outside the catalogue, >= 8 sigma: unknown-effect",
-            ">= 90 %",
-            &unknown,
-            right,
-            Side::AtLeast(0.90),
-        ),
-        share(
-            "outside the catalogue: driver right",
-            ">= 85 %",
-            &unknown,
-            |o| o.driver_right == Some(true),
-            Side::AtLeast(0.85),
-        ),
-        share(
-            "false unknown on known effects and nulls",
-            "<= 5 %",
-            &known,
-            |o| o.verdict == "unknown-effect",
-            Side::AtMost(0.05),
-        ),
-        share(
-            "paper-like sessions: no confident wrong name",
-            "-",
-            &paper,
-            |o| !matches!(o.kind, Kind::Wrong | Kind::Part | Kind::Crash),
-            Side::None,
-        ),
-        share(
-            "tampered sessions: no confident wrong name",
-            "all of these",
-            &pick(&tampered),
-            right,
-            Side::All,
-        ),
-    ]
+    let practice = Practice::new(outcomes);
+    [practice.names(), practice.ambiguities(), practice.errors(), practice.unknowns()].concat()
 }

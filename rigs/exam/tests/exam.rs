@@ -1,12 +1,14 @@
 //! The scorer: marks, held-out errors, bounds, and the whole run with a stand-in program.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+
 use serde_json::{Value, json};
-use wcal_plant::exam::{
-    Examiner, Goal, Mark, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise,
+use wcal_exam::{
+    Examiner, Goal, Mark, Order, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise,
 };
 use wcal_plant::scalar;
 use wcal_plant::{
-    Case, Design, Kind, Make, Noise, Order, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
+    Case, Design, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
     draw_under,
 };
 

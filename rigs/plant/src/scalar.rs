@@ -216,7 +216,7 @@ fn size(signature: &[f64], rows: &[ScalarReading], axis: bool, rho: f64, noise_s
 }
 
 /// Seconds from reading to reading and between sweeps.
-pub(crate) const READING_S: f64 = 2.0;
+pub const READING_S: f64 = 2.0;
 const PAUSE_S: f64 = 10.0;
 
 /// Sweeps up and down in turn, every other session with one more as a holdout.

@@ -131,6 +131,122 @@ fn across(t: &V3) -> [V3; 2] {
     [first, t.cross(&first)]
 }
 
+/// Errors that a pair has of its own, as `stations` of its line see them.
+fn own_errors(s: &Shown, stations: &[usize], own_mm: f64) -> Vec<Column> {
+    let zeros = || vec![V3::zeros(); stations.len()];
+    let mut own = Vec::new();
+    // Along the wire the tag errs, and the foot with it; across it the wire does.
+    own.push(Column { groove: s.tangent * own_mm, arc: own_mm, stations: zeros() });
+    own.extend(across(&s.tangent).map(|n| Column { groove: n * own_mm, arc: 0.0, stations: zeros() }));
+    own.push(Column { groove: V3::zeros(), arc: 0.5 * own_mm, stations: zeros() });
+    for (i, at) in stations.iter().enumerate() {
+        let next = s.line_mm[(at + 1).min(s.line_mm.len() - 1)];
+        let before = s.line_mm[at.saturating_sub(1)];
+        for n in across(&(next - before).normalize()) {
+            let mut moved = zeros();
+            moved[i] = n * own_mm;
+            own.push(Column { groove: V3::zeros(), arc: 0.0, stations: moved });
+        }
+    }
+    own
+}
+
+/// Errors that all pairs share, in the order of `shared_parameters`, as `places` of a pair see them.
+fn shared_errors(s: &Shown, places: &[V3]) -> Vec<Column> {
+    let zeros = || vec![V3::zeros(); places.len()];
+    let axes = [V3::x(), V3::y(), V3::z()];
+    let mut shared: Vec<Column> =
+        axes.iter().map(|a| Column { groove: *a, arc: 0.0, stations: vec![*a; places.len()] }).collect();
+    shared.extend(axes.iter().map(|a| Column {
+        groove: a.cross(&s.groove_mm),
+        arc: 0.0,
+        stations: places.iter().map(|p| a.cross(p)).collect(),
+    }));
+    let scaled = || Column { groove: s.groove_mm, arc: s.arclength_mm, stations: places.to_vec() };
+    shared.push(scaled());
+    // Taken as known by the pictures' evaluation: their derivatives say what a fault would do.
+    shared.push(scaled());
+    shared.extend(axes.iter().map(|a| {
+        let along = s.tangent.dot(a);
+        Column { groove: s.tangent * along, arc: along, stations: zeros() }
+    }));
+    shared
+}
+
+/// Pair `k` of so many as pictures would give it: its errors drawn, and the fault.
+fn pair_json(
+    (point, s): (usize, &Shown),
+    cameras: &Cameras,
+    (fault, k, count): (Fault, usize, usize),
+    q: &[f64],
+    normal: &mut dyn FnMut() -> f64,
+) -> Value {
+    let stations: Vec<usize> = (0..s.line_mm.len()).step_by(STATION_EVERY).collect();
+    let places: Vec<V3> = stations.iter().map(|&i| s.line_mm[i]).collect();
+    let own = own_errors(s, &stations, cameras.own_mm);
+    let shared = shared_errors(s, &places);
+    let (mut groove, mut arc, mut line) = (s.groove_mm, s.arclength_mm, s.line_mm.clone());
+    // Errors and faults of groove and contact, by their derivatives.
+    let mut sizes = q.to_vec();
+    sizes.resize(shared.len(), 0.0);
+    let later = |from: f64| k as f64 >= from * (count - 1) as f64;
+    match fault {
+        Fault::None => {}
+        Fault::BoardScale(e) => sizes[7] += e,
+        Fault::RigTag(offset) => (0..3).for_each(|a| sizes[8 + a] += offset[a]),
+        Fault::Moved(by, from) if later(from) => (0..3).for_each(|a| sizes[a] += by[a]),
+        Fault::Moved(..) => {}
+    }
+    for (c, size) in shared.iter().zip(&sizes) {
+        groove += c.groove * *size;
+        arc += c.arc * size;
+    }
+    // The line's points take the same shared errors and faults as the stations.
+    let turn = V3::new(q[3], q[4], q[5]);
+    let shift = V3::new(q[0], q[1], q[2]);
+    for p in &mut line {
+        let mut by = shift + turn.cross(p) + *p * q[6];
+        match fault {
+            Fault::BoardScale(e) => by += *p * e,
+            Fault::Moved(m, from) if later(from) => by += V3::from(m),
+            _ => {}
+        }
+        *p += by;
+    }
+    for c in &own {
+        let size = normal();
+        groove += c.groove * size;
+        arc += c.arc * size;
+        for (i, by) in stations.iter().zip(&c.stations) {
+            line[*i] += by * size;
+        }
+    }
+    let sd = (cameras.stated * cameras.own_mm).hypot(cameras.shift_mm);
+    json!({
+        "name": format!("{point:05}"),
+        "status": "ok",
+        "point": point,
+        "centreline_mm": line.iter().map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>(),
+        "centreline_sd_mm": vec![sd; line.len()],
+        "length_mm": s.arcs_mm.last(),
+        "groove": {
+            "position_mm": [groove.x, groove.y, groove.z],
+            "sd_mm": [sd, sd, sd],
+            "contact_arclength_mm": arc,
+            "contact_arclength_sd_mm": sd,
+            "axis": [s.tangent.x, s.tangent.y, s.tangent.z],
+            "contact": "vertex",
+        },
+        "errors": {
+            "stations": stations,
+            "stations_mm": stations.iter().map(|i| s.arcs_mm[*i]).collect::<Vec<_>>(),
+            "own": own.iter().map(|c| c.json(cameras.stated)).collect::<Vec<_>>(),
+            "floor_mm": 1e-3,
+            "shared": shared.iter().map(|c| c.json(1.0)).collect::<Vec<_>>(),
+        },
+    })
+}
+
 /// `shapes.json` of the poses `shown`, each with its point.
 pub fn shapes_json(
     session: &str,
@@ -150,103 +266,7 @@ pub fn shapes_json(
         .collect();
     let mut pairs = Vec::new();
     for (k, (point, s)) in shown.iter().enumerate() {
-        let stations: Vec<usize> = (0..s.line_mm.len()).step_by(STATION_EVERY).collect();
-        let places: Vec<V3> = stations.iter().map(|&i| s.line_mm[i]).collect();
-        let zeros = || vec![V3::zeros(); places.len()];
-        let mut own = Vec::new();
-        // Along the wire the tag errs, and the foot with it; across it the wire does.
-        own.push(Column { groove: s.tangent * cameras.own_mm, arc: cameras.own_mm, stations: zeros() });
-        own.extend(across(&s.tangent).map(|n| Column {
-            groove: n * cameras.own_mm,
-            arc: 0.0,
-            stations: zeros(),
-        }));
-        own.push(Column { groove: V3::zeros(), arc: 0.5 * cameras.own_mm, stations: zeros() });
-        for (i, at) in stations.iter().enumerate() {
-            let next = s.line_mm[(at + 1).min(s.line_mm.len() - 1)];
-            let before = s.line_mm[at.saturating_sub(1)];
-            for n in across(&(next - before).normalize()) {
-                let mut moved = zeros();
-                moved[i] = n * cameras.own_mm;
-                own.push(Column { groove: V3::zeros(), arc: 0.0, stations: moved });
-            }
-        }
-        let axes = [V3::x(), V3::y(), V3::z()];
-        let mut shared: Vec<Column> =
-            axes.iter().map(|a| Column { groove: *a, arc: 0.0, stations: vec![*a; places.len()] }).collect();
-        shared.extend(axes.iter().map(|a| Column {
-            groove: a.cross(&s.groove_mm),
-            arc: 0.0,
-            stations: places.iter().map(|p| a.cross(p)).collect(),
-        }));
-        let scaled = || Column { groove: s.groove_mm, arc: s.arclength_mm, stations: places.clone() };
-        shared.push(scaled());
-        // Taken as known by the pictures' evaluation: their derivatives say what a fault would do.
-        shared.push(scaled());
-        shared.extend(axes.iter().map(|a| {
-            let along = s.tangent.dot(a);
-            Column { groove: s.tangent * along, arc: along, stations: zeros() }
-        }));
-        let (mut groove, mut arc, mut line) = (s.groove_mm, s.arclength_mm, s.line_mm.clone());
-        // Errors and faults of groove and contact, by their derivatives.
-        let mut sizes = q.clone();
-        sizes.resize(shared.len(), 0.0);
-        let later = |from: f64| k as f64 >= from * (shown.len() - 1) as f64;
-        match fault {
-            Fault::None => {}
-            Fault::BoardScale(e) => sizes[7] += e,
-            Fault::RigTag(offset) => (0..3).for_each(|a| sizes[8 + a] += offset[a]),
-            Fault::Moved(by, from) if later(from) => (0..3).for_each(|a| sizes[a] += by[a]),
-            Fault::Moved(..) => {}
-        }
-        for (c, size) in shared.iter().zip(&sizes) {
-            groove += c.groove * *size;
-            arc += c.arc * size;
-        }
-        // The line's points take the same shared errors and faults as the stations.
-        let turn = V3::new(q[3], q[4], q[5]);
-        let shift = V3::new(q[0], q[1], q[2]);
-        for p in &mut line {
-            let mut by = shift + turn.cross(p) + *p * q[6];
-            match fault {
-                Fault::BoardScale(e) => by += *p * e,
-                Fault::Moved(m, from) if later(from) => by += V3::from(m),
-                _ => {}
-            }
-            *p += by;
-        }
-        for c in &own {
-            let size = normal();
-            groove += c.groove * size;
-            arc += c.arc * size;
-            for (i, by) in stations.iter().zip(&c.stations) {
-                line[*i] += by * size;
-            }
-        }
-        let sd = (cameras.stated * cameras.own_mm).hypot(cameras.shift_mm);
-        pairs.push(json!({
-            "name": format!("{point:05}"),
-            "status": "ok",
-            "point": point,
-            "centreline_mm": line.iter().map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>(),
-            "centreline_sd_mm": vec![sd; line.len()],
-            "length_mm": s.arcs_mm.last(),
-            "groove": {
-                "position_mm": [groove.x, groove.y, groove.z],
-                "sd_mm": [sd, sd, sd],
-                "contact_arclength_mm": arc,
-                "contact_arclength_sd_mm": sd,
-                "axis": [s.tangent.x, s.tangent.y, s.tangent.z],
-                "contact": "vertex",
-            },
-            "errors": {
-                "stations": stations,
-                "stations_mm": stations.iter().map(|i| s.arcs_mm[*i]).collect::<Vec<_>>(),
-                "own": own.iter().map(|c| c.json(cameras.stated)).collect::<Vec<_>>(),
-                "floor_mm": 1e-3,
-                "shared": shared.iter().map(|c| c.json(1.0)).collect::<Vec<_>>(),
-            },
-        }));
+        pairs.push(pair_json((*point, s), cameras, (fault, k, shown.len()), &q, &mut normal));
     }
     let named = |name: &str, unit: &str, cause: &str| json!({"name": name, "unit": unit, "cause": cause});
     let parameters = vec![

@@ -101,17 +101,22 @@ fn tags_of(loaded: &[Result<Loaded, String>]) -> Vec<PairTags> {
     loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect()
 }
 
-/// Fits all pairs that could be read.
-fn shapes_of_loaded(
+/// The pairs as fitted in the base's frame, the freedom that their roots had, and what tags and wire disagree about.
+struct FittedPairs {
+    fits: Vec<Result<PairFit, String>>,
+    root_sd: [f64; 2],
+    warnings: Vec<String>,
+}
+
+/// Fits all pairs that could be read, and moves them into the frame that tags and wires of all of them give.
+fn fit_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
-    files: &[PairFiles],
     loaded: &[Result<Loaded, String>],
+    base: Option<&FolderBase>,
     times: &StageClock,
     progress: &(dyn Fn(&str) + Sync),
-) -> (ShapesDocument, Vec<Option<PairFit>>) {
-    let tags = tags_of(loaded);
-    let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
+) -> FittedPairs {
     let mut warnings = Vec::new();
     let attempt = |root_sd: [f64; 2], earlier: &[Result<PairFit, String>]| -> Vec<Result<PairFit, String>> {
         loaded
@@ -124,7 +129,7 @@ fn shapes_of_loaded(
                     Some(Ok(fit)) => Some(fit),
                     Some(Err(why)) => return Err(why.clone()),
                 };
-                let fit = fit_one(stereo, rig, l, base.as_ref(), k, Attempt { root_sd, start }, times);
+                let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start }, times);
                 // Once a pair, also where it is fitted again.
                 if start.is_none() && root_sd == ROOT_CLAMPED {
                     progress(&l.name);
@@ -142,7 +147,7 @@ fn shapes_of_loaded(
     let free = (most_lost || root_misplaced(&fits, rig.whisker.diameter_mm))
         .then(|| attempt(ROOT_FREE, &[]))
         .filter(|free| !most_lost || sound(free) > sound(&fits));
-    let mut joint = base.as_ref().map(|b| Joint::new(b, free.as_ref().unwrap_or(&fits), ROOT_CLAMPED));
+    let mut joint = base.map(|b| Joint::new(b, free.as_ref().unwrap_or(&fits), ROOT_CLAMPED));
     if let Some(j) = &joint
         && j.disagreement > DISAGREEMENT
     {
@@ -152,9 +157,9 @@ fn shapes_of_loaded(
         ));
         root_sd = ROOT_FREE;
         fits = free.unwrap_or_else(|| attempt(root_sd, &fits));
-        joint = base.as_ref().map(|b| Joint::new(b, &fits, root_sd));
+        joint = base.map(|b| Joint::new(b, &fits, root_sd));
     }
-    if let (Some(j), Some(b)) = (&joint, &base) {
+    if let (Some(j), Some(b)) = (&joint, base) {
         times.time_alone(Stage::Joint, || {
             fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
                 if let Ok(fit) = fit
@@ -165,6 +170,22 @@ fn shapes_of_loaded(
             })
         });
     }
+    FittedPairs { fits, root_sd, warnings }
+}
+
+/// The document of all pairs, and the fits.
+fn shapes_of_loaded(
+    stereo: &StereoCameras,
+    rig: &Rig,
+    files: &[PairFiles],
+    loaded: &[Result<Loaded, String>],
+    times: &StageClock,
+    progress: &(dyn Fn(&str) + Sync),
+) -> (ShapesDocument, Vec<Option<PairFit>>) {
+    let tags = tags_of(loaded);
+    let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
+    let FittedPairs { fits, root_sd, mut warnings } =
+        fit_pairs(stereo, rig, loaded, base.as_ref(), times, progress);
     let uncertain = base.as_ref().map_or_else(
         || files.iter().map(|_| None).collect(),
         |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),

@@ -13,7 +13,7 @@ use crate::stereo::StereoCameras;
 use crate::wire::appearance::fit_appearance;
 use crate::wire::piece::{Appearance, Piece};
 use crate::wire::search::find_wire;
-use crate::wire::tip::find_tip;
+use crate::wire::tip::{Tip, find_tip};
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
 /// A fitted pair.
@@ -184,21 +184,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
                 noise = consistent_noise(&system, noise, &all);
             }
         }
-        let shape = model.shape(&state);
-        let ends: Vec<_> = (0..2)
-            .filter_map(|camera| {
-                let line = image_line(
-                    stereo,
-                    left_from_base,
-                    camera,
-                    &shape.points,
-                    model.step_mm,
-                    f64::INFINITY,
-                    rig.whisker.diameter_mm,
-                );
-                find_tip(&pictures[camera], &line.stations, appearances[camera], length)
-            })
-            .collect();
+        let ends = ends_seen(scene, &model, &state, appearances, length);
         end_seen = !ends.is_empty();
         if ends.is_empty() {
             let last = all.iter().fold(0.0f64, |m, s| m.max(s.arc_mm));
@@ -221,39 +207,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         }
         round += 1;
     }
-    let expected = rig.whisker.length_mm;
-    // The wire's length is known: a line that ends far from it is another object.
-    if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
-        return Err(format!(
-            "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
-        ));
-    }
-    if let Some((camera, from, to)) = unseen_stretch(&pieces, length) {
-        let side = ["left", "right"][camera];
-        return Err(format!(
-            "the {side} picture shows hardly anything of the wire from {from:.0} to {to:.0} mm: one view gives no shape (hidden, lost on something else, or no wire there)"
-        ));
-    }
-    let tail = tail_share(&pieces, expected);
-    if tail < TAIL_SHARE {
-        return Err(format!(
-            "the wire is lost: its last third shows {:.0} % of the pieces that the rest of it has a mm (lost on something else, or it points at both cameras)",
-            100.0 * tail
-        ));
-    }
-    if noise > SCATTER_REJECT {
-        return Err(format!(
-            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire next to the first, or an object in front of it"
-        ));
-    }
-    if noise > SCATTER_WARN {
-        warnings.push(format!(
-            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture next to it?"
-        ));
-    }
-    if (length - expected).abs() > 0.02 * expected {
-        warnings.push(format!("length {length:.2} mm, nominal {expected:.2} mm"));
-    }
+    warnings.extend(doubts(&pieces, length, end_seen, noise, rig.whisker.length_mm)?);
     let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
     Ok(PairFit {
         model,
@@ -274,6 +228,67 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         root_aside_mm: begun.root_aside_mm,
         warnings,
     })
+}
+
+/// The wire's end where a picture shows it, near the arc length `length`.
+fn ends_seen(
+    scene: &Scene<'_>,
+    model: &CurveModel,
+    state: &CurveState,
+    appearances: [Appearance; 2],
+    length: f64,
+) -> Vec<Tip> {
+    let (points, diameter_mm) = (model.shape(state).points, scene.rig.whisker.diameter_mm);
+    let of = |camera: usize| {
+        let (from, step) = (scene.left_from_base, model.step_mm);
+        let line = image_line(scene.stereo, from, camera, &points, step, f64::INFINITY, diameter_mm);
+        find_tip(&scene.pictures[camera], &line.stations, appearances[camera], length)
+    };
+    (0..2).filter_map(of).collect()
+}
+
+/// Why a fitted line is not the wire, or what is doubtful about it; `expected` is the wire's length, mm.
+fn doubts(
+    pieces: &[(Vec<Piece>, Vec<bool>); 2],
+    length: f64,
+    end_seen: bool,
+    noise: f64,
+    expected: f64,
+) -> Result<Vec<String>, String> {
+    let mut warnings = Vec::new();
+    // The wire's length is known: a line that ends far from it is another object.
+    if end_seen && (length - expected).abs() > LENGTH_SHARE * expected {
+        return Err(format!(
+            "the line found ends at {length:.1} mm, the wire is {expected:.1} mm long: lost on something else, or whisker.length_mm in the rig file is wrong"
+        ));
+    }
+    if let Some((camera, from, to)) = unseen_stretch(pieces, length) {
+        let side = ["left", "right"][camera];
+        return Err(format!(
+            "the {side} picture shows hardly anything of the wire from {from:.0} to {to:.0} mm: one view gives no shape (hidden, lost on something else, or no wire there)"
+        ));
+    }
+    let tail = tail_share(pieces, expected);
+    if tail < TAIL_SHARE {
+        return Err(format!(
+            "the wire is lost: its last third shows {:.0} % of the pieces that the rest of it has a mm (lost on something else, or it points at both cameras)",
+            100.0 * tail
+        ));
+    }
+    if noise > SCATTER_REJECT {
+        return Err(format!(
+            "the pieces found lie {noise:.0} times farther from one smooth curve than their noise: a second wire next to the first, or an object in front of it"
+        ));
+    }
+    if noise > SCATTER_WARN {
+        warnings.push(format!(
+            "the pieces lie {noise:.1} times farther from the curve than their noise: a second wire or texture next to it?"
+        ));
+    }
+    if (length - expected).abs() > 0.02 * expected {
+        warnings.push(format!("length {length:.2} mm, nominal {expected:.2} mm"));
+    }
+    Ok(warnings)
 }
 
 /// The curve that the search found, before anything is measured.

@@ -8,6 +8,7 @@ use crate::tags::apriltag_ffi::{MIN_CONTRAST, RawTag, Region, detect};
 use crate::tags::edges::{FINE_PX, balance, refine_by_cells};
 use crate::tags::regions::tag_regions;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use wcal_core::least_squares::{Damping, Minimum, NormalEquations, minimise};
 
 /// A tag in one picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -193,16 +194,25 @@ fn intersect(a: &Edge, b: &Edge) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     Some((p, c))
 }
 
-/// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
-/// (u across, t along), by Levenberg-Marquardt from an earlier edge; without one only the place to search, see [`balanced`]. None where the
-/// pixels are too few or the fit fails.
-fn fit_edge(
+/// The pixels beside an edge: across and along it (over half its length), and grey value.
+struct Strip {
+    origin: Vector2<f64>,
+    direction: Vector2<f64>,
+    normal: Vector2<f64>,
+    half: f64,
+    reach: f64,
+    pixels: Vec<(f64, f64, f64)>,
+}
+
+/// The strip along the edge from `a` to `b`; where `thinned`, of a long edge every second pixel. None where it leaves the picture or is too
+/// small.
+fn strip(
     picture: &Picture,
     camera: Option<&Camera>,
     [a, b]: [&Vector2<f64>; 2],
     cells: f64,
-    earlier: Option<&Edge>,
-) -> Option<Edge> {
+    thinned: bool,
+) -> Option<Strip> {
     let length = (b - a).norm();
     let cell = length / cells;
     // Within 0.7 of a cell nothing but the border and the margin is seen; the ends are kept clear of the other edges.
@@ -220,9 +230,9 @@ fn fit_edge(
     if !picture.contains(lo.x - pad, lo.y - pad, 0.0) || !picture.contains(hi.x + pad, hi.y + pad, 0.0) {
         return None;
     }
-    // Row by row within the strip along the edge. Every second pixel of a long edge is enough for the first fit.
+    // Row by row within the strip along the edge.
     let middle = 0.5 * (bent_a + bent_b);
-    let sparse = earlier.is_none() && 2.0 * reach * (length - 2.0 * clear) > SPARSE_FROM_PX2;
+    let sparse = thinned && 2.0 * reach * (length - 2.0 * clear) > SPARSE_FROM_PX2;
     let stride = if sparse { 2 } else { 1 };
     let mut pixels: Vec<(f64, f64, f64)> = Vec::with_capacity((2.0 * reach * length) as usize);
     for y in (lo.y - pad) as i64..=(hi.y + pad) as i64 {
@@ -242,17 +252,30 @@ fn fit_edge(
             }
         }
     }
-    if pixels.len() < 24 {
-        return None;
-    }
+    (pixels.len() >= 24).then_some(Strip { origin, direction, normal, half, reach, pixels })
+}
+
+/// Fits `level + gradient t + (step + change t) S((u - d - e t) / s)` to the pixels beside the edge from `a` to `b`
+/// (u across, t along), by Levenberg-Marquardt from an earlier edge; without one only the place to search, see [`balanced`]. None where the
+/// pixels are too few or the fit fails.
+fn fit_edge(
+    picture: &Picture,
+    camera: Option<&Camera>,
+    ends: [&Vector2<f64>; 2],
+    cells: f64,
+    earlier: Option<&Edge>,
+) -> Option<Edge> {
+    // Every second pixel of a long edge is enough for the first fit.
+    let Strip { origin, direction, normal, half, reach, pixels } =
+        strip(picture, camera, ends, cells, earlier.is_none())?;
     let Some(earlier) = earlier else {
         return balanced(&pixels, reach, half, [&origin, &direction, &normal]);
     };
-    let mut p = earlier.profile;
+    let mut start = earlier.profile;
     // The ends already lie on the earlier line.
-    (p[0], p[1]) = (0.0, 0.0);
+    (start[0], start[1]) = (0.0, 0.0);
     let linearise = |p: &SVector<f64, 7>| {
-        let (mut cost, mut normal, mut gradient) =
+        let (mut cost, mut matrix, mut descent) =
             (0.0, SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
         let blur = p[2].exp();
         for &(u, t, value) in &pixels {
@@ -266,40 +289,21 @@ fn fit_edge(
             // Only the lower half: this is the innermost loop of all tags.
             for k in 0..7 {
                 for i in k..7 {
-                    normal[(i, k)] += j[i] * j[k];
+                    matrix[(i, k)] += j[i] * j[k];
                 }
-                gradient[k] += j[k] * r;
+                descent[k] += j[k] * r;
             }
         }
-        (cost, normal, gradient)
+        Some(NormalEquations { cost, matrix, descent })
     };
-    let (mut cost, mut hessian, mut gradient) = linearise(&p);
-    let mut lambda = 1e-3;
-    for _ in 0..30 {
-        let mut damped = hessian;
-        for k in 0..7 {
-            damped[(k, k)] *= 1.0 + lambda;
-        }
-        let step = damped.cholesky()?.solve(&gradient);
-        let next = linearise(&(p + step));
-        if next.0 <= cost {
-            p += step;
-            (cost, hessian, gradient) = next;
-            lambda = (lambda * 0.2).max(1e-9);
-            if step[0].abs() + step[1].abs() < FINE_PX {
-                break;
-            }
-        } else {
-            lambda *= 8.0;
-            if lambda > 1e8 {
-                break;
-            }
-        }
-    }
-    if p[0].abs() > reach || !cost.is_finite() || p[2].exp() > 2.0 * reach {
+    let first = (start, linearise(&start)?);
+    let damping = Damping { max_steps: 30, ..Damping::default() };
+    let settled = |step: &SVector<f64, 7>, _: [f64; 2]| step[0].abs() + step[1].abs() < FINE_PX;
+    let Minimum { place: p, at, .. } = minimise(first, &damping, linearise, |p, _, step| p + step, settled);
+    if p[0].abs() > reach || !at.cost.is_finite() || p[2].exp() > 2.0 * reach {
         return None;
     }
-    let inverse = hessian.cholesky()?.inverse() * (cost / (pixels.len() as f64 - 7.0));
+    let inverse = at.matrix.cholesky()?.inverse() * (at.cost / (pixels.len() as f64 - 7.0));
     let scale = Matrix2::new(1.0, 0.0, 0.0, 1.0 / half);
     let covariance = scale * inverse.fixed_view::<2, 2>(0, 0) * scale;
     let turned = (direction + normal * (p[1] / half)).normalize();

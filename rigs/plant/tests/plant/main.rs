@@ -9,7 +9,6 @@
 )]
 
 mod cameras;
-mod exam;
 mod noise;
 mod physics;
 mod sessions;

@@ -3,13 +3,11 @@
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use wcal_plant::noise::{Covariance, Law, visits};
-use wcal_plant::orders::{Drawn, MIXES};
 use wcal_plant::scalar;
 use wcal_plant::session::draw_on;
 use wcal_plant::simulate::Plant;
 use wcal_plant::{
-    Case, Design, Make, Noise, Order, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw_under,
-    orders,
+    Case, Design, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw_under,
 };
 
 fn request(seed: u64, design: Design) -> Request {
@@ -443,47 +441,4 @@ fn lines_are_written_as_sessions() {
         let held_out = case.readings.iter().any(|r| r.holdout);
         assert_eq!(toml.contains("holdout.csv") && out.join("holdout.csv").exists(), held_out);
     }
-}
-
-#[test]
-fn mixes_go_through_all_kinds_layouts_and_wires() {
-    let mut noises = std::collections::BTreeSet::new();
-    let mut designs = std::collections::BTreeSet::new();
-    let mut wires = std::collections::BTreeSet::new();
-    for order in orders("noise-null", 66, 5, None, false) {
-        let Order::Whisker(request, noise, make) = order else { panic!("a whisker's order") };
-        assert_eq!(request.want, Want::Null);
-        noises.insert(noise.name());
-        designs.insert(format!("{:?}", request.design));
-        wires.insert(format!("{make:?}"));
-    }
-    assert_eq!((noises.len(), designs.len(), wires.len()), (11, 5, 2));
-    for order in orders("noise-single", 66, 5, None, false) {
-        let Order::Whisker(Request { want: Want::Effects(kinds), design, .. }, noise, _) = order else {
-            panic!("an effect")
-        };
-        assert!(kinds.len() == 1 && !kinds[0].is_unknown() && design != Design::Paper);
-        let gross = matches!(noise, Noise::OneGross | Noise::TwoGross);
-        assert!(!(gross && kinds[0] == wcal_plant::Kind::SlipOutliers));
-    }
-    let lines = |mix: &str| -> Vec<ScalarRequest> {
-        orders(mix, 20, 5, None, false)
-            .into_iter()
-            .map(|o| match o {
-                Order::Scalar(request) => request,
-                Order::Whisker(..) | Order::Looked(..) => panic!("a line's order"),
-            })
-            .collect()
-    };
-    let nulls = lines("scalar-null");
-    assert!(nulls.iter().all(|r| r.effect.is_none()) && nulls.iter().any(|r| r.axis));
-    assert!(ScalarNoise::ALL.iter().all(|n| nulls.iter().any(|r| r.noise == *n)));
-    assert!(lines("scalar-single").iter().all(|r| r.effect.is_some()));
-    let all = orders("all", 30, 5, None, false);
-    assert!(all.iter().any(|o| matches!(o, Order::Scalar(_))));
-    assert!(all.iter().any(|o| matches!(o, Order::Whisker(_, n, _) if *n != Noise::Gaussian)));
-    // A drawn order tells its truth.
-    assert!(MIXES.contains(&"noise-null"));
-    let Drawn::Scalar(case) = Order::Scalar(nulls[0]).draw().unwrap() else { panic!("a line") };
-    assert_eq!(Drawn::Scalar(case).truth().unwrap()["label"], "null");
 }

@@ -2,8 +2,7 @@
 
 use wcal_plant::adversarial::Trick;
 use wcal_plant::effects::ALL;
-use wcal_plant::orders;
-use wcal_plant::{Case, Design, Kind, Order, Request, Want, draw};
+use wcal_plant::{Case, Design, Kind, Request, Want, draw};
 
 fn request(seed: u64, design: Design, want: Want, target_sigma: f64) -> Request {
     Request { seed, design, want, target_sigma, rivals: false }
@@ -99,27 +98,6 @@ fn size_grows_with_the_target() {
     // A target that the physical range cannot give is recorded as missed.
     let far = draw(&request(5, Design::Rich, Want::Effects(vec![Kind::StageScale]), 40.0)).unwrap().truth;
     assert!(!far.target_reached && far.projected_size_in_noises < 10.0);
-}
-
-#[test]
-fn orders_cover_the_catalogue_and_repeat() {
-    let all = orders("single", 66, 4, None, false);
-    assert_eq!(all, orders("single", 66, 4, None, false));
-    let mut names: Vec<&str> = all
-        .iter()
-        .filter_map(|o| match o {
-            Order::Whisker(Request { want: Want::Effects(k), .. }, ..) => Some(k[0].name().0),
-            _ => None,
-        })
-        .collect();
-    names.sort_unstable();
-    names.dedup();
-    assert_eq!(names.len(), 16);
-    let only = orders("single", 5, 4, Some("creep"), false);
-    assert!(only.iter().all(|o| matches!(
-        o,
-        Order::Whisker(Request { want: Want::Effects(k), .. }, ..) if k.len() == 1 && k[0].name().0 == "creep"
-    )));
 }
 
 #[test]

@@ -23,9 +23,14 @@ demo: program
 	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
 
+# What keeps time (a bench, a stream) leaves the machine mostly idle and must not wait for it: all else runs beside it with the lowest
+# priority. tests/contracts/layering.rs holds that no test is left out of both.
 test: setup
 	cargo fmt --all --check
-	cargo test --workspace --locked
+	cargo test --workspace --locked --no-run
+	@nice -n 19 cargo test --workspace --locked -- --skip keeps_time:: >target/test.log 2>&1 & beside=$$!; \
+	cargo test --workspace --locked --test live --test drivers; first=$$?; \
+	wait $$beside; second=$$?; cat target/test.log; test $$first = 0 && test $$second = 0
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
 # Licences and sources are a test (tests/contracts/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.

@@ -1,5 +1,6 @@
 //! The dependency directions of the design, read from `cargo metadata`.
 
+use crate::support::repository;
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
@@ -215,4 +216,47 @@ fn every_path_is_opened_in_one_place() {
         1,
         "control"
     );
+}
+
+/// Targets of tests that have a module `keeps_time`, by the folder of their `main.rs`.
+fn targets_that_keep_time() -> BTreeSet<String> {
+    let (mut found, mut folders) =
+        (BTreeSet::new(), vec![repository("calib"), repository("rigs"), repository("tests")]);
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let text = std::fs::read_to_string(&path).expect("a source file");
+                if text.lines().any(|l| l.trim_start().starts_with("mod keeps_time")) {
+                    assert!(path.ends_with("main.rs"), "{}: `make test` would leave it out", path.display());
+                    found.insert(folder.file_name().expect("a name").to_string_lossy().into_owned());
+                }
+            }
+        }
+    }
+    found
+}
+
+/// `make test` has two runs: tests that keep time by their targets, and all tests but these by the name of their module.
+fn left_out_of_both(makefile: &str, keep_time: &BTreeSet<String>) -> Vec<String> {
+    let runs: Vec<&str> =
+        makefile.lines().filter(|l| l.contains("cargo test --workspace --locked")).collect();
+    assert!(
+        runs.iter().any(|l| l.contains("cargo test --workspace --locked -- --skip keeps_time::")),
+        "{runs:?}"
+    );
+    let first = runs.iter().find(|l| l.contains("--test live")).expect("the first run");
+    keep_time.iter().filter(|name| !first.contains(&format!("--test {name}"))).cloned().collect()
+}
+
+#[test]
+fn make_test_leaves_no_test_out() {
+    let (makefile, keep_time) =
+        (std::fs::read_to_string(repository("Makefile")).expect("Makefile"), targets_that_keep_time());
+    assert!(keep_time.contains("live") && keep_time.contains("drivers"), "{keep_time:?}");
+    assert_eq!(left_out_of_both(&makefile, &keep_time), Vec::<String>::new());
+    let more = keep_time.into_iter().chain(["tea".to_owned()]).collect();
+    assert_eq!(left_out_of_both(&makefile, &more), ["tea"], "negative control");
 }

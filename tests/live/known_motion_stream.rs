@@ -161,7 +161,7 @@ fn write_log(path: &Path, rows: &[(f64, [f64; 3])], cell: impl Fn(usize, f64) ->
 
 #[test]
 fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
-    let _turn = crate::beside_others();
+    let _turn = crate::alone();
     let swept = Swept::new();
     let run = swept.track("rig.toml", "good.json", &[]);
     println!("{} {} contacts", run.said, run.whisker()["contacts"].as_array().map_or(0, Vec::len));

@@ -1,6 +1,6 @@
 //! Programs that keep time: sweeps and streams on the virtual bench, signals, and benches that fall behind.
 //!
-//! A target of its own: Cargo runs one target after another, so that nothing else takes the machine meanwhile.
+//! A target of its own: nothing else may take the machine from them.
 
 #![allow(
     clippy::unwrap_used,
@@ -10,15 +10,19 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-mod clean_bench;
-mod known_motion_stream;
-mod moving_base;
-mod session_pictures;
-mod stage_sweep;
+/// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
+#[path = "."]
+mod keeps_time {
+    mod clean_bench;
+    mod known_motion_stream;
+    mod moving_base;
+    mod session_pictures;
+    mod stage_sweep;
+    mod track_live;
+}
 #[path = "../support/mod.rs"]
 #[allow(dead_code, reason = "each target uses a part")]
 mod support;
-mod track_live;
 
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
@@ -26,11 +30,11 @@ use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 static BENCHES: RwLock<()> = RwLock::new(());
 
 /// For a fast bench, or one that may lose nothing: no other runs.
-fn alone() -> RwLockWriteGuard<'static, ()> {
+pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     BENCHES.write().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// For a slow bench: others like it may run.
-fn beside_others() -> RwLockReadGuard<'static, ()> {
+pub(crate) fn beside_others() -> RwLockReadGuard<'static, ()> {
     BENCHES.read().unwrap_or_else(PoisonError::into_inner)
 }

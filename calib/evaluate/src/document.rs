@@ -488,15 +488,3 @@ pub(crate) fn both_means(seen: &[ObjectScores], unseen: &[ObjectScores]) -> BTre
         ("unseen_mean_mm", mean_interval95(unseen, of)),
     ])
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_mean_over_nothing_is_null_in_the_document() {
-        let means = serde_json::to_value(Means::of(&[], &[])).expect("numbers and texts");
-        assert!(means["seen_mean_mm"].is_null() && means["interval95"]["seen_mean_mm"].is_null(), "{means}");
-        assert_eq!(means["objects"].as_array().map(Vec::len), Some(0));
-    }
-}

@@ -256,7 +256,7 @@ fn along_stream(args: &TrackArgs) -> Result<ExitCode> {
     let names: Vec<String> = rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect();
     let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
     let all = names.iter().map(|n| WhiskerModel::without_network(n, &calibrations[n]));
-    let loaded = all.collect::<Result<Vec<_>>>()?;
+    let loaded = all.collect::<Result<Vec<_>, wcal_contact::ContactError>>()?;
     for (one, doubt) in loaded.iter().flat_map(|l| l.doubts.messages().into_iter().map(move |d| (l, d))) {
         say_doubt(args, &one.name, &doubt);
     }

@@ -19,6 +19,8 @@ const MIN_FREE: usize = 5;
 const FREE_SDS: f64 = 6.0;
 /// A zero that is this many standard deviations of what the calibration states of it off is none: the record begins in contact.
 const ZERO_SDS: f64 = 4.0;
+/// Lower quartile of chi-squared with two degrees of freedom.
+const CHI2_QUARTER: f64 = 0.575;
 /// Noise below which no moments are read: rounding of tables, N mm.
 const MIN_NOISE_NMM: f64 = 5e-4;
 
@@ -87,12 +89,13 @@ pub fn beginning(readings: &[Reading]) -> Beginning {
         return Beginning::Unknown;
     }
     let at = |k: usize| Vector2::from(all[k].1.moment_nmm);
-    // The quietest readings next to each other: a wire that is pulled along is none of them.
-    let steps: Vec<f64> = (1..all.len()).map(|k| (at(k) - at(k - 1)).norm_squared() / 4.0).collect();
-    let quiet = |w: &[f64]| (w.iter().sum::<f64>() / w.len() as f64).sqrt();
-    let quietest = steps.windows(MIN_FREE - 1).map(quiet).fold(f64::INFINITY, f64::min);
+    // Second differences have no trend and six times the noise's variance; a quarter of the readings is taken to be quiet.
+    let mut bends: Vec<f64> =
+        (1..all.len() - 1).map(|k| (at(k - 1) - at(k) * 2.0 + at(k + 1)).norm_squared() / 6.0).collect();
+    bends.sort_by(f64::total_cmp);
+    let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
     let known = all[0].1.own_nmm2.map_or(0.0, |n| (0.5 * n.trace()).sqrt());
-    let limit = FREE_SDS * quietest.max(known).max(MIN_NOISE_NMM);
+    let limit = FREE_SDS * quiet.max(known).max(MIN_NOISE_NMM);
     let middle = |c: usize| {
         let mut first: Vec<f64> = (0..MIN_FREE).map(|k| at(k)[c]).collect();
         first.sort_by(f64::total_cmp);
@@ -132,7 +135,7 @@ mod tests {
             own_nmm2: None,
             drift_nmm2: Matrix2::zeros(),
             zero_nmm2: Matrix2::zeros(),
-            shared_nmm: vec![[0.05 + moment_nmm[0], 0.0]],
+            shared_nmm: vec![[0.05 + 0.1 * moment_nmm[0], 0.0]],
         };
         Reading {
             point: k as i64,
@@ -168,7 +171,7 @@ mod tests {
         assert!((all[29].moment_nmm[0] - 2.0).abs() < 0.005, "{:?}", all[29].moment_nmm);
         // What all readings share is that of the difference from the free wire.
         assert!(
-            (all[29].shared_nmm[0][0] - 2.0).abs() < 0.005 && (all[29].zero_nmm2[(0, 0)] - 1e-3).abs() < 1e-9
+            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001 && (all[29].zero_nmm2[(0, 0)] - 1e-3).abs() < 1e-9
         );
         // Control: the calibration's zero stays, with its own uncertainty.
         let plain = taken(&mut Zero::new(0.0), &readings[29]);

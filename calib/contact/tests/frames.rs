@@ -169,7 +169,8 @@ fn a_turned_session_has_the_same_contacts() {
             largest = largest.max(far.unwrap_or(f64::NAN));
         }
         // Control: the axes of another session.
-        let frame = WireFrame::new(&session.whisker, &MomentAxes { axes: right.map(|a| turn * a), sign: 1.0 });
+        let frame =
+            WireFrame::new(&session.whisker, &MomentAxes { axes: right.map(|a| turn * a), sign: 1.0 });
         let far = apart(&session, &session.rows(0, frame.unwrap()), &expected[0]);
         forgotten += usize::from(far.is_none_or(|mm| mm > 0.5));
     }

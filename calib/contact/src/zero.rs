@@ -109,7 +109,7 @@ pub fn beginning(readings: &[Reading]) -> Beginning {
     let mean = (0..free).map(at).sum::<Vector2<f64>>() / free as f64;
     let m = all[0].1;
     let shared: f64 = m.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
-    if mean.norm() > ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt() {
+    if mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
         return Beginning::Loaded(mean.norm());
     }
     let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();

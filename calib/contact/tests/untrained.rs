@@ -2,7 +2,6 @@
 //! coverage (SIMULATED).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
-use burn::tensor::Device;
 use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -15,6 +14,7 @@ use wcal_core::stream::{Flags, StreamMoments};
 use wcal_rod::Rod;
 use wcal_sim::physics::PhysicsPlan;
 use wcal_sim::{SweepPlan, objects};
+use wcal_track::Device;
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::model_file::{Card, load};
 use wcal_track::network::Prediction;

@@ -10,4 +10,3 @@
 
 mod free_wire;
 mod tracking;
-mod untrained;

@@ -34,4 +34,4 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Seal, Sealed, Unsealing};
+pub use sealed::{Labelled, RowLabel, Seal, Sealed, Unsealing};

@@ -13,6 +13,7 @@ impl Screened for AxisRow {
     fn view(&self) -> View {
         View {
             line: self.line,
+            point: self.point,
             role: self.role,
             setting: self.commanded_mm,
             reading: self.measured_mm,

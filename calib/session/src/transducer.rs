@@ -51,6 +51,7 @@ impl Screened for TransducerRow {
     fn view(&self) -> View {
         View {
             line: self.line,
+            point: self.point,
             role: self.role,
             setting: self.stimulus,
             reading: self.response,

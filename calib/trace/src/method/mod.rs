@@ -22,3 +22,4 @@ pub mod search;
 pub mod signature;
 mod socp;
 pub mod subsets;
+pub mod support;

@@ -1,7 +1,7 @@
 //! Where an effect of a scalar session acts: on the stimulus, or as columns of the response.
 
 use super::frame::Frame;
-use crate::effect::{Effect, Values};
+use crate::effect::{Effect, EffectModel, Values};
 
 /// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
 pub trait ScalarEffect: Effect {
@@ -11,6 +11,14 @@ pub trait ScalarEffect: Effect {
     }
     /// The power of the stimulus that it adds to a polynomial of one degree less.
     fn degree(&self) -> Option<usize> {
+        None
+    }
+    /// The columns of a law are functions of the stimulus alone.
+    fn of_stimulus(&self, _law: &EffectModel) -> bool {
+        self.degree().is_some()
+    }
+    /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
+    fn looks_like(&self, _law: &EffectModel, _frame: &Frame) -> Option<&'static str> {
         None
     }
     /// Changes the effective stimulus of every reading, in half ranges.

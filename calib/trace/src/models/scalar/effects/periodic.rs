@@ -35,6 +35,9 @@ impl Effect for Periodic {
             law("over-order", cycles("period:order"), &columns).needing(&[Need::Order]),
         ]
     }
+    fn acts_severally(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "The residual repeats with a fixed period."
     }
@@ -109,6 +112,9 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
 }
 
 impl ScalarEffect for Periodic {
+    fn of_stimulus(&self, law: &EffectModel) -> bool {
+        law.name == "over-stimulus"
+    }
     fn not_observable(&self, frame: &Frame) -> Option<String> {
         (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
     }

@@ -52,7 +52,10 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     }
     // Whoever sees a sealed table has seen it.
     if UnsealRecord::of_table(&args.table, &args.out, &provenance([args.table.as_path()]))? {
-        eprintln!("warning: {} is sealed; that it was opened is recorded in unsealed.json", args.table.display());
+        eprintln!(
+            "warning: {} is sealed; that it was opened is recorded in unsealed.json",
+            args.table.display()
+        );
     }
     let simulated = file.provenance.simulated || is_simulated(&args.table);
     // A table from simulated data says so in a column.

@@ -307,7 +307,7 @@ fn repeated(data: &SessionData, list: &mut Findings) {
     let rows = readings(data);
     let total = rows.len();
     let mut seen: HashMap<Vec<u64>, usize> = HashMap::new();
-    for (_, key) in rows {
+    for key in rows {
         *seen.entry(key).or_default() += 1;
     }
     let copies: usize = seen.values().map(|n| n - 1).sum();
@@ -339,11 +339,7 @@ fn sealed(data: &SessionData, list: &mut Findings) {
     let copied = duplicated_readings(data);
     let exact = matches!(data, SessionData::Whisker(_));
     if copied.is_empty() {
-        list.add(
-            Severity::Ok,
-            "holdout",
-            format!("{count} sealed rows, none of them among the rows to fit"),
-        );
+        list.add(Severity::Ok, "holdout", format!("{count} sealed rows, none of them among the rows to fit"));
     } else if exact || 2 * copied.len() > count {
         let message = format!(
             "{} sealed rows are among the rows to fit (first: holdout point {}): not held out",

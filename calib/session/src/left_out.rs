@@ -115,8 +115,7 @@ impl LeftOut {
             *count += coded.lines.len();
             refuse_most(file, column, *count, rows + *count)?;
             let (column, value) = (column.to_owned(), f64::from_bits(bits));
-            let kind =
-                WarningKind::Overflow { column, value, lines: coded.lines, points: coded.points };
+            let kind = WarningKind::Overflow { column, value, lines: coded.lines, points: coded.points };
             out.push(SessionWarning::new(file, kind));
         }
         if !copies.is_empty() {

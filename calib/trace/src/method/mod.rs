@@ -1,6 +1,8 @@
 //! The statistics shared by every kind of session: fit, screen, refit, compare. They know measurement models and effects, not whiskers.
 
 pub mod ambiguity;
+#[cfg(test)]
+mod columns_system;
 pub mod covariates;
 mod earned;
 pub mod explain;

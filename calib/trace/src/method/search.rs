@@ -267,11 +267,14 @@ fn identified(system: &dyn MeasurementModel, all: Vec<Hypothesis>) -> (Vec<Hypot
     (kept, refused)
 }
 
-/// Those of `refused` that would have stood in place of `taken`.
-fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Vec<NotIdentified> {
-    let scale = |h: &Hypothesis| h.fit.variance().min(taken.fit.variance());
-    let is_ahead = |h: &Hypothesis| h.criterion(base, scale(h)) < taken.criterion(base, scale(h));
-    refused.iter().filter(|(h, _)| is_ahead(h)).map(|(_, why)| why.clone()).collect()
+/// The best of `refused`, where it would have stood in place of `taken`.
+fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdentified> {
+    let lead = |h: &Hypothesis| {
+        let scale = h.fit.variance().min(taken.fit.variance());
+        taken.criterion(base, scale) - h.criterion(base, scale)
+    };
+    let best = refused.iter().max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
+    (lead(&best.0) > 0.0).then(|| best.1.clone())
 }
 
 /// Where something is left and the convex cross-check keeps an effect that the search lacks: the explanation that starts from what it keeps, if
@@ -357,5 +360,38 @@ fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
             let refitted = fit(system, &h.fit.terms, &weights, 15);
             refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::columns_system::ColumnsSystem;
+    use super::*;
+
+    #[test]
+    fn the_search_goes_on_from_what_the_cross_check_keeps() {
+        let wave = |k: f64| (0..100).map(|i| (0.17 * k * f64::from(i)).sin()).collect::<Vec<f64>>();
+        let sum = |a: &[f64], b: &[f64], share: f64| {
+            a.iter().zip(b).map(|(a, b)| a + share * b).collect::<Vec<f64>>()
+        };
+        let (a, b) = (wave(1.0), wave(2.3));
+        // The third column looks like both together, and leaves a rest.
+        let both = sum(&a, &b, 1.0);
+        let decoy = sum(&both, &wave(3.7), 0.7);
+        let clean: Vec<f64> = both.iter().map(|v| 3.0 * v).collect();
+        let system = ColumnsSystem::new(1, vec![a, b, decoy], &clean);
+        let weights = Weights::equal(100);
+        let options = Options::default();
+        let base = declared(&system, &weights, 1).unwrap();
+        let test = omnibus_test(&system, &base.fit, &weights, &options);
+        let explained = |effects: &[usize]| {
+            let terms: Vec<EffectTerm> = effects.iter().map(|&e| ColumnsSystem::term(e)).collect();
+            refit(&system, &[terms], &base).unwrap()
+        };
+        let from =
+            |best: &Hypothesis| by_cross_check(&system, &base, best, &test, 2).map(|h| h.effects(None));
+        assert_eq!(from(&explained(&[2])), Some(vec![0, 1]));
+        // Control: what is complete stays.
+        assert_eq!(from(&explained(&[0, 1])), None);
     }
 }

@@ -107,8 +107,11 @@ fn promising(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector
     let mut kept: Vec<usize> = Vec::new();
     for i in order {
         let term = &signatures[i].term;
-        let own: Vec<usize> =
-            kept.iter().copied().filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue)).collect();
+        let own: Vec<usize> = kept
+            .iter()
+            .copied()
+            .filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue))
+            .collect();
         let several = catalogue[term.effect].acts_severally();
         let apart = || own.iter().all(|&k| signatures[k].term.beside(term, catalogue));
         if own.len() < OF_A_KEY && (!several || apart()) {

@@ -41,7 +41,8 @@ impl Deletion {
     fn without(&self, set: &[usize]) -> Deleted {
         let own: Vec<usize> =
             (0..self.channels).flat_map(|c| set.iter().map(move |i| c * self.readings + i)).collect();
-        let q = nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| self.basis.vectors()[j][own[k]]);
+        let q =
+            nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| self.basis.vectors()[j][own[k]]);
         let e = DVector::from_iterator(own.len(), own.iter().map(|&k| self.residual[k]));
         let eigen = (q.transpose() * &q).symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * (q.transpose() * &e);

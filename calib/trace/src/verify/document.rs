@@ -130,7 +130,8 @@ fn notes<M: SessionModel>(
 fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
     for n in &explained.found.not_identified {
-        let sentence = format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.worded(&n.why));
+        let sentence =
+            format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.worded(&n.why));
         if !out.contains(&sentence) {
             out.push(sentence);
         }
@@ -144,7 +145,8 @@ fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Co
     let laws = |h: &Hypothesis| -> Vec<String> {
         let law = |t: &EffectTerm| {
             let effect = &model.catalogue()[t.effect];
-            let column = effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
+            let column =
+                effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
             format!("{} {}{column}", effect.id(), model.law_name(effect.law(t.law).name))
         };
         h.fit.terms.iter().map(law).collect()

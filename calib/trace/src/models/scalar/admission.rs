@@ -44,7 +44,9 @@ pub(super) fn refusal(
     }
     let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
     clock_fault(rows.iter().map(|r| r.t_s))
-        .or_else(|| sealed.refusal(|sealed| copied_holdout(&fitted, &sealed.iter().map(compared).collect::<Vec<_>>())))
+        .or_else(|| {
+            sealed.refusal(|sealed| copied_holdout(&fitted, &sealed.iter().map(compared).collect::<Vec<_>>()))
+        })
         .or_else(|| sealed.refusal(|sealed| jittered_holdout(rows, sealed)))
         .or_else(|| constant_response(rows, declared))
         .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))

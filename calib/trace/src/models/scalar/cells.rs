@@ -165,6 +165,9 @@ impl ScalarSystem {
             if let Some(plainer) = self.not_told_from(&terms, &term, h) {
                 return why(format!("on this range it is not told from {plainer}"));
             }
+            if self.too_little_of_it(&terms, &term, h) {
+                return why("a bend of fewer periods describes the readings as well".to_owned());
+            }
             if let Some(strata) = &strata
                 && !strata.earns(&h.fit, &without, &h.weights, by_clock)
             {
@@ -181,7 +184,12 @@ impl ScalarSystem {
 
     /// The plainer effect that `term` looks like, where that one in its place is not contradicted: both together explain no more than it alone,
     /// or more than `term` alone.
-    fn not_told_from(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> Option<&'static str> {
+    fn not_told_from(
+        &self,
+        others: &[EffectTerm],
+        term: &EffectTerm,
+        h: &Hypothesis,
+    ) -> Option<&'static str> {
         let law = self.catalogue()[term.effect].law(term.law);
         let plainer = self.effects()[term.effect].looks_like(&law, &self.frame)?;
         let effect = self.catalogue().iter().position(|e| e.id() == plainer)?;
@@ -193,6 +201,15 @@ impl ScalarSystem {
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
         let gain = |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1);
         (gain(&alone) > CONTRADICTED || gain(&h.fit) < CONTRADICTED).then_some(plainer)
+    }
+
+    /// A shape that is none of the effect describes the readings better in place of `term`.
+    fn too_little_of_it(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
+        self.effects()[term.effect].too_little_of_it().iter().any(|shape| {
+            let other = EffectTerm { values: vec![*shape], ..term.clone() };
+            let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
+            fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr)
+        })
     }
 
     /// Strata of the design; none where no cell is repeated.

@@ -21,6 +21,10 @@ pub trait ScalarEffect: Effect {
     fn looks_like(&self, _law: &EffectModel, _frame: &Frame) -> Option<&'static str> {
         None
     }
+    /// Values of a law's only shape that are none of this effect: where one of them describes the readings better, the effect is not named.
+    fn too_little_of_it(&self) -> &'static [f64] {
+        &[]
+    }
     /// Changes the effective stimulus of every reading, in half ranges.
     fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
         true

@@ -37,7 +37,12 @@ pub(super) fn insensitive(system: &ScalarSystem, h: &Hypothesis) -> Option<Strin
 }
 
 /// Columns of the design that are functions of the stimulus: the declared powers, and those of effects that act through the stimulus alone.
-fn columns_of_stimulus(system: &ScalarSystem, terms: &[EffectTerm], degree: usize, count: usize) -> Vec<usize> {
+fn columns_of_stimulus(
+    system: &ScalarSystem,
+    terms: &[EffectTerm],
+    degree: usize,
+    count: usize,
+) -> Vec<usize> {
     let laws: Vec<EffectModel> = terms.iter().map(|t| system.catalogue()[t.effect].law(t.law)).collect();
     let mut column = count - laws.iter().map(|l| l.linear.len()).sum::<usize>();
     let mut out: Vec<usize> = (1..=degree).collect();

@@ -22,6 +22,9 @@ const GRID: [f64; 197] = {
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
 const MIN_CYCLES: f64 = 2.0;
 
+/// Cycles of bends that never repeat.
+const SQUIGGLES: [f64; 7] = [0.5, 0.75, 1.0, 1.25, 1.5, 1.7, 1.85];
+
 impl Effect for Periodic {
     fn id(&self) -> &'static str {
         PERIODIC
@@ -112,6 +115,9 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
 }
 
 impl ScalarEffect for Periodic {
+    fn too_little_of_it(&self) -> &'static [f64] {
+        &SQUIGGLES
+    }
     fn of_stimulus(&self, law: &EffectModel) -> bool {
         law.name == "over-stimulus"
     }

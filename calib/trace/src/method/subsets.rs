@@ -1,4 +1,4 @@
-//! Stage 6, all subsets: which sets of terms explain most in the projected linear model, from the Gram matrix of their signatures.
+//! Screening by all subsets: which sets of terms explain most in the projected linear model, from the Gram matrix of their signatures.
 
 use super::linear::transposed_product;
 use super::signature::Signature;

@@ -1,4 +1,4 @@
-//! Stages 8 and 9: the verdict from what the search found, in the order of docs/src/formats.md.
+//! The verdict from what the search found, in the order of docs/src/formats.md.
 
 use super::acceptance::supported;
 use super::session_model::SessionModel;

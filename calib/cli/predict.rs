@@ -1,7 +1,9 @@
 //! `wcal predict`: moments, responses or position errors at new readings.
 
 use crate::output::{check_file, write_file};
+use crate::picture_output::provenance;
 use crate::simulated::{is_simulated, mark_table};
+use crate::unseal_record::UnsealRecord;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -15,6 +17,7 @@ use wcal_calibration::{read_calibration, standing};
 For a whisker TABLE needs fbg_1_nm and fbg_2_nm, or fbg_1_shift_nm and fbg_2_shift_nm; fbg_ref_nm and point are used where present. For a
 transducer it needs stimulus (the response follows) or response alone (the stimulus follows); for an axis commanded_mm.
 Where the table has the measured value too (response beside stimulus, measured_mm), it is repeated with its residual.
+A table that a session beside it keeps sealed is recorded as opened (unsealed.json).
 Covariates that an accepted effect needs (t_s, temperature_degc, direction, ...) must be there too.
 Exit code 4: readings outside the valid region (written, and marked), or a calibration that expired or failed
 verification; --force turns these into warnings.")]
@@ -46,6 +49,13 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     let (stuck, odd): (Vec<_>, Vec<_>) = applied.warnings.iter().partition(|w| w.is_stuck());
     for warning in odd {
         eprintln!("warning: {warning}");
+    }
+    // Whoever sees a sealed table has seen it.
+    if UnsealRecord::of_table(&args.table, &args.out, &provenance([args.table.as_path()]))? {
+        eprintln!(
+            "warning: {} is sealed; that it was opened is recorded in unsealed.json",
+            args.table.display()
+        );
     }
     let simulated = file.provenance.simulated || is_simulated(&args.table);
     // A table from simulated data says so in a column.

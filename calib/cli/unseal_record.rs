@@ -3,7 +3,7 @@
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use wcal_core::{Provenance, Purpose, Seal, Unsealing};
+use wcal_core::{InputFile, Provenance, Purpose, Seal, Unsealing};
 use wcal_session::LoadedSession;
 
 /// A held-out file that was opened.
@@ -64,6 +64,32 @@ impl UnsealRecord {
         Ok(Self { places, known })
     }
 
+    /// Records that `table` was opened, where the session in whose folder it lies seals it; true where it does. `out`: where the record goes
+    /// if the session cannot be written to.
+    pub fn of_table(table: &Path, out: &Path, provenance: &Provenance) -> anyhow::Result<bool> {
+        let folder = |path: &Path| {
+            path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf()
+        };
+        let session = folder(table);
+        // A folder that is no session seals nothing.
+        let Some(session) =
+            session.join("session.toml").is_file().then(|| wcal_session::load(&session).ok()).flatten()
+        else {
+            return Ok(false);
+        };
+        let record = Self::read(&session, &folder(out))?;
+        let sealed = record.seal(&session, provenance).files;
+        let read = &provenance.inputs;
+        let files: Vec<InputFile> =
+            sealed.into_iter().filter(|f| read.iter().any(|r| r.sha256 == f.sha256)).collect();
+        if files.is_empty() {
+            return Ok(false);
+        }
+        let program = provenance.program.clone();
+        record.add(&Unsealing { files, seen_before: false, program, rows: 0 }, provenance)?;
+        Ok(true)
+    }
+
     /// What is known of the session's sealed files.
     pub fn seal(&self, session: &LoadedSession, provenance: &Provenance) -> Seal {
         Seal {
@@ -89,7 +115,7 @@ impl UnsealRecord {
         let [beside, out] = &self.places;
         if crate::output::write_file(beside, &record(&self.known[0])?).is_err() {
             eprintln!(
-                "verify: {} cannot be written; that the holdout was opened is recorded in {} only",
+                "{} cannot be written; that the holdout was opened is recorded in {} only",
                 beside.display(),
                 out.display()
             );

@@ -1,7 +1,7 @@
 //! What a session holds once it has been read and checked: plain data, no files.
 
 use crate::ranges::{self, OutOfRange, Range};
-use crate::sealed::Sealed;
+use crate::sealed::{Labelled, RowLabel, Sealed};
 use crate::shapes_document::{PairDocument, SharedParameter};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -366,7 +366,7 @@ pub struct TwinLabel {
 }
 
 /// A whisker session in memory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct WhiskerData {
     /// Wire.
     pub whisker: WhiskerSpec,
@@ -385,7 +385,6 @@ pub struct WhiskerData {
     /// Labels of an outside twin; empty when there are none.
     pub twin: Vec<TwinLabel>,
     /// What the shapes of all pairs share, and which pairs stand aside; none where the session names no shapes.
-    #[serde(skip)]
     pub shapes: Option<SessionShapes>,
 }
 
@@ -459,7 +458,7 @@ pub struct TransducerRow {
 }
 
 /// A transducer session in memory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct TransducerData {
     /// Unit of the stimulus.
     pub stimulus_unit: String,
@@ -501,7 +500,7 @@ pub struct AxisRow {
 }
 
 /// An axis session in memory; the declared model is measured = commanded + constant.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct AxisData {
     /// Rows in file order.
     pub rows: Vec<AxisRow>,
@@ -510,8 +509,7 @@ pub struct AxisData {
 }
 
 /// Data of any kind of session.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "lowercase")]
+#[derive(Debug, Clone, PartialEq)]
 // One session at a time is in memory; the size of the variants does not matter.
 #[allow(clippy::large_enum_variant)]
 pub enum SessionData {
@@ -532,5 +530,23 @@ impl SessionData {
             Self::Transducer(_) => SessionKind::Transducer,
             Self::Axis(_) => SessionKind::Axis,
         }
+    }
+}
+
+impl Labelled for WhiskerRow {
+    fn label(&self) -> RowLabel {
+        RowLabel { point: self.point, trajectory: self.trajectory, seating: self.seating, t_s: self.t_s }
+    }
+}
+
+impl Labelled for TransducerRow {
+    fn label(&self) -> RowLabel {
+        RowLabel { point: self.point, t_s: self.t_s, ..RowLabel::default() }
+    }
+}
+
+impl Labelled for AxisRow {
+    fn label(&self) -> RowLabel {
+        RowLabel { point: self.point, t_s: self.t_s, ..RowLabel::default() }
     }
 }

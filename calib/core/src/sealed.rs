@@ -1,13 +1,43 @@
 //! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone, which leaves a record.
 
 use crate::provenance::InputFile;
-use serde::{Deserialize, Serialize};
+use std::fmt;
 
-/// Sealed rows. There is no way to them but `unseal`; what checks of admission need is asked for by name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
+/// Sealed rows. There is no way to their values but `unseal`: they are not written, not printed, and a check of admission gives no more than
+/// its answer.
+///
+/// ```compile_fail
+/// let sealed = wcal_core::Sealed::new(vec![1.0]);
+/// serde_json::to_string(&sealed).unwrap();
+/// ```
+#[derive(Clone, PartialEq)]
 pub struct Sealed<R> {
     rows: Vec<R>,
+}
+
+impl<R> fmt::Debug for Sealed<R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Sealed({} rows)", self.rows.len())
+    }
+}
+
+/// Who a row is, not what was read there.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RowLabel {
+    /// Point.
+    pub point: i64,
+    /// Trajectory.
+    pub trajectory: Option<u32>,
+    /// Seating.
+    pub seating: u32,
+    /// Time, s.
+    pub t_s: Option<f64>,
+}
+
+/// A row that can be sealed.
+pub trait Labelled {
+    /// Who it is.
+    fn label(&self) -> RowLabel;
 }
 
 impl<R> Default for Sealed<R> {
@@ -80,10 +110,23 @@ impl<R> Sealed<R> {
         Sealed { rows: self.rows.iter().map(form).collect() }
     }
 
-    /// One property of each row for checks of admission (is it in the fitted table, too? is its time in order?), which decide whether the
-    /// data can be used and nothing else.
-    pub fn admission<T>(&self, property: impl Fn(&R) -> T) -> Vec<T> {
-        self.rows.iter().map(property).collect()
+    /// Who the rows are.
+    #[must_use]
+    pub fn labels(&self) -> Vec<RowLabel>
+    where
+        R: Labelled,
+    {
+        self.rows.iter().map(Labelled::label).collect()
+    }
+
+    /// For each row whether `is` holds: is it in the fitted table, too?
+    pub fn which(&self, is: impl Fn(&R) -> bool) -> Vec<bool> {
+        self.rows.iter().map(is).collect()
+    }
+
+    /// Hands the rows to a check of admission, which decides whether the data can be used; only its refusal comes out, in a sentence.
+    pub fn refusal(&self, check: impl Fn(&[R]) -> Option<String>) -> Option<String> {
+        check(&self.rows)
     }
 
     /// Breaks the seal.
@@ -118,5 +161,15 @@ mod tests {
         assert_eq!((rows, first.seen_before, first.rows), (&[1, 2, 3][..], false, 3));
         seal.opened_before.push("a".into());
         assert!(sealed.unseal(&seal).1.seen_before);
+    }
+
+    #[test]
+    fn nothing_that_was_read_comes_out_of_a_seal() {
+        let sealed = Sealed::new(vec![41.5, 42.5]);
+        assert_eq!(format!("{sealed:?}"), "Sealed(2 rows)");
+        assert_eq!(sealed.which(|r| *r > 42.0), [false, true]);
+        assert_eq!(sealed.refusal(|rows| (rows.len() > 1).then(|| "two".to_owned())), Some("two".to_owned()));
+        // Control: unsealed they are there.
+        assert_eq!(sealed.unseal(&Seal::default()).0, [41.5, 42.5]);
     }
 }

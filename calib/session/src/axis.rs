@@ -13,6 +13,7 @@ impl Screened for AxisRow {
     fn view(&self) -> View {
         View {
             line: self.line,
+            point: self.point,
             role: self.role,
             setting: self.commanded_mm,
             reading: self.measured_mm,
@@ -36,10 +37,7 @@ pub(crate) fn read_rows(
     let (commanded, measured) = (table.required("commanded_mm")?, table.required("measured_mm")?);
     let (t_s, direction) = (table.optional("t_s")?, table.optional("direction")?);
     // The repetition of a stroke is its cycle.
-    let cycle = match table.optional("cycle")? {
-        None => table.optional("replicate")?,
-        cycle => cycle,
-    };
+    let cycle = table.group()?;
     let temperature = table.optional("temperature_degc")?;
     warnings.extend(unused_columns(&table));
     let (mut points, mut rows) = (PointNumbers::default(), Vec::new());

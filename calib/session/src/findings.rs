@@ -2,8 +2,11 @@
 
 use crate::session::LoadedSession;
 use serde::Serialize;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
-use wcal_core::{AxisData, Role, SessionData, TransducerData, WhiskerData};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use wcal_core::{
+    AxisData, AxisRow, Labelled, Role, Sealed, SessionData, TransducerData, TransducerRow, WhiskerData,
+    WhiskerRow,
+};
 
 /// How much a finding matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -247,48 +250,64 @@ fn time(session: &LoadedSession, list: &mut Findings) {
     }
 }
 
-/// A point number and what was read there, as exact bits.
-type Reading = (i64, Vec<u64>);
+/// What was read in a row, as exact bits.
+trait Reading: Labelled {
+    fn key(&self) -> Vec<u64>;
+}
 
-/// What was read in every row: rows to fit first, sealed rows second.
-fn readings(data: &SessionData) -> (Vec<Reading>, Vec<Reading>) {
-    match data {
-        SessionData::Whisker(d) => {
-            let key = |r: &wcal_core::WhiskerRow| {
-                let g = r.groove_mm.unwrap_or_default();
-                let values =
-                    [r.shift_pm[0], r.shift_pm[1], r.reference_shift_pm.unwrap_or(0.0), g.x, g.y, g.z];
-                (r.point, values.map(bits).to_vec())
-            };
-            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
-        }
-        SessionData::Transducer(d) => {
-            let key = |r: &wcal_core::TransducerRow| (r.point, vec![bits(r.stimulus), bits(r.response)]);
-            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
-        }
-        SessionData::Axis(d) => {
-            let key = |r: &wcal_core::AxisRow| (r.point, vec![bits(r.commanded_mm), bits(r.measured_mm)]);
-            (d.rows.iter().map(key).collect(), d.holdout.admission(key))
-        }
+impl Reading for WhiskerRow {
+    fn key(&self) -> Vec<u64> {
+        let g = self.groove_mm.unwrap_or_default();
+        let [a, b] = self.shift_pm;
+        [a, b, self.reference_shift_pm.unwrap_or(0.0), g.x, g.y, g.z].map(bits).to_vec()
     }
 }
 
-/// Sealed rows that repeat a row to fit exactly, as (point in the points table, point in the holdout).
+impl Reading for TransducerRow {
+    fn key(&self) -> Vec<u64> {
+        vec![bits(self.stimulus), bits(self.response)]
+    }
+}
+
+impl Reading for AxisRow {
+    fn key(&self) -> Vec<u64> {
+        vec![bits(self.commanded_mm), bits(self.measured_mm)]
+    }
+}
+
+/// What was read in every row to fit.
+fn readings(data: &SessionData) -> Vec<Vec<u64>> {
+    match data {
+        SessionData::Whisker(d) => d.rows.iter().map(Reading::key).collect(),
+        SessionData::Transducer(d) => d.rows.iter().map(Reading::key).collect(),
+        SessionData::Axis(d) => d.rows.iter().map(Reading::key).collect(),
+    }
+}
+
+/// Points of sealed rows that repeat a row to fit exactly.
 #[must_use]
-pub fn duplicated_readings(data: &SessionData) -> Vec<(i64, i64)> {
-    let (rows, holdout) = readings(data);
-    let known: HashMap<Vec<u64>, i64> = rows.into_iter().map(|(point, key)| (key, point)).collect();
-    holdout.iter().filter_map(|(point, key)| known.get(key).map(|row| (*row, *point))).collect()
+pub fn duplicated_readings(data: &SessionData) -> Vec<i64> {
+    match data {
+        SessionData::Whisker(d) => duplicated(&d.rows, &d.holdout),
+        SessionData::Transducer(d) => duplicated(&d.rows, &d.holdout),
+        SessionData::Axis(d) => duplicated(&d.rows, &d.holdout),
+    }
+}
+
+fn duplicated<R: Reading>(rows: &[R], holdout: &Sealed<R>) -> Vec<i64> {
+    let known: HashSet<Vec<u64>> = rows.iter().map(Reading::key).collect();
+    let again = holdout.which(|r| known.contains(&r.key()));
+    again.iter().zip(holdout.labels()).filter(|(again, _)| **again).map(|(_, label)| label.point).collect()
 }
 
 /// Repeats that agree to the last digit were copied, not measured, unless the instrument is that coarse.
 fn repeated(data: &SessionData, list: &mut Findings) {
     /// Share of rows above which exact repeats are called out; coarse instruments repeat now and then.
     const SUSPICIOUS: f64 = 0.2;
-    let (rows, _) = readings(data);
+    let rows = readings(data);
     let total = rows.len();
     let mut seen: HashMap<Vec<u64>, usize> = HashMap::new();
-    for (_, key) in rows {
+    for key in rows {
         *seen.entry(key).or_default() += 1;
     }
     let copies: usize = seen.values().map(|n| n - 1).sum();
@@ -306,8 +325,12 @@ fn repeated(data: &SessionData, list: &mut Findings) {
 }
 
 fn sealed(data: &SessionData, list: &mut Findings) {
-    let (_, holdout) = readings(data);
-    if holdout.is_empty() {
+    let count = match data {
+        SessionData::Whisker(d) => d.holdout.len(),
+        SessionData::Transducer(d) => d.holdout.len(),
+        SessionData::Axis(d) => d.holdout.len(),
+    };
+    if count == 0 {
         let message = "no holdout: errors are estimated by leaving data out in turn".to_owned();
         list.add(Severity::Ok, "holdout", message);
         return;
@@ -316,21 +339,16 @@ fn sealed(data: &SessionData, list: &mut Findings) {
     let copied = duplicated_readings(data);
     let exact = matches!(data, SessionData::Whisker(_));
     if copied.is_empty() {
-        list.add(
-            Severity::Ok,
-            "holdout",
-            format!("{} sealed rows, none of them among the rows to fit", holdout.len()),
-        );
-    } else if exact || 2 * copied.len() > holdout.len() {
-        let (row, point) = copied[0];
+        list.add(Severity::Ok, "holdout", format!("{count} sealed rows, none of them among the rows to fit"));
+    } else if exact || 2 * copied.len() > count {
         let message = format!(
-            "{} sealed rows are among the rows to fit (first: holdout point {point} is point {row}): not held out",
-            copied.len()
+            "{} sealed rows are among the rows to fit (first: holdout point {}): not held out",
+            copied.len(),
+            copied[0]
         );
         list.add(Severity::Error, "holdout", message);
     } else {
-        let message =
-            format!("{} of {} sealed rows read the same as a row to fit", copied.len(), holdout.len());
+        let message = format!("{} of {count} sealed rows read the same as a row to fit", copied.len());
         list.add(Severity::Warn, "holdout", message);
     }
 }

@@ -7,7 +7,7 @@ use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
-use wcal_core::{InputFile, Purpose, Sealed, SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{InputFile, Labelled, Purpose, Sealed, SessionData, WhiskerData, WhiskerRow};
 
 const PM_PER_NM: f64 = 1000.0;
 
@@ -48,8 +48,10 @@ pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), Ses
 const PAUSE_S: f64 = 3600.0;
 
 fn place_after(data: &WhiskerData, added: &mut WhiskerData) {
-    let place = |r: &WhiskerRow| (r.t_s, r.seating);
-    let of = |d: &WhiskerData| d.rows.iter().map(place).chain(d.holdout.admission(place)).collect::<Vec<_>>();
+    let of = |d: &WhiskerData| -> Vec<(Option<f64>, u32)> {
+        let labels = d.rows.iter().map(Labelled::label).chain(d.holdout.labels());
+        labels.map(|l| (l.t_s, l.seating)).collect()
+    };
     let (all, own) = (of(data), of(added));
     let end_s = all.iter().filter_map(|r| r.0).fold(0.0, f64::max);
     let seating = 1 + all.iter().map(|r| r.1).max().unwrap_or(0);
@@ -235,9 +237,8 @@ fn merge_trajectories(
             Some(_) => {
                 let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
                 // Ids of rows that are still to be renamed must not be hit either.
-                let sealed = added.holdout.admission(|r| r.trajectory);
-                let floor =
-                    added.rows.iter().map(|r| r.trajectory).chain(sealed).flatten().max().unwrap_or(0);
+                let labels = added.rows.iter().map(Labelled::label).chain(added.holdout.labels());
+                let floor = labels.filter_map(|l| l.trajectory).max().unwrap_or(0);
                 let new = highest.max(floor).checked_add(1);
                 let new = new.ok_or_else(|| {
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")

@@ -1,28 +1,29 @@
 //! Rows of a whisker's table that are no readings: an instrument's overflow value, or a copy of an earlier row.
 
-use crate::error::InputError;
+use crate::error::{InputError, SessionError};
+use crate::overflow::{Use, codes, refuse_most};
 use crate::row::Row;
-use crate::table::Column;
+use crate::table::{Column, Table};
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
 
-/// From here on a number is no reading: SCPI instruments write 9.9E37 for overflow and 9.91E37 for "not a number" (SCPI-1999, 7.2.1).
-const SCPI_OVERFLOW: f64 = 9e36;
-/// What thermometers and loggers write for a reading that failed (Maxim DS18B20: -127 deg C by its common library).
-const FAILED: [f64; 4] = [-127.0, -999.0, -9999.0, 9999.0];
 /// Rows of a block that repeats an earlier one without a clock: rounded readings agree now and then, so many in a row do not.
 const MIN_BLOCK: usize = 6;
 
-/// Whether a number stands for "no reading".
-fn is_overflow(value: f64) -> bool {
-    value.abs() >= SCPI_OVERFLOW || FAILED.contains(&value)
+/// Rows that hold one code in one column.
+#[derive(Default)]
+struct Coded {
+    lines: Vec<usize>,
+    points: Vec<i64>,
 }
 
 /// Rows left out of a table, with the reason.
-#[derive(Default)]
 pub(crate) struct LeftOut {
-    /// Columns with overflow values, and the points that have one there.
-    overflowed: BTreeMap<&'static str, Vec<i64>>,
+    /// Overflow codes of each column that an instrument wrote.
+    codes: Vec<(Column, Vec<f64>)>,
+    /// Rows that hold one, by column and the code's bits.
+    overflowed: BTreeMap<(&'static str, u64), Coded>,
     /// Cells of each row, with and without its point number, and the row's place.
     seen: HashMap<Vec<u8>, usize>,
     /// For each row of the table the place of the row that it repeats, and whether the copy is beyond doubt.
@@ -30,23 +31,35 @@ pub(crate) struct LeftOut {
 }
 
 impl LeftOut {
-    /// The first of `columns` that holds an overflow value in this row.
-    pub(crate) fn overflowed(
-        &self,
-        row: &Row<'_>,
-        columns: impl Iterator<Item = Column>,
-    ) -> Result<Option<Column>, InputError> {
-        for column in columns {
-            if row.number(Some(column))?.is_some_and(is_overflow) {
-                return Ok(Some(column));
+    /// Looks through the table at `path` once for the codes of its `columns`: which numbers are codes shows in the whole column.
+    pub(crate) fn of(path: &Path, name: &str, columns: Vec<Column>) -> Result<Self, SessionError> {
+        let mut table = Table::open(path, name)?;
+        let mut values: Vec<Vec<f64>> = vec![Vec::new(); columns.len()];
+        while let Some(row) = table.next_row()? {
+            for (values, column) in values.iter_mut().zip(&columns) {
+                values.extend(row.number(Some(*column))?);
+            }
+        }
+        let of = |(column, values): (Column, Vec<f64>)| (column, codes(&values, Use::Reading, |_| None));
+        let codes = columns.into_iter().zip(values).map(of).collect();
+        Ok(Self { codes, overflowed: BTreeMap::new(), seen: HashMap::new(), repeats: Vec::new() })
+    }
+
+    /// The first column that holds an overflow code in this row, and the code.
+    pub(crate) fn overflowed(&self, row: &Row<'_>) -> Result<Option<(Column, f64)>, InputError> {
+        for (column, codes) in &self.codes {
+            if let Some(code) = row.number(Some(*column))?.filter(|v| codes.contains(v)) {
+                return Ok(Some((*column, code)));
             }
         }
         Ok(None)
     }
 
-    /// Notes a row that is left out for its value in `column`.
-    pub(crate) fn note_overflow(&mut self, column: Column, point: i64) {
-        self.overflowed.entry(column.name).or_default().push(point);
+    /// Notes a row that is left out for its code in `column`.
+    pub(crate) fn note_overflow(&mut self, (column, code): (Column, f64), line: usize, point: i64) {
+        let coded = self.overflowed.entry((column.name, code.to_bits())).or_default();
+        coded.lines.push(line);
+        coded.points.push(point);
     }
 
     /// Notes a row's cells; `point` is the column of the point numbers, `timed` whether the row has a clock. True where the row is a copy
@@ -87,24 +100,29 @@ impl LeftOut {
         copies
     }
 
-    /// Warnings of what was left out; an error where most rows of the table hold no reading.
+    /// Warnings of what was left out: `copies` are lines and points of the copied rows, `rows` stay. An error where most rows of the table hold
+    /// no reading.
     pub(crate) fn warnings(
         self,
         file: &str,
-        copies: Vec<i64>,
+        copies: Vec<(usize, i64)>,
         rows: usize,
     ) -> Result<Vec<SessionWarning>, InputError> {
-        for (column, points) in &self.overflowed {
-            if points.len() > rows {
-                let found = format!("overflow values in {} of {} rows", points.len(), rows + points.len());
-                return Err(InputError::new(file, "readings in most rows", found).field(*column));
-            }
+        let mut out = Vec::new();
+        let mut of_column: BTreeMap<&str, usize> = BTreeMap::new();
+        for ((column, bits), coded) in self.overflowed {
+            let count = of_column.entry(column).or_default();
+            *count += coded.lines.len();
+            refuse_most(file, column, *count, rows + *count)?;
+            let (column, value) = (column.to_owned(), f64::from_bits(bits));
+            let kind = WarningKind::Overflow { column, value, lines: coded.lines, points: coded.points };
+            out.push(SessionWarning::new(file, kind));
         }
-        let overflowed = self.overflowed.into_iter().map(|(column, points)| {
-            SessionWarning::new(file, WarningKind::OverflowAtPoints { column: column.to_owned(), points })
-        });
-        let copied =
-            (!copies.is_empty()).then(|| SessionWarning::new(file, WarningKind::CopiedPoints(copies)));
-        Ok(overflowed.chain(copied).collect())
+        if !copies.is_empty() {
+            let of = rows + copies.len();
+            let (lines, points) = copies.into_iter().unzip();
+            out.push(SessionWarning::new(file, WarningKind::Copied { lines, points, of }));
+        }
+        Ok(out)
     }
 }

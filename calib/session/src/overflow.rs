@@ -1,6 +1,7 @@
 //! Values that an instrument writes where it has none: overflow and "not connected". Which those are shows in their column, not in a list:
 //! a code is one of the usual numbers *and* lies further from the column's other values than these lie from each other.
 
+use crate::error::InputError;
 use std::collections::BTreeMap;
 
 /// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
@@ -60,6 +61,9 @@ pub(crate) fn codes(values: &[f64], kind: Use, expected: impl Fn(f64) -> Option<
             Use::Setting => *v != code && v.abs() < HUGE,
         };
         let others: Vec<f64> = values.iter().copied().filter(beside).collect();
+        if kind == Use::Reading && code.abs() >= HUGE {
+            return true;
+        }
         if others.len() < MIN_OTHERS {
             return false;
         }
@@ -79,6 +83,18 @@ pub(crate) fn codes(values: &[f64], kind: Use, expected: impl Fn(f64) -> Option<
         .filter(|(v, n)| is_code(*v, *n))
         .map(|c| c.0)
         .collect()
+}
+
+/// Refuses a column in which most rows hold a code: it is no column of readings.
+///
+/// # Errors
+/// Where `coded` rows are more than half of `of`.
+pub(crate) fn refuse_most(file: &str, column: &str, coded: usize, of: usize) -> Result<(), InputError> {
+    if 2 * coded <= of {
+        return Ok(());
+    }
+    let found = format!("overflow values in {coded} of {of} rows");
+    Err(InputError::new(file, "readings in most rows", found).field(column))
 }
 
 /// Median slope and the line through the medians (Theil 1950, Sen 1968) of rows that hold no usual code, at `x`.
@@ -131,6 +147,8 @@ mod tests {
         let powers: Vec<f64> = (0..13).map(|k| 2f64.powi(k)).collect();
         assert!(found(&powers, Use::Setting).is_empty());
         assert_eq!(found(&[0.0, 1.0, 2.0, 3.0, 9.9e37], Use::Setting), [9.9e37]);
+        // A huge number is none whatever stands beside it.
+        assert_eq!(found(&[0.1, 9.9e37], Use::Reading), [9.9e37]);
         // Half of a column and more is its content.
         assert!(
             found(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], Use::Reading).is_empty()

@@ -3,7 +3,7 @@
 
 use crate::copies::{self, copies};
 use crate::error::InputError;
-use crate::overflow::{Use, codes, line_at};
+use crate::overflow::{Use, codes, line_at, refuse_most};
 use crate::sequence::{Step, contradicted_direction, standing_clock};
 use crate::warning::{SessionWarning, WarningKind};
 use wcal_core::Role;
@@ -12,6 +12,8 @@ use wcal_core::Role;
 pub(crate) struct View {
     /// Line in the file.
     pub line: usize,
+    /// Point.
+    pub point: i64,
     /// Sealed rows are no copies here: a sealed copy of an open row refuses the session.
     pub role: Role,
     /// Stimulus or commanded position.
@@ -57,8 +59,9 @@ pub(crate) fn screen<R: Screened>(
     let mut kept = vec![true; rows.len()];
     for overflow in overflows(names, &views, &beside) {
         overflow.rows.iter().for_each(|&k| kept[k] = false);
-        let lines = overflow.rows.iter().map(|&k| views[k].line).collect();
-        let kind = WarningKind::Overflow { column: overflow.column, value: overflow.value, lines };
+        refuse_most(file, &overflow.column, overflow.rows.len(), rows.len())?;
+        let (lines, points) = overflow.rows.iter().map(|&k| (views[k].line, views[k].point)).unzip();
+        let kind = WarningKind::Overflow { column: overflow.column, value: overflow.value, lines, points };
         warnings.push(SessionWarning::new(file, kind));
     }
     let open: Vec<usize> = (0..rows.len()).filter(|&k| kept[k] && views[k].role != Role::Holdout).collect();
@@ -66,8 +69,8 @@ pub(crate) fn screen<R: Screened>(
     let again: Vec<usize> = copies(&compared).into_iter().map(|k| open[k]).collect();
     if !again.is_empty() {
         again.iter().for_each(|&k| kept[k] = false);
-        let lines = again.iter().map(|&k| views[k].line).collect();
-        warnings.push(SessionWarning::new(file, WarningKind::CopiedRows { lines, of: rows.len() }));
+        let (lines, points) = again.iter().map(|&k| (views[k].line, views[k].point)).unzip();
+        warnings.push(SessionWarning::new(file, WarningKind::Copied { lines, points, of: rows.len() }));
     }
     let stays: Vec<&View> = views.iter().zip(&kept).filter(|(_, k)| **k).map(|(v, _)| v).collect();
     consistent(file, names, &stays)?;

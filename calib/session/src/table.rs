@@ -17,6 +17,9 @@ const MAX_LINE: u64 = 1 << 22;
 /// Most columns of a table.
 const MAX_COLUMNS: usize = 10_000;
 
+/// Names of a scalar table's column that groups its readings where it counts no repetitions.
+const GROUPS: [&str; 3] = ["run", "pose", "day"];
+
 /// Marks the rows of simulated data; a mark is no covariate.
 pub const SIMULATED_COLUMN: &str = "simulated";
 
@@ -78,6 +81,21 @@ impl Table {
             let (other_base, other_unit) = split_unit(column);
             if other_base == base && !other_unit.is_empty() {
                 return Err(self.wrong_unit(name, unit, column, other_unit));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The column whose readings are left out together: cycle or replicate, else the first of [`GROUPS`] that the table has.
+    pub(crate) fn group(&mut self) -> Result<Option<Column>, InputError> {
+        // Counters of repetitions are no quantities that act, whichever of them groups.
+        let counters = [self.optional("cycle")?, self.optional("replicate")?];
+        if let Some(counter) = counters.into_iter().flatten().next() {
+            return Ok(Some(counter));
+        }
+        for name in GROUPS {
+            if let Some(column) = self.optional(name)? {
+                return Ok(Some(column));
             }
         }
         Ok(None)

@@ -51,6 +51,7 @@ impl Screened for TransducerRow {
     fn view(&self) -> View {
         View {
             line: self.line,
+            point: self.point,
             role: self.role,
             setting: self.stimulus,
             reading: self.response,
@@ -73,7 +74,7 @@ pub(crate) fn read_rows(
     let (point, role) = (table.required("point")?, table.required("role")?);
     let (stimulus, response) = (table.required("stimulus")?, table.required("response")?);
     let (t_s, temperature) = (table.optional("t_s")?, table.optional("temperature_degc")?);
-    let (direction, replicate) = (table.optional("direction")?, table.optional("replicate")?);
+    let (direction, replicate) = (table.optional("direction")?, table.group()?);
     let mut extra = table.unused();
     let mut points = PointNumbers::default();
     let mut rows: Vec<TransducerRow> = Vec::new();

@@ -34,11 +34,15 @@ pub enum WarningKind {
         value: f64,
         /// Lines of the rows, which are left out.
         lines: Vec<usize>,
+        /// Their points.
+        points: Vec<i64>,
     },
     /// Rows that repeat others to the last digit where their noise would not let them.
-    CopiedRows {
+    Copied {
         /// Lines of the rows, which are left out.
         lines: Vec<usize>,
+        /// Their points.
+        points: Vec<i64>,
         /// Rows of the table.
         of: usize,
     },
@@ -56,15 +60,6 @@ pub enum WarningKind {
     ScansLost(Vec<i64>),
     /// Points whose scans came late, or whose clocks could not be aligned.
     ScansLate(Vec<i64>),
-    /// Rows left out: an instrument's overflow value stands where a reading should.
-    OverflowAtPoints {
-        /// Column.
-        column: String,
-        /// Their points.
-        points: Vec<i64>,
-    },
-    /// Rows left out: they repeat an earlier row in every column.
-    CopiedPoints(Vec<i64>),
     /// A grating reads the same in every row while another grating changes.
     Stuck {
         /// Grating.
@@ -126,7 +121,7 @@ impl SessionWarning {
     /// Points of rows that were left out of the table.
     pub(crate) fn left_out(&self) -> &[i64] {
         match &self.kind {
-            WarningKind::OverflowAtPoints { points, .. } | WarningKind::CopiedPoints(points) => points,
+            WarningKind::Overflow { points, .. } | WarningKind::Copied { points, .. } => points,
             _ => &[],
         }
     }
@@ -153,14 +148,14 @@ impl fmt::Display for SessionWarning {
                 f,
                 "clock_problem: {file}: t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s"
             ),
-            WarningKind::Overflow { column, value, lines } => write!(
+            WarningKind::Overflow { column, value, lines, .. } => write!(
                 f,
                 "{file}: {column} {} in {} row(s) is an overflow value of the instrument; left out as missing: line(s) {}",
                 short(*value),
                 lines.len(),
                 named(lines)
             ),
-            WarningKind::CopiedRows { lines, of } => write!(
+            WarningKind::Copied { lines, of, .. } => write!(
                 f,
                 "{file}: {} of {of} rows are copies of others (same digits where repeats scatter); counted once, left out: line(s) {}",
                 lines.len(),
@@ -184,18 +179,6 @@ impl fmt::Display for SessionWarning {
                 f,
                 "{file}: points {}: scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen \
                  behind",
-                named(points)
-            ),
-            WarningKind::OverflowAtPoints { column, points } => write!(
-                f,
-                "{file}: {} row(s) left out as missing: {column} holds an overflow value, no reading (points {})",
-                points.len(),
-                named(points)
-            ),
-            WarningKind::CopiedPoints(points) => write!(
-                f,
-                "{file}: {} row(s) repeat an earlier row in every column and count once (points {})",
-                points.len(),
                 named(points)
             ),
             WarningKind::Stuck { column, rows } => write!(

@@ -179,19 +179,20 @@ pub(crate) fn read_rows(
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
     let [mut lost, mut late] = [Vec::new(), Vec::new()];
-    let (mut left_out, mut places, mut order) = (LeftOut::default(), Vec::new(), 0);
+    let mut left_out = LeftOut::of(path, name, columns.sensed().collect())?;
+    let (mut places, mut order) = (Vec::new(), 0);
     // A free table may hold the same rounded readings many times; a session's points are poses.
     let numbered = columns.point.filter(|_| requirement == ColumnRequirement::Session);
     while let Some(row) = table.next_row()? {
         order += 1;
-        if let Some(column) = left_out.overflowed(&row, columns.sensed())? {
+        if let Some(code) = left_out.overflowed(&row)? {
             let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
             points.note(&row, point)?;
-            left_out.note_overflow(column, point);
+            left_out.note_overflow(code, row.line, point);
             continue;
         }
         let reading = read_row(&row, &columns, fbg, &known, requirement, order - 1)?;
-        places.push(reading.point);
+        places.push((reading.line, reading.point));
         let timed = reading.t_s.is_some();
         if numbered.is_some() && left_out.note_cells(&row, numbered, timed) {
             // Its point number and its time were noted with the row that it copies.

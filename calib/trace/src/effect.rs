@@ -161,6 +161,15 @@ pub trait Effect: Send + Sync {
     fn has_memory(&self) -> bool {
         false
     }
+    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has a shape of its own;
+    /// else they describe one thing, and only one of them is true.
+    fn acts_severally(&self) -> bool {
+        false
+    }
+    /// The further column that a law follows, of those of the session.
+    fn column<'a>(&self, _law: usize, _columns: &'a [String]) -> Option<&'a str> {
+        None
+    }
     /// It is found reading by reading, by the outlier stage, not by a law.
     fn in_single_readings(&self) -> bool {
         false
@@ -171,6 +180,9 @@ pub trait Effect: Send + Sync {
     fn source(&self) -> &'static str;
 }
 
+/// The effects of a catalogue.
+pub type Catalogue = [std::sync::Arc<dyn Effect>];
+
 /// An effect with its law and nonlinear parameter values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EffectTerm {
@@ -180,4 +192,65 @@ pub struct EffectTerm {
     pub law: usize,
     /// Values of the law's nonlinear parameters.
     pub values: Vec<f64>,
+}
+
+/// What a term stands for: two terms of one explanation never stand for the same, and two explanations of the same are one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TermKey {
+    /// Index in the catalogue.
+    pub effect: usize,
+    /// Index of the law where the effect's laws can act at once, else 0.
+    pub law: usize,
+    /// Number among the terms of that law.
+    pub instance: usize,
+}
+
+impl EffectTerm {
+    /// Key of the first term of its kind.
+    #[must_use]
+    pub fn key(&self, catalogue: &Catalogue) -> TermKey {
+        let law = if catalogue[self.effect].acts_severally() { self.law } else { 0 };
+        TermKey { effect: self.effect, law, instance: 0 }
+    }
+
+    /// Whether both can stand in one explanation: they stand for different things, or for two instances that differ in shape.
+    #[must_use]
+    pub fn beside(&self, other: &Self, catalogue: &Catalogue) -> bool {
+        if self.key(catalogue) != other.key(catalogue) {
+            return true;
+        }
+        let law = catalogue[self.effect].law(self.law);
+        let differs = |k: usize| match law.parameters[k].role {
+            Role::Shape { grid } => {
+                let (a, b) = (self.values[k], other.values[k]);
+                (a - b).abs() > RESOLVED * grid_gap(grid, a).min(grid_gap(grid, b))
+            }
+            Role::Amplitude { .. } => false,
+        };
+        catalogue[self.effect].acts_severally() && (0..law.parameters.len()).any(differs)
+    }
+}
+
+/// Keys of terms, ascending; instances numbered.
+#[must_use]
+pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
+    let mut out: Vec<TermKey> = Vec::new();
+    for term in terms {
+        let first = term.key(catalogue);
+        let instance = out.iter().filter(|k| (k.effect, k.law) == (first.effect, first.law)).count();
+        out.push(TermKey { instance, ..first });
+    }
+    out.sort_unstable();
+    out
+}
+
+/// Gaps of the shape's grid from which on two instances are two: for a period one cycle over the range (Rayleigh).
+const RESOLVED: f64 = 1.9;
+
+/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
+#[must_use]
+pub fn grid_gap(grid: &[f64], value: f64) -> f64 {
+    let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
+    let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
+    gaps.fold(f64::INFINITY, f64::min)
 }

@@ -8,7 +8,7 @@
 //! [`crate::verify::SessionModel`] adds what the procedure asks of a kind of session: words, predictions, folds, checks.
 
 use crate::effect::{Effect, EffectTerm};
-use crate::method::hypothesis::Hypothesis;
+use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::{NoiseInputs, Weights};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
@@ -55,10 +55,10 @@ pub trait MeasurementModel: Sync {
     }
     /// Why an effect cannot be seen in this session; none where it can.
     fn not_observable(&self, effect: usize) -> Option<String>;
-    /// Each effect of an explanation is told from the design of the experiment itself: where readings repeat with the protocol, what repeats
-    /// with them is no law of the clock, and a few places are no law of the stimulus.
-    fn admits(&self, _h: &Hypothesis) -> bool {
-        true
+    /// An effect of an explanation that cannot be told from the design of the experiment itself: where readings repeat with the protocol,
+    /// what repeats with them is no law of the clock, and a few places, or a single one, are no law of the stimulus.
+    fn not_identified(&self, _h: &Hypothesis) -> Option<NotIdentified> {
+        None
     }
     /// Names among [`MeasurementModel::covariates`] of which nothing is known: they are tried in every shape.
     fn further_columns(&self) -> &[String] {

@@ -186,6 +186,27 @@ fn a_table_for_prediction_needs_wavelengths_only() {
 }
 
 #[test]
+fn a_column_of_runs_groups_the_readings_and_is_no_covariate() {
+    let read = |column: &str| {
+        let folder = tempfile::tempdir().unwrap();
+        Base::Transducer.write(folder.path());
+        let rows: String =
+            (0..12).map(|k| format!("{k},calibration,{},{}.5,{}\n", k % 4, k, k / 4)).collect();
+        let text = format!("point,role,stimulus,response,{column}\n{rows}");
+        fs::write(folder.path().join("points.csv"), text).unwrap();
+        let session = load(folder.path()).unwrap();
+        let SessionData::Transducer(data) = session.data else { panic!("kind") };
+        (data.rows.iter().map(|r| r.replicate).collect::<Vec<_>>(), data.covariates)
+    };
+    let groups: Vec<Option<u32>> = (0..12).map(|k| Some(k / 4)).collect();
+    for column in ["replicate", "cycle", "run", "pose", "day"] {
+        assert_eq!(read(column), (groups.clone(), Vec::new()), "{column}");
+    }
+    // Control: any other number is a covariate.
+    assert_eq!(read("batch"), (vec![None; 12], vec!["batch".to_owned()]));
+}
+
+#[test]
 fn copied_replicates_count_once() {
     let copied = |time: &dyn Fn(usize, &str) -> String| {
         let (_folder, session) = whisker_with(|text| {
@@ -198,7 +219,7 @@ fn copied_replicates_count_once() {
     };
     let (rows, findings) = copied(&|_, row| row.to_owned());
     assert!(
-        rows == 3 && findings.iter().any(|f| f.message.contains("6 row(s) repeat an earlier row")),
+        rows == 3 && findings.iter().any(|f| f.message.contains("6 of 9 rows are copies of others")),
         "{findings:?}"
     );
     // Control: the same values at times of their own were read again; a coarse instrument does that.

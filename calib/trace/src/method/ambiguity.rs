@@ -1,4 +1,4 @@
-//! Stage 8: which explanations the likelihood ratio to the best one does not reject, by parametric bootstrap on the tangent models.
+//! Competing explanations: which of them the likelihood ratio to the best one does not reject, by parametric bootstrap on the tangent models.
 //!
 //! Cox's test of separate families (Cox 1962; Davidson & MacKinnon 1981): were the rival true, how often would it fall this far behind the
 //! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw

@@ -72,6 +72,20 @@ fn is_clock(name: &str) -> bool {
     matches!(name, "t_s" | "order" | "temperature_degc" | "stimulus" | "commanded_mm")
 }
 
+/// Most cycles over a column's range that are tried.
+const MAX_CYCLES: f64 = 30.0;
+
+/// Cycles over the range of a column (values from 0 to 1) at which waves are tried: half cycles, so that neighbouring frequencies are still half
+/// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is told
+/// from its aliases by the unevenness alone.
+fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
+    let mut places = unit.to_vec();
+    places.sort_by(f64::total_cmp);
+    places.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    let limit = MAX_CYCLES.min(0.5 * (places.len() as f64 - 1.0));
+    (3..).map(|half| 0.5 * f64::from(half)).take_while(move |cycles| *cycles <= limit)
+}
+
 /// Generic signatures of every covariate of `system`, projected off `nuisance`.
 #[must_use]
 pub fn signatures_of_covariates(
@@ -140,17 +154,11 @@ pub fn signatures_of_covariates(
                     for tau in [0.03, 0.08, 0.2, 0.5] {
                         maker.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
                     }
-                    // Half cycles: neighbouring frequencies are then still half in step.
-                    for half in 3..=60 {
-                        let cycles = 0.5 * f64::from(half);
-                        let phase = std::f64::consts::TAU * cycles;
-                        maker.add(
-                            name,
-                            "sinusoid",
-                            Some(span / cycles),
-                            &[map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())],
-                        );
-                    }
+                }
+                for cycles in waves(&unit) {
+                    let phase = std::f64::consts::TAU * cycles;
+                    let wave = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
+                    maker.add(name, "sinusoid", Some(span / cycles), &wave);
                 }
                 maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5)));
             }

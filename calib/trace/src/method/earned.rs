@@ -92,3 +92,30 @@ pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec
     }
     (kept, within)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::columns_system::ColumnsSystem;
+    use super::super::fit::Weights;
+    use super::*;
+
+    /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten readings.
+    fn judged(seed: u64, slope: impl Fn(usize) -> f64) -> (usize, Vec<usize>) {
+        let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
+        let clean: Vec<f64> = x.iter().enumerate().map(|(i, x)| slope(i / 10) * x).collect();
+        let system = ColumnsSystem::new(seed, vec![x], &clean);
+        let weights = Weights::equal(100);
+        let fit = fit(&system, &[ColumnsSystem::term(0)], &weights, 5).unwrap();
+        let (kept, within) = earned(&system, &Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 });
+        (kept.fit.terms.len(), within)
+    }
+
+    #[test]
+    fn a_name_is_earned_in_every_group_and_not_in_one() {
+        for seed in 0..10 {
+            assert_eq!(judged(seed, |_| 1.0), (1, Vec::new()), "{seed}");
+            // The same sum of squares from one group alone: the others are predicted worse with it.
+            assert_eq!(judged(seed, |group| if group == 3 { 5.0 } else { 0.0 }), (0, vec![0]), "{seed}");
+        }
+    }
+}

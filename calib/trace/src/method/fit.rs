@@ -10,7 +10,7 @@
 
 use super::linear::stack_with;
 pub use super::noise::Weights;
-use crate::effect::{EffectTerm, Role};
+use crate::effect::{EffectTerm, Role, grid_gap};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use std::cell::{Cell, OnceCell};
@@ -195,13 +195,6 @@ fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 
             plain.min(0.02 * grid_gap(grid, term.values[k]))
         }
     }
-}
-
-/// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
-fn grid_gap(grid: &[f64], value: f64) -> f64 {
-    let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
-    let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
-    gaps.fold(f64::INFINITY, f64::min)
 }
 
 /// Tangent of the prediction by one nonlinear parameter: of the readings as they are, and of the second witness, whitened.

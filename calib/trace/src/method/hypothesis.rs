@@ -9,7 +9,7 @@
 use super::fit::{Fit, Status, Weights};
 use super::omnibus::OmnibusTest;
 use super::range_check::range_check;
-use crate::effect::Role;
+use crate::effect::{Role, TermKey, keys};
 use crate::measurement_model::MeasurementModel;
 
 /// Level at which a rival is rejected. The chance that the true explanation is left out is at most this for each rival that beats it.
@@ -47,6 +47,17 @@ impl Hypothesis {
         ids
     }
 
+    /// What its terms stand for, ascending, and the outliers where readings are flagged: explanations of one key are one.
+    #[must_use]
+    pub fn key(&self, system: &dyn MeasurementModel, outliers: Option<usize>) -> Vec<TermKey> {
+        let mut key = keys(&self.fit.terms, system.catalogue());
+        if let (Some(effect), false) = (outliers, self.flagged.is_empty()) {
+            key.push(TermKey { effect, law: 0, instance: 0 });
+            key.sort_unstable();
+        }
+        key
+    }
+
     /// Parameters that the explanation spends beyond the declared model.
     #[must_use]
     pub fn parameters(&self, base: &Fit) -> f64 {
@@ -65,7 +76,7 @@ impl Hypothesis {
         self.fit.ssr / variance + 2.0 * self.parameters(base) + flags
     }
 
-    /// Every parameter lies inside its physical range and every amplitude is there.
+    /// Every parameter lies inside its physical range, every amplitude is there, and no two terms stand for the same.
     #[must_use]
     pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
         let mut slot = 0;
@@ -86,7 +97,11 @@ impl Hypothesis {
                 }
             }
         }
-        self.fit.status != Status::RankDeficient && range_check(system, &self.fit)
+        let terms = &self.fit.terms;
+        let apart = |k: usize| terms[..k].iter().all(|t| t.beside(&terms[k], system.catalogue()));
+        (1..terms.len()).all(apart)
+            && self.fit.status != Status::RankDeficient
+            && range_check(system, &self.fit)
     }
 
     /// Whether it may be accepted: physical, and its sum of squares no longer falls.
@@ -94,6 +109,15 @@ impl Hypothesis {
     pub fn acceptable(&self, system: &dyn MeasurementModel) -> bool {
         self.fit.status != Status::NotConverged && self.physical(system)
     }
+}
+
+/// An effect that the design of the experiment does not tell from others.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NotIdentified {
+    /// Index in the catalogue.
+    pub effect: usize,
+    /// Why.
+    pub why: String,
 }
 
 /// One line of the evidence table.
@@ -139,6 +163,8 @@ pub struct SearchResult {
     pub refitted: Vec<Hypothesis>,
     /// Effects of explanations whose fit did not converge: none is accepted.
     pub not_converged: Vec<Vec<String>>,
+    /// Effects that describe the readings better than what was named, and that the design does not identify.
+    pub not_identified: Vec<NotIdentified>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
     /// Effects that the fitted readings ask for, and that lower the left-out error by less than its uncertainty.

@@ -155,7 +155,8 @@ fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothes
     let (mut slot, mut column) = (0, a.fit.design.ncols() - own.min(a.fit.design.ncols()));
     let mut basis = Basis::default();
     for term in &a.fit.terms {
-        let shared = b.fit.terms.iter().any(|t| t.effect == term.effect);
+        let key = |t: &EffectTerm| t.key(system.catalogue());
+        let shared = b.fit.terms.iter().any(|t| key(t) == key(term));
         let mut add = |v: &DVector<f64>| {
             if shared {
                 basis.push(&declared.project_off(v));

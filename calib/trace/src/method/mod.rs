@@ -1,6 +1,8 @@
 //! The statistics shared by every kind of session: fit, screen, refit, compare. They know measurement models and effects, not whiskers.
 
 pub mod ambiguity;
+#[cfg(test)]
+mod columns_system;
 pub mod covariates;
 mod earned;
 pub mod explain;
@@ -22,3 +24,4 @@ pub mod search;
 pub mod signature;
 mod socp;
 pub mod subsets;
+pub mod support;

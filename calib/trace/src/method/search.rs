@@ -2,7 +2,7 @@
 
 use super::ambiguity::cox_test;
 use super::fit::{Fit, Weights, fit};
-use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, SearchResult};
+use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, NotIdentified, SearchResult};
 use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
@@ -12,9 +12,10 @@ use super::progress::progress;
 use super::refine::{refine_level, refit, settle};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
-use crate::effect::EffectTerm;
+use crate::effect::{EffectTerm, TermKey};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
@@ -23,30 +24,29 @@ fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
     system.outliers().filter(|&e| system.not_observable(e).is_none())
 }
 
-/// Explanations with one effect more than `from`: the best laws of each effect refitted, and outliers removed.
+/// Explanations with one term more than `from`: the best laws of each key refitted, and outliers removed.
 fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signature]) -> Vec<Hypothesis> {
     let residual = from.fit.stacked();
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
-    let mut ranked: Vec<(f64, usize)> = (0..system.catalogue().len())
-        .filter_map(|e| {
-            let best = (0..gains.len())
-                .filter(|&i| signatures[i].term.effect == e)
-                .map(|i| gains[i])
-                .fold(0.0, f64::max);
-            (best > 4.0 * from.fit.variance().min(1.0e300)).then_some((best, e))
-        })
-        .collect();
-    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut best_of: BTreeMap<TermKey, f64> = BTreeMap::new();
+    for (signature, gain) in signatures.iter().zip(&gains) {
+        let best = best_of.entry(signature.term.key(system.catalogue())).or_insert(0.0);
+        *best = best.max(*gain);
+    }
+    let mut ranked: Vec<(TermKey, f64)> =
+        best_of.into_iter().filter(|b| b.1 > 4.0 * from.fit.variance().min(1.0e300)).collect();
+    ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     ranked.truncate(REFITS);
     let mut out: Vec<Hypothesis> = ranked
         .par_iter()
-        .flat_map_iter(|&(top, e)| {
-            let laws = system.catalogue()[e].laws();
+        .flat_map_iter(|&(key, top)| {
+            let laws = system.catalogue()[key.effect].laws();
             // Laws are rivals of their own; within a law the best point of the grid starts the refit.
             let starts: Vec<Vec<EffectTerm>> = (0..laws.len())
                 .filter_map(|l| {
                     let best = (0..gains.len())
-                        .filter(|&i| signatures[i].term.effect == e && signatures[i].term.law == l)
+                        .filter(|&i| signatures[i].term.law == l)
+                        .filter(|&i| signatures[i].term.key(system.catalogue()) == key)
                         .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
                     (gains[best] > 0.5 * top).then(|| {
                         let mut terms = from.fit.terms.clone();
@@ -78,14 +78,12 @@ fn by_subsets(
     let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
     let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
-    let known: Vec<Vec<usize>> = next.iter().map(|h| h.effects(None)).collect();
-    best_subsets(signatures, &residual, size, scale, KEPT + known.len())
+    let known: Vec<Vec<TermKey>> = next.iter().map(|h| h.key(system, None)).collect();
+    best_subsets(system.catalogue(), signatures, &residual, size, scale, KEPT + known.len())
         .into_iter()
         .filter(|s| base.fit.ssr / scale - s.merit < top)
         .filter_map(|s| {
-            let mut effects: Vec<usize> = s.signatures.iter().map(|&i| signatures[i].term.effect).collect();
-            effects.sort_unstable();
-            if known.contains(&effects) {
+            if known.contains(&s.key(system.catalogue(), signatures)) {
                 return None;
             }
             let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law).clone();
@@ -101,8 +99,9 @@ fn by_subsets(
         .collect()
 }
 
-/// Adds the explanations of `more` that are not there yet; of two with the same effects the better stays.
+/// Adds the explanations of `more` that are not there yet; of two with the same key the better stays.
 fn merge(
+    system: &dyn MeasurementModel,
     all: &mut Vec<Hypothesis>,
     more: Vec<Hypothesis>,
     outliers: Option<usize>,
@@ -110,8 +109,8 @@ fn merge(
     variance: f64,
 ) {
     for h in more {
-        let key = h.effects(outliers);
-        match all.iter_mut().find(|o| o.effects(outliers) == key) {
+        let key = h.key(system, outliers);
+        match all.iter_mut().find(|o| o.key(system, outliers) == key) {
             Some(old) if old.criterion(base, variance) <= h.criterion(base, variance) => {}
             Some(old) => *old = h,
             None => all.push(h),
@@ -137,12 +136,13 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     let base = declared(system, weights, options.seed)?;
     let first_test = omnibus_test(system, &base.fit, &base.weights, options);
     // Gross readings that the declared model's first fit left out are no step of the search.
-    let given = base.effects(outliers).len();
+    let given = base.key(system, outliers).len();
     let mut best = base.clone();
     let mut level: Vec<Hypothesis> = vec![base.clone()];
     let mut level_test = first_test.clone();
     let mut final_level: Vec<Hypothesis> = Vec::new();
     let mut not_converged: Vec<Vec<String>> = Vec::new();
+    let mut not_identified: Vec<NotIdentified> = Vec::new();
     for size in 1..=options.largest {
         progress("searching for effects", (size - 1) as f64 / options.largest as f64);
         if !level_test.rejected() && !single_readings(system, &best) {
@@ -157,22 +157,24 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
             } else {
                 extend(system, h, &signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
             };
-            merge(&mut next, more, outliers, &base.fit, variance);
+            merge(system, &mut next, more, outliers, &base.fit, variance);
         }
         if size > 1 {
             let more = by_subsets(system, &base, &first_test.signatures, &next, size);
-            merge(&mut next, more, outliers, &base.fit, variance);
+            merge(system, &mut next, more, outliers, &base.fit, variance);
         }
         let open = next.iter().filter(|h| h.physical(system) && !h.acceptable(system));
-        not_converged.extend(open.map(|h| names(system, &h.effects(outliers))));
-        let mut physical: Vec<Hypothesis> = next
-            .into_iter()
-            .filter(|h| h.acceptable(system) && h.effects(outliers).len() == given + size && system.admits(h))
-            .collect();
-        let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { break };
+        not_converged.extend(open.map(|h| names(system, &h.key(system, outliers))));
+        next.retain(|h| h.acceptable(system) && h.key(system, outliers).len() == given + size);
+        let (mut physical, refused) = identified(system, next);
+        let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
+            not_identified.extend(ahead(&refused, &best, &base.fit));
+            break;
+        };
         physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
         let candidate = physical[0].clone();
         let p = step_p(&best, &candidate, &base.fit, &level_test);
+        not_identified.extend(ahead(&refused, &candidate, &base.fit));
         if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
             break;
         }
@@ -192,7 +194,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     {
         best = flag_anew(system, more);
         level_test = gate_again(system, &best, options, 2 * options.largest as u64 + 1);
-        final_level.retain(|h| h.effects(outliers) != best.effects(outliers));
+        final_level.retain(|h| h.key(system, outliers) != best.key(system, outliers));
         final_level.insert(0, best.clone());
     }
     let variance = best.fit.variance();
@@ -216,7 +218,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         .iter()
         .zip(&p_values)
         .map(|(h, p_value)| Evidence {
-            effects: names(system, &h.effects(outliers)),
+            effects: names(system, &h.key(system, outliers)),
             laws: h
                 .fit
                 .terms
@@ -239,14 +241,40 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         evidence,
         refitted: final_level,
         not_converged,
+        not_identified,
         covariate_beats_catalogue,
         within_model_error: Vec::new(),
     })
 }
 
-/// Identifiers of effects.
-fn names(system: &dyn MeasurementModel, effects: &[usize]) -> Vec<String> {
-    effects.iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
+/// Identifiers of what terms stand for.
+fn names(system: &dyn MeasurementModel, key: &[TermKey]) -> Vec<String> {
+    key.iter().map(|k| system.catalogue()[k.effect].id().to_owned()).collect()
+}
+
+/// An explanation that the design does not identify, and why.
+type Refused = (Hypothesis, NotIdentified);
+
+/// Explanations whose every effect the design identifies, and the others.
+fn identified(system: &dyn MeasurementModel, all: Vec<Hypothesis>) -> (Vec<Hypothesis>, Vec<Refused>) {
+    let (mut kept, mut refused) = (Vec::new(), Vec::new());
+    for h in all {
+        match system.not_identified(&h) {
+            None => kept.push(h),
+            Some(why) => refused.push((h, why)),
+        }
+    }
+    (kept, refused)
+}
+
+/// The best of `refused`, where it would have stood in place of `taken`.
+fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdentified> {
+    let lead = |h: &Hypothesis| {
+        let scale = h.fit.variance().min(taken.fit.variance());
+        taken.criterion(base, scale) - h.criterion(base, scale)
+    };
+    let best = refused.iter().max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
+    (lead(&best.0) > 0.0).then(|| best.1.clone())
 }
 
 /// Where something is left and the convex cross-check keeps an effect that the search lacks: the explanation that starts from what it keeps, if
@@ -332,5 +360,38 @@ fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
             let refitted = fit(system, &h.fit.terms, &weights, 15);
             refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::columns_system::ColumnsSystem;
+    use super::*;
+
+    #[test]
+    fn the_search_goes_on_from_what_the_cross_check_keeps() {
+        let wave = |k: f64| (0..100).map(|i| (0.17 * k * f64::from(i)).sin()).collect::<Vec<f64>>();
+        let sum = |a: &[f64], b: &[f64], share: f64| {
+            a.iter().zip(b).map(|(a, b)| a + share * b).collect::<Vec<f64>>()
+        };
+        let (a, b) = (wave(1.0), wave(2.3));
+        // The third column looks like both together, and leaves a rest.
+        let both = sum(&a, &b, 1.0);
+        let decoy = sum(&both, &wave(3.7), 0.7);
+        let clean: Vec<f64> = both.iter().map(|v| 3.0 * v).collect();
+        let system = ColumnsSystem::new(1, vec![a, b, decoy], &clean);
+        let weights = Weights::equal(100);
+        let options = Options::default();
+        let base = declared(&system, &weights, 1).unwrap();
+        let test = omnibus_test(&system, &base.fit, &weights, &options);
+        let explained = |effects: &[usize]| {
+            let terms: Vec<EffectTerm> = effects.iter().map(|&e| ColumnsSystem::term(e)).collect();
+            refit(&system, &[terms], &base).unwrap()
+        };
+        let from =
+            |best: &Hypothesis| by_cross_check(&system, &base, best, &test, 2).map(|h| h.effects(None));
+        assert_eq!(from(&explained(&[2])), Some(vec![0, 1]));
+        // Control: what is complete stays.
+        assert_eq!(from(&explained(&[0, 1])), None);
     }
 }

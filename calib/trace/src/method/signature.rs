@@ -190,7 +190,7 @@ impl Signature {
     }
 }
 
-/// Signatures of every observable effect that is not yet in the fit.
+/// Signatures of every observable effect that is not yet in the fit, or can act once more beside itself.
 #[must_use]
 pub fn signatures_of_catalogue(
     system: &dyn MeasurementModel,
@@ -200,7 +200,9 @@ pub fn signatures_of_catalogue(
 ) -> Vec<Signature> {
     (0..system.catalogue().len())
         .into_par_iter()
-        .filter(|&e| system.not_observable(e).is_none() && fit.terms.iter().all(|t| t.effect != e))
+        .filter(|&e| system.not_observable(e).is_none())
+        .filter(|&e| system.catalogue()[e].acts_severally() || fit.terms.iter().all(|t| t.effect != e))
         .flat_map(|e| signatures_of_effect(system, e, fit, weights, nuisance))
+        .filter(|s| fit.terms.iter().all(|t| t.beside(&s.term, system.catalogue())))
         .collect()
 }

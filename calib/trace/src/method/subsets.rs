@@ -1,10 +1,11 @@
-//! Stage 6, all subsets: which sets of effects explain most in the projected linear model, from the Gram matrix of their signatures.
+//! Screening by all subsets: which sets of terms explain most in the projected linear model, from the Gram matrix of their signatures.
 
 use super::linear::transposed_product;
 use super::signature::Signature;
+use crate::effect::{Catalogue, EffectTerm, TermKey, keys};
 use nalgebra::{DMatrix, DVector};
 
-/// A set of signatures, one an effect, and what its linear model leaves.
+/// A set of signatures and what its linear model leaves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Subset {
     /// Indices of the signatures.
@@ -13,19 +14,20 @@ pub struct Subset {
     pub merit: f64,
 }
 
-/// Signatures (laws, points of the shape grids) tried for every effect.
-const AN_EFFECT: usize = 2;
+/// Signatures (laws, points of the shape grids) tried for everything that a term can stand for.
+const OF_A_KEY: usize = 2;
 
-/// The sets of `size` effects with the largest merit, best first, at most `keep`. One-sided amplitudes of the wrong sign are left out.
+/// The sets of `size` terms with the largest merit, best first, at most `keep`. One-sided amplitudes of the wrong sign are left out.
 #[must_use]
 pub fn best_subsets(
+    catalogue: &Catalogue,
     signatures: &[Signature],
     residual: &DVector<f64>,
     size: usize,
     variance: f64,
     keep: usize,
 ) -> Vec<Subset> {
-    let chosen = promising(signatures, residual);
+    let chosen = promising(catalogue, signatures, residual);
     let columns: Vec<&DVector<f64>> = chosen.iter().flat_map(|&i| &signatures[i].directions).collect();
     let starts: Vec<usize> = chosen
         .iter()
@@ -48,10 +50,8 @@ pub fn best_subsets(
         size,
         &|members: &[usize]| {
             let new = members[members.len() - 1];
-            // Signatures of one effect are rivals, not company.
-            members[..members.len() - 1]
-                .iter()
-                .all(|&m| signatures[chosen[m]].term.effect != signatures[chosen[new]].term.effect)
+            let term = |m: usize| &signatures[chosen[m]].term;
+            members[..members.len() - 1].iter().all(|&m| term(m).beside(term(new), catalogue))
         },
         chosen.len(),
         &mut |members: &[usize]| {
@@ -79,30 +79,46 @@ pub fn best_subsets(
         },
     );
     found.sort_by(|a, b| b.merit.total_cmp(&a.merit));
-    let mut seen: Vec<Vec<usize>> = Vec::new();
+    let mut seen: Vec<Vec<TermKey>> = Vec::new();
     found.retain(|s| {
-        let mut effects: Vec<usize> = s.signatures.iter().map(|&i| signatures[i].term.effect).collect();
-        effects.sort_unstable();
-        let new = !seen.contains(&effects);
-        seen.push(effects);
+        let key = s.key(catalogue, signatures);
+        let new = !seen.contains(&key);
+        seen.push(key);
         new
     });
     found.truncate(keep);
     found
 }
 
-/// The best few signatures of every effect.
-fn promising(signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
+impl Subset {
+    /// What its terms stand for.
+    #[must_use]
+    pub fn key(&self, catalogue: &Catalogue, signatures: &[Signature]) -> Vec<TermKey> {
+        let terms: Vec<EffectTerm> = self.signatures.iter().map(|&i| signatures[i].term.clone()).collect();
+        keys(&terms, catalogue)
+    }
+}
+
+/// The best few signatures of everything that a term can stand for; neighbours on a grid of shapes are one.
+fn promising(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(residual)).collect();
     let mut order: Vec<usize> = (0..signatures.len()).collect();
     order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]));
-    let mut count = std::collections::BTreeMap::new();
-    order.retain(|&i| {
-        let c = count.entry(signatures[i].term.effect).or_insert(0);
-        *c += 1;
-        *c <= AN_EFFECT
-    });
-    order
+    let mut kept: Vec<usize> = Vec::new();
+    for i in order {
+        let term = &signatures[i].term;
+        let own: Vec<usize> = kept
+            .iter()
+            .copied()
+            .filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue))
+            .collect();
+        let several = catalogue[term.effect].acts_severally();
+        let apart = || own.iter().all(|&k| signatures[k].term.beside(term, catalogue));
+        if own.len() < OF_A_KEY && (!several || apart()) {
+            kept.push(i);
+        }
+    }
+    kept
 }
 
 fn combine(
@@ -129,9 +145,38 @@ fn combine(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effect::EffectTerm;
+    use crate::effect::{Effect, EffectModel, Parameter, Role};
     use crate::method::linear::Basis;
     use crate::method::signature::build;
+    use std::sync::Arc;
+
+    /// An effect with a place; the last of four can act more than once.
+    struct Placed(usize);
+
+    impl Effect for Placed {
+        fn id(&self) -> &'static str {
+            "placed"
+        }
+        fn laws(&self) -> Vec<EffectModel> {
+            let role = Role::Shape { grid: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
+            let place = Parameter { name: "place", unit: "1", range: [0.0, 9.0], role };
+            let (linear, needs) = (Vec::new(), Vec::new());
+            vec![EffectModel { name: "only", parameters: vec![place], linear, largest_share: None, needs }]
+        }
+        fn acts_severally(&self) -> bool {
+            self.0 == 3
+        }
+        fn sentence(&self) -> &'static str {
+            ""
+        }
+        fn source(&self) -> &'static str {
+            ""
+        }
+    }
+
+    fn catalogue() -> Vec<Arc<dyn Effect>> {
+        (0..4).map(|k| Arc::new(Placed(k)) as Arc<dyn Effect>).collect()
+    }
 
     fn signature(effect: usize, v: &DVector<f64>, one_sided: bool) -> Signature {
         let term = EffectTerm { effect, law: 0, values: vec![1.0] };
@@ -151,9 +196,9 @@ mod tests {
             signature(2, &decoy, false),
             signature(3, &wave(6.0), false),
         ];
-        let single = best_subsets(&signatures, &both, 1, 0.01, 1);
+        let single = best_subsets(&catalogue(), &signatures, &both, 1, 0.01, 1);
         assert_eq!(single[0].signatures, [2]);
-        let pair = best_subsets(&signatures, &both, 2, 0.01, 1);
+        let pair = best_subsets(&catalogue(), &signatures, &both, 2, 0.01, 1);
         let mut found = pair[0].signatures.clone();
         found.sort_unstable();
         assert_eq!(found, [0, 1]);
@@ -164,7 +209,26 @@ mod tests {
         let a = DVector::from_fn(20, |i, _| (0.3 * i as f64).sin());
         let b = DVector::from_fn(20, |i, _| (0.9 * i as f64).cos());
         let signatures = [signature(0, &a, true), signature(1, &b, false)];
-        assert_eq!(best_subsets(&signatures, &(&b - &a), 2, 0.01, 3), []);
-        assert_eq!(best_subsets(&signatures, &(&b + &a), 2, 0.01, 3).len(), 1);
+        assert_eq!(best_subsets(&catalogue(), &signatures, &(&b - &a), 2, 0.01, 3), []);
+        assert_eq!(best_subsets(&catalogue(), &signatures, &(&b + &a), 2, 0.01, 3).len(), 1);
+    }
+    #[test]
+    fn an_effect_that_acts_severally_stands_beside_itself_where_shapes_differ() {
+        let wave = |k: f64| DVector::from_fn(60, |i, _| (0.2 * k * i as f64).sin());
+        let at = |effect: usize, place: f64| {
+            let term = EffectTerm { effect, law: 0, values: vec![place] };
+            build(term, Vec::new(), false, &[wave(place)], &Basis::default()).unwrap()
+        };
+        let both = wave(1.0) + wave(5.0);
+        let pair = |effect: usize, second: f64| {
+            let signatures = [at(effect, 1.0), at(effect, second), at(0, 3.3)];
+            let found = best_subsets(&catalogue(), &signatures, &both, 2, 0.01, 1);
+            let key = found.first().map(|s| s.key(&catalogue(), &signatures));
+            key.map(|k| k.iter().filter(|k| k.effect == effect).map(|k| k.instance).collect::<Vec<_>>())
+        };
+        assert_eq!(pair(3, 5.0), Some(vec![0, 1]));
+        // Controls: an effect whose laws are rivals, and two places that are one.
+        assert_eq!(pair(2, 5.0), Some(vec![0]));
+        assert_eq!(pair(3, 1.5), Some(vec![0]));
     }
 }

@@ -109,7 +109,8 @@ pub fn claims(conclusion: &Conclusion, on_request: bool) -> bool {
     }
 }
 
-/// `h` without the effects that are none: beside the others each has to pass the level at which the search names. The least supported one first; itself where all are.
+/// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
+/// first; itself where all are.
 #[must_use]
 pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
     let mut kept = h.clone();
@@ -119,46 +120,40 @@ pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesi
     kept
 }
 
-/// `h` refitted without its least supported effect, where that is none.
+/// `h` refitted without its least supported term, where that is none.
 fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
-    let mut effects: Vec<usize> = h.fit.terms.iter().map(|t| t.effect).collect();
-    effects.dedup();
-    let without = |effect: usize| {
-        let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
+    let without = |term: usize| {
+        let mut terms = h.fit.terms.clone();
+        terms.remove(term);
         let fit = fit(model, &terms, &h.weights, 15)?;
         let extra = (fit.dof - h.fit.dof).max(1.0) as usize;
         let p = found.first_test.family.adjusted(f_test(fit.ssr - h.fit.ssr, fit.ssr, fit.dof, extra));
         Some((p, Hypothesis { fit, ..h.clone() }))
     };
-    effects
-        .into_iter()
-        .filter_map(|effect| {
-            let (p, without) = without(effect)?;
-            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, effect)).then_some((p, without))
+    (0..h.fit.terms.len())
+        .filter_map(|term| {
+            let (p, without) = without(term)?;
+            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, without)| without)
 }
 
-/// Every amplitude of an effect, linear coefficients among them, has a 95 % interval that holds zero.
-fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
+/// Every amplitude of a term, linear coefficients among them, has a 95 % interval that holds zero.
+fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
     let own: usize = laws.iter().map(|l| l.linear.len()).sum();
     let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
     let holds = |value: f64, slot: usize| value.abs() <= t * c[(slot, slot)].max(0.0).sqrt();
-    let (mut column, mut slot) = (q - own.min(q), q * channels);
-    let mut all = true;
-    for (term, law) in fit.terms.iter().zip(&laws) {
-        let is = term.effect == effect;
-        for j in column..column + law.linear.len() {
-            all &= !is || (0..channels).all(|k| holds(fit.coefficients[(j, k)], k * q + j));
-        }
-        column += law.linear.len();
-        for (p, value) in law.parameters.iter().zip(&term.values) {
-            all &= !is || !matches!(p.role, Role::Amplitude { .. }) || holds(*value, slot);
-            slot += 1;
-        }
-    }
-    all
+    // Columns and values follow the terms.
+    let first_column = q - own.min(q) + laws[..term].iter().map(|l| l.linear.len()).sum::<usize>();
+    let first_slot = q * channels + laws[..term].iter().map(|l| l.parameters.len()).sum::<usize>();
+    let linear = (first_column..first_column + laws[term].linear.len())
+        .all(|j| (0..channels).all(|k| holds(fit.coefficients[(j, k)], k * q + j)));
+    let values = laws[term].parameters.iter().zip(&fit.terms[term].values).enumerate();
+    linear
+        && values
+            .filter(|(_, (p, _))| matches!(p.role, Role::Amplitude { .. }))
+            .all(|(k, (_, value))| holds(*value, first_slot + k))
 }

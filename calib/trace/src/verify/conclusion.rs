@@ -1,4 +1,4 @@
-//! Stages 8 and 9: the verdict from what the search found, in the order of docs/src/formats.md.
+//! The verdict from what the search found, in the order of docs/src/formats.md.
 
 use super::acceptance::supported;
 use super::session_model::SessionModel;
@@ -237,6 +237,9 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         let all = found.survivors.iter().zip(&same);
         all.filter(|(_, s)| something && **s == of_class).map(|(h, _)| h).collect()
     };
+    // The same names by other laws (a period over time or over the order) are no rivals in name.
+    let names = ids(model, &found.best);
+    let rivals = || part(false).into_iter().filter(|h| ids(model, h) != names);
     let noise = model.noise_effect();
     let with_noise = |mut ids: Vec<String>| {
         ids.extend(noise.as_ref().map(|e| e.id.clone()));
@@ -250,12 +253,18 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         vec![with_noise(Vec::new())]
     };
     alternatives.retain(|a| !a.is_empty());
+    let mut told: Vec<Vec<String>> = Vec::new();
+    alternatives.retain(|a| {
+        let new = !told.contains(a);
+        told.push(a.clone());
+        new
+    });
     let mut c = Conclusion {
         verdict: Verdict::Adequate,
         reason: String::new(),
         effects,
         alternatives,
-        rivals: part(false).into_iter().cloned().collect(),
+        rivals: rivals().cloned().collect(),
         unknown: None,
         accepted: found.accepted().clone(),
     };

@@ -6,6 +6,7 @@ use super::held_out::{Errors, Unsealed};
 use super::identifiability;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
+use crate::effect::EffectTerm;
 use crate::method::explain::Explained;
 use crate::method::hypothesis::Hypothesis;
 use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
@@ -108,6 +109,8 @@ fn notes<M: SessionModel>(
     notes.extend(explained.found.not_converged.iter().map(|effects| {
         format!("The fit of {} did not converge: it is not among the explanations.", effects.join(" with "))
     }));
+    notes.extend(not_identified(model, explained));
+    notes.extend(other_laws(model, explained, conclusion));
     notes.extend(noise.iter().flat_map(noise_sentences));
     notes.extend(model.notes(&explained.found, &conclusion.accepted));
     let quantity = model.quantities()[0];
@@ -121,4 +124,37 @@ fn notes<M: SessionModel>(
         )
     }));
     notes
+}
+
+/// Effects that describe the readings better than what is named, each once: a name is none where the design does not tell it.
+fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    for n in &explained.found.not_identified {
+        let sentence =
+            format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.worded(&n.why));
+        if !out.contains(&sentence) {
+            out.push(sentence);
+        }
+    }
+    out
+}
+
+/// Laws of the accepted names by which the data could be described as well: columns or clocks that this session does not tell apart.
+fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Conclusion) -> Option<String> {
+    let accepted = &conclusion.accepted;
+    let laws = |h: &Hypothesis| -> Vec<String> {
+        let law = |t: &EffectTerm| {
+            let effect = &model.catalogue()[t.effect];
+            let column =
+                effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
+            format!("{} {}{column}", effect.id(), model.law_name(effect.law(t.law).name))
+        };
+        h.fit.terms.iter().map(law).collect()
+    };
+    let own = laws(accepted);
+    let same = |h: &&Hypothesis| ids(model, h) == ids(model, accepted) && laws(h) != own;
+    let others: Vec<String> =
+        explained.found.survivors.iter().filter(same).map(|h| laws(h).join(" with ")).collect();
+    (!others.is_empty() && !own.is_empty())
+        .then(|| format!("{} is not told from {}.", own.join(" with "), others.join(", nor from ")))
 }

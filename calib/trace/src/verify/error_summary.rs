@@ -1,4 +1,4 @@
-//! Stage 11: held-out errors with bootstrap intervals over whole groups.
+//! Held-out errors with bootstrap intervals over whole groups.
 
 use super::session_model::{HeldOut, Quantity};
 use std::collections::BTreeMap;

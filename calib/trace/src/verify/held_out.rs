@@ -1,4 +1,4 @@
-//! Stage 11: the error on readings that no fit saw, before and after, beside a black-box rival.
+//! The error on readings that no fit saw, before and after, beside a black-box rival.
 
 use super::conclusion::Conclusion;
 use super::error_summary::{coverage95, summarise};

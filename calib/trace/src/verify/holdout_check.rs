@@ -1,4 +1,4 @@
-//! Stage 11, the last word: do the unsealed readings agree with the accepted model within noise and parameter uncertainty?
+//! The last word: do the unsealed readings agree with the accepted model within noise and parameter uncertainty?
 
 use super::session_model::SessionModel;
 use crate::method::fit::{Weights, fit};

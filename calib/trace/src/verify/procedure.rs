@@ -50,11 +50,11 @@ pub fn verify<M: SessionModel>(
     options: &VerifyOptions,
 ) -> Result<Verification<M>, TraceError> {
     let (asked, seed) = (&options.accept, options.search.seed);
-    // Stage 0: the twin before reality.
+    // Twin check: the twin before reality.
     let faults = model.twin_faults();
-    // Stages 1 and 3 to 7: noise in parts, baseline, gate, signatures, screening, nested refits.
+    // Noise in parts, baseline fit, omnibus test, signatures, screening, refits.
     let (model, explained) = model.explain(options).ok_or(TraceError::NoSolution)?;
-    // Stages 8 and 9: ambiguity set and adequacy.
+    // Competing explanations and adequacy.
     let found = &explained.found;
     let mut conclusion =
         if explained.exact { Conclusion::exact(&found.base) } else { conclude(&model, found, &faults) };
@@ -63,13 +63,13 @@ pub fn verify<M: SessionModel>(
     } else {
         conclusion.accept(&model, found, asked)?;
     }
-    // Stages 2 and 11: the seal held until here and is broken once; the unsealed readings have the last word.
+    // The split's seal held until here and is broken once; the unsealed readings have the last word.
     let (rows, unsealing) = sealed.unseal(&options.seal);
     let whole = model.whole(rows)?;
     let stage =
         Stage { model: &model, whole: &whole, explained: &explained, on_request: !asked.is_empty(), seed };
     let (unsealed, errors, floor) = stage.apply_holdout(&mut conclusion)?;
-    // What could have been seen, stage 10 (next measurement), and what a reader must know.
+    // What could have been seen, the next measurement, and what a reader must know.
     let document =
         document(&model, &whole, &explained, &conclusion, &faults, &floor, &unsealed, &errors, seed);
     let residuals = residuals(&model, &whole, &conclusion, &unsealed);

@@ -113,11 +113,11 @@ pub trait SessionModel: MeasurementModel + Sized {
     /// Name of a coefficient of the declared model.
     fn nuisance(&self, column: usize) -> String;
 
-    /// Stage 0: faults of an outside twin.
+    /// Twin check: faults of an outside twin.
     fn twin_faults(&self) -> Vec<TwinFault> {
         Vec::new()
     }
-    /// Stages 1 and 3 to 9: noise and explanation, and the model as the noise makes it (channels decorrelated, spread known).
+    /// Noise and explanation, and the model as the noise makes it (channels decorrelated, spread known).
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
         let explained = explain(&self, &options.search)?;
         Some((self, explained))
@@ -146,10 +146,10 @@ pub trait SessionModel: MeasurementModel + Sized {
         None
     }
 
-    /// Stage 10: what would decide between the best explanation and its rivals of another class.
+    /// Next measurement: what would decide between the best explanation and its rivals of another class.
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement>;
 
-    /// Stage 11: the model at every reading of the session, unsealed ones behind.
+    /// The model at every reading of the session, unsealed ones behind.
     ///
     /// # Errors
     /// Where the rows cannot be modelled.

@@ -38,7 +38,7 @@ fn most(rate: f64, trials: u64) -> u64 {
     Binomial::new(rate, trials).unwrap().inverse_cdf(0.999)
 }
 
-// Stage 3: the fit.
+// The baseline fit.
 
 #[test]
 fn the_fit_recovers_a_shelf_and_its_coefficients() {
@@ -152,7 +152,7 @@ fn columns_that_depend_on_each_other_are_said() {
     assert!(tangent.norm() < 1e-9 * stack(&f.tangents[0]).norm().max(1e-300));
 }
 
-// Stage 5: signatures.
+// Signatures.
 
 #[test]
 fn what_the_slope_takes_up_has_no_signature() {
@@ -186,7 +186,7 @@ fn a_basis_is_orthonormal_and_refuses_what_it_spans() {
     assert!(basis.project_off(&(&a + &b)).norm() < 1e-12);
 }
 
-// Stage 4: the omnibus test.
+// The omnibus test.
 
 #[test]
 fn the_family_holds_its_level_and_the_f_test_its_distribution() {
@@ -275,7 +275,7 @@ fn exactly_the_moved_readings_are_flagged() {
     assert!(false_flags <= most(0.01, trials), "{false_flags} of {trials}");
 }
 
-// Stages 6 to 9: the search.
+// Screening, refits, competing explanations, adequacy.
 
 fn names(system: &ToySystem, h: &Hypothesis) -> Vec<&'static str> {
     h.effects(Some(OUTLIERS)).iter().map(|&e| system.catalogue()[e].id()).collect()

@@ -53,7 +53,7 @@ fn null() -> &'static (WhiskerData, WhiskerSystem, SearchResult) {
     })
 }
 
-// Stage 0.
+// The twin check.
 
 /// The session with labels made from the rod itself by `change`.
 fn labelled(change: impl Fn(usize, [f64; 2]) -> [f64; 2]) -> (WhiskerData, WhiskerSystem) {
@@ -90,7 +90,7 @@ fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
     assert!(faults(&data, &system).iter().any(|f| f.kind == "discretisation"));
 }
 
-// Stage 1.
+// Noise.
 
 #[test]
 fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
@@ -109,7 +109,7 @@ fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     assert!(floor.remark().unwrap().contains("not known"));
 }
 
-// Stages 4, 9 and the order of verdicts.
+// The omnibus test, adequacy and the order of verdicts.
 
 #[test]
 fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
@@ -131,7 +131,7 @@ fn every_effect_has_a_line_saying_what_could_have_been_seen() {
     assert!(table.iter().all(|d| !d.why.is_empty()));
 }
 
-// Stage 11.
+// Unsealing.
 
 #[test]
 fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {

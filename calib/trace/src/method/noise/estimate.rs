@@ -1,4 +1,4 @@
-//! Stage 1: the parts of the noise, estimated from the residuals of a model.
+//! The parts of the noise, estimated from the residuals of a model.
 //!
 //! For given ratios theta (correlated part, its time constant, pose scatter) the readings are whitened and the model refitted; the ratios
 //! with the highest restricted likelihood (`likelihood`) are taken.

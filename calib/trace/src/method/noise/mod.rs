@@ -1,4 +1,4 @@
-//! Stage 1: the noise of the readings in parts, estimated from the residuals of a model.
+//! The noise of the readings in parts, estimated from the residuals of a model.
 
 mod estimate;
 mod likelihood;

@@ -26,10 +26,12 @@ pub(super) fn refusal(
     if rows.len() < MIN_ROWS {
         return Some(format!("{} readings; at least {MIN_ROWS} are needed", rows.len()));
     }
-    let finite = |r: &ScalarRow| (r.x.is_finite() && r.y.is_finite(), r.origin.clone());
-    let all = rows.iter().map(finite).chain(sealed.admission(finite));
-    if let Some((_, bad)) = all.into_iter().find(|r| !r.0) {
-        return Some(format!("reading {} of {} is not a finite number", bad.2, bad.0));
+    let not_finite = |rows: &[ScalarRow]| {
+        let bad = rows.iter().find(|r| !r.x.is_finite() || !r.y.is_finite())?;
+        Some(format!("reading {} of {} is not a finite number", bad.origin.2, bad.origin.0))
+    };
+    if let Some(why) = not_finite(rows).or_else(|| sealed.refusal(not_finite)) {
+        return Some(why);
     }
     let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
     x.sort_by(f64::total_cmp);
@@ -42,8 +44,10 @@ pub(super) fn refusal(
     }
     let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
     clock_fault(rows.iter().map(|r| r.t_s))
-        .or_else(|| copied_holdout(&fitted, &sealed.admission(compared)))
-        .or_else(|| jittered_holdout(rows, sealed))
+        .or_else(|| {
+            sealed.refusal(|sealed| copied_holdout(&fitted, &sealed.iter().map(compared).collect::<Vec<_>>()))
+        })
+        .or_else(|| sealed.refusal(|sealed| jittered_holdout(rows, sealed)))
         .or_else(|| constant_response(rows, declared))
         .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))
 }
@@ -81,7 +85,7 @@ fn compared(r: &ScalarRow) -> ComparedRow {
 
 /// Sealed readings that agree with fitted ones of the same stimulus far better than these agree with each other: copies with a little noise
 /// added. Fisher's combination of the chances that m repeats come as near; asked only where repeats tell the noise.
-fn jittered_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
+fn jittered_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
     /// Degrees of freedom of the repeats, and sealed readings, below which nothing is said.
     const MIN_DOF: usize = 8;
     const MIN_SEALED: usize = 5;
@@ -103,14 +107,13 @@ fn jittered_holdout(rows: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<St
     // What rounding makes equal is no nearer than half a digit.
     let step = decimal_step(&rows.iter().map(|r| r.y).collect::<Vec<f64>>()).unwrap_or(0.0);
     let chances: Vec<f64> = sealed
-        .admission(|r| {
+        .iter()
+        .filter_map(|r| {
             let own = cells.get(&key(r))?;
             let nearest = own.iter().map(|y| (y - r.y).abs()).fold(f64::INFINITY, f64::min).max(0.5 * step);
             let single = statrs::function::erf::erf(nearest / (2.0 * sd));
             Some((1.0 - (1.0 - single).powi(i32::try_from(own.len()).unwrap_or(i32::MAX))).max(1e-12))
         })
-        .into_iter()
-        .flatten()
         .collect();
     if chances.len() < MIN_SEALED {
         return None;
@@ -321,28 +324,25 @@ mod tests {
         (k as f64 * 12.9898).sin() * 43758.5453 % 1.0
     }
 
-    fn copied(points: &[ScalarRow], sealed: &Sealed<ScalarRow>) -> Option<String> {
-        copied_holdout(&points.iter().map(compared).collect::<Vec<_>>(), &sealed.admission(compared))
+    fn copied(points: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
+        let of = |rows: &[ScalarRow]| rows.iter().map(compared).collect::<Vec<_>>();
+        copied_holdout(&of(points), &of(sealed))
     }
 
     #[test]
     fn a_holdout_that_was_in_the_fit_is_refused_and_an_honest_one_is_not() {
         let points = table(4, |k, x| 2.0 * x + 0.1 * scatter(k));
-        let again = |jitter: f64| {
-            Sealed::new(
-                points[10..20]
-                    .iter()
-                    .map(|r| ScalarRow { y: r.y + jitter * scatter(r.origin.1), ..r.clone() })
-                    .collect(),
-            )
+        let again = |jitter: f64| -> Vec<ScalarRow> {
+            let moved = |r: &ScalarRow| ScalarRow { y: r.y + jitter * scatter(r.origin.1), ..r.clone() };
+            points[10..20].iter().map(moved).collect()
         };
         assert!(copied(&points, &again(0.0)).is_some());
         assert!(jittered_holdout(&points, &again(1e-4)).is_some());
-        let honest = Sealed::new(table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000)));
+        let honest = table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000));
         assert!(jittered_holdout(&points, &honest).is_none() && copied(&points, &honest).is_none());
         // A coarse gauge reads the same again.
         let coarse = table(4, |k, x| (2.0 * x + 0.01 * scatter(k)).round());
-        let sealed = Sealed::new(table(2, |k, x| (2.0 * x + 0.01 * scatter(k + 1000)).round()));
+        let sealed = table(2, |k, x| (2.0 * x + 0.01 * scatter(k + 1000)).round());
         assert!(copied(&coarse, &sealed).is_none() && jittered_holdout(&coarse, &sealed).is_none());
     }
 }

@@ -7,16 +7,18 @@
 //! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus can all take it. So each has to earn its
 //! gain where it says something of its own (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
 //! a law over time or order within cells, beside their pure error; a law of the stimulus between cells, beside what it leaves among them.
+//! And a name is none that rests on one level or one cycle: what a single place shows is a matter of that place.
 
-use super::floor::{protocol_keys, replicate_keys};
+use super::floor::{level_keys, protocol_keys, replicate_keys};
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, Need};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights, fit};
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::{Hypothesis, NotIdentified, SearchResult};
 use crate::method::linear::Basis;
-use crate::method::min_p::signature_p;
+use crate::method::min_p::{f_test, signature_p};
 use crate::method::signature::Signature;
+use crate::method::support::rests_on;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
@@ -26,6 +28,8 @@ const MIN_PURE_DOF: usize = 5;
 const WITHIN_LEVEL: f64 = 1e-4;
 /// Level between cells, where the law stands against an arbitrary table of as many places.
 const BETWEEN_LEVEL: f64 = 0.01;
+/// Level at which a plainer effect is contradicted.
+const CONTRADICTED: f64 = 1e-3;
 /// Steps of a refit without a term.
 const STEPS: usize = 10;
 
@@ -105,6 +109,29 @@ fn repeated(cells: &[u64], weights: &[f64]) -> bool {
     counted.iter().map(Vec::len).sum::<usize>() >= counted.len() + MIN_PURE_DOF
 }
 
+/// Why a law over the clock is none.
+const REPEATS: &str = "not observable: the protocol repeats with it";
+/// Why a law of the stimulus is none.
+const AS_A_TABLE: &str = "a table of as many places would explain as much";
+
+/// Cells in which repeats tell a law from what belongs to places.
+struct Strata {
+    /// Equal stimulus and direction.
+    cells: Vec<u64>,
+    /// Equal stimulus and way of the protocol.
+    protocol: Vec<u64>,
+}
+
+impl Strata {
+    /// A term gains where it says something of its own: within cells, or for a law of the stimulus between them.
+    fn earns(&self, with: &Fit, without: &Fit, weights: &Weights, by_clock: bool) -> bool {
+        let cells = if by_clock { &self.protocol } else { &self.cells };
+        let (with, without) = (split(with, weights, cells), split(without, weights, cells));
+        fall(without.within, with.within) < WITHIN_LEVEL
+            || (!by_clock && fall(without.between, with.between) < BETWEEN_LEVEL)
+    }
+}
+
 impl ScalarSystem {
     /// A law over time or over the order of the readings: it says nothing of a cell, and everything of when its readings were taken.
     fn runs_with_the_clock(&self, term: &EffectTerm) -> bool {
@@ -122,32 +149,94 @@ impl ScalarSystem {
         effect.has_memory() && effect.law(term.law).needs.iter().any(by_time)
     }
 
-    /// Each term of `h` earns its gain where it says something of its own; true where no cell is repeated.
+    /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
+    /// level or one cycle.
     #[must_use]
-    pub fn earned_by_cells(&self, h: &Hypothesis) -> bool {
+    pub fn first_not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
+        let strata = self.strata(h);
+        let levels = self.levels(&h.weights);
+        let cycles = self.cycles(&h.weights);
+        (0..h.fit.terms.len()).find_map(|k| {
+            let mut terms = h.fit.terms.clone();
+            let term = terms.remove(k);
+            let without = fit(self, &terms, &h.weights, STEPS)?;
+            let by_clock = self.runs_with_the_clock(&term);
+            let why = |why: String| Some(NotIdentified { effect: term.effect, why });
+            if let Some(plainer) = self.not_told_from(&terms, &term, h) {
+                return why(format!("on this range it is not told from {plainer}"));
+            }
+            if self.too_little_of_it(&terms, &term, h) {
+                return why("a bend of fewer periods describes the readings as well".to_owned());
+            }
+            if let Some(strata) = &strata
+                && !strata.earns(&h.fit, &without, &h.weights, by_clock)
+            {
+                return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
+            }
+            if let Some(level) = rests_on(&h.fit, &without, &levels) {
+                return why(format!("it rests on one level ({})", self.frame.rows[levels[level][0]].x));
+            }
+            // A cycle is a stretch of the clock: a law over the clock may live in one.
+            let cycle = rests_on(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
+            why(format!("it rests on one cycle ({})", self.frame.groups[cycles[cycle][0]]))
+        })
+    }
+
+    /// The plainer effect that `term` looks like, where that one in its place is not contradicted: both together explain no more than it alone,
+    /// or more than `term` alone.
+    fn not_told_from(
+        &self,
+        others: &[EffectTerm],
+        term: &EffectTerm,
+        h: &Hypothesis,
+    ) -> Option<&'static str> {
+        let law = self.catalogue()[term.effect].law(term.law);
+        let plainer = self.effects()[term.effect].looks_like(&law, &self.frame)?;
+        let effect = self.catalogue().iter().position(|e| e.id() == plainer)?;
+        let plain = EffectTerm { effect, law: 0, values: Vec::new() };
+        let with = |more: &[&EffectTerm]| {
+            let terms: Vec<EffectTerm> = others.iter().chain(more.iter().copied()).cloned().collect();
+            fit(self, &terms, &h.weights, STEPS)
+        };
+        let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
+        let gain = |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1);
+        (gain(&alone) > CONTRADICTED || gain(&h.fit) < CONTRADICTED).then_some(plainer)
+    }
+
+    /// A shape that is none of the effect describes the readings better in place of `term`.
+    fn too_little_of_it(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
+        self.effects()[term.effect].too_little_of_it().iter().any(|shape| {
+            let other = EffectTerm { values: vec![*shape], ..term.clone() };
+            let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
+            fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr)
+        })
+    }
+
+    /// Strata of the design; none where no cell is repeated.
+    fn strata(&self, h: &Hypothesis) -> Option<Strata> {
         let cells = replicate_keys(&self.frame);
         // With a memory in time the readings of a cell differ in their past, too: they are no repeats.
         let remembers = h.fit.terms.iter().any(|t| self.remembers_in_time(t));
         if remembers || !repeated(&cells, h.weights.relative()) {
-            return true;
+            return None;
         }
         // A law of the clock that follows stimulus and way repeats with the protocol, whether the way has a column or not.
         let protocol = protocol_keys(&self.frame);
         let protocol = if repeated(&protocol, h.weights.relative()) { protocol } else { cells.clone() };
-        let with = split(&h.fit, &h.weights, &cells);
-        let with_protocol = split(&h.fit, &h.weights, &protocol);
-        (0..h.fit.terms.len()).all(|k| {
-            let mut terms = h.fit.terms.clone();
-            let term = terms.remove(k);
-            let Some(fit) = fit(self, &terms, &h.weights, STEPS) else { return true };
-            if self.runs_with_the_clock(&term) {
-                let without = split(&fit, &h.weights, &protocol);
-                return fall(without.within, with_protocol.within) < WITHIN_LEVEL;
-            }
-            let without = split(&fit, &h.weights, &cells);
-            fall(without.within, with.within) < WITHIN_LEVEL
-                || fall(without.between, with.between) < BETWEEN_LEVEL
-        })
+        Some(Strata { cells, protocol })
+    }
+
+    /// Rows that count, by stimulus.
+    fn levels(&self, weights: &Weights) -> Vec<Vec<usize>> {
+        members(&level_keys(&self.frame), weights.relative())
+    }
+
+    /// Rows that count, by cycle; empty below four: without one of three a law loses a third of its readings.
+    fn cycles(&self, weights: &Weights) -> Vec<Vec<usize>> {
+        const MIN_CYCLES: usize = 4;
+        let keys: Vec<u64> = self.frame.groups.iter().map(|g| u64::from(*g)).collect();
+        let cycles = members(&keys, weights.relative());
+        if cycles.len() < MIN_CYCLES { Vec::new() } else { cycles }
     }
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.

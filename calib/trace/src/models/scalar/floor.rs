@@ -1,7 +1,17 @@
-//! The noise floor: pure error of replicates, else differences of neighbours.
+//! The noise floor: pure error of replicates, else differences of neighbours. Readings that share part of their noise differ by less than
+//! they scatter, and how much less depends on how far apart in time they were taken:
+//!
+//! ```text
+//! sum over sets of (r - mean)^2 = s^2 sum over sets of (tr C - 1'C 1 / n),      floor^2 = s^2 (1 + shared)
+//! ```
+//!
+//! with C the covariance of a set's readings in units of the repeat noise s^2 (`method::noise::whitening`).
 
-use super::frame::{Declared, Frame, ways};
+use super::frame::{Frame, ways};
+use super::system::ScalarSystem;
+use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
+use crate::method::noise::{Noise, Weights};
 
 /// Floor of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,6 +38,12 @@ pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
 }
 
+/// One key a stimulus.
+#[must_use]
+pub fn level_keys(frame: &Frame) -> Vec<u64> {
+    keys(frame, None)
+}
+
 fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
     let mut seen: Vec<(u64, bool)> = Vec::new();
     (0..frame.rows.len())
@@ -48,21 +64,56 @@ fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
 
 /// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
 #[must_use]
-pub fn noise_floor(frame: &Frame, h: &Hypothesis, shared: f64) -> Option<Floor> {
-    // Residuals are whitened: what readings share is no part of their scatter, but of a new reading's.
-    let whole = (1.0 + shared).sqrt();
-    let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
+pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Option<Floor> {
+    let frame = &system.frame;
+    let shape = noise.weights_of(&system.noise_inputs(), false);
+    let counts = |i: &usize| h.weights.counts(*i);
+    let scatter = Scatter { h, shape };
+    // Readings of one stimulus and direction: n - 1 degrees of freedom a cell.
     let keys = replicate_keys(frame);
-    let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| h.weights.counts(i)).collect();
-    if let Some(l) = crate::method::lack_of_fit::lack_of_fit(&residual, &keys, h.weights.relative(), 0)
-        && l.pure_dof >= MIN_DOF as f64
-    {
-        return Some(Floor { sd: l.pure_sd * whole, source: "replicates" });
+    let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
+    rows.sort_by_key(|&i| keys[i]);
+    let cells: Vec<&[usize]> =
+        rows.chunk_by(|&a, &b| keys[a] == keys[b]).filter(|cell| cell.len() > 1).collect();
+    let dof: usize = cells.iter().map(|cell| cell.len() - 1).sum();
+    let whole = (1.0 + noise.shared_variance()).sqrt();
+    if dof >= MIN_DOF {
+        let sd = scatter.repeat_sd(cells.into_iter())? * whole;
+        return Some(Floor { sd, source: "replicates" });
     }
-    if frame.declared != Declared::Polynomial(0) {
+    // Neighbours in time differ by their noise; where the order is not known, neighbours in the stimulus.
+    let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
+    if !frame.ordered {
         rows.sort_by(|&a, &b| frame.u[a].total_cmp(&frame.u[b]));
     }
-    let pairs = rows.len().saturating_sub(1);
-    let sum: f64 = rows.windows(2).map(|p| (residual[p[1]] - residual[p[0]]).powi(2) / 2.0).sum();
-    (pairs >= MIN_DOF).then(|| Floor { sd: (sum / pairs as f64).sqrt() * whole, source: "difference" })
+    if rows.len() <= MIN_DOF {
+        return None;
+    }
+    Some(Floor { sd: scatter.repeat_sd(rows.windows(2))? * whole, source: "difference" })
+}
+
+/// How much readings of a set differ, and how much the noise lets them.
+struct Scatter<'a> {
+    h: &'a Hypothesis,
+    /// Covariance of the readings' noise, repeat noise 1.
+    shape: Weights,
+}
+
+impl Scatter<'_> {
+    /// Repeat noise from the squares within sets; what readings of a set share is in neither side.
+    fn repeat_sd<'b>(&self, sets: impl Iterator<Item = &'b [usize]>) -> Option<f64> {
+        let (mut found, mut expected) = (0.0, 0.0);
+        for set in sets {
+            let count = set.len() as f64;
+            let weighted = |i: usize| self.h.weights.of(i) * self.h.fit.raw_residual[(i, 0)];
+            let mean = set.iter().map(|&i| weighted(i)).sum::<f64>() / count;
+            found += set.iter().map(|&i| (weighted(i) - mean).powi(2)).sum::<f64>();
+            // E sum (r - mean)^2 = tr C - 1'C 1 / n.
+            let mut c = self.shape.covariance(set);
+            c.row_iter_mut().zip(set).for_each(|(mut row, &i)| row *= self.h.weights.of(i));
+            c.column_iter_mut().zip(set).for_each(|(mut column, &i)| column *= self.h.weights.of(i));
+            expected += c.trace() - c.sum() / count;
+        }
+        (expected > 0.0).then(|| (found / expected).sqrt())
+    }
 }

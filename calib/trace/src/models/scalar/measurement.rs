@@ -158,7 +158,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, _left: bool) -> FloorStatement {
-        let floor = noise_floor(&self.frame, h, noise.shared_variance());
+        let floor = noise_floor(self, h, noise);
         let sd = floor.map(|f| f.sd);
         let source = floor.map_or("none", |f| f.source).to_owned();
         let floor = if self.axis() {

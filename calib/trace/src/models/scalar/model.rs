@@ -22,6 +22,9 @@ pub struct ModelTerm {
     pub id: String,
     /// Law.
     pub law: String,
+    /// Further column that it follows; none: the first one, or a law that follows none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
     /// Nonlinear values of the law.
     pub values: Vec<f64>,
 }
@@ -221,6 +224,7 @@ impl ScalarModel {
                     ModelTerm {
                         id: candidate.id().to_owned(),
                         law: candidate.law(t.law).name.to_owned(),
+                        column: candidate.column(t.law, &names.covariates).map(str::to_owned),
                         values: t.values.clone(),
                     }
                 })
@@ -248,7 +252,14 @@ impl ScalarModel {
             .map(|t| {
                 let unknown = || ModelError::UnknownEffect { effect: t.id.clone(), law: t.law.clone() };
                 let effect = system.catalogue().iter().position(|c| c.id() == t.id).ok_or_else(unknown)?;
-                let (law, form) = system.catalogue()[effect].law_named(&t.law).ok_or_else(unknown)?;
+                let (mut law, form) = system.catalogue()[effect].law_named(&t.law).ok_or_else(unknown)?;
+                // Laws of one name follow a column each.
+                if let Some(column) = &t.column {
+                    let of = |l: &usize| {
+                        system.catalogue()[effect].column(*l, &self.covariates) == Some(column.as_str())
+                    };
+                    law = (0..self.covariates.len()).find(of).ok_or_else(unknown)?;
+                }
                 if form.parameters.len() != t.values.len() {
                     let what = format!("values of {} ({})", t.id, t.law);
                     return Err(ModelError::shape(what, form.parameters.len(), t.values.len()));

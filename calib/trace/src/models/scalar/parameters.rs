@@ -105,13 +105,17 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
     let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
     let own: usize = fit.terms.iter().map(linear).sum();
     let mut column = q - own;
+    let mut instance = 0;
     for term in &fit.terms {
         let law = &system.catalogue()[term.effect].law(term.law);
+        instance += usize::from(term.effect == effect);
+        // A further term of the effect: its values are numbered.
+        let suffix = if instance > 1 { format!("_{instance}") } else { String::new() };
         let mut push = |name: &str, unit: &str, value: f64, half: [f64; 2], lowest: f64| {
             let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
             let (value_out, unit_out) = at(value);
             out.push(EffectParameter {
-                name: name.to_owned(),
+                name: format!("{name}{suffix}"),
                 value: value_out,
                 unit: unit_out,
                 interval95: ordered([at((value - half[0]).max(lowest)).0, at(value + half[1]).0]),
@@ -136,7 +140,7 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
             }
         }
         if term.effect == effect && system.catalogue()[effect].id() == PERIODIC {
-            derived(&mut out, fit, column, &covariance, t);
+            derived(&mut out, &suffix, fit, column, &covariance, t);
         }
         column += law.linear.len();
     }
@@ -167,10 +171,18 @@ fn plateau(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
 }
 
 /// Frequency and amplitude of a periodic effect, from its period, sine and cosine.
-fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance: &DMatrix<f64>, t: f64) {
-    let Some(period) = out.iter().find(|p| p.name == "period").cloned() else { return };
+fn derived(
+    out: &mut Vec<EffectParameter>,
+    suffix: &str,
+    fit: &Fit,
+    column: usize,
+    covariance: &DMatrix<f64>,
+    t: f64,
+) {
+    let named = |name: &str| format!("{name}{suffix}");
+    let Some(period) = out.iter().find(|p| p.name == named("period")).cloned() else { return };
     out.push(EffectParameter {
-        name: "frequency".to_owned(),
+        name: named("frequency"),
         value: 1.0 / period.value,
         unit: ratio("1", &[(&period.unit, 1)]),
         interval95: ordered(period.interval95.map(|v| 1.0 / v)),
@@ -186,9 +198,9 @@ fn derived(out: &mut Vec<EffectParameter>, fit: &Fit, column: usize, covariance:
             }
         }
         let half = t * variance.max(0.0).sqrt();
-        let unit = out.iter().find(|p| p.name == "sine").map_or(String::new(), |p| p.unit.clone());
+        let unit = out.iter().find(|p| p.name == named("sine")).map_or(String::new(), |p| p.unit.clone());
         out.push(EffectParameter {
-            name: "amplitude".to_owned(),
+            name: named("amplitude"),
             value: size,
             unit,
             interval95: [(size - half).max(0.0), size + half],

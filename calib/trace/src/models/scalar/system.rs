@@ -7,7 +7,7 @@ use super::parameters::Names;
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
 use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::Hypothesis;
+use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
 use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
@@ -245,8 +245,8 @@ impl MeasurementModel for ScalarSystem {
         unmet.map(str::to_owned).or_else(|| effect.not_observable(&self.frame))
     }
 
-    fn admits(&self, h: &Hypothesis) -> bool {
-        self.earned_by_cells(h)
+    fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
+        self.first_not_identified(h)
     }
 
     fn further_columns(&self) -> &[String] {

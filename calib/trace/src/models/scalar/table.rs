@@ -98,7 +98,9 @@ fn extended(
         let law = system.catalogue()[best.term.effect].law(best.term.law);
         let mut terms = kept.fit.terms.clone();
         terms.push(best.start(&left, &law));
-        match refitted(system, &terms, base).filter(|h| h.physical(system) && system.earned_by_cells(h)) {
+        match refitted(system, &terms, base)
+            .filter(|h| h.physical(system) && system.first_not_identified(h).is_none())
+        {
             Some(more) => kept = more,
             None => break,
         }

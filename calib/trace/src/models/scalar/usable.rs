@@ -3,6 +3,8 @@
 use super::frame::Declared;
 use super::model::ScalarModel;
 use super::system::ScalarSystem;
+use crate::effect::{EffectModel, EffectTerm};
+use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::Basis;
 use crate::method::min_p::f_test;
@@ -11,25 +13,47 @@ use nalgebra::DVector;
 /// A slope that chance gives once in a thousand sessions is known to a third of itself: less is no sensitivity.
 const SENSITIVITY_LEVEL: f64 = 1e-3;
 
-/// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted.
+/// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted. A quadratic
+/// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
 pub(super) fn insensitive(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let Declared::Polynomial(degree @ 1..) = system.frame.declared else { return None };
     let fit = &h.fit;
     let column = |j: usize| DVector::from_column_slice(fit.design.column(j).clone_owned().as_slice());
+    let of_stimulus = columns_of_stimulus(system, &fit.terms, degree, fit.design.ncols());
     let mut beside = Basis::default();
-    for j in (0..fit.design.ncols()).filter(|j| !(1..=degree).contains(j)) {
+    for j in (0..fit.design.ncols()).filter(|j| !of_stimulus.contains(j)) {
         beside.push(&column(j));
     }
     let left = fit.residual.column(0).clone_owned();
     let reading = (0..fit.design.ncols()).fold(left, |sum, j| sum + column(j) * fit.coefficients[(j, 0)]);
     let constant = beside.project_off(&reading).norm_squared();
-    let extra = degree + fit.tangents.len();
+    let extra = of_stimulus.len() + fit.tangents.len();
     let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra);
     (p > SENSITIVITY_LEVEL).then(|| {
         format!(
             "The response does not depend on the stimulus (p = {p:.2}): there is no sensitivity to calibrate."
         )
     })
+}
+
+/// Columns of the design that are functions of the stimulus: the declared powers, and those of effects that act through the stimulus alone.
+fn columns_of_stimulus(
+    system: &ScalarSystem,
+    terms: &[EffectTerm],
+    degree: usize,
+    count: usize,
+) -> Vec<usize> {
+    let laws: Vec<EffectModel> = terms.iter().map(|t| system.catalogue()[t.effect].law(t.law)).collect();
+    let mut column = count - laws.iter().map(|l| l.linear.len()).sum::<usize>();
+    let mut out: Vec<usize> = (1..=degree).collect();
+    for (term, law) in terms.iter().zip(&laws) {
+        let columns = column..column + law.linear.len();
+        column = columns.end;
+        if system.effects()[term.effect].of_stimulus(law) {
+            out.extend(columns);
+        }
+    }
+    out
 }
 
 /// The model cannot be applied to the rows that it was fitted to.

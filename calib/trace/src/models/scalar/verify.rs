@@ -132,7 +132,8 @@ fn with_coefficients(
     let richer = degree(&system, &accepted).and_then(|d| of_degree(&accepted, d));
     let plain = declared.clone().filter(|_| accepted.fit.terms.is_empty());
     let lack = [&found.base, &accepted].map(|h| system.pure_error(h));
-    let shared = unsealed.noise.shared_variance();
+    // Where the fit takes its readings for independent, its variance holds what they share already.
+    let shared = accepted.weights.shared().map_or(0.0, |_| unsealed.noise.shared_variance());
     let calibration =
         ScalarModel::of(&system, &accepted, system.spread(), shared, names, richer.clone().or(plain), lack);
     ScalarVerification {

@@ -1,4 +1,4 @@
-//! Stage 1: the noise floor, what a loaded reading at a pose set anew can reach.
+//! The noise floor, what a loaded reading at a pose set anew can reach.
 
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;

@@ -1,4 +1,4 @@
-//! Stage 10: the measurement that would decide between surviving explanations.
+//! Next measurement: the one that would decide between surviving explanations.
 
 use super::system::WhiskerSystem;
 use crate::effect::{EffectTerm, Need};

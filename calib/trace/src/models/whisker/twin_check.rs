@@ -1,4 +1,4 @@
-//! Stage 0: labels of an outside twin against the rod at the same poses, point by point.
+//! Twin check: labels of an outside twin against the rod at the same poses, point by point.
 //!
 //! A cable twin may differ from the rod smoothly (discretisation, diameter); a label that leaves the smooth relation is on another
 //! branch. The relation is fitted robustly, so the faulty labels do not pull it.
@@ -28,7 +28,7 @@ pub struct LabelCheck {
     pub fault: Option<&'static str>,
 }
 
-/// Result of stage 0.
+/// Result of the twin check.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LabelReport {
     /// Every labelled pose.

@@ -69,12 +69,10 @@ fn unusable(data: &WhiskerData) -> Option<String> {
         ));
     }
     let fitted: Vec<ComparedRow> = data.rows.iter().filter(|r| r.role != Role::Rest).map(compared).collect();
-    let sealed = data.holdout.admission(|r| r.sealed.then(|| compared(r)));
-    let sealed: Vec<ComparedRow> = sealed.into_iter().flatten().collect();
-    if let Some(reason) = copied_holdout(&fitted, &sealed) {
-        return Some(format!("{reason}."));
-    }
-    None
+    data.holdout.refusal(|rows| {
+        let sealed: Vec<ComparedRow> = rows.iter().filter(|r| r.sealed).map(compared).collect();
+        Some(format!("{}.", copied_holdout(&fitted, &sealed)?))
+    })
 }
 
 /// A reading as it is compared with those of the points table.

@@ -1,4 +1,4 @@
-//! Creep: the response goes on moving after the stimulus has changed.
+//! Creep: the response goes on moving after the stimulus has changed, onward or (negative, recovery) back.
 
 use super::memory::relaxed;
 use super::{amplitude, law, shape};
@@ -18,7 +18,7 @@ impl Effect for Creep {
             law(
                 "prony",
                 vec![
-                    amplitude("creep_fraction", "1", [0.0, 0.5], 0.02),
+                    amplitude("creep_fraction", "1", [-0.5, 0.5], 0.02),
                     shape("time_constant", "duration", [1e-3, 3.0], &[0.003, 0.01, 0.03, 0.1, 0.3, 1.0]),
                 ],
                 &[],
@@ -33,6 +33,9 @@ impl Effect for Creep {
         ]
     }
     fn has_memory(&self) -> bool {
+        true
+    }
+    fn acts_severally(&self) -> bool {
         true
     }
     fn sentence(&self) -> &'static str {

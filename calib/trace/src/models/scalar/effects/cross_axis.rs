@@ -23,6 +23,12 @@ impl Effect for CrossAxis {
             })
             .collect()
     }
+    fn column<'a>(&self, law: usize, columns: &'a [String]) -> Option<&'a str> {
+        columns.get(law).map(String::as_str)
+    }
+    fn acts_severally(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "The response follows a second quantity of the table, not only the stimulus."
     }

@@ -22,6 +22,9 @@ const GRID: [f64; 197] = {
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
 const MIN_CYCLES: f64 = 2.0;
 
+/// Cycles of bends that never repeat.
+const SQUIGGLES: [f64; 7] = [0.5, 0.75, 1.0, 1.25, 1.5, 1.7, 1.85];
+
 impl Effect for Periodic {
     fn id(&self) -> &'static str {
         PERIODIC
@@ -34,6 +37,9 @@ impl Effect for Periodic {
             law("over-time", cycles("period:time"), &columns).needing(&[Need::Time]),
             law("over-order", cycles("period:order"), &columns).needing(&[Need::Order]),
         ]
+    }
+    fn acts_severally(&self) -> bool {
+        true
     }
     fn sentence(&self) -> &'static str {
         "The residual repeats with a fixed period."
@@ -109,6 +115,12 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
 }
 
 impl ScalarEffect for Periodic {
+    fn too_little_of_it(&self) -> &'static [f64] {
+        &SQUIGGLES
+    }
+    fn of_stimulus(&self, law: &EffectModel) -> bool {
+        law.name == "over-stimulus"
+    }
     fn not_observable(&self, frame: &Frame) -> Option<String> {
         (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
     }

@@ -32,6 +32,9 @@ impl Effect for Step {
                 .needing(&[Need::Clock]),
         ]
     }
+    fn acts_severally(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "From one reading on every response is shifted by the same amount."
     }

@@ -19,6 +19,9 @@ impl Effect for Temperature {
                 .needing(&[Need::Temperature]),
         ]
     }
+    fn acts_severally(&self) -> bool {
+        true
+    }
     fn sentence(&self) -> &'static str {
         "The response moves with the temperature."
     }

@@ -1,0 +1,88 @@
+//! A small system for the method's own tests (SIMULATED): a constant, and effects that add one column each.
+
+use crate::effect::{Effect, EffectModel, EffectTerm};
+use crate::measurement_model::MeasurementModel;
+use nalgebra::DMatrix;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use std::sync::Arc;
+
+struct Column;
+
+impl Effect for Column {
+    fn id(&self) -> &'static str {
+        "column"
+    }
+    fn laws(&self) -> Vec<EffectModel> {
+        let linear = vec![("size", "1")];
+        vec![EffectModel {
+            name: "linear",
+            parameters: Vec::new(),
+            linear,
+            largest_share: None,
+            needs: Vec::new(),
+        }]
+    }
+    fn sentence(&self) -> &'static str {
+        "A column acts."
+    }
+    fn source(&self) -> &'static str {
+        "made for a test"
+    }
+}
+
+pub struct ColumnsSystem {
+    measured: DMatrix<f64>,
+    columns: Vec<Vec<f64>>,
+    catalogue: Vec<Arc<dyn Effect>>,
+    groups: Vec<u32>,
+    known: DMatrix<f64>,
+}
+
+impl ColumnsSystem {
+    /// `clean` with white noise of standard deviation 1, in groups of ten readings.
+    pub fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let n = clean.len();
+        let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
+        Self {
+            measured: DMatrix::from_fn(n, 1, |i, _| clean[i] + noise()),
+            catalogue: columns.iter().map(|_| Arc::new(Column) as Arc<dyn Effect>).collect(),
+            columns,
+            groups: (0..n).map(|i| (i / 10) as u32).collect(),
+            known: DMatrix::zeros(n, 1),
+        }
+    }
+
+    /// Term of a column.
+    pub fn term(effect: usize) -> EffectTerm {
+        EffectTerm { effect, law: 0, values: Vec::new() }
+    }
+}
+
+impl MeasurementModel for ColumnsSystem {
+    fn measured(&self) -> &DMatrix<f64> {
+        &self.measured
+    }
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+        let one = vec![1.0; self.measured.nrows()];
+        let columns: Vec<&Vec<f64>> =
+            std::iter::once(&one).chain(terms.iter().map(|t| &self.columns[t.effect])).collect();
+        Some(DMatrix::from_fn(one.len(), columns.len(), |i, j| columns[j][i]))
+    }
+    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+        &self.catalogue
+    }
+    fn not_observable(&self, _effect: usize) -> Option<String> {
+        None
+    }
+    fn groups(&self) -> &[u32] {
+        &self.groups
+    }
+    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
+        Vec::new()
+    }
+    fn known_noise(&self) -> &DMatrix<f64> {
+        &self.known
+    }
+}

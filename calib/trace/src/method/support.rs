@@ -1,0 +1,71 @@
+//! Does a name rest on one level (one stimulus, one cycle, one trajectory) alone? With a set L of readings deleted a least squares fit leaves
+//!
+//! ```text
+//! S_(-L) = S - e_L' (I - H_LL)^-1 e_L,     H = Q Q',    (I - Q_L Q_L')^-1 = I + Q_L (I - Q_L' Q_L)^-1 Q_L'
+//! ```
+//!
+//! with e the residual and Q an orthonormal basis of the model's tangent space (Cook & Weisberg, "Residuals and Influence in Regression"
+//! (1982), 2.2). Directions that L alone determines (eigenvalue 1 of Q_L' Q_L) go with it. A name survives where the F test of its term
+//! on what is left still speaks for it.
+
+use super::fit::Fit;
+use super::min_p::f_test;
+use super::signature::nuisance;
+use nalgebra::DVector;
+
+/// Level at which a term has to hold without a set of readings. The search has named it at a far stricter one already.
+const LEVEL: f64 = 0.01;
+/// An eigenvalue this near to one belongs to a direction that the deleted readings alone determine.
+const OWN_DIRECTION: f64 = 1e-9;
+
+/// What a model leaves of the readings outside a set, and its rank there.
+struct Deleted {
+    ssr: f64,
+    rank: f64,
+}
+
+/// A fit whose readings can be deleted in sets.
+struct Deletion {
+    residual: DVector<f64>,
+    basis: super::linear::Basis,
+    readings: usize,
+    channels: usize,
+}
+
+impl Deletion {
+    fn of(fit: &Fit) -> Self {
+        let (readings, channels) = fit.residual.shape();
+        Self { residual: fit.stacked(), basis: nuisance(fit), readings, channels }
+    }
+
+    fn without(&self, set: &[usize]) -> Deleted {
+        let own: Vec<usize> =
+            (0..self.channels).flat_map(|c| set.iter().map(move |i| c * self.readings + i)).collect();
+        let q =
+            nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| self.basis.vectors()[j][own[k]]);
+        let e = DVector::from_iterator(own.len(), own.iter().map(|&k| self.residual[k]));
+        let eigen = (q.transpose() * &q).symmetric_eigen();
+        let along = eigen.eigenvectors.transpose() * (q.transpose() * &e);
+        let (mut fall, mut rank) = (e.norm_squared(), 0.0);
+        for (value, part) in eigen.eigenvalues.iter().zip(along.iter()) {
+            if 1.0 - value > OWN_DIRECTION {
+                fall += part * part / (1.0 - value);
+                rank += 1.0;
+            }
+        }
+        Deleted { ssr: (self.residual.norm_squared() - fall).max(0.0), rank }
+    }
+}
+
+/// The first of `sets` without which a term is no longer supported: `with` it and `without` it fitted on all readings.
+#[must_use]
+pub fn rests_on(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
+    let (rich, plain) = (Deletion::of(with), Deletion::of(without));
+    let values = with.dof + rich.basis.rank() as f64;
+    sets.iter().position(|set| {
+        let (a, b) = (rich.without(set), plain.without(set));
+        let extra = a.rank - b.rank;
+        let dof = values - (set.len() * rich.channels) as f64 - b.rank;
+        extra < 0.5 || dof - extra < 0.5 || f_test(b.ssr - a.ssr, b.ssr, dof, extra as usize) >= LEVEL
+    })
+}

@@ -16,6 +16,7 @@ use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::sweep::{Ending, Progress};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
 use wcal_drivers::Drivers;
+use wcal_drivers::bench::in_process::InProcess;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -43,6 +44,9 @@ pub struct StageSweepArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
+    /// Sweep the virtual bench of a scenario in this process, as fast as the computer can, instead of the rig's devices; no cameras
+    #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume", "live"])]
+    pub scenario: Option<PathBuf>,
     /// Search the stage's reference where it has none (moves to the home switch)
     #[arg(long)]
     pub home: bool,
@@ -98,8 +102,22 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let mut devices = Drivers::new(&interrupt);
-    let recorded = record(&order, &mut devices, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    let mut progress = |p: &Progress| view.show(p);
+    let recorded = match &arguments.scenario {
+        Some(file) => {
+            let (scenario, plant) = crate::virtual_bench::load(file)?;
+            let mut bench = InProcess::new(scenario, plant);
+            let mut pause = {
+                let bench = bench.clone();
+                move |time: Duration| bench.pass(time.as_secs_f64())
+            };
+            record(&order, &mut bench, &mut ByHand, &interrupt, &mut pause, &mut progress)?
+        }
+        None => {
+            let mut devices = Drivers::new(&interrupt);
+            record(&order, &mut devices, &mut ByHand, &interrupt, &mut std::thread::sleep, &mut progress)?
+        }
+    };
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))

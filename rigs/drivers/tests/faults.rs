@@ -42,7 +42,7 @@ fn run(
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut std::thread::sleep, &mut |p| {
             let state = (bench.true_stage().1 != 0.0) == moving;
             if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
                 bench.inject(fault);
@@ -172,7 +172,7 @@ fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
+        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut std::thread::sleep, &mut |p| {
             if p.step >= 4 && !injected.swap(true, Ordering::SeqCst) {
                 bench.inject(Fault::AlertFlood { on: true });
                 scope.spawn(|| {
@@ -208,7 +208,7 @@ fn an_interrupt_is_heard_while_a_question_waits() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
     let interrupt = Interrupt::default();
-    let recorded = record(&order, &mut Drivers::new(&interrupt), &mut NoMount, &interrupt, &mut |p| {
+    let recorded = record(&order, &mut Drivers::new(&interrupt), &mut NoMount, &interrupt, &mut std::thread::sleep, &mut |p| {
         if p.step >= 4 {
             bench.inject(Fault::AlertFlood { on: true });
             interrupt.set(Signal::Terminate);
@@ -265,7 +265,7 @@ fn without_a_fault_there_is_no_outcome() {
 fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
-    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
+    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut std::thread::sleep, &mut |p| {
         if p.step >= 4 {
             bench.inject(Fault::UnplugStage);
         }

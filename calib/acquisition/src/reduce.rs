@@ -249,6 +249,7 @@ fn reduce_part(
             match assigned.usable() {
                 Some(sensing) => {
                     window.samples.serials.push(scan.serial);
+                    window.samples.times_s.push(t_s - window.begin_s);
                     window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
                     window.samples.sensing_nm[0].push(sensing[0]);
                     window.samples.sensing_nm[1].push(sensing[1]);
@@ -332,9 +333,9 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
     let mean = window.samples.mean()?;
     let moving = event.kind == "moving";
     let (t_s, stage_mm, speed_mm_s) = if moving {
-        let centre_s = (window.begin_s + window.end_s) / 2.0;
-        let (mm, speed) = track.at(centre_s)?;
-        (centre_s, mm, speed.abs())
+        let t_s = window.begin_s + mean.time_s;
+        let (mm, speed) = track.at(t_s)?;
+        (t_s, mm, speed.abs())
     } else {
         (window.end_s, track.mean(window.begin_s, window.end_s)?, 0.0)
     };

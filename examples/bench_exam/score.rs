@@ -1,6 +1,6 @@
 //! What one answer is worth, and the table over all.
 
-use crate::draw::Draw;
+use crate::draw::{Act, Draw};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use wcal_plant::exam::clopper_pearson;
@@ -26,6 +26,16 @@ fn names(list: &Value) -> Names {
     list.as_array().into_iter().flatten().filter_map(|s| Some(s.as_str()?.to_owned())).collect()
 }
 
+/// Whether the stated intervals hold what was put in; none where the answer is another law of the effect, with other parameters.
+fn covers(effect: &Value, act: &Act) -> Option<Vec<bool>> {
+    let inside = |(name, truth): (&str, f64)| {
+        let own = effect["parameters"].as_array()?.iter().find(|p| p["name"] == name)?;
+        let end = |k: usize| own["interval95"][k].as_f64();
+        Some((end(0)?..=end(1)?).contains(&truth))
+    };
+    act.truths().into_iter().map(inside).collect()
+}
+
 /// Scores verify.json of a draw.
 pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     let verdict = v["verdict"].as_str().unwrap_or("no verdict");
@@ -48,15 +58,8 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     let put_in: Names = d.acts.iter().map(|a| a.effect.id.to_owned()).collect();
     let wrong_name = verdict == "effect" && classes.iter().any(|c| c.is_disjoint(&put_in));
     let right = right || (d.kind() == "not shown by the plan" && verdict == "effect" && !wrong_name);
-    let inside = |name: &str, truth: f64, effect: &Value| {
-        let own = effect["parameters"].as_array()?.iter().find(|p| p["name"] == name)?;
-        let end = |k: usize| own["interval95"][k].as_f64();
-        Some((end(0)?..=end(1)?).contains(&truth))
-    };
-    let covered: Vec<bool> = d.acts.iter().flat_map(|a| {
-        let effect = effects.iter().find(|e| e["id"] == a.effect.id).filter(|_| verdict == "effect");
-        a.truths().into_iter().filter_map(move |(name, truth)| inside(name, truth, effect?))
-    }).collect();
+    let named = |a: &Act| effects.iter().find(|e| e["id"] == a.effect.id).filter(|_| verdict == "effect");
+    let covered: Vec<bool> = d.acts.iter().filter_map(|a| covers(named(a)?, a)).flatten().collect();
     let missed = covered.iter().filter(|c| !**c).count();
     // A compensated shift has the noise of two gratings: settled rows average one second, rows in motion 20 ms.
     let truth_pm = |samples: f64| (2.0 / samples).sqrt();

@@ -86,14 +86,15 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
     }
     // The raw streams are large, and the tables are made.
     let _ = fs::remove_file(folder.join("session/recording.mcap"));
-    fs::write(folder.join("recorded"), "")?;
+    fs::write(folder.join("recorded"), d.summary())?;
     Ok(())
 }
 
 /// verify.json of a draw; a session that was recorded before is verified anew.
 pub fn sit(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<Value> {
     fs::create_dir_all(folder)?;
-    if !folder.join("recorded").is_file() {
+    let same = |file: &str| fs::read_to_string(folder.join(file)).is_ok_and(|text| text == d.summary());
+    if !same("recorded") {
         let _ = fs::remove_dir_all(folder.join("session"));
         record(o, d, folder)?;
     }

@@ -112,7 +112,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
             let mut bench = InProcess::new(scenario, plant);
             let mut pause = {
                 let bench = bench.clone();
-                move |time: Duration| bench.pass(time.as_secs_f64())
+                move |time: Duration| bench.pause(time)
             };
             record(&order, &mut bench, &mut ByHand, &interrupt, &mut pause, &mut progress)?
         }

@@ -58,8 +58,15 @@ impl InProcess {
         Self { shared, stream: Arc::default(), answers: Arc::new(Mutex::new(answers)) }
     }
 
+    /// A pause of the sweep: its time passes. The first one waits for the thread that reads the stream, or chance would say how many there are.
+    pub fn pause(&self, time: Duration) {
+        let (stream, changed) = &*self.stream;
+        drop(changed.wait_timeout_while(guard(stream), GONE, |s| !s.reading));
+        self.pass(time.as_secs_f64());
+    }
+
     /// Lets time pass, s, and hands the stream over.
-    pub fn pass(&self, seconds: f64) {
+    fn pass(&self, seconds: f64) {
         self.shared.clock.pass(seconds);
         let now_s = self.shared.clock.now_s();
         let (stream, changed) = &*self.stream;
@@ -214,6 +221,7 @@ impl Interrogator for OwnInterrogator {
         let mut s = guard(&self.bench.stream.0);
         self.next = s.made;
         (s.reading, s.taken) = (true, self.next);
+        self.bench.stream.1.notify_all();
         Ok(())
     }
 

@@ -192,7 +192,7 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
         4 => {
             let u = SPAN.powf(rng.random::<f64>());
             let least = |id: &str| smallest.get(id).copied().flatten().unwrap_or(0.1) * (REFERENCE_HZ / rate_hz).sqrt();
-            let (middle_s, depth_mm, trajectories) = (if plan == "rich" { 1000.0 } else { 150.0 }, 3.0, 9f64);
+            let (middle_s, depth_mm, trajectories) = (if plan == "rich" { 900.0 } else { 70.0 }, 3.0, 9f64);
             drawn.outside = Some(if rng.random() {
                 Outside::Drift([middle_s, HALFWAY * u * least("zero-drift") / 60.0])
             } else {

@@ -12,9 +12,10 @@ use super::session_model::{FloorStatement, SessionModel};
 use crate::effect::Role;
 use crate::method::fit::{Fit, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference::{covariance, t95};
+use crate::method::inference::covariance;
 use crate::method::min_p::f_test;
 use crate::method::omnibus::CATALOGUE_LEVEL;
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use wcal_core::verify_document::Verdict;
 
@@ -140,25 +141,32 @@ fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothe
         .map(|(_, without)| without)
 }
 
-/// Every amplitude of an effect, linear coefficients among them, has a 95 % interval that holds zero.
+/// The joint 95 % region of an effect's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine
+/// and cosine of an error whose period is not known exactly do.
 fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
     let own: usize = laws.iter().map(|l| l.linear.len()).sum();
-    let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
-    let holds = |value: f64, slot: usize| value.abs() <= t * c[(slot, slot)].max(0.0).sqrt();
     let (mut column, mut slot) = (q - own.min(q), q * channels);
-    let mut all = true;
+    // Values and their places in the covariance.
+    let mut amplitudes: Vec<(f64, usize)> = Vec::new();
     for (term, law) in fit.terms.iter().zip(&laws) {
         let is = term.effect == effect;
-        for j in column..column + law.linear.len() {
-            all &= !is || (0..channels).all(|k| holds(fit.coefficients[(j, k)], k * q + j));
+        for j in (column..column + law.linear.len()).filter(|_| is) {
+            amplitudes.extend((0..channels).map(|k| (fit.coefficients[(j, k)], k * q + j)));
         }
         column += law.linear.len();
         for (p, value) in law.parameters.iter().zip(&term.values) {
-            all &= !is || !matches!(p.role, Role::Amplitude { .. }) || holds(*value, slot);
+            if is && matches!(p.role, Role::Amplitude { .. }) {
+                amplitudes.push((*value, slot));
+            }
             slot += 1;
         }
     }
-    all
+    let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
+    let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
+    let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    let Some(factor) = spread.cholesky() else { return true };
+    let f = values.dot(&factor.solve(&values)) / n as f64;
+    FisherSnedecor::new(n as f64, fit.dof.max(1.0)).map_or(true, |d| d.sf(f) >= 0.05)
 }

@@ -57,7 +57,10 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     // What the plan does not show may still be named rightly.
     let put_in: Names = d.acts.iter().map(|a| a.effect.id.to_owned()).collect();
     let wrong_name = verdict == "effect" && classes.iter().any(|c| c.is_disjoint(&put_in));
-    let right = right || (d.kind() == "not shown by the plan" && verdict == "effect" && !wrong_name);
+    let may_be = v["alternatives"].as_array().into_iter().flatten().any(|a| names(a) == put_in);
+    let right = right
+        || (d.kind() == "not shown by the plan"
+            && ((verdict == "effect" && !wrong_name) || (verdict == "ambiguous" && may_be)));
     let named = |a: &Act| effects.iter().find(|e| e["id"] == a.effect.id).filter(|_| verdict == "effect");
     let covered: Vec<bool> = d.acts.iter().filter_map(|a| covers(named(a)?, a)).flatten().collect();
     let missed = covered.iter().filter(|c| !**c).count();

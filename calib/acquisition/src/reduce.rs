@@ -4,12 +4,13 @@ use crate::assign::ChannelMap;
 use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
-use crate::message::{StagePosition, SweepEvent};
+use crate::message::SweepEvent;
 use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
 use crate::run_file::RunFile;
 use crate::sound_clock::SoundClock;
+use crate::stage_track::Track;
 use crate::tables::{self, Row, Stream};
 use crate::windows::Samples;
 use std::collections::BTreeMap;
@@ -358,35 +359,4 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
         serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
         mean,
     })
-}
-
-/// Stage depth (mm) in device time.
-struct Track {
-    points: Vec<(f64, f64)>,
-}
-
-impl Track {
-    fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
-        let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
-        Self { points }
-    }
-
-    /// Depth (mm) and speed (mm/s) by interpolation; `None` outside the recording.
-    fn at(&self, t_s: f64) -> Option<(f64, f64)> {
-        let after = self.points.partition_point(|p| p.0 <= t_s);
-        let (a, b) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
-        let speed = (b.1 - a.1) / (b.0 - a.0);
-        Some((a.1 + speed * (t_s - a.0), speed))
-    }
-
-    /// Mean depth over a window, or the nearest reading before its end, mm.
-    fn mean(&self, begin_s: f64, end_s: f64) -> Option<f64> {
-        let (from, to) =
-            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
-        if from < to {
-            let inside = &self.points[from..to];
-            return Some(inside.iter().map(|p| p.1).sum::<f64>() / inside.len() as f64);
-        }
-        self.points.get(to.saturating_sub(1)).map(|p| p.1)
-    }
 }

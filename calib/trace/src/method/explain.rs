@@ -166,6 +166,7 @@ fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, o
     let (best, within) = earned(system, &found.best);
     if !within.is_empty() {
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
+        found.last_test.leave_out(&best.fit, &within);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];
         found.refitted.retain(lacks);

@@ -21,7 +21,8 @@ fn repository(path: &str) -> PathBuf {
 }
 
 fn wcal(folder: &Path, arguments: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).current_dir(folder).output().unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_wcal")).args(arguments).current_dir(folder).output().unwrap();
     (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
@@ -33,11 +34,13 @@ const MOVING: &str = "format = \"wcal-plan/1\"\nname = \"moving\"\n[settle]\ngat
 
 /// Sweeps a scenario (`more` beyond format and rate) by a plan into `session`; what the program said.
 fn swept(folder: &Path, session: &str, plan: &str, more: &str) -> String {
-    let scenario =
-        format!("format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n");
+    let scenario = format!(
+        "format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n"
+    );
     std::fs::write(folder.join("scenario.toml"), scenario).unwrap();
     std::fs::write(folder.join("plan.toml"), plan).unwrap();
-    let sweep = ["stage-sweep", "--rig", "rig.toml", "--plan", "plan.toml", "--home", "--scenario", "scenario.toml"];
+    let sweep =
+        ["stage-sweep", "--rig", "rig.toml", "--plan", "plan.toml", "--home", "--scenario", "scenario.toml"];
     let (code, said) = wcal(folder, &[&sweep[..], &["--out", session]].concat());
     assert_eq!(code, 0, "{said}");
     said
@@ -70,7 +73,17 @@ fn a_scenario_and_its_seed_give_the_same_session_again() {
     // A rig of another rate, and one with cameras, are not this bench.
     let rig = std::fs::read_to_string(repository("rigs/virtual/rig.toml")).unwrap();
     std::fs::write(folder.path().join("rig.toml"), rig).unwrap();
-    let sweep = ["stage-sweep", "--rig", "rig.toml", "--plan", "plan.toml", "--scenario", "scenario.toml", "--out", "none"];
+    let sweep = [
+        "stage-sweep",
+        "--rig",
+        "rig.toml",
+        "--plan",
+        "plan.toml",
+        "--scenario",
+        "scenario.toml",
+        "--out",
+        "none",
+    ];
     let (code, said) = wcal(folder.path(), &sweep);
     assert!(code == 1 && said.contains("the scenario's 500 Hz"), "{said}");
     assert!(!folder.path().join("none").exists());
@@ -134,7 +147,12 @@ fn a_lag_beside_play_is_as_long_as_it_is() {
     let folder = bench();
     swept(folder.path(), "lag", MOVING, "seed = 35\n[effects]\nbacklash_um = 19\nlag_ms = 44");
     let v = verified(folder.path(), "lag");
-    assert_eq!((&v["verdict"], names(&v)), (&"effect".into(), vec!["stage-backlash", "time-lag"]), "{}", v["reason"]);
+    assert_eq!(
+        (&v["verdict"], names(&v)),
+        (&"effect".into(), vec!["stage-backlash", "time-lag"]),
+        "{}",
+        v["reason"]
+    );
     let [low, high] = interval(&v, "time-lag", "lag_s");
     assert!(low < 0.044 && 0.044 < high && high - low < 0.012, "{low} {high}");
     let [low, high] = interval(&v, "stage-backlash", "backlash_mm");

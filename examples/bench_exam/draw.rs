@@ -81,7 +81,13 @@ pub struct Act {
 }
 
 impl Act {
-    fn new(effect: &'static Effect, plan: &str, rate_hz: f64, smallest: &Smallest, rng: &mut ChaCha8Rng) -> Self {
+    fn new(
+        effect: &'static Effect,
+        plan: &str,
+        rate_hz: f64,
+        smallest: &Smallest,
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
         let per_rate = (REFERENCE_HZ / rate_hz).sqrt();
         let least = smallest.get(effect.id).copied().flatten().map(|s| s / effect.per_key * per_rate);
         // The bench's play counts from loading, and the paper's poses are all approached so.
@@ -89,7 +95,9 @@ impl Act {
         let least = least.filter(|s| *s * SPAN <= effect.largest && !hidden);
         let (u, v): (f64, f64) = (rng.random(), rng.random());
         let size = match least {
-            Some(least) if rng.random_bool(BEYOND) => least * SPAN * (effect.largest / (least * SPAN)).powf(u),
+            Some(least) if rng.random_bool(BEYOND) => {
+                least * SPAN * (effect.largest / (least * SPAN)).powf(u)
+            }
             Some(least) => least * SPAN.powf(u),
             None => effect.largest / SPAN.powf(u),
         };
@@ -179,7 +187,8 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
     let rate_hz = [200.0, 500.0, 1000.0, 2000.0][rng.random_range(0..4)];
     let mut act = |e: &'static Effect| Act::new(e, plan, rate_hz, smallest, &mut rng);
     let (place, singles) = ((number % 10) as usize, (number / 10 * 5) as usize);
-    let mut drawn = Draw { k, seed: seed + k, plan, rate_hz, pictures: false, acts: Vec::new(), outside: None };
+    let mut drawn =
+        Draw { k, seed: seed + k, plan, rate_hz, pictures: false, acts: Vec::new(), outside: None };
     match place {
         0 | 5 => {}
         2 | 7 => {
@@ -187,11 +196,18 @@ pub fn draw(seed: u64, k: u64, plan: &'static str, number: u64, smallest: &Small
             let shown: Vec<Act> = EFFECTS.iter().map(&mut act).filter(|a| a.shown).collect();
             let first = rng.random_range(0..shown.len());
             let second = (first + rng.random_range(1..shown.len())) % shown.len();
-            drawn.acts = shown.into_iter().enumerate().filter(|(i, _)| [first, second].contains(i)).map(|(_, a)| a).collect();
+            drawn.acts = shown
+                .into_iter()
+                .enumerate()
+                .filter(|(i, _)| [first, second].contains(i))
+                .map(|(_, a)| a)
+                .collect();
         }
         4 => {
             let u = SPAN.powf(rng.random::<f64>());
-            let least = |id: &str| smallest.get(id).copied().flatten().unwrap_or(0.1) * (REFERENCE_HZ / rate_hz).sqrt();
+            let least = |id: &str| {
+                smallest.get(id).copied().flatten().unwrap_or(0.1) * (REFERENCE_HZ / rate_hz).sqrt()
+            };
             let (middle_s, depth_mm, trajectories) = (if plan == "rich" { 900.0 } else { 70.0 }, 3.0, 9f64);
             drawn.outside = Some(if rng.random() {
                 Outside::Drift([middle_s, HALFWAY * u * least("zero-drift") / 60.0])
@@ -224,7 +240,9 @@ impl Draw {
     /// What was put in, in words.
     pub fn words(&self) -> String {
         match self.outside {
-            Some(Outside::Drift([at_s, pm_per_s])) => format!("drift from {at_s} s on, {:.3} pm/min", 60.0 * pm_per_s),
+            Some(Outside::Drift([at_s, pm_per_s])) => {
+                format!("drift from {at_s} s on, {:.3} pm/min", 60.0 * pm_per_s)
+            }
             Some(Outside::Turned(rad)) => format!("trajectory 5 turned by {rad:.4} rad"),
             None if self.acts.is_empty() => "none".to_owned(),
             None => self.acts.iter().map(Act::words).collect::<Vec<_>>().join(", "),
@@ -234,7 +252,8 @@ impl Draw {
     /// scenario.toml at `speed`; `trajectories` of the rig file.
     pub fn scenario(&self, speed: f64, trajectories: &[toml::Value]) -> String {
         let effects: Vec<String> = self.acts.iter().map(Act::lines).collect();
-        let mismatch = self.acts.iter().find(|a| a.effect.id == "temperature-mismatch").map_or(0.0, |a| a.size);
+        let mismatch =
+            self.acts.iter().find(|a| a.effect.id == "temperature-mismatch").map_or(0.0, |a| a.size);
         let more = match self.outside {
             None => String::new(),
             Some(Outside::Drift([at_s, pm_per_s])) => {
@@ -256,7 +275,14 @@ impl Draw {
 
     /// All of it in words, that a session recorded before may be recognised by.
     pub fn summary(&self) -> String {
-        format!("{} {} {} Hz, pictures {}: {}", self.seed, self.plan, self.rate_hz, self.pictures, self.words())
+        format!(
+            "{} {} {} Hz, pictures {}: {}",
+            self.seed,
+            self.plan,
+            self.rate_hz,
+            self.pictures,
+            self.words()
+        )
     }
 
     /// Names of what the plan shows.

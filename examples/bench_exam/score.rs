@@ -41,11 +41,14 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     let verdict = v["verdict"].as_str().unwrap_or("no verdict");
     let effects = v["effects"].as_array().cloned().unwrap_or_default();
     // Members of a class cannot be told apart on the session, which the answer says.
-    let classes: Vec<Names> = effects.iter().map(|e| {
-        let mut class = names(&e["class"]);
-        class.extend(e["id"].as_str().map(str::to_owned));
-        class
-    }).collect();
+    let classes: Vec<Names> = effects
+        .iter()
+        .map(|e| {
+            let mut class = names(&e["class"]);
+            class.extend(e["id"].as_str().map(str::to_owned));
+            class
+        })
+        .collect();
     let truth: Names = d.names().into_iter().map(str::to_owned).collect();
     let all_in = truth.iter().all(|t| classes.iter().any(|c| c.contains(t))) && classes.len() == truth.len();
     let in_set = v["alternatives"].as_array().into_iter().flatten().any(|a| names(a) == truth);
@@ -67,7 +70,8 @@ pub fn score(d: &Draw, v: &Value, seconds: f64) -> Score {
     // A compensated shift has the noise of two gratings: settled rows average one second, rows in motion 20 ms.
     let truth_pm = |samples: f64| (2.0 / samples).sqrt();
     let floor = |key: &str, samples: f64| Some(v["noise_floor"][key].as_f64()? / truth_pm(samples));
-    let floors = [floor("wavelength_pm", d.rate_hz), floor("moving_wavelength_pm", (0.02 * d.rate_hz).max(2.0))];
+    let floors =
+        [floor("wavelength_pm", d.rate_hz), floor("moving_wavelength_pm", (0.02 * d.rate_hz).max(2.0))];
     let ids: Vec<&str> = effects.iter().filter_map(|e| e["id"].as_str()).collect();
     Score {
         kind: d.kind(),
@@ -105,7 +109,13 @@ pub fn table(scores: &[Score]) -> Vec<Value> {
             None => (String::new(), ""),
             Some((at_least, g)) => {
                 let reaches = |low: f64, high: f64| if at_least { low >= g } else { high <= g };
-                let word = if reaches(low, high) { "shown" } else if reaches(share, share) { "met" } else { "MISSED" };
+                let word = if reaches(low, high) {
+                    "shown"
+                } else if reaches(share, share) {
+                    "met"
+                } else {
+                    "MISSED"
+                };
                 (format!("{} {g}", if at_least { ">=" } else { "<=" }), word)
             }
         };
@@ -129,7 +139,12 @@ pub fn table(scores: &[Score]) -> Vec<Value> {
     let (hits, of) = count(&|s| s.kind == "none", &|s| s.named);
     row("none: named", Some((false, 0.02)), hits, of);
     let inside: Vec<bool> = scores.iter().flat_map(|s| s.covered.iter().copied()).collect();
-    row("95 % intervals that hold the truth", Some((true, 0.92)), inside.iter().filter(|i| **i).count(), inside.len());
+    row(
+        "95 % intervals that hold the truth",
+        Some((true, 0.92)),
+        inside.iter().filter(|i| **i).count(),
+        inside.len(),
+    );
     for (k, name) in ["floor within 1.3, settled", "floor within 1.3, in motion"].into_iter().enumerate() {
         let right = scores.iter().filter(|s| s.right && s.kind != "outside the catalogue");
         let floors: Vec<f64> = right.filter_map(|s| s.floors[k]).collect();

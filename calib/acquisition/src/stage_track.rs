@@ -33,7 +33,9 @@ impl Track {
         let n = near.len() as f64;
         let (mean_s, mean_mm) =
             (near.iter().map(|p| p.0 - t_s).sum::<f64>() / n, near.iter().map(|p| p.1).sum::<f64>() / n);
-        let sum = |f: &dyn Fn(f64, f64) -> f64| near.iter().map(|p| f(p.0 - t_s - mean_s, p.1 - mean_mm)).sum::<f64>();
+        let sum = |f: &dyn Fn(f64, f64) -> f64| {
+            near.iter().map(|p| f(p.0 - t_s - mean_s, p.1 - mean_mm)).sum::<f64>()
+        };
         let speed = sum(&|s, mm| s * mm) / sum(&|s, _| s * s);
         Some((mean_mm - speed * mean_s, speed))
     }
@@ -59,7 +61,9 @@ mod tests {
         // 2 mm/s, an answer every 8 ms, stamped by up to 0.75 ms off.
         let late_s = |k: u32| 1.5e-3 * (f64::from(k * 37 % 101) / 100.0 - 0.5);
         let points = |every_s: f64| Track {
-            points: (0..200).map(|k| (every_s * f64::from(k) + late_s(k), 2.0 * every_s * f64::from(k))).collect(),
+            points: (0..200)
+                .map(|k| (every_s * f64::from(k) + late_s(k), 2.0 * every_s * f64::from(k)))
+                .collect(),
         };
         let worst = |track: &Track| {
             let all = (10..130).map(|k| 0.01 * f64::from(k)).filter_map(|t| Some((t, track.at(t)?)));

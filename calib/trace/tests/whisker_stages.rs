@@ -1,6 +1,11 @@
 //! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED (fixtures/practice/case-004, no effect).
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test that fails should say where")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where"
+)]
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -222,7 +227,7 @@ fn a_sensitivity_that_changes_between_seatings_is_said() {
 /// What the tables leave out of the rod is far below the noise of settled means: else thousands of readings see it.
 #[test]
 fn the_tables_hold_the_rod_to_a_tenth_of_the_finest_noise() {
-    let data = data(&std::env::var("SESSION").unwrap_or("recorded/drift".into()));
+    let data = data("recorded/drift");
     let by_table = system(&data);
     let tabulated = by_table.moments(&[]).unwrap().1;
     let settled: Vec<usize> = (0..tabulated.len())

@@ -88,7 +88,8 @@ impl OmnibusTest {
     pub fn leave_out(&mut self, fit: &Fit, effects: &[usize]) {
         let residual = fit.stacked();
         let others = self.signatures.iter().filter(|s| !effects.contains(&s.term.effect));
-        let smallest = others.map(|s| signature_p(s, s.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
+        let smallest =
+            others.map(|s| signature_p(s, s.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
         self.p_catalogue = self.family.adjusted(smallest);
     }
 

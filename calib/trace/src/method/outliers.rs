@@ -131,7 +131,8 @@ fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bo
     let at_rest = counted.iter().filter(|&&i| !posed[i]).count();
     let rest_flagged = flagged.iter().filter(|&&i| !posed[i]).count();
     let groups = system.groups();
-    let of_group = |group: u32| counted.iter().filter(|&&i| posed[i] && groups[i] == group).collect::<Vec<_>>();
+    let of_group =
+        |group: u32| counted.iter().filter(|&&i| posed[i] && groups[i] == group).collect::<Vec<_>>();
     let whole_group = flagged.iter().any(|&i| {
         let own = of_group(groups[i]);
         own.len() >= MIN_GROUP && own.iter().all(|k| flagged.contains(k))

@@ -159,7 +159,11 @@ impl Stage for Unit {
         if !homed {
             let (expected, found) = ("a homed axis", flags.join(" "));
             let error = self.refused("read position", &found);
-            return Err(DeviceError { kind: DeviceErrorKind::NotHomed, expected: expected.to_owned(), ..error });
+            return Err(DeviceError {
+                kind: DeviceErrorKind::NotHomed,
+                expected: expected.to_owned(),
+                ..error
+            });
         }
         let host_s = self.bench.host_s(self.bench.shared.clock.now_s());
         Ok(StageReading {
@@ -285,14 +289,22 @@ impl DeviceOpener for InProcess {
     ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
         let own_hz = self.shared.scenario.interrogator.rate_hz;
         if (own_hz - rig.rate_hz).abs() > 1e-6 * own_hz {
-            let (kind, found) = (DeviceErrorKind::Configuration, format!("rate_hz = {} in the rig", rig.rate_hz));
-            return Err(DeviceError::new(kind, "interrogator", "open", format!("the scenario's {own_hz} Hz"), found));
+            let (kind, found) =
+                (DeviceErrorKind::Configuration, format!("rate_hz = {} in the rig", rig.rate_hz));
+            return Err(DeviceError::new(
+                kind,
+                "interrogator",
+                "open",
+                format!("the scenario's {own_hz} Hz"),
+                found,
+            ));
         }
         Ok(Box::new(OwnInterrogator { bench: self.clone(), next: 0 }))
     }
 
     fn camera(&mut self, rig: &CameraRig, _clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
-        let (kind, expected) = (DeviceErrorKind::Configuration, "a rig without cameras, or `wcal virtual-bench`");
+        let (kind, expected) =
+            (DeviceErrorKind::Configuration, "a rig without cameras, or `wcal virtual-bench`");
         Err(DeviceError::new(kind, "camera", "open", expected, format!("camera {}", rig.name)))
     }
 

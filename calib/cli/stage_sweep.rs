@@ -16,6 +16,7 @@ use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::sweep::{Ending, Progress};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
 use wcal_drivers::Drivers;
+use wcal_drivers::bench::in_process::InProcess;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -43,6 +44,9 @@ pub struct StageSweepArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
+    /// Sweep the virtual bench of a scenario in this process, as fast as the computer can, instead of the rig's devices; no cameras
+    #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume", "live"])]
+    pub scenario: Option<PathBuf>,
     /// Search the stage's reference where it has none (moves to the home switch)
     #[arg(long)]
     pub home: bool,
@@ -72,6 +76,9 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         rig = with_addresses(&rig, &read(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
+    if arguments.scenario.is_some() {
+        rig = in_this_process(&rig).with_context(|| rig_file.display().to_string())?;
+    }
     if arguments.dry_run {
         return dry_run((&rig_file, &rig), (&arguments.plan, &plan), arguments.json);
     }
@@ -98,8 +105,22 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         command: std::env::args().collect(),
     };
     let mut view = View::new();
-    let mut devices = Drivers::new(&interrupt);
-    let recorded = record(&order, &mut devices, &mut ByHand, &interrupt, &mut |p| view.show(p))?;
+    let mut progress = |p: &Progress| view.show(p);
+    let recorded = match &arguments.scenario {
+        Some(file) => {
+            let (scenario, plant) = crate::virtual_bench::load(file)?;
+            let mut bench = InProcess::new(scenario, plant);
+            let mut pause = {
+                let bench = bench.clone();
+                move |time: Duration| bench.pause(time)
+            };
+            record(&order, &mut bench, &mut ByHand, &interrupt, &mut pause, &mut progress)?
+        }
+        None => {
+            let mut devices = Drivers::new(&interrupt);
+            record(&order, &mut devices, &mut ByHand, &interrupt, &mut std::thread::sleep, &mut progress)?
+        }
+    };
     view.end();
     report(&recorded, &folder, arguments.json)?;
     Ok(ExitCode::from(recorded.exit_code()))
@@ -142,6 +163,16 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     }
     rig.insert("stage".to_owned(), stage.into());
     rig.insert("interrogator".to_owned(), interrogator.into());
+    Ok(toml::to_string(&rig)?)
+}
+
+/// The rig of a bench in this process: nobody else drives its stage, and its time is the rig's.
+fn in_this_process(rig: &str) -> Result<String> {
+    let mut rig: toml::Table = rig.parse()?;
+    rig.remove("clock_scale");
+    if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
+        stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
+    }
     Ok(toml::to_string(&rig)?)
 }
 

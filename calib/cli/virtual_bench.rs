@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use scene::{BenchScene, ScenePath};
 use std::io::BufRead;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
@@ -35,15 +35,26 @@ pub struct VirtualBenchArgs {
     pub seed: Option<u64>,
 }
 
+/// A scenario and the wire that it describes; none where the bench brings its own.
+pub(crate) fn load(path: &Path) -> Result<(Scenario, Option<Box<dyn Plant>>)> {
+    let place = path.display();
+    let text = wcal_core::files::read_text(path).with_context(|| format!("reading {place}"))?;
+    let scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
+    let plant: Option<Box<dyn Plant>> = match scenario.plant {
+        PlantKind::Cantilever => None,
+        PlantKind::Rod => {
+            Some(Box::new(RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?))
+        }
+    };
+    Ok((scenario, plant))
+}
+
 /// Prints one JSON line of addresses, then obeys fault commands from its input until that closes. Exit code 3: the bench fell behind.
 ///
 /// # Errors
 /// When the scenario cannot be used or a port cannot be opened.
 pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
-    let place = arguments.scenario.display();
-    let text =
-        wcal_core::files::read_text(&arguments.scenario).with_context(|| format!("reading {place}"))?;
-    let mut scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
+    let (mut scenario, plant) = load(&arguments.scenario)?;
     if let Some(speed) = arguments.speed {
         anyhow::ensure!(
             (1e-3..=1e6).contains(&speed),
@@ -52,12 +63,6 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
         scenario.speed = speed;
     }
     scenario.seed = arguments.seed.unwrap_or(scenario.seed);
-    let plant: Option<Box<dyn Plant>> = match scenario.plant {
-        PlantKind::Cantilever => None,
-        PlantKind::Rod => {
-            Some(Box::new(RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?))
-        }
-    };
     let bench = VirtualBench::start(scenario, plant).context("opening the ports of the bench")?;
     println!("{}", serde_json::to_string(bench.addresses())?);
     for line in std::io::stdin().lock().lines() {

@@ -9,6 +9,7 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+mod bench_verdicts;
 mod exam;
 mod picture_errors;
 mod recorded_verdicts;

@@ -29,6 +29,7 @@ pub mod rig;
 pub mod run_file;
 mod session_begin;
 mod sound_clock;
+mod stage_track;
 mod steps;
 pub mod sweep;
 pub mod tables;

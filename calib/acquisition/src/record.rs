@@ -20,6 +20,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
@@ -137,7 +138,8 @@ fn open_cameras(
     Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
 }
 
-/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no motorised mount.
+/// Records a sweep on the rig's devices. `manual` presents trajectories where the rig has no motorised mount; `pause` waits between two
+/// looks at the devices (`std::thread::sleep`, but for a bench in this process).
 ///
 /// # Errors
 /// When the devices cannot be opened, the plan does not fit, or the folder cannot be used; a fault during the sweep is
@@ -147,6 +149,7 @@ pub fn record(
     devices: &mut dyn DeviceOpener,
     manual: &mut dyn Mount,
     interrupt: &Interrupt,
+    pause: &mut dyn FnMut(Duration),
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<RecordResult, AcquisitionError> {
     let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
@@ -213,6 +216,7 @@ pub fn record(
             monitor: &monitor,
             recorder: &recorder,
             interrupt,
+            pause,
         };
         let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
         done.store(true, Ordering::SeqCst);

@@ -4,12 +4,13 @@ use crate::assign::ChannelMap;
 use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
-use crate::message::{StagePosition, SweepEvent};
+use crate::message::SweepEvent;
 use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
 use crate::run_file::RunFile;
 use crate::sound_clock::SoundClock;
+use crate::stage_track::Track;
 use crate::tables::{self, Row, Stream};
 use crate::windows::Samples;
 use std::collections::BTreeMap;
@@ -249,6 +250,7 @@ fn reduce_part(
             match assigned.usable() {
                 Some(sensing) => {
                     window.samples.serials.push(scan.serial);
+                    window.samples.times_s.push(t_s - window.begin_s);
                     window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
                     window.samples.sensing_nm[0].push(sensing[0]);
                     window.samples.sensing_nm[1].push(sensing[1]);
@@ -332,9 +334,9 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
     let mean = window.samples.mean()?;
     let moving = event.kind == "moving";
     let (t_s, stage_mm, speed_mm_s) = if moving {
-        let centre_s = (window.begin_s + window.end_s) / 2.0;
-        let (mm, speed) = track.at(centre_s)?;
-        (centre_s, mm, speed.abs())
+        let t_s = window.begin_s + mean.time_s;
+        let (mm, speed) = track.at(t_s)?;
+        (t_s, mm, speed.abs())
     } else {
         (window.end_s, track.mean(window.begin_s, window.end_s)?, 0.0)
     };
@@ -357,35 +359,4 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
         serials: mean.outliers.iter().map(|k| window.samples.serials[*k]).collect(),
         mean,
     })
-}
-
-/// Stage depth (mm) in device time.
-struct Track {
-    points: Vec<(f64, f64)>,
-}
-
-impl Track {
-    fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
-        let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
-        Self { points }
-    }
-
-    /// Depth (mm) and speed (mm/s) by interpolation; `None` outside the recording.
-    fn at(&self, t_s: f64) -> Option<(f64, f64)> {
-        let after = self.points.partition_point(|p| p.0 <= t_s);
-        let (a, b) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
-        let speed = (b.1 - a.1) / (b.0 - a.0);
-        Some((a.1 + speed * (t_s - a.0), speed))
-    }
-
-    /// Mean depth over a window, or the nearest reading before its end, mm.
-    fn mean(&self, begin_s: f64, end_s: f64) -> Option<f64> {
-        let (from, to) =
-            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
-        if from < to {
-            let inside = &self.points[from..to];
-            return Some(inside.iter().map(|p| p.1).sum::<f64>() / inside.len() as f64);
-        }
-        self.points.get(to.saturating_sub(1)).map(|p| p.1)
-    }
 }

@@ -314,7 +314,7 @@ impl Sweep<'_, '_, '_> {
 
     /// One check of everything: stage, stream, user.
     fn tick(&mut self, pause: Duration) -> Result<(), DeviceError> {
-        std::thread::sleep(pause);
+        (self.bench.pause)(pause);
         self.bench.interrupt.check("sweep", "run")?;
         if let Some(fault) = lock(self.bench.monitor).fault() {
             return Err(fault.clone());

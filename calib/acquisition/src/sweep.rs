@@ -35,6 +35,8 @@ pub struct SweepBench<'a> {
     pub recorder: &'a Recorder,
     /// Set when the user wants an end.
     pub interrupt: &'a Interrupt,
+    /// Waits: a bench in this process lets its own time pass instead.
+    pub pause: &'a mut dyn FnMut(Duration),
 }
 
 /// What a user may want to see while it runs.

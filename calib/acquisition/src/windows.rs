@@ -16,6 +16,8 @@ const MAD_TO_SD: f64 = 1.4826;
 pub struct Samples {
     /// Scan numbers.
     pub serials: Vec<u64>,
+    /// Times since the window's begin, s.
+    pub times_s: Vec<f64>,
     /// Reference grating; NaN where it has no peak.
     pub reference_nm: Vec<f64>,
     /// Sensing gratings.
@@ -35,6 +37,8 @@ pub struct WindowMean {
     pub sensing_nm: [f64; 2],
     /// Spread of single samples, pm.
     pub sensing_sd_pm: [f64; 2],
+    /// Mean time of the samples since the window's begin, s: in motion half a scan from the window's centre is a place of its own.
+    pub time_s: f64,
     /// Samples averaged.
     pub samples: usize,
     /// Indices of marked samples.
@@ -64,6 +68,7 @@ impl Samples {
             reference_sd_pm: r.map_or(0.0, |r| r.1 * 1e3),
             sensing_nm: [a.0, b.0],
             sensing_sd_pm: [a.1 * 1e3, b.1 * 1e3],
+            time_s: mean_sd(&keep(&self.times_s)).0,
             samples: sensing[0].len(),
             outliers: (0..marked.len()).filter(|k| marked[*k]).collect(),
         })
@@ -107,6 +112,7 @@ mod tests {
         let wave = |k: usize, nm: f64| nm + 1e-3 * ((k * 37 % 101) as f64 / 50.0 - 1.0);
         let mut s = Samples {
             serials: (0..200).collect(),
+            times_s: (0..200).map(|k| 5e-4 * f64::from(k)).collect(),
             reference_nm: (0..200).map(|k| wave(k, 1537.3)).collect(),
             sensing_nm: [1541.2, 1535.8].map(|nm| (0..200).map(|k| wave(k + 3, nm)).collect()),
             unusable: 0,
@@ -121,6 +127,9 @@ mod tests {
         let spiked = samples(300.0).mean().unwrap();
         assert!(clean.outliers.is_empty());
         assert_eq!((spiked.outliers, spiked.samples), (vec![50], 199));
+        // The mean is that of the others, and so is its time.
+        let others_s = 5e-4 * (199.0 * 100.0 - 50.0) / 199.0;
+        assert!((clean.time_s - 5e-4 * 99.5).abs() < 1e-12 && (spiked.time_s - others_s).abs() < 1e-12);
         assert!((spiked.sensing_nm[1] - clean.sensing_nm[1]).abs() < 2e-5);
         assert!((clean.sensing_sd_pm[0] - 0.58).abs() < 0.02);
     }

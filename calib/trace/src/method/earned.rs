@@ -10,9 +10,9 @@
 
 use super::fit::{Fit, fit};
 use super::hypothesis::Hypothesis;
-use super::linear::{stack_with, transposed_product};
+use super::linear::transposed_product;
 use crate::measurement_model::MeasurementModel;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use std::collections::BTreeMap;
 
 /// Fewest groups whose spread is an uncertainty.
@@ -24,13 +24,13 @@ const RIDGE: f64 = 1e-9;
 fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap<u32, f64>> {
     let (n, q, channels, m) =
         (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols(), fit.tangents.len());
-    let mut jacobian = DMatrix::zeros(n * channels, q * channels + m);
+    let residual = fit.stacked();
+    let mut jacobian = DMatrix::zeros(residual.len(), q * channels + m);
     for c in 0..channels {
         jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&fit.design);
     }
-    let nothing = DVector::zeros(0);
-    for (j, t) in fit.tangents.iter().enumerate() {
-        jacobian.set_column(q * channels + j, &stack_with(t, &nothing));
+    for (j, t) in fit.stacked_tangents().iter().enumerate() {
+        jacobian.set_column(q * channels + j, t);
     }
     // Columns of one length: the ridge means the same to all.
     for mut column in jacobian.column_iter_mut() {
@@ -39,12 +39,15 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
             column /= norm;
         }
     }
-    let residual = stack_with(&fit.residual, &nothing);
     let whole = transposed_product(&jacobian, &jacobian)
         + DMatrix::identity(jacobian.ncols(), jacobian.ncols()) * RIDGE;
     let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (i, group) in system.groups().iter().enumerate() {
         members.entry(*group).or_default().extend((0..channels).map(|c| c * n + i));
+    }
+    // What a second witness saw belongs to the group of its reading.
+    for (k, i) in system.witness_readings().iter().enumerate().take(residual.len() - n * channels) {
+        members.entry(system.groups()[*i]).or_default().push(n * channels + k);
     }
     let of_group = |(group, rows): (&u32, &Vec<usize>)| {
         let (own, r) = (jacobian.select_rows(rows), residual.select_rows(rows));
@@ -71,8 +74,7 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 #[must_use]
 pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
     let (mut kept, mut within) = (h.clone(), Vec::new());
-    // A second witness has no groups of its own.
-    while kept.fit.witness.is_empty() && !kept.fit.terms.is_empty() {
+    while !kept.fit.terms.is_empty() {
         let least = (0..kept.fit.terms.len())
             .filter_map(|k| {
                 let mut terms = kept.fit.terms.clone();

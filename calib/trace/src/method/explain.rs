@@ -16,7 +16,7 @@ use super::fit::{Weights, fit};
 use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
-use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
+use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::search::{declared, search};
 use crate::measurement_model::MeasurementModel;
@@ -161,10 +161,12 @@ fn alike(a: &Weights, b: &Weights) -> bool {
     shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
 }
 
-/// Takes back what does not earn its name on readings that are left out, and calls what is left by its size.
-fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult) {
+/// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
+fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
     let (best, within) = earned(system, &found.best);
     if !within.is_empty() {
+        found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
+        found.last_test.leave_out(&best.fit, &within);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];
         found.refitted.retain(lacks);
@@ -227,7 +229,7 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
         found.covariate_beats_catalogue = true;
     }
     if system.judged_left_out() {
-        within_model_error(system, &mut found);
+        within_model_error(system, &mut found, &options);
     }
     let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));

@@ -84,6 +84,15 @@ impl OmnibusTest {
         !self.within_model_error && (self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL)
     }
 
+    /// Judges the catalogue without `effects`, which were tried on `fit` and taken back.
+    pub fn leave_out(&mut self, fit: &Fit, effects: &[usize]) {
+        let residual = fit.stacked();
+        let others = self.signatures.iter().filter(|s| !effects.contains(&s.term.effect));
+        let smallest =
+            others.map(|s| signature_p(s, s.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
+        self.p_catalogue = self.family.adjusted(smallest);
+    }
+
     /// Whether everything that `fit` leaves is a small part of its misfit.
     #[must_use]
     pub fn is_small(&self, fit: &Fit) -> bool {

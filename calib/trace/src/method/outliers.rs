@@ -116,7 +116,10 @@ const MAX_NEIGHBOURS: f64 = 0.5;
 /// Share of the readings at rest that may be flagged: nothing touches the wire there.
 const MAX_REST: f64 = 0.25;
 
-/// Whether flagged readings stand singly: a whole stretch of them, or many at rest, is what the model lacks.
+/// Fewest readings of a group that, flagged all together, are what the model lacks of it.
+const MIN_GROUP: usize = 3;
+
+/// Whether flagged readings stand singly: a whole stretch of them, a whole group, or many at rest, is what the model lacks.
 fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bool {
     let counted: Vec<usize> = (0..all.len()).filter(|&i| all.counts(i)).collect();
     let place = |i: &usize| counted.binary_search(i).unwrap_or(usize::MAX);
@@ -127,9 +130,16 @@ fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bo
     let posed = system.noise_inputs().posed;
     let at_rest = counted.iter().filter(|&&i| !posed[i]).count();
     let rest_flagged = flagged.iter().filter(|&&i| !posed[i]).count();
+    let groups = system.groups();
+    let of_group =
+        |group: u32| counted.iter().filter(|&&i| posed[i] && groups[i] == group).collect::<Vec<_>>();
+    let whole_group = flagged.iter().any(|&i| {
+        let own = of_group(groups[i]);
+        own.len() >= MIN_GROUP && own.iter().all(|k| flagged.contains(k))
+    });
     let stretch = neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
     let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
-    !(stretch || resting)
+    !(stretch || resting || whole_group)
 }
 
 /// Draws of the elemental sets.

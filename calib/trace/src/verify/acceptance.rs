@@ -12,9 +12,10 @@ use super::session_model::{FloorStatement, SessionModel};
 use crate::effect::Role;
 use crate::method::fit::{Fit, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference::{covariance, t95};
+use crate::method::inference::covariance;
 use crate::method::min_p::f_test;
 use crate::method::omnibus::CATALOGUE_LEVEL;
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use wcal_core::verify_document::Verdict;
 
@@ -139,21 +140,26 @@ fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothe
         .map(|(_, without)| without)
 }
 
-/// Every amplitude of a term, linear coefficients among them, has a 95 % interval that holds zero.
+/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and
+/// cosine of an error whose period is not known exactly do.
 fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
     let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
     let own: usize = laws.iter().map(|l| l.linear.len()).sum();
-    let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
-    let holds = |value: f64, slot: usize| value.abs() <= t * c[(slot, slot)].max(0.0).sqrt();
     // Columns and values follow the terms.
     let first_column = q - own.min(q) + laws[..term].iter().map(|l| l.linear.len()).sum::<usize>();
     let first_slot = q * channels + laws[..term].iter().map(|l| l.parameters.len()).sum::<usize>();
     let linear = (first_column..first_column + laws[term].linear.len())
-        .all(|j| (0..channels).all(|k| holds(fit.coefficients[(j, k)], k * q + j)));
+        .flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
     let values = laws[term].parameters.iter().zip(&fit.terms[term].values).enumerate();
-    linear
-        && values
-            .filter(|(_, (p, _))| matches!(p.role, Role::Amplitude { .. }))
-            .all(|(k, (_, value))| holds(*value, first_slot + k))
+    let values = values
+        .filter(|(_, (p, _))| matches!(p.role, Role::Amplitude { .. }))
+        .map(|(k, (_, value))| (*value, first_slot + k));
+    let amplitudes: Vec<(f64, usize)> = linear.chain(values).collect();
+    let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
+    let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
+    let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    let Some(factor) = spread.cholesky() else { return true };
+    let f = values.dot(&factor.solve(&values)) / n as f64;
+    FisherSnedecor::new(n as f64, fit.dof.max(1.0)).map_or(true, |d| d.sf(f) >= 0.05)
 }

@@ -3,6 +3,8 @@
 //! ```text
 //! |P s| a / sigma >= sqrt(chi2_{d, 1 - level}) + z_0.9      s: signature for a unit amplitude, P: off nuisances and what is accepted
 //! ```
+//!
+//! What all readings share and no number of them averages out (the alignment of two clocks) is added in squares.
 
 use super::session_model::SessionModel;
 use crate::method::fit::Fit;
@@ -105,11 +107,16 @@ fn smallest<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: u
                 None => (laws[law].linear.first()?.1, 1.0),
             };
             let signature = a.projected.first()?.norm();
+            let shared = a
+                .amplitudes
+                .first()
+                .map_or(0.0, |(slot, _)| needed * model.shared_sd(effect, laws[law].parameters[*slot].name));
             let readings = fit.residual.len();
-            let alone = (!fit.witness.is_empty())
-                .then(|| a.projected[0].rows(0, readings).norm())
-                .map(|own| model.physical(unit, needed * sd * probe / own.max(1e-300), law).0);
-            let (size, unit) = model.physical(unit, needed * sd * probe / signature, law);
+            let alone =
+                (!fit.witness.is_empty()).then(|| a.projected[0].rows(0, readings).norm()).map(|own| {
+                    model.physical(unit, (needed * sd * probe / own.max(1e-300)).hypot(shared), law).0
+                });
+            let (size, unit) = model.physical(unit, (needed * sd * probe / signature).hypot(shared), law);
             (signature > 0.0).then_some(Smallest { law, size, unit, share_left: a.share_left, alone })
         })
         .min_by(|a, b| a.law.cmp(&b.law).then(a.size.total_cmp(&b.size)))

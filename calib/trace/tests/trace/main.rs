@@ -14,5 +14,6 @@ mod reference_noise;
 mod scalar_cells;
 mod scalar_measured;
 mod scalar_simulated;
+mod scalar_structure;
 mod toy;
 mod whisker_stages;

@@ -1,27 +1,56 @@
-//! Time of the virtual bench: wall time, or a multiple of it.
+//! Time of the virtual bench: wall time, a multiple of it, or as it is let pass.
 
+use std::sync::Mutex;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+/// What makes the time pass.
+#[derive(Debug)]
+enum Pace {
+    /// The wall's clock, from this instant on.
+    Wall(Instant),
+    /// Whoever lets it pass: bench time, s.
+    Let(Mutex<f64>),
+}
+
 /// Bench time in seconds since the bench started.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug)]
 pub struct BenchClock {
-    start: Instant,
+    pace: Pace,
     start_epoch_s: f64,
     speed: f64,
+}
+
+fn epoch_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
 impl BenchClock {
     /// Starts now and runs `speed` times as fast as wall time.
     #[must_use]
     pub fn start(speed: f64) -> Self {
-        let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { start: Instant::now(), start_epoch_s: epoch.as_secs_f64(), speed }
+        Self { pace: Pace::Wall(Instant::now()), start_epoch_s: epoch_s(), speed }
+    }
+
+    /// Stands until its time is let pass.
+    #[must_use]
+    pub fn standing() -> Self {
+        Self { pace: Pace::Let(Mutex::new(0.0)), start_epoch_s: epoch_s(), speed: 1.0 }
+    }
+
+    /// Lets time pass, s; nothing where the wall's clock does.
+    pub fn pass(&self, seconds: f64) {
+        if let Pace::Let(now_s) = &self.pace {
+            *super::world::guard(now_s) += seconds;
+        }
     }
 
     /// Bench time, s.
     #[must_use]
     pub fn now_s(&self) -> f64 {
-        self.start.elapsed().as_secs_f64() * self.speed
+        match &self.pace {
+            Pace::Wall(start) => start.elapsed().as_secs_f64() * self.speed,
+            Pace::Let(now_s) => *super::world::guard(now_s),
+        }
     }
 
     /// Bench time as seconds since the Unix epoch at which the bench started.

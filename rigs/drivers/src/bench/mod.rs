@@ -9,6 +9,7 @@ mod camera_server;
 pub mod clock;
 pub mod faults;
 mod hyperion_server;
+pub mod in_process;
 pub mod link;
 pub mod motion;
 pub mod plant;

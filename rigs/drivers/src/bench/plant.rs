@@ -5,7 +5,7 @@
 //! delay        d += (1 - exp(-dt / t_lag)) (x_c - d)
 //! wire         m = arm F,   F = d / C (1 + CUBIC (d / reach)^2),   C = integral of |m_b|^2 / E I + m_t^2 / G J along s under a unit force
 //! creep        c += (1 - exp(-dt / t_creep)) (m - c),   M = m + f c            one Prony term
-//! wavelength   l_g = l_g0 + (K_g . M) (1 + q |M|) + zero_g + kappa_g (T - 21) + drift + noise
+//! wavelength   l_g = l_g0 + (K_g . M) (1 + q K_g . M / |K_g|) + zero_g + kappa_g (T - 21) + drift + noise
 //! ```
 //!
 //! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics of Materials").
@@ -196,8 +196,9 @@ impl Physics {
         out[0] = fbg.reference_nominal_nm + (fbg.reference_temperature_pm_per_degc * rise + draw()) * 1e-3;
         for g in 0..2 {
             let linear = fbg.k_pm_per_nmm[g][0] * moment[0] + fbg.k_pm_per_nmm[g][1] * moment[1];
-            let size = (moment[0] * moment[0] + moment[1] * moment[1]).sqrt();
-            let pm = linear * (1.0 + effects.quadratic_fraction * size)
+            // Second order in the strain at the grating: in the moment along its own axis.
+            let along = linear / fbg.k_pm_per_nmm[g][0].hypot(fbg.k_pm_per_nmm[g][1]);
+            let pm = linear * (1.0 + effects.quadratic_fraction * along)
                 + fbg.zero_pm[g]
                 + fbg.temperature_pm_per_degc[g] * rise
                 + effects.zero_drift_pm_per_min * t_s / 60.0

@@ -382,7 +382,7 @@ pub struct EffectsScenario {
     pub creep_fraction: f64,
     /// Time constant of creep, s.
     pub creep_s: f64,
-    /// Quadratic share of the response at 1 N mm.
+    /// Quadratic share of the response at 1 N mm along the grating's axis.
     pub quadratic_fraction: f64,
     /// Shift of the groove from its stated paths, base frame, mm (`plant = "rod"`).
     pub groove_offset_mm: [f64; 3],

@@ -105,7 +105,7 @@ pub struct Shared {
     stop: AtomicBool,
 }
 
-fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // A panicked server thread must not take the bench down.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -114,6 +114,13 @@ impl Shared {
     /// A bench that starts now.
     #[must_use]
     pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Arc<Self> {
+        let clock = BenchClock::start(scenario.speed);
+        Self::by_clock(scenario, plant, clock)
+    }
+
+    /// A bench by a clock of its own.
+    #[must_use]
+    pub fn by_clock(scenario: Scenario, plant: Option<Box<dyn Plant>>, clock: BenchClock) -> Arc<Self> {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {
             let mount = UnitSpec {
@@ -143,7 +150,7 @@ impl Shared {
             behind_s: 0.0,
         };
         Arc::new(Self {
-            clock: BenchClock::start(scenario.speed),
+            clock,
             stage_cable: Cable::default(),
             interrogator_cable: Cable::default(),
             cameras: Mutex::new(CameraState::new(&scenario.cameras)),

@@ -83,7 +83,14 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
 
 /// Records without anybody watching.
 pub fn go(order: &RecordRequest) -> Result<RecordResult, AcquisitionError> {
-    record(order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |_| {})
+    record(
+        order,
+        &mut Drivers::default(),
+        &mut NoMount,
+        &Interrupt::default(),
+        &mut std::thread::sleep,
+        &mut |_| {},
+    )
 }
 
 /// Rows of a session.

@@ -39,19 +39,26 @@ fn run(
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
-            let state = (bench.true_stage().1 != 0.0) == moving;
-            if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
-                bench.inject(fault);
-                // A cable that is plugged in again: the stage is reached again and stopped.
-                if fault == Fault::UnplugStage {
-                    scope.spawn(|| {
-                        std::thread::sleep(Duration::from_millis(120));
-                        bench.inject(Fault::PlugStage);
-                    });
+        record(
+            &order,
+            &mut Drivers::default(),
+            &mut NoMount,
+            &Interrupt::default(),
+            &mut std::thread::sleep,
+            &mut |p| {
+                let state = (bench.true_stage().1 != 0.0) == moving;
+                if p.step >= step && state && !injected.swap(true, Ordering::SeqCst) {
+                    bench.inject(fault);
+                    // A cable that is plugged in again: the stage is reached again and stopped.
+                    if fault == Fault::UnplugStage {
+                        scope.spawn(|| {
+                            std::thread::sleep(Duration::from_millis(120));
+                            bench.inject(Fault::PlugStage);
+                        });
+                    }
                 }
-            }
-        })
+            },
+        )
     });
     assert!(injected.load(Ordering::SeqCst), "{fault:?} was never injected");
     (bench, dir, recorded.unwrap())
@@ -169,15 +176,22 @@ fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
     let order = order(&bench, PLAN, dir.path());
     let injected = AtomicBool::new(false);
     let recorded = std::thread::scope(|scope| {
-        record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
-            if p.step >= 4 && !injected.swap(true, Ordering::SeqCst) {
-                bench.inject(Fault::AlertFlood { on: true });
-                scope.spawn(|| {
-                    std::thread::sleep(Duration::from_millis(600));
-                    bench.inject(Fault::AlertFlood { on: false });
-                });
-            }
-        })
+        record(
+            &order,
+            &mut Drivers::default(),
+            &mut NoMount,
+            &Interrupt::default(),
+            &mut std::thread::sleep,
+            &mut |p| {
+                if p.step >= 4 && !injected.swap(true, Ordering::SeqCst) {
+                    bench.inject(Fault::AlertFlood { on: true });
+                    scope.spawn(|| {
+                        std::thread::sleep(Duration::from_millis(600));
+                        bench.inject(Fault::AlertFlood { on: false });
+                    });
+                }
+            },
+        )
     })
     .unwrap();
     assert_eq!(recorded.sweep.ending, Ending::Finished);
@@ -205,12 +219,19 @@ fn an_interrupt_is_heard_while_a_question_waits() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
     let interrupt = Interrupt::default();
-    let recorded = record(&order, &mut Drivers::new(&interrupt), &mut NoMount, &interrupt, &mut |p| {
-        if p.step >= 4 {
-            bench.inject(Fault::AlertFlood { on: true });
-            interrupt.set(Signal::Terminate);
-        }
-    })
+    let recorded = record(
+        &order,
+        &mut Drivers::new(&interrupt),
+        &mut NoMount,
+        &interrupt,
+        &mut std::thread::sleep,
+        &mut |p| {
+            if p.step >= 4 {
+                bench.inject(Fault::AlertFlood { on: true });
+                interrupt.set(Signal::Terminate);
+            }
+        },
+    )
     .unwrap();
     let Ending::Stopped { cause, .. } = &recorded.sweep.ending else { panic!("{recorded:?}") };
     assert_eq!(cause.kind, Kind::Interrupted, "{cause}");
@@ -262,11 +283,18 @@ fn without_a_fault_there_is_no_outcome() {
 fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
     let (bench, dir) = (bench(""), tempfile::tempdir().unwrap());
     let order = order(&bench, PLAN, dir.path());
-    let recorded = record(&order, &mut Drivers::default(), &mut NoMount, &Interrupt::default(), &mut |p| {
-        if p.step >= 4 {
-            bench.inject(Fault::UnplugStage);
-        }
-    })
+    let recorded = record(
+        &order,
+        &mut Drivers::default(),
+        &mut NoMount,
+        &Interrupt::default(),
+        &mut std::thread::sleep,
+        &mut |p| {
+            if p.step >= 4 {
+                bench.inject(Fault::UnplugStage);
+            }
+        },
+    )
     .unwrap();
     let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else { panic!("{recorded:?}") };
     assert_eq!((cause.kind, *stage_stopped, recorded.exit_code()), (Kind::Disconnected, false, 1));

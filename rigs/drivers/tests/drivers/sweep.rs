@@ -73,14 +73,21 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
     let mut order = order(&bench, PLAN, dir.path());
     let interrupt = Interrupt::default();
     let mut lost = false;
-    let first = record(&order, &mut Drivers::default(), &mut NoMount, &interrupt, &mut |p| {
-        if p.step >= 4 && !std::mem::replace(&mut lost, true) {
-            bench.inject(Fault::LostSamples { count: 37 });
-        }
-        if p.step >= 5 {
-            interrupt.set(Signal::CtrlC);
-        }
-    })
+    let first = record(
+        &order,
+        &mut Drivers::default(),
+        &mut NoMount,
+        &interrupt,
+        &mut std::thread::sleep,
+        &mut |p| {
+            if p.step >= 4 && !std::mem::replace(&mut lost, true) {
+                bench.inject(Fault::LostSamples { count: 37 });
+            }
+            if p.step >= 5 {
+                interrupt.set(Signal::CtrlC);
+            }
+        },
+    )
     .unwrap();
     let Ending::Stopped { cause, stage_stopped } = &first.sweep.ending else { panic!("{first:?}") };
     assert!(cause.kind == Kind::Interrupted && *stage_stopped);

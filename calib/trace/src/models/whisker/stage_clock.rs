@@ -1,7 +1,7 @@
 //! The stage's clock against the interrogator's: in motion a reading belongs to x + v delta, delta the same for the whole session.
 //!
 //! A stage answers with its position, and the answer is stamped when it arrives: 1 to 3 ms after the position was taken (some 25 characters
-//! at 115,200 baud). A delta within that is how the session was recorded, no effect: it is fitted beside K and the zero, and what it leaves open
+//! at 115,200 baud; none on a network). A delta within that is how the session was recorded, no effect: it is fitted beside K and the zero, and what it leaves open
 //! is in the interval of a time lag.
 
 use super::system::WhiskerSystem;
@@ -11,10 +11,10 @@ use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::stack_with;
 use crate::method::signature::nuisance;
 
-/// Standard deviation of the alignment of both clocks, s.
-pub(super) const CLOCK_SD_S: f64 = 1.5e-3;
-/// Alignments beyond this are no matter of stamps, s.
-const MAX_CLOCK_S: f64 = 2.0 * CLOCK_SD_S;
+/// Alignments beyond this are no matter of stamps, s: the answer's characters and what a unit takes for them.
+const MAX_CLOCK_S: f64 = 3e-3;
+/// Standard deviation of the alignment of both clocks, s: root mean square of a delay that is uniform up to the largest, sqrt(1/3).
+pub(super) const CLOCK_SD_S: f64 = 0.577_350_269_189_625_8 * MAX_CLOCK_S;
 /// Standard errors from which an alignment is told from none.
 const TOLD: f64 = 3.0;
 /// Step of the derivative, s.

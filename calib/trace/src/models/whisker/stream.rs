@@ -116,6 +116,7 @@ impl PhysicalStream {
     fn sensed(&mut self, t_s: f64, shift_pm: [f64; 2], rise_degc: f64) -> [f64; 2] {
         let reading = &mut self.now.readings[0];
         (reading.t_s, reading.shift_pm, reading.rise_degc) = (t_s, shift_pm, rise_degc);
+        reading.temperature_loo_degc = rise_degc;
         self.model.sensed(&self.effects.terms, &self.now, &self.inverse)[0]
     }
 }

@@ -191,7 +191,11 @@ impl WhiskerSystem {
         };
         let mut xs: Vec<f64> = self.path.nodes.iter().map(stamped).collect();
         let mut rod_parameters = RodParameters::default();
-        for a in active.iter().filter(|a| a.effect.observers() != unseen) {
+        // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
+        let mut acting: Vec<&ActiveEffect> =
+            active.iter().filter(|a| a.effect.observers() != unseen).collect();
+        acting.sort_by_key(|a| a.place());
+        for a in acting {
             a.effect.pose(&a.values(), &self.path, &mut xs);
             a.effect.rod(&a.values(), &mut rod_parameters);
         }

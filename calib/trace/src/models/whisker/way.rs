@@ -47,7 +47,7 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
     }
     let first_s = (v1 * dt_s - way_mm) / change;
     if !(-FITS * dt_s..=(1.0 + FITS) * dt_s).contains(&first_s) {
-        return None;
+        return turned_back(path, xs_mm, k);
     }
     let first_s = first_s.clamp(0.0, dt_s);
     // An effect that moves the nodes moves the corner with them.
@@ -57,6 +57,21 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
         Piece { from_mm: xs_mm[k], to_mm: corner_mm, dt_s: first_s },
         Piece { from_mm: corner_mm, to_mm: xs_mm[k + 1], dt_s: dt_s - first_s },
     ])
+}
+
+/// From a settled pose to a stroke that begins on its other side: the stage went there at the stroke's speed and stood until it began.
+fn turned_back(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<Piece>> {
+    let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
+    if a.moving || !b.moving {
+        return None;
+    }
+    // The first reading of a stroke may be on its ramp: the next one has its speed.
+    let own = |node: &Node| node.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
+    let next = path.nodes.get(k + 2).filter(|n| n.line == b.line && own(n) * own(b) > 0.0).map_or(0.0, own);
+    let (from_mm, to_mm, dt_s) = (xs_mm[k], xs_mm[k + 1], b.t_s - a.t_s);
+    let move_s = (b.x_mm - a.x_mm).abs() / own(b).abs().max(next.abs());
+    let stood = Piece { from_mm: to_mm, to_mm, dt_s: dt_s - move_s };
+    (stood.dt_s >= 0.0).then(|| vec![Piece { from_mm, to_mm, dt_s: move_s }, stood])
 }
 
 /// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose positions are read better than speeds are.

@@ -85,6 +85,12 @@ impl ActiveEffect {
         &self.law.needs
     }
 
+    /// Its place in the catalogue.
+    #[must_use]
+    pub fn place(&self) -> usize {
+        self.term.effect
+    }
+
     /// Its place in the catalogue, law and values.
     #[must_use]
     pub fn into_term(self) -> EffectTerm {

@@ -31,6 +31,7 @@ impl WhiskerEffect for TemperatureMismatch {
         _moments_nmm: &[[f64; 2]],
         out: &mut Vec<Vec<f64>>,
     ) {
-        out.push(path.readings.iter().map(|r| r.rise_degc).collect());
+        // Of the other readings: this one's own noise is in its compensated shifts as well, and would pull the coefficient.
+        out.push(path.readings.iter().map(|r| r.temperature_loo_degc).collect());
     }
 }

@@ -1,6 +1,5 @@
 //! Structure that is no law, and laws that are more than one: what rests on one level is no name, what acts twice is found twice, a floor is the
 //! scatter of a new reading. SIMULATED, each with a control.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test that fails should say where")]
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;

@@ -1,0 +1,314 @@
+//! The virtual bench in the caller's own process: no sockets, and no waiting. Its time passes only while the sweep pauses or a device
+//! answers, so a recording depends on scenario and seed alone, however busy the computer is.
+//!
+//! ```text
+//! answer of the stage   asked at t, position of t + 1.0..1.5 ms, stamped 1.5..3.0 ms later      some 13 and 25 characters at 115,200 baud
+//! stream                handed over in blocks of 50 ms; time goes on when the reader has taken a block in
+//! ```
+
+use super::clock::BenchClock;
+use super::plant::Plant;
+use super::scenario::Scenario;
+use super::world::{Shared, guard};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+use wcal_core::clock::HostClock;
+use wcal_core::device::{
+    Camera, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator, Mount, Stage,
+    StageReading,
+};
+use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig, StageRig};
+
+/// Time until the stage has heard a question, and until its answer is there, s.
+const HEARD_S: [f64; 2] = [1.0e-3, 1.5e-3];
+const ANSWERED_S: [f64; 2] = [1.5e-3, 3.0e-3];
+/// Time between two blocks of the stream, s.
+const BLOCK_S: f64 = 0.05;
+/// From a scan to its arrival, s.
+const ARRIVAL_S: f64 = 1e-3;
+/// A reader that takes nothing for this long has gone (wall time).
+const GONE: Duration = Duration::from_secs(20);
+
+/// How far the stream was handed over, in numbers of scans.
+#[derive(Debug, Default)]
+struct Stream {
+    reading: bool,
+    made: u64,
+    taken: u64,
+    handed_s: f64,
+}
+
+/// The bench; clones are the same bench.
+#[derive(Clone)]
+pub struct InProcess {
+    shared: Arc<Shared>,
+    stream: Arc<(Mutex<Stream>, Condvar)>,
+    answers: Arc<Mutex<ChaCha8Rng>>,
+}
+
+impl InProcess {
+    /// A bench whose time stands.
+    #[must_use]
+    pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Self {
+        let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
+        let shared = Shared::by_clock(scenario, plant, BenchClock::standing());
+        shared.scan();
+        Self { shared, stream: Arc::default(), answers: Arc::new(Mutex::new(answers)) }
+    }
+
+    /// A pause of the sweep: its time passes. The first one waits for the thread that reads the stream, or chance would say how many there are.
+    pub fn pause(&self, time: Duration) {
+        let (stream, changed) = &*self.stream;
+        drop(changed.wait_timeout_while(guard(stream), GONE, |s| !s.reading));
+        self.pass(time.as_secs_f64());
+    }
+
+    /// Lets time pass, s, and hands the stream over.
+    fn pass(&self, seconds: f64) {
+        self.shared.clock.pass(seconds);
+        let now_s = self.shared.clock.now_s();
+        let (stream, changed) = &*self.stream;
+        let mut s = guard(stream);
+        if now_s - s.handed_s < BLOCK_S {
+            return;
+        }
+        self.shared.scan();
+        s.handed_s = now_s;
+        s.made = self.shared.newest().map_or(0, |scan| scan.serial + 1);
+        changed.notify_all();
+        let open = |s: &mut Stream| s.reading && s.taken < s.made;
+        // A reader that has gone is no reason to stand still.
+        drop(changed.wait_timeout_while(s, GONE, open));
+    }
+
+    fn answer_s(&self, [low, high]: [f64; 2]) -> f64 {
+        guard(&self.answers).random_range(low..high)
+    }
+
+    fn host_s(&self, t_s: f64) -> f64 {
+        self.shared.clock.epoch_s(t_s)
+    }
+
+    fn unit(&self, index: usize) -> Unit {
+        Unit { bench: self.clone(), index, commanded_mm: None }
+    }
+}
+
+/// A unit of the stage's chain.
+struct Unit {
+    bench: InProcess,
+    index: usize,
+    commanded_mm: Option<f64>,
+}
+
+impl Unit {
+    fn refused(&self, action: &str, found: &str) -> DeviceError {
+        let (kind, device) = (DeviceErrorKind::Rejected, format!("virtual unit {}", self.index + 1));
+        DeviceError::new(kind, device, action, "a command that the unit takes", found)
+    }
+
+    /// Does something with the axis at the present time.
+    fn axis<T>(&self, f: impl FnOnce(&mut super::axis::Axis, f64) -> T) -> Result<T, DeviceError> {
+        let t_s = self.bench.shared.clock.now_s();
+        let mut world = self.bench.shared.world();
+        let unit = world.units.get_mut(self.index).ok_or_else(|| self.refused("answer", "no such unit"))?;
+        unit.axis.update(t_s);
+        Ok(f(&mut unit.axis, t_s))
+    }
+}
+
+impl Stage for Unit {
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+        let spec = &self.bench.shared.scenario.stage.unit;
+        Ok(DeviceIdentity {
+            driver: "in-process".to_owned(),
+            model: format!("virtual {}", spec.device_id),
+            serial: spec.serial.to_string(),
+            firmware: spec.firmware.clone(),
+            settings: Vec::new(),
+        })
+    }
+
+    fn travel_mm(&mut self) -> Result<[f64; 2], DeviceError> {
+        self.axis(|axis, _| [0.0, axis.spec.unit.to_mm(axis.spec.limit_steps as f64)])
+    }
+
+    fn start_home(&mut self) -> Result<(), DeviceError> {
+        self.commanded_mm = Some(0.0);
+        self.axis(super::axis::Axis::home)?.map_err(|e| self.refused("search the reference", e))
+    }
+
+    fn start_move(&mut self, target_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+        let (target_mm, moved) = self.axis(|axis, t_s| {
+            let steps = axis.spec.unit.from_mm(target_mm);
+            (axis.spec.unit.to_mm(steps as f64), axis.move_to(t_s, steps, Some(speed_mm_s)))
+        })?;
+        self.commanded_mm = Some(target_mm);
+        moved.map_err(|e| self.refused("move", e))
+    }
+
+    fn read(&mut self) -> Result<StageReading, DeviceError> {
+        self.bench.pass(self.bench.answer_s(HEARD_S));
+        let (homed, measured_mm, moving, flags) = self.axis(|axis, t_s| {
+            let mm = axis.spec.unit.to_mm(axis.steps(t_s) as f64);
+            (axis.homed() || axis.busy(t_s), mm, axis.busy(t_s), axis.flags())
+        })?;
+        self.bench.pass(self.bench.answer_s(ANSWERED_S));
+        if !homed {
+            let (expected, found) = ("a homed axis", flags.join(" "));
+            let error = self.refused("read position", &found);
+            return Err(DeviceError {
+                kind: DeviceErrorKind::NotHomed,
+                expected: expected.to_owned(),
+                ..error
+            });
+        }
+        let host_s = self.bench.host_s(self.bench.shared.clock.now_s());
+        Ok(StageReading {
+            commanded_mm: self.commanded_mm,
+            measured_mm,
+            moving,
+            flags: flags.iter().map(|f| (*f).to_owned()).collect(),
+            clocks: Clocks { host_s, device_s: None },
+        })
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.axis(super::axis::Axis::stop)?;
+        while self.axis(|axis, t_s| axis.busy(t_s))? {
+            self.bench.pass(BLOCK_S);
+        }
+        Ok(())
+    }
+}
+
+/// The motorised mount.
+struct OwnMount {
+    unit: Unit,
+    steps_per_trajectory: i64,
+    speed_mm_s: f64,
+}
+
+impl Mount for OwnMount {
+    fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
+        let steps = i64::from(trajectory) * self.steps_per_trajectory;
+        let speed_mm_s = self.speed_mm_s;
+        let moved = self.unit.axis(|axis, t_s| axis.move_to(t_s, steps, Some(speed_mm_s)))?;
+        moved.map_err(|e| self.unit.refused("turn", e))?;
+        while self.unit.read()?.moving {}
+        Ok(())
+    }
+}
+
+/// The interrogator, read by a thread of its own.
+struct OwnInterrogator {
+    bench: InProcess,
+    next: u64,
+}
+
+impl Interrogator for OwnInterrogator {
+    fn identity(&mut self) -> Result<DeviceIdentity, DeviceError> {
+        Ok(DeviceIdentity {
+            driver: "in-process".to_owned(),
+            model: "virtual interrogator".to_owned(),
+            ..DeviceIdentity::default()
+        })
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.bench.shared.scenario.interrogator.rate_hz
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        let mut s = guard(&self.bench.stream.0);
+        self.next = s.made;
+        (s.reading, s.taken) = (true, self.next);
+        self.bench.stream.1.notify_all();
+        Ok(())
+    }
+
+    fn read(&mut self, timeout: Duration) -> Result<Vec<FbgReading>, DeviceError> {
+        let (stream, changed) = &*self.bench.stream;
+        let mut s = guard(stream);
+        // Who asks again has taken in what there was.
+        s.taken = self.next;
+        changed.notify_all();
+        let next = self.next;
+        drop(changed.wait_timeout_while(s, timeout, |s| s.made <= next));
+        if guard(stream).made <= next {
+            return Ok(Vec::new());
+        }
+        let scans = self.bench.shared.scans_from(next);
+        self.next = scans.last().map_or(next, |s| s.serial + 1);
+        Ok(scans.iter().map(|scan| self.reading(scan)).collect())
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        guard(&self.bench.stream.0).reading = false;
+        self.bench.stream.1.notify_all();
+        Ok(())
+    }
+}
+
+impl OwnInterrogator {
+    /// All gratings on the first optical channel.
+    fn reading(&self, scan: &super::world::Scan) -> FbgReading {
+        let mut peaks: Vec<f64> = scan.peaks_nm.iter().flatten().copied().collect();
+        peaks.sort_by(f64::total_cmp);
+        let (host_s, device_s) =
+            (self.bench.host_s(scan.t_s + ARRIVAL_S), self.bench.shared.device_s(scan.t_s));
+        FbgReading {
+            serial: scan.serial,
+            peaks_nm: vec![peaks],
+            health: scan.health,
+            clocks: Clocks { host_s, device_s: Some(device_s) },
+        }
+    }
+}
+
+impl DeviceOpener for InProcess {
+    fn stage(&mut self, _rig: &StageRig, _clock: HostClock) -> Result<Box<dyn Stage>, DeviceError> {
+        Ok(Box::new(self.unit(0)))
+    }
+
+    fn mount(&mut self, rig: &MountRig, _clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
+        let MountRig::Zaber { steps_per_trajectory, speed_mm_s, .. } = rig else { return Ok(None) };
+        let mut unit = self.unit(1);
+        unit.start_home()?;
+        while unit.read()?.moving {}
+        let (steps_per_trajectory, speed_mm_s) = (*steps_per_trajectory, *speed_mm_s);
+        Ok(Some(Box::new(OwnMount { unit, steps_per_trajectory, speed_mm_s })))
+    }
+
+    fn interrogator(
+        &mut self,
+        rig: &InterrogatorRig,
+        _clock: HostClock,
+    ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
+        let own_hz = self.shared.scenario.interrogator.rate_hz;
+        if (own_hz - rig.rate_hz).abs() > 1e-6 * own_hz {
+            let (kind, found) =
+                (DeviceErrorKind::Configuration, format!("rate_hz = {} in the rig", rig.rate_hz));
+            return Err(DeviceError::new(
+                kind,
+                "interrogator",
+                "open",
+                format!("the scenario's {own_hz} Hz"),
+                found,
+            ));
+        }
+        Ok(Box::new(OwnInterrogator { bench: self.clone(), next: 0 }))
+    }
+
+    fn camera(&mut self, rig: &CameraRig, _clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
+        let (kind, expected) =
+            (DeviceErrorKind::Configuration, "a rig without cameras, or `wcal virtual-bench`");
+        Err(DeviceError::new(kind, "camera", "open", expected, format!("camera {}", rig.name)))
+    }
+
+    fn repeats(&self) -> u64 {
+        0
+    }
+}

@@ -179,6 +179,10 @@ impl WhiskerSystem {
                 let none = !self.pictures.as_ref().is_some_and(moving);
                 none.then_some("no pair of pictures was taken while the stage moved")
             }
+            Need::RestReadings => {
+                let none = self.path.readings.iter().all(|r| !r.rest);
+                none.then_some("no reading was taken at rest")
+            }
             Need::Order | Need::Slope | Need::Covariate => None,
         }
     }
